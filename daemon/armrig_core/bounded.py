@@ -6,14 +6,22 @@ import codecs
 import errno
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 CONFIGURATION_LIMIT = 1 << 16
 """Longest configuration file, in B; the time of its reader grows with the square."""
 
 
-def read_bounded(path: Path, most: int) -> bytes:
+def read_bounded(
+    path: Path, most: int, check: Callable[[os.stat_result], None] = lambda found: None
+) -> bytes:
     """Return the bytes of a regular file.
+
+    Parameters
+    ----------
+    check : callable
+        Takes the state of the file that is read, and raises where it may not be.
 
     Raises
     ------
@@ -25,8 +33,10 @@ def read_bounded(path: Path, most: int) -> bytes:
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
     # Not os.fdopen, which calls a directory by the number of its descriptor.
     with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
-        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
+        check(found)
         data = file.read(most + 1)
     if len(data) > most:
         raise OSError(errno.EFBIG, f"more than the {most} B allowed", str(path))

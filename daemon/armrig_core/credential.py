@@ -14,6 +14,7 @@ import stat
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from shlex import quote
 from typing import Any, Literal
 
 from armrig_core.bounded import CONFIGURATION_LIMIT, read_bounded
@@ -94,9 +95,9 @@ def exposed(path: Path, found: os.stat_result, secret: str) -> str:
     """
     if os.name != "posix" or not found.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
         return ""
-    mend = f"chmod 400 {path}"
+    mend = f"chmod 400 {quote(str(path))}"
     if found.st_uid != os.geteuid():
-        mend = f"chown {_this_user()} {path} && {mend}"
+        mend = f"chown {_this_user()} {quote(str(path))} && {mend}"
     return (
         f"{path}: mode {stat.S_IMODE(found.st_mode):04o} lets others than its owner read {secret} "
         f"or change it: allowed is 0400 or 0600: `{mend}`"
@@ -155,18 +156,18 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
 
 
 def _read(path: Path, purpose: Purpose) -> bytes:
+    def check(found: os.stat_result) -> None:
+        if error := exposed(path, found, "the key"):
+            raise CredentialError(error)
+
     try:
-        found = path.stat()
-        data = read_bounded(path, CONFIGURATION_LIMIT)
+        return read_bounded(path, CONFIGURATION_LIMIT, check)
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one"
         raise CredentialError(msg) from err
     except OSError as err:
         msg = f"{path}: {err.strerror}; it must be a file that this user may read"
         raise CredentialError(msg) from err
-    if error := exposed(path, found, "the key"):
-        raise CredentialError(error)
-    return data
 
 
 def _shown(path: Path, authority: bytes, purpose: Purpose) -> dict[str, Any]:

@@ -5,9 +5,10 @@ For this machine alone: the daemon takes passwords on its loopback only, where n
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
-from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
+from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, decoded, read_bounded
 from armrig_core.credential import check_name, exposed
 
 SHORTEST = 12
@@ -27,16 +28,18 @@ def read_users(path: Path) -> dict[str, str]:
         It cannot be read, or not by its owner alone; a line is not user:password, a password is
         too short, or a user stands there twice.
     """
+
+    def check(found: os.stat_result) -> None:
+        if error := exposed(path, found, "a password"):
+            raise PasswordError(error)
+
     try:
-        found = path.stat()
-        lines = read_text(path, CONFIGURATION_LIMIT).splitlines()
+        lines = decoded(read_bounded(path, CONFIGURATION_LIMIT, check)).splitlines()
     except OSError as err:
         msg = f"{path}: {err.strerror}; a line user:password for each user is needed there"
         raise PasswordError(msg) from err
     except TextError as err:
         raise PasswordError(f"{path}: {err}") from err
-    if error := exposed(path, found, "a password"):
-        raise PasswordError(error)
     users: dict[str, str] = {}
     for number, line in enumerate(lines, 1):
         if not line.strip():

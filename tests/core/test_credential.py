@@ -159,6 +159,30 @@ def test_a_key_that_others_than_its_owner_may_read_is_refused(authority: Path, m
     assert read_credential(path, "client").name == "alice"
 
 
+def test_a_command_that_mends_a_mode_can_be_pasted(tmp_path: Path) -> None:
+    """Whatever the name of the file."""
+    path = tmp_path / "a key;.pem"
+    path.touch(mode=0o644)
+
+    assert _refused(path).endswith(f": `chmod 400 '{path}'`")
+
+
+def test_the_file_that_is_read_is_judged_and_not_one_before_it(
+    authority: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its mode, or the file itself, may change just before it is opened."""
+    path = pki.issue_to_person(authority, "alice", "operators").path
+    real = os.open
+
+    def late(*arguments: object) -> int:
+        path.chmod(0o644)
+        return real(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(os, "open", late)
+
+    assert _refused(path).startswith("mode 0644 lets others than its owner read the key")
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file to another user")
 def test_who_cannot_change_a_key_s_mode_is_told_what_root_types(authority: Path) -> None:
     """As it is of a service whose key was installed for its group: only its owner changes that."""
