@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
-from armrig_daemon.emulator.harness import HarnessError
+from armrig_daemon.emulator.harness import Harness, HarnessError
 from tools import needs
 
 from firmware.uno_host import HEX, ROOT
@@ -38,6 +38,17 @@ def test_without_a_harness_it_is_said_how_to_build_one(tmp_path: Path) -> None:
     program = tmp_path / "fil"
     program.touch()
     assert harness_program({"ARMRIG_FIL": str(program)}, tmp_path / "elsewhere") == program
+
+
+def test_a_harness_that_has_ended_is_closed_without_an_error(tmp_path: Path) -> None:
+    """What it was not given any more would hide why it ended."""
+    harness = Harness(Path("/bin/true"), tmp_path, baud=500_000)
+    assert harness._process.wait(30) == 0
+
+    with pytest.raises(HarnessError, match="the harness ended with exit code 0"):
+        harness.reset()
+
+    harness.close()
 
 
 def test_an_image_that_is_not_there_is_named(tmp_path: Path) -> None:
