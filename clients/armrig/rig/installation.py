@@ -23,7 +23,8 @@ _FOLDERS = {
 _UNSEEN = ("/home", "/root", "/tmp", "/var/tmp", "/run/user")  # by the unit's sandbox
 _DROP_INS = "armrig*.service.d/*.conf"
 _NETWORK = re.compile(
-    r"(?m)^(PrivateNetwork=(no|false|off|0)|IPAddressAllow=\S|RestrictAddressFamilies=.*\bAF_INET)"
+    r"(?im)^\s*(PrivateNetwork\s*=\s*(n|no|f|false|off|0)\s*$|IPAddressAllow\s*=[ \t]*\S"
+    r"|RestrictAddressFamilies\s*=.*\bAF_INET)"
 )
 _SYSTEM = Path("/")
 _UDEV = Path("/run/udev/control")  # there where udev runs, which in a container it may not
@@ -102,7 +103,8 @@ class Plan:
             yield f"remove   {file.path}{changed}"
         yield from (f"run      {' '.join(command)}" for command in self.last)
         for path in self.kept:
-            text = path.read_text(encoding="utf-8", errors="replace")
+            # A link that leads nowhere is one that systemd passes over.
+            text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
             opens = ", which opens the network" if _NETWORK.search(text) else ""
             yield f"keep     {path}{opens}"
 

@@ -280,12 +280,25 @@ def test_a_command_that_fails_or_is_not_there_is_said() -> None:
         installation.run_command(["no-such-command"])
 
 
+def test_a_drop_in_that_leads_nowhere_keeps_nothing_installed(tmp_path: Path) -> None:
+    """Nor does a folder of that name."""
+    installing(tmp_path).carry_out(lambda _: None)
+    drop_ins = tmp_path / "etc/systemd/system/armrigd@1.service.d"
+    (drop_ins / "a.conf").mkdir(parents=True)
+    (drop_ins / "b.conf").symlink_to("nowhere")
+
+    shown = [*uninstalling(tmp_path).lines()]
+
+    assert shown[-2:] == [f"keep     {drop_ins / name}" for name in ("a.conf", "b.conf")]
+
+
 @pytest.mark.parametrize(
     ("text", "opens"),
     [
         ("PrivateNetwork=no\n", True),
         ("RestrictAddressFamilies=AF_INET AF_INET6\n", True),
         ("IPAddressAllow=192.0.2.0/24\n", True),
+        ("  PrivateNetwork = No\n", True),  # systemd reads it so, too
         ("# PrivateNetwork=no\nCPUSchedulingPriority=80\n", False),
     ],
 )
