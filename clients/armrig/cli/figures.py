@@ -81,6 +81,8 @@ def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[
         figures = {
             path.with_stem(name): [one] for name, one in zip(names, draw.values(), strict=True)
         }
+        for file in figures:
+            check_output(file, ())
     with spinner("drawing"):
         for file, subjects in figures.items():
             save(_drawn(subjects, height), file, dpi=_DPI)

@@ -134,6 +134,18 @@ def test_one_figure_stays_on_a_screen(n: int, height: float, tmp_path: Path) -> 
     assert pixels.shape[1] in {1260, 2520, 3780}
 
 
+def test_a_figure_in_a_folder_never_replaces_a_recording(tmp_path: Path) -> None:
+    """Whatever its name; no other figure is written either."""
+    path = tmp_path / "b.png"
+    path.write_bytes(b"\x89MCAP0\r\n")
+    drawn: dict[str, Any] = {name: lambda ax: ax.plot(0, 0) for name in "ab"}
+
+    with pytest.raises(ValueError, match=r"b\.png: is a recording, which would be lost"):
+        write_plot(tmp_path / "*.png", **drawn)
+
+    assert [*tmp_path.iterdir()] == [path]
+
+
 def test_a_figure_never_replaces_a_recording(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
