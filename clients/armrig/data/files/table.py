@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from armrig_core.printable import printable
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
@@ -131,7 +132,7 @@ def listed(table: Table, what: str) -> str:
 
 def shown(text: str) -> str:
     """Return a text of the file as a message repeats it: not more than a line has room for."""
-    return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…"
+    return printable(text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…")
 
 
 def _same(column: Column, asked: str) -> bool:

@@ -64,7 +64,7 @@ class TextTable:
 
     def _no_number(self, i: int, k: int, cell: str) -> str:
         name = shown(self.columns[i].name) or str(i + 1)
-        text = f"{self.place(k)}, column {name}: {shown(cell.strip())!r} is no number; "
+        text = f"{self.place(k)}, column {name}: '{shown(cell.strip())}' is no number; "
         if "," in cell and self.separator != ";":
             return text + "write 0.5, or 0,5 where a semicolon parts the columns"
         return text + "leave a missing value empty, or write NaN; begin a remark's line with #"
@@ -140,7 +140,7 @@ def _cells(line: str, separator: str) -> list[str]:
     try:
         return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
     except csv.Error as err:
-        msg = f"{shown(line)!r} cannot be parted into cells: {err}"
+        msg = f"'{shown(line)}' cannot be parted into cells: {err}"
         raise DataFileError(msg) from err
 
 

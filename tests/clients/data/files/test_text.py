@@ -155,6 +155,8 @@ def test_every_number_comes_back() -> None:
         ("u,y\n1_000,2\n", "line 2, column u: '1_000' is no number"),
         ("u,y\n1,2\n1e999,3\n", "line 3: the input is inf there, and in 1 samples in all; leave"),
         ("u,y\n1," + 99 * "x" + "\n", "line 2, column y: '" + 39 * "x" + "…' is no number"),
+        ("\x1b[31mu,y\u202e\n1,2\n", r"a number of 1 \\x1b\[31mu, 2 y\\u202e"),
+        ("u,y\n1,\x1b[2J\n", r"line 2, column y: '\\x1b\[2J' is no number"),
         ("u,y\n1,2\n\x001,2\n", "is no text, and no other kind of file that is known; armrig re"),
         (
             "a,b\n1,2\n",
