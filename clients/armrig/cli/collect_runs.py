@@ -111,6 +111,24 @@ def _experiment_name(experiment: str, name: str) -> str:
     return whole
 
 
+def _tell_of_a_used_name(name: str) -> None:
+    """Tell that a name will mean two recordings."""
+    from armrig.cli.chosen_recording import (
+        COMPLETE,
+        NoSuchRecordingError,
+        matching,
+        recording_folder,
+    )
+    from armrig.recordings.folder import newest_first
+
+    if not name:
+        return
+    with suppress(NoSuchRecordingError, OSError):
+        found = matching(f"@{name}", newest_first(recording_folder()))
+        if found and found[0].outcome == COMPLETE:
+            tell(f"@{name} is a complete recording already, and will mean two: give another --name")
+
+
 def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = False) -> None:
     """Record one after the other and print each; end where the data cannot be used.
 
@@ -137,6 +155,7 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
         )
         for p in each
     ]
+    _tell_of_a_used_name(run.name)
     estimation, first = "", None  # id of the run before; path of the first that is here to read
     for p, plan in zip(each, plans, strict=True):
         details = {**plan.details, VALIDATION_OF: estimation} if p.is_validation else plan.details

@@ -63,7 +63,9 @@ def integrate(
     if json:
         _print_json(solved)
     else:
-        _print_table(solved)
+        given = "" if omega == OMEGA else f" --omega {omega:g}"
+        given += "" if amplitude == AMPLITUDE_V else f" --amplitude {amplitude:g}"
+        _print_table(solved, given)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -182,7 +184,7 @@ def _print_json(solved: _Solved) -> None:
     print_json(facts | {"rows": solved.rows})
 
 
-def _print_table(solved: _Solved) -> None:
+def _print_table(solved: _Solved, given: str) -> None:
     problem = solved.problem
     say(
         f"x' = A x + B u, the handout's arm, u = {problem.amplitude:g} sin({problem.omega:g} t) V, "
@@ -200,4 +202,4 @@ def _print_table(solved: _Solved) -> None:
         "The limit is the largest absolutely stable step (the handout calls it the minimum): at a "
         "larger one h λ leaves the method's region of stability for an eigenvalue λ of A."
     )
-    say_next("integrate", files=for_the_report(), report=free_name())
+    say_next("integrate", files=for_the_report(), sinusoid=given, report=free_name())

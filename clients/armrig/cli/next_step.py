@@ -63,7 +63,7 @@ AFTER: Mapping[str, str] = {
     "check other": "armrig hints {file}{given} -o hints.png",
     "greybox": "armrig split {file}{given} -o split.png",
     "split": "armrig integrate -o integrate.png",
-    "integrate": "armrig report --handout{files} -o {report}",
+    "integrate": "armrig report --handout{files}{sinusoid} -o {report}",
     "report": "{opener} {file}",
 }
 """The line after each command, with what stands in braces filled in."""

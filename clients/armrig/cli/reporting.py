@@ -137,9 +137,10 @@ def report(
 
 def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object]) -> None:
     """Refuse options that do not go together."""
-    if given["edited"] and (files or handout or given["source"]):
-        msg = f"--from {given['edited']}: takes no recordings, no --handout and no --source; the "
-        msg += "folder contains all that the report is made of"
+    edited = given["edited"]
+    if edited and (files or handout or any(given[x] for x in ("source", "answers", "set"))):
+        msg = f"--from {edited}: takes no recordings and no option but -o and --force; the folder "
+        msg += f"contains all that the report is made of, the answers in {edited}/data.json"
         raise typer.BadParameter(msg)
     for name in ("answers", "set"):
         if given[name] and not handout:
@@ -220,12 +221,15 @@ def _report_handout(
     """Typeset the handout's report from whatever there is."""
     from armrig.cli.recorded_data import loaded
     from armrig.cli.spinner import estimating, spinner
+    from armrig.recordings.doubts import early_ends
     from armrig.report.answers import Answers, read_answers
     from armrig.report.handout import handout_report
     from armrig.report.handout_study import handout_study
 
     said = Answers() if answers is None else read_answers(answers)
     recordings = loaded(files, calibration, one_plant=False)
+    for text in early_ends(recordings):
+        tell(text.removesuffix("."))
     with estimating("na, nb and nf"):
         done = handout_study(recordings, **problem)
     with spinner("typesetting"):

@@ -36,8 +36,8 @@ _QUANTITIES = (
     ("gear", "chassis", (0.1, 0.0), _STRAIGHT, "$Q_E$", (4.3, _BETWEEN)),
     ("chassis", "back-EMF", (-0.1, 0.0), _UP_THEN_LEFT, r"$\dot\theta_1$", (3.25, 1.22)),
     ("back-EMF", "circuit", (0.0, 0.0), _LEFT_THEN_UP, "$u_m$", (1.05, _BETWEEN + 0.35)),
-    ("chassis", "spring", (0.0, 0.08), _STRAIGHT, "$Q_s$", (3.25, 0.28)),
-    ("spring", "chassis", (0.0, -0.08), _STRAIGHT, r"$\theta_1$", (3.25, -0.28)),
+    ("spring", "chassis", (0.0, 0.08), _STRAIGHT, "$Q_s$", (3.25, 0.28)),
+    ("chassis", "spring", (0.0, -0.08), _STRAIGHT, r"$\theta_1$", (3.25, -0.28)),
     ("spring", "arm", (0.0, 0.08), _STRAIGHT, "$Q_s$", (2.03, 0.28)),
     ("arm", "spring", (0.0, -0.08), _STRAIGHT, r"$\alpha$", (2.03, -0.28)),
 )

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 FEW = 300
 """Samples below which the deviations of a model of the rig say little."""
+_TO_THE_END = ("complete", "continued")
 _TURNED = 0.5  # rad by which a chassis must have turned before its direction is judged
 NO_MODEL = ("step", "staircase")
 """Kinds of experiment that hardly excite: shown, and not identified from."""
@@ -44,6 +45,21 @@ def emulation(recordings: Sequence[Recording]) -> list[str]:
     if len(names) == len(recordings):
         return ["The rig was emulated: these are no measurements of a real rig."]
     return [f"The rig was emulated in {listed(names)}: these are no measurements of a real rig."]
+
+
+def ended_early(recording: Recording) -> bool:
+    """Return whether a run ended before the end of its input, or nothing says how it ended."""
+    return recording.outcome is None or recording.outcome.outcome not in _TO_THE_END
+
+
+def early_ends(recordings: Sequence[Recording]) -> list[str]:
+    """Return which recordings ended early, and why, a sentence each."""
+    return [
+        f"{r.path.name} ended early, after {r.samples.size} of {r.manifest.samples} samples: "
+        f"{r.outcome.outcome if r.outcome else 'nothing says why'}."
+        for r in recordings
+        if ended_early(r)
+    ]
 
 
 def doubts_of_estimation(recording: Recording) -> list[str]:

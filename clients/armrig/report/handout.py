@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig.numerics.quantities import milliseconds
-from armrig.recordings.doubts import emulation
+from armrig.recordings.doubts import early_ends, emulation
 from armrig.report.answers import Answers
 from armrig.report.conclusions import calibration_sentences
 from armrig.report.handout_figures import write_handout_figures
@@ -106,6 +106,7 @@ def _values(
         ],
         "remarks": [
             *emulation(study.recordings),
+            *early_ends(study.recordings),
             *calibration_sentences(study.recordings),
         ],
     }

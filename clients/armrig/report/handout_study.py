@@ -17,6 +17,7 @@ from armrig.physics.grey_box.split_study import SplitStudy, split_study
 from armrig.physics.integrators.accuracy import Sinusoid, sinusoid
 from armrig.physics.integrators.step_choice import Recommendation, recommend_step
 from armrig.physics.systems import HANDOUT, chassis
+from armrig.recordings.doubts import ended_early
 from armrig.recordings.recording import Recording
 from armrig.report.study import STAIRCASE, STEP, Orders, Study, kind_of, study
 from armrig.validation.feedback_and_delay.delay import delay
@@ -77,7 +78,7 @@ def handout_study(
     ----------
     recordings : sequence of Recording
         Of any kind: the first step, the first two that are made for black-box models, and the
-        first of the chassis alone are used.
+        first of the chassis alone are used, complete ones before those that ended early.
     orders : Orders, optional
         Of the black-box models.
     cases : dict of str to ArmParameters, optional
@@ -97,6 +98,8 @@ def handout_study(
             refused[name] = str(err)
             return None
 
+    # One that ended early counts only where no complete one was given.
+    recordings = sorted(recordings, key=ended_early)
     excited = [r for r in recordings if kind_of(r) not in OTHERS]
     stepped, alone = _first(recordings, STEP), _first(recordings, GREYBOX)
     black = tried("black", lambda: study(excited, orders=orders)) if excited else None

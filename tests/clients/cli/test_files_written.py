@@ -214,7 +214,7 @@ def test_questions_are_text_whatever_the_name_of_their_file(
             ["--from", "."],
             r"--from .: has 0 files \*.typ: give a folder that `armrig report --sour",
         ),
-        (["--from", ".", "--handout"], "--from .: takes no recordings, no --handout and no --sour"),
+        (["--from", ".", "--handout"], "--from .: takes no recordings and no option but -o and"),
         (["x.mcap", "--answers", "a.toml"], "--answers is for the handout's report: add --handout"),
         (["x.mcap", "--set", "J_1=0.002"], "--set is for the handout's report: add --handout"),
         (["--handout", "--answers", "mine.toml"], 'mine.toml: unknown key "mine"; known are stude'),

@@ -241,3 +241,12 @@ def test_a_recording_elsewhere_is_named_by_its_path(
     last = capsys.readouterr().err.splitlines()[-1]
     assert last == f"next: armrig plot '{path}'"
     assert re.search(r"'.* .*'", last)
+
+
+def test_the_report_has_the_sinusoid_that_was_solved(
+    pair: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only where it is not the report's own."""
+    assert main(["integrate", "--omega", "5", "--amplitude", "2"]) == 0
+
+    assert " --omega 5 --amplitude 2 -o report.pdf" in capsys.readouterr().err

@@ -32,6 +32,7 @@ from armrig.report.questions import QUESTIONS
 from armrig.report.section import Section
 from armrig.report.typesetting import ReportError, compiled, typeset
 from armrig_core.arm import ArmParameters
+from armrig_core.manifest import Outcome
 from made_recordings import of_the_arm, written
 from pages import script
 
@@ -418,3 +419,25 @@ def test_a_folder_with_files_is_no_folder_for_a_source(
         handout_report(without, tmp_path / "1.pdf", source=tmp_path)
 
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
+    three: list[Recording], without: HandoutStudy, tmp_path: Path
+) -> None:
+    """Whatever their order; the cover says how many samples it has."""
+    step, first, second = three
+    stopped = replace(second, outcome=Outcome(outcome="stopped by root", samples=9, missing=0))
+
+    study = handout_study([step, stopped, first])
+    handout_report(
+        replace(without, recordings=study.recordings),
+        tmp_path / "report.pdf",
+        source=tmp_path / "source",
+    )
+
+    assert study.black is not None
+    assert study.black.estimation.source == first.sha256
+    remarks = json.loads((tmp_path / "source" / "data.json").read_text())["remarks"]
+    n, of = stopped.samples.size, stopped.manifest.samples
+    said = f"{stopped.path.name} ended early, after {n} of {of} samples: stopped by root."
+    assert said in remarks
