@@ -18,6 +18,7 @@ from armrig_core.manifest import Outcome
 from made_recordings import manifest, of_the_arm, recorded, sample, written
 
 VALUES: dict[str, Any] = {
+    "sinusoid": " --omega 5 --amplitude 2",
     "file": "F.mcap",
     "port": "/dev/ttyACM0",
     "estimation": "F.mcap",
