@@ -228,6 +228,7 @@ def test_a_second_rig_is_reached_through_the_lab_s_router(lab: Lab) -> None:
     lab.script("cp /home/alice/pki/router.pem /home/alice/pki/access.toml .")
     install, *put = _with_yes(ROUTE).splitlines()
     lab.script(install)
+    lab.script("chmod 600 /etc/armrig/access.toml")
     lab.script("systemctl start armrig-router")
     unreadable = "path '/etc/armrig/access.toml' is not readable"
     wait_for(lambda: unreadable in lab.said("armrig-router"))
