@@ -52,6 +52,7 @@ def _matrix(M: NDArray[Any]) -> str:
     return f"mat({rows})"
 
 
+_TOGETHER = {"both": "Changing both", "all": "Changing all"}
 _SAME = 5e-4
 """Relative change that three digits do not show."""
 
@@ -88,7 +89,8 @@ def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
     found = {name: characteristics(p) for name, p in cases.items()}
     first, *changed = found.values()
     effects = "; ".join(
-        f"{name} {_effect(after, first)}" for name, after in zip([*found][1:], changed, strict=True)
+        f"{_TOGETHER.get(name, name)} {_effect(after, first)}"
+        for name, after in zip([*found][1:], changed, strict=True)
     )
     return Section(
         number="2.3",
@@ -124,10 +126,10 @@ def _effect(after: Characteristics, before: Characteristics) -> str:
         f"multiplies the {name} by {r:.3g}" for name, r in ratios.items() if abs(r - 1) > _SAME
     ]
     kept = [f"the {name}" for name, r in ratios.items() if abs(r - 1) <= _SAME]
-    swing, was = (abs(complex(max(c.poles, key=lambda z: z.imag))) for c in (after, before))
+    swing, was = (_pole(max(c.poles, key=lambda z: z.imag)) for c in (after, before))
     if kept:
         moved.append(f"does not change {' or '.join(kept)}")
-    faster = f"moves the swing from {was:.1f} to {swing:.1f} rad/s"
+    faster = f"moves the swing's poles from {was} to {swing} 1/s"
     return listed([*moved, faster])
 
 

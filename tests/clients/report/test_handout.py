@@ -285,7 +285,7 @@ def test_changed_parameters_and_the_sinusoid_are_those_given() -> None:
 
     assert found["2.3"].answer[0] == (
         "R_m=6.42 multiplies the slope by 0.5, does not change the steady speed and moves the "
-        "swing from 18.9 to 28.3 rad/s."
+        "swing's poles from −8.05 ± 17.08i to −9.11 ± 26.75i 1/s."
     )
     assert found["2.3"].table is not None
     assert [row[0] for row in found["2.3"].table.rows] == list(cases)
