@@ -154,7 +154,7 @@ def _compiled(source: Path) -> tuple[bytes, str]:
             raise ReportError(source.name)
         return pdf, compiler.query("<place>", field="value")
     except RuntimeError as err:
-        line = re.search(r":(\d+):\d+\n", str(getattr(err, "diagnostic", "")))
-        at = f"{source}, line {line[1]}" if line else str(source)
+        place = re.search(r"([^/\s]+):(\d+):\d+\n", str(getattr(err, "diagnostic", "")))
+        at = f"{source.with_name(place[1])}, line {place[2]}" if place else str(source)
         msg = f"{at}: the report cannot be typeset: {err}"
         raise ReportError(msg) from err
