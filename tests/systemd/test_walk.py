@@ -1,4 +1,4 @@
-"""docs/service.md, access.md and class.md, line by line: from nothing to a lab with a router.
+"""docs/service.md, access.md, class.md and firmware.md, line by line: from nothing to a lab.
 
 On an empty Debian (`make walk`, minutes): every line. On a machine with this host's files, where
 the program is there already: without the lines that fetch packages. A network namespace of the
@@ -20,9 +20,9 @@ from machine import CHECKOUT, Machine, missing, wait_for
 
 pytestmark = pytest.mark.machine
 
-SERVICE, ACCESS, CLASS = (
+SERVICE, ACCESS, CLASS, FIRMWARE = (
     (CHECKOUT / "docs" / f"{page}.md").read_text(encoding="utf-8")
-    for page in ("service", "access", "class")
+    for page in ("service", "access", "class", "firmware")
 )
 AT_LAPTOP = ("nsenter", "--net=/run/netns/laptop", "unshare", "--mount")
 ALICE = "--reuid=alice --regid=alice --init-groups"
@@ -46,6 +46,8 @@ LISTEN, CONNECT, *_, AT_ROUTER = _blocks(ACCESS, "toml")
 (DROP_IN,) = _blocks(ACCESS, "ini")
 FOLDERS, RUN, BY_STUDENT, SECOND, *_ = _blocks(CLASS, "sh")
 (LIMITS,) = _blocks(CLASS, "toml")
+(IN_SIMAVR,) = _blocks(FIRMWARE, "sh")
+STATUS_OF_UNO = "armrig status --connect unixsock-stream//run/of-uno/1.sock 2>&1 || :"
 
 
 class Lab:
@@ -354,6 +356,33 @@ def test_without_the_service_a_class_has_a_daemon_of_its_own(lab: Lab) -> None:
     *_, recording = _until_it_works(lambda text: lab.student(text, "alice"), collect).splitlines()
     lab.student(f"armrig info {recording}\ntimeout 3 {watch} >&2 || test $? = 124\n{stop}", "alice")
     lab.script("systemctl stop of-class-1 of-class-2")
+
+
+def test_the_firmware_is_built_and_runs_without_a_board(lab: Lab) -> None:
+    """docs/firmware.md: the same bytes as those that are committed, and every rule is held."""
+    if not lab.machine.path("/root/armrig").is_dir():
+        pytest.skip("the sources are on the empty machine alone")
+    image = "firmware_protocol/firmware/armrig-uno.hex"
+    packages = " ".join(sorted(set(re.findall(r"gcc-avr|avr-libc|libsimavr-dev", FIRMWARE))))
+    lab.script(f"apt-get install --yes make gcc libc6-dev {packages}", online=True)
+    make_fil, emulate, run, tried, alone, demo = (
+        line.partition("#")[0].strip() for line in IN_SIMAVR.splitlines()
+    )
+    assert demo == "make demo FIRMWARE=1"  # tests/integration has it
+
+    lab.script(f"cd armrig\ncp {image} /tmp/committed.hex\nrm {image}\nmake firmware\n{make_fil}")
+
+    lab.script(f"cmp /tmp/committed.hex armrig/{image}")
+    harness = "ARMRIG_FIL=/root/armrig/firmware_protocol/fil/fil"
+    lab.script(f"systemd-run --unit=uno --setenv={harness} {emulate}")
+    wait_for(lab.machine.path("/tmp/uno").is_symlink)
+    assert "rules that were tried hold" in lab.script(tried)
+    lab.script(f"systemd-run --unit=of-uno -p RuntimeDirectory=of-uno {run}")
+    wait_for(lambda: "safe" in lab.script(STATUS_OF_UNO))
+    assert "rules that were tried hold" in lab.script(f"export {harness}\n{alone}")
+    # docs/hardware.md, as far as it goes without a board.
+    assert "no board is plugged in by USB" in _fails(lab.script, "armrig flash --dry-run", 1)
+    assert "apt install avrdude" in _fails(lab.script, "armrig flash --fuse usbasp", 1)
 
 
 def _configuration(rig: str) -> str:

@@ -164,6 +164,22 @@ def test_the_brown_out_fuse_is_named(
     assert ("avrdude -p atmega328p -c usbasp -U efuse:w:0xfc:m" in " ".join(said.split())) != is_set
 
 
+def test_a_programmer_that_is_not_there_is_no_boot_loader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    """The program avrdude says of both that it cannot open the programmer."""
+    program = tmp_path / "avrdude"
+    program.write_text(
+        "#!/bin/sh\necho 'unable to open programmer usbasp on port usb' >&2\nexit 1\n"
+    )
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+
+    assert main(["flash", "--fuse", "usbasp"]) == 1
+
+    assert "avrdude reads nothing by usbasp: plug the programmer in" in capsys.readouterr().err
+
+
 def test_a_boot_loader_s_answer_is_no_fuse(capsys: Said) -> None:
     """Optiboot answers 0 to what it does not do."""
     with Uno(_another_firmware) as uno:

@@ -106,7 +106,13 @@ def fuse(program: str, programmer: str, port: str | None) -> int:
     """
     at = [] if port is None else ["-P", port]
     call = [program, "-p", CHIP.lower(), "-c", programmer, *at, "-U", "efuse:r:-:h"]
-    out = _run(call, _ignore, _UNTOUCHED)[0].split()
+    try:
+        out = _run(call, _ignore, _UNTOUCHED)[0].split()
+    except FlashError as err:
+        msg = (
+            f"avrdude reads nothing by {programmer}: plug the programmer in, and connect it to the "
+        )
+        raise FlashError(f"{msg}board's ISP pins; --port names its port if it has one") from err
     value = int(out[-1], 16) if out and re.fullmatch("0x[0-9a-f]{1,2}", out[-1]) else 0
     if not value:
         msg = f"avrdude reads no extended fuse by {programmer}: a boot loader answers 0 to it; "
