@@ -381,8 +381,7 @@ def test_the_firmware_is_built_and_runs_without_a_board(lab: Lab) -> None:
     wait_for(lambda: "safe" in lab.script(STATUS_OF_UNO))
     assert "rules that were tried hold" in lab.script(f"export {harness}\n{alone}")
     # docs/hardware.md, as far as it goes without a board.
-    assert "no board is plugged in by USB" in _fails(lab.script, "armrig flash --dry-run", 1)
-    assert "apt install avrdude" in _fails(lab.script, "armrig flash --fuse usbasp", 1)
+    assert "apt install avrdude" in _fails(lab.script, "armrig flash --dry-run", 1)
 
 
 def _configuration(rig: str) -> str:

@@ -162,7 +162,12 @@ def recommended(
     other = min((t.bits for t in ranked if t.structure.integrator != integrates), default=np.inf)
     shown = other - ranked[0].bits >= BARE
     return Recommendation(
-        structures=tuple(t.structure for t in _chosen(scans, shown=shown)),
+        structures=tuple(
+            sorted(
+                (t.structure for t in _chosen(scans, shown=shown)),
+                key=lambda s: not shown and s.integrator != integrates,  # the step's answer first
+            )
+        ),
         shown=shown,
         B=best.B,
         F=best.F,
