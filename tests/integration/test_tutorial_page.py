@@ -151,7 +151,7 @@ def test_every_line_that_needs_a_rig_is_taken(lab: Lab) -> None:
     (shown,) = (text for _, text in BLOCKS if text.startswith("motor_rad_per_s_v"))
     (measured,) = (line for line in "".join(said).splitlines() if line.startswith(shown.split()[0]))
     assert pages.numbers(measured)[0] == pytest.approx(pages.numbers(shown)[0], rel=0.01)
-    report = re.search(r"^armrig report --handout (.+) -o", TEXT, re.MULTILINE)
+    report = re.search(r"^armrig report --handout (@.+?) --answers", TEXT, re.MULTILINE)
     assert report is not None
     read = [armrig.load(recording_path(name)) for name in report[1].split()]
     assert [text for text in all_doubts(read, one_plant=False) if "record 300" not in text] == []
