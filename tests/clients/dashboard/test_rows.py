@@ -158,17 +158,35 @@ def test_rows_exactly_at_an_edge() -> None:
 
 def test_each_signal_is_drawn_from_its_own_columns() -> None:
     """U, θ₁, its rate and α, least and largest; the row at a pixel's edge is the next pixel's."""
-    sent = [[k / 64, *(10 * s + side + k for s in range(4) for side in (1, 2))] for k in range(4)]
-    view = {"from": 0, "to": 64 / 32, "pixels": 64, "zero": 0, "wraps": False}
+    sent = [[k / 64, *(10 * s + side + k for s in range(4) for side in (1, 2))] for k in range(7)]
+    view = {"from": 0, "to": 5, "pixels": 64, "zero": 0, "wraps": False}
     drawn = _run(
         f"const kept = new rows.Rows(); kept.add({json.dumps(sent)});"
         f"console.log(JSON.stringify([0, 1, 2, 3].map((s) => kept.drawn(s, {json.dumps(view)}))));"
     )
 
     for s, (x, low, high) in enumerate(drawn):
-        assert x == [0, 2 / 64]
-        assert low == [10 * s + 1, 10 * s + 3]
-        assert high == [10 * s + 3, 10 * s + 5]
+        assert x == [k / 64 for k in (0, 4, 5, 6)]  # of five rows of a pixel the first and the last
+        assert low == [10 * s + 1 + k for k in (0, 4, 5, 6)]
+        assert high == [10 * s + 2 + k for k in (0, 4, 5, 6)]
+
+
+def test_a_pixel_has_its_extremes_at_their_own_times() -> None:
+    """The first, the least, the largest and the last row of a pixel, in their order."""
+    x, low, _ = _drawn([5.0, 6.0, 9.0, 8.0, None, 2.0, 3.0, 4.0] + [4.0] * 392, pixels=50)
+
+    assert x[:4] == [0.0, 0.02, 0.05, 0.07]
+    assert low[:4] == [5.0, 9.0, 2.0, 4.0]
+
+
+@pytest.mark.parametrize("step", [3.0, 110.0, -110.0])
+def test_a_wrap_hides_no_sample(step: float) -> None:
+    """Where a pixel has at most four samples, each of them is drawn."""
+    angles = [(350 + step * k) % 360 for k in range(100)]
+    x, low, _ = _drawn([*angles], pixels=50)
+
+    assert [y for y in low if y is not None] == angles
+    assert x == sorted(x)
 
 
 def test_what_comes_before_the_past_is_drawn_after_it() -> None:

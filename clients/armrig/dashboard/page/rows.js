@@ -5,7 +5,7 @@ const MOST = 40000; // rows
 export const KEPT_S = 300;
 const SILENT_S = 0.25; // without a row for so much longer than before the line breaks
 const HALF_TURN = 180; // °
-const WRAP_PIXELS = 2;
+const POINTS = 4; // of a pixel
 
 export class Rows {
   #values = new Float64Array(MOST * COLUMNS);
@@ -82,32 +82,35 @@ export class Rows {
     this.length -= n;
   }
 
-  // x, least, largest for uPlot, about one point a pixel; null where there is a break.
+  // x, least, largest for uPlot: of each pixel at most four rows at their own times, the first, the
+  // least, the largest and the last; null where the line breaks.
   drawn(signal, { from, to, pixels, zero, wraps }) {
     const column = 1 + 2 * signal;
     const width = (to - from) / Math.max(50, pixels);
     const last = Math.min(this.length, this.find(to) + 1);
     const found = [[], [], []];
     let before = NaN; // time of the last row drawn
-    let valueBefore = NaN;
+    let valueBefore = NaN; // the last known
+    const isWrap = (i) => wraps && Math.abs(this.at(i, column) - valueBefore) > HALF_TURN;
     for (let i = Math.max(0, this.find(from) - 1); i < last; ) {
       const t = this.at(i, 0);
-      let [least, largest] = [this.at(i, column), this.at(i, column + 1)];
-      const wrapped = wraps && Math.abs(least - valueBefore) > HALF_TURN;
-      if (wrapped && t < before + WRAP_PIXELS * width) {
-        i += 1; // so that a gap is seen
-        continue;
-      }
-      if (wrapped || this.#isBroken(i, before, width)) push(found, (before + t) / 2 - zero, null, null);
-      for (i += 1; i < last && this.at(i, 0) < t + width; i++) {
-        const [a, b] = [this.at(i, column), this.at(i, column + 1)];
-        if (wraps && Math.abs(a - (Number.isNaN(largest) ? valueBefore : largest)) > HALF_TURN) break;
-        if (!(least <= a)) least = Number.isNaN(a) ? least : a;
-        if (!(largest >= b)) largest = Number.isNaN(b) ? largest : b;
-      }
+      if (isWrap(i) || this.#isBroken(i, before, width)) push(found, (before + t) / 2 - zero, NaN, NaN);
+      const known = [];
+      let [least, largest] = [i, i];
+      do {
+        const [low, high] = [this.at(i, column), this.at(i, column + 1)];
+        if (!Number.isNaN(low)) {
+          if (!known.length || low < this.at(least, column)) least = i;
+          if (!known.length || high > this.at(largest, column + 1)) largest = i;
+          known.push(i);
+          valueBefore = high;
+        }
+        i += 1;
+      } while (i < last && this.at(i, 0) < t + width && !isWrap(i));
       before = this.at(i - 1, 0);
-      if (!Number.isNaN(largest)) valueBefore = largest;
-      push(found, t - zero, known(least), known(largest));
+      if (!known.length) push(found, t - zero, NaN, NaN);
+      const ends = new Set([known[0], Math.min(least, largest), Math.max(least, largest), known.at(-1)]);
+      for (const row of known.length > POINTS ? ends : known) push(found, this.at(row, 0) - zero, this.at(row, column), this.at(row, column + 1));
     }
     return found;
   }
@@ -115,8 +118,6 @@ export class Rows {
 
 function push([x, low, high], t, least, largest) {
   x.push(t);
-  low.push(least);
-  high.push(largest);
+  low.push(Number.isNaN(least) ? null : least);
+  high.push(Number.isNaN(largest) ? null : largest);
 }
-
-const known = (value) => (Number.isNaN(value) ? null : value);
