@@ -519,9 +519,10 @@ def test_a_recording_is_looked_at(page: Client, served: Bench) -> None:
     assert status == 200
     assert facts["summary"].startswith("the data")
     assert [len(x) for x in facts["curves"]["u"]] == [200, 200, 200]
-    times = [float(row.split(",")[1]) for row in text.decode().splitlines()[1:]]
-    assert isclose(times[0], 0.5, abs_tol=0.01)
-    assert len(times) in (50, 51)
+    header, *rows = text.decode().splitlines()
+    assert header == "t [s],u [V],theta_1 counted [deg],alpha [deg]"
+    assert isclose(float(rows[0].split(",")[0]), 0.5, abs_tol=0.01)
+    assert len(rows) in (50, 51)
     assert whole == (served.recordings / file).read_bytes()
 
 

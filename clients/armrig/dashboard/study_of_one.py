@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
-from armrig.recordings.export import write_csv
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import shown_path
@@ -22,7 +21,7 @@ from armrig.validation.comparison import compare
 from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 
-_PIXELS = 1000
+_POINTS = 4000  # of a curve: four a pixel, so that a pixel holds its extremes at their times
 _MOST_GAPS = 100
 _KEPT = 2  # recordings: the one that is looked at, and its validation
 Output = Literal["theta_1", "alpha"]
@@ -62,29 +61,26 @@ def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any
 
     Of a time without a sample it is the next one, or the last.
     """
+    t, *signals = _part(path, start, stop)
+    return {name: _drawn(t, y) for name, y in zip(("u", "theta_1", "alpha"), signals, strict=True)}
+
+
+def csv(path: Path, start: float | None, stop: float | None) -> str:
+    """Return every sample that the page's curves show, in their quantities, with units."""
+    rows = zip(*(column.tolist() for column in _part(path, start, stop)), strict=True)
+    lines = (f"{t:.6f},{u:.4f},{theta_1:.4f},{alpha:.4f}\n" for t, u, theta_1, alpha in rows)
+    return "t [s],u [V],theta_1 counted [deg],alpha [deg]\n" + "".join(lines)
+
+
+def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[np.float64]]:
+    """Return t in s, u in V, theta_1 (turns counted) and alpha in ° between two times in s."""
     recording = _loaded(path)
     first = 0 if start is None else int(np.searchsorted(recording.t, start))
     first = min(first, recording.N - 1)
     last = recording.N if stop is None else int(np.searchsorted(recording.t, stop, "right"))
     part = slice(first, max(last, first + 1))
-    t = recording.t[part]
-    return {
-        name: _drawn(t, values[part])
-        for name, values in (
-            ("u", recording.u),
-            ("theta_1", np.degrees(recording.theta_1)),
-            ("alpha", np.degrees(recording.alpha)),
-        )
-    }
-
-
-def csv(path: Path, start: float | None, stop: float | None) -> bytes:
-    """Return the columns between two times in s as text: see `armrig export`."""
-    part = load(path, start=start, stop=stop)
-    with tempfile.TemporaryDirectory(prefix="armrig-") as folder:
-        out = Path(folder) / "part.csv"
-        write_csv(part, out)
-        return out.read_bytes()
+    angles = (np.degrees(recording.theta_1), np.degrees(recording.alpha))
+    return [column[part] for column in (recording.t, recording.u, *angles)]
 
 
 def identified(path: Path, validation: Path | None, output: Output) -> dict[str, Any]:
@@ -142,8 +138,8 @@ def _loaded(path: Path) -> Recording:
 
 
 def _drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | None]]:
-    """Return x, and the least and the largest y of each pixel; None where there is none."""
-    n = -(-t.size // _PIXELS)
+    """Return x, and the least and the largest y of each point; None where there is none."""
+    n = -(-t.size // _POINTS)
     first = np.arange(0, t.size, n)
     least, largest = np.fmin.reduceat(y, first), np.fmax.reduceat(y, first)
     return [

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
-from armrig.dashboard.study_of_one import curves
+from armrig.dashboard.study_of_one import csv, curves
 from armrig.recordings.loading import load
 
 
@@ -20,3 +21,17 @@ def test_a_part_without_a_sample_is_the_next_one_or_the_last(
 
     assert shown["u"][0] == [pytest.approx(recording.t[k])]
     assert shown["u"][1] == shown["u"][2] == [pytest.approx(recording.u[k], abs=1e-4)]
+
+
+def test_a_part_as_csv_has_the_page_s_quantities(three_recordings: tuple[Path, Path, Path]) -> None:
+    """Degrees whose turns are counted since the recording began, and units in the header."""
+    path = three_recordings[0]
+    recording = load(path)
+    header, *rows = csv(path, 1.0, 1.5).splitlines()
+    k = np.flatnonzero((recording.t >= 1.0) & (recording.t <= 1.5))
+
+    assert header == "t [s],u [V],theta_1 counted [deg],alpha [deg]"
+    shown = np.array([[float(text) for text in row.split(",")] for row in rows])
+    angles = np.degrees([recording.theta_1[k], recording.alpha[k]])
+    expected = np.column_stack([recording.t[k], recording.u[k], *angles])
+    np.testing.assert_allclose(shown, expected, atol=6e-5)
