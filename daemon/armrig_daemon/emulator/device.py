@@ -34,6 +34,9 @@ POWER_ON_FLAGS, EXTERNAL_RESET_FLAGS = 0x01, 0x02  # PORF, EXTRF in MCUSR
 class Device:
     """An emulated rig: bytes in, bytes out, and an arm that moves."""
 
+    violations: tuple[()] = ()
+    """None: the pins of this board do what its firmware says."""
+
     def __init__(
         self, settings: EmulatorSettings, now_ns: int, witness: Witness | None = None
     ) -> None:
@@ -63,11 +66,6 @@ class Device:
         self._boot_id = 0
         self._next_ns = now_ns
         self._begin(now_ns, POWER_ON_FLAGS)
-
-    @property
-    def violations(self) -> tuple[()]:
-        """Return none: the pins of this board do what its firmware says."""
-        return ()
 
     @property
     def state(self) -> State:
