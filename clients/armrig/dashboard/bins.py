@@ -17,6 +17,7 @@ WIDTH_S = 0.01
 RATE_S = 0.1
 """Length over which the rate is the slope: one step of the converter is then 3.5 °/s."""
 _TURN = 360.0
+_CLOCK_S = 1e-6  # to which times are known
 
 
 def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
@@ -29,28 +30,39 @@ def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
     return found
 
 
-def rate(before: NDArray[np.float64], now: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """Return the rate of theta_1 at each row of `now`, (N,) in °/s, over n samples.
+def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the rate of theta_1 at each row of `now`, (N,) in °/s.
+
+    It is the slope from the newest angle that is known and at least `RATE_S` older, so that a
+    missing sample or the dead band costs no rate. Less than half a turn is taken to lie between.
 
     Parameters
     ----------
     before : ndarray, shape (m, 5)
-        The samples just before, as of `signals`; those that the first rows are held against.
+        The samples just before, as of `signals`: see `needed_before`.
     now : ndarray, shape (N, 5)
-        The samples.
-    n : int
-        Samples that it is the slope over. NaN where one of the two shows no angle, or a sample
-        between them is missing. Less than half a turn is taken to lie between them.
+        The samples. The rate is NaN where one shows no angle, or where the older one is more than
+        2 `RATE_S` older and not the sample just before.
     """
     every = np.concatenate([before, now])
-    slope = np.full(every.shape[0], np.nan)
-    if every.shape[0] > n:
-        k, t, theta = every[:, 0], every[:, 1], every[:, 3]
-        turned = theta[n:] - theta[:-n]
+    known = every[np.isfinite(every[:, 3])]
+    slope = np.full(now.shape[0], np.nan)
+    if known.shape[0]:
+        place = np.searchsorted(known[:, 1], now[:, 1] - RATE_S + _CLOCK_S, "right") - 1
+        older = known[np.maximum(place, 0)]
+        elapsed = now[:, 1] - older[:, 1]
+        near = (elapsed <= 2 * RATE_S + _CLOCK_S) | (now[:, 0] - older[:, 0] == 1)
+        turned = now[:, 3] - older[:, 3]
         turned -= _TURN * np.round(turned / _TURN)
-        whole = k[n:] - k[:-n] == n
-        slope[n:][whole] = turned[whole] / (t[n:] - t[:-n])[whole]
-    return slope[before.shape[0] :]
+        use = near & (place >= 0)
+        slope[use] = turned[use] / elapsed[use]
+    return slope
+
+
+def needed_before(found: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return those rows that the rate of later samples may need."""
+    first = int(np.searchsorted(found[:, 1], found[-1, 1] - 2 * RATE_S))
+    return found[min(first, found.shape[0] - 1) :]
 
 
 def binned(found: NDArray[np.float64], slope: NDArray[np.float64]) -> Rows:

@@ -14,7 +14,7 @@ import numpy as np
 from armrig_core.commands import StatusReport
 from armrig_core.telemetry import Sample
 
-from armrig.dashboard.bins import COLUMNS, RATE_S, Rows, binned, coarser, rate, signals
+from armrig.dashboard.bins import COLUMNS, Rows, binned, coarser, needed_before, rate, signals
 from armrig.dashboard.live_model import LiveModel
 from armrig.rig.live_gaps import MOST_TOLD, gaps_between
 
@@ -87,7 +87,7 @@ class Feed:
         with self._lock:
             if live and samples and self._is_of_another_clock(samples[0]):
                 self._rows.clear()
-                self._kept, self._newest = 0, None
+                self._kept, self._newest, self._tail = 0, None, self._tail[:0]
             newest_ns = self._newest.t_host_ns if self._newest else -1
             samples = [s for s in samples if s.t_host_ns > newest_ns]
             if not samples:
@@ -95,13 +95,12 @@ class Feed:
             self._note_gaps(samples)
             found = signals(samples)
             Ts = self.status.Ts if self.status else _TS
-            n = max(1, round(RATE_S / Ts))
-            made = binned(found, rate(self._tail, found, n))
+            made = binned(found, rate(self._tail, found))
             if self._model is not None and live:
                 if self._model.Ts != Ts:
                     self._model = LiveModel(Ts)
                 self._model.take(found)
-            self._tail = np.concatenate([self._tail, found])[-n:]
+            self._tail = needed_before(np.concatenate([self._tail, found]))
             self._newest = samples[-1]
             if live:
                 self._came_s = time.monotonic()

@@ -6,7 +6,8 @@ from math import radians
 
 import msgspec
 import numpy as np
-from armrig.dashboard.bins import as_lists, binned, coarser, rate, signals
+import pytest
+from armrig.dashboard.bins import as_lists, binned, coarser, needed_before, rate, signals
 from armrig_core.telemetry import Sample
 
 
@@ -82,24 +83,49 @@ def test_what_is_not_known_hides_nothing() -> None:
     assert np.isnan(as_lists(rows)[1][3:5]).all()
 
 
-def test_the_rate_is_the_slope_across_a_wrap() -> None:
-    """One degree a millisecond is 1000 °/s, also from 359 to 0."""
-    found = signals(_samples([(350 + k) % 360 for k in range(30)]))
-    slope = rate(found[:10], found[10:], 10)
+@pytest.mark.parametrize("Ts", [0.001, 0.01, 0.03, 0.1, 0.15])
+def test_the_rate_is_the_slope_across_a_wrap(Ts: float) -> None:
+    """One degree a millisecond is 1000 °/s, also from 359 to 0, at any sampling time."""
+    found = signals(_samples([(350 + 1000 * Ts * k) % 360 for k in range(300)], Ts=Ts))
+    slope = rate(found[:200], found[200:])
 
     np.testing.assert_allclose(slope, 1000.0, rtol=1e-6)
 
 
-def test_a_missing_sample_leaves_no_rate() -> None:
-    """The time between two samples is not what it seems; what comes later has a rate again."""
-    samples = _samples([float(k) for k in range(40)])
-    del samples[15]
-    found = signals(samples)
-    slope = rate(found[:5], found[5:], 5)
+def test_the_rate_is_a_slope_over_a_tenth_of_a_second_of_time() -> None:
+    """A step of the converter, 0.35°, shows as 3.5 °/s at any sampling time up to 0.1 s."""
+    for Ts in (0.001, 0.01, 0.02, 0.05, 0.1):
+        found = signals(_samples([0.0] * 300 + [0.35], Ts=Ts))
+        assert rate(found[:-1], found[-1:])[0] == pytest.approx(3.5), Ts
 
-    assert np.isnan(slope[10:15]).all()
-    assert np.isfinite(slope[15:]).all()
-    assert np.isnan(rate(found[:0], found[:5], 5)).all()
+
+def test_a_missing_sample_or_a_hidden_angle_costs_no_rate_of_another() -> None:
+    """An older one stands in for it, up to twice a tenth of a second; then there is no rate."""
+    nan = float("nan")
+    samples = _samples([nan if k in (3, 25) else float(k) for k in range(60)], Ts=0.01)
+    del samples[15:17]
+    found = signals(samples)
+    slope = rate(found[:13], found[13:])
+    at = {round(k): y for k, y in zip(found[13:, 0], slope, strict=True)}
+
+    assert np.isnan(at.pop(25))
+    np.testing.assert_allclose([*at.values()], 100.0)
+    late = signals([*_samples([0.0] * 20, Ts=0.01), *_samples([1.0] * 70, Ts=0.01)[50:]])
+    assert np.isnan(rate(late[:20], late[20:])[:10]).all()
+    assert np.isfinite(rate(late[:20], late[20:])[10:]).all()
+    assert np.isnan(rate(found[:0], found[:5])).all()
+
+
+def test_slow_samples_have_a_rate_from_one_to_the_next() -> None:
+    """Where one is missing between them half a turn may have passed: there is none."""
+    samples = _samples([float(k) for k in range(9)], Ts=0.5)
+    del samples[4]
+    found = signals(samples)
+
+    np.testing.assert_allclose(rate(found[:1], found[1:]), [2.0, 2.0, 2.0, np.nan, 2.0, 2.0, 2.0])
+    for n in range(1, 8):
+        before = needed_before(found[:n])
+        np.testing.assert_allclose(rate(before, found[n:]), rate(found[:n], found[n:]))
 
 
 def test_coarser_rows_keep_the_extremes() -> None:
