@@ -1,5 +1,7 @@
 // Elements of the page. Whatever comes from others is text, never markup.
 
+export const FIGURES_MS = 200; // figures that change more often cannot be read
+
 export const byId = (id) => document.getElementById(id);
 
 export function make(tag, properties = {}, ...children) {

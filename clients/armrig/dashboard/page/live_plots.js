@@ -1,7 +1,7 @@
 // The live plots: four charts of the last seconds or minutes, with zoom and cursor.
 
 import { chart } from "./chart.js";
-import { byId, make, setText, show } from "./elements.js";
+import { FIGURES_MS, byId, make, setText, show } from "./elements.js";
 import { KEPT_S, Rows } from "./rows.js";
 
 const SPANS = [5, 30, 300];
@@ -22,6 +22,7 @@ export class LivePlots {
     this.span = 30;
     this.frozen = null; // {zero, from, to} while zoomed
     this.cursorAt = null; // in s from the newest, as the x axis
+    this.toldAt = -FIGURES_MS; // when the figures were shown
     this.charts = SIGNALS.map((signal, i) => this.#made(signal, i === SIGNALS.length - 1));
     this.values = SIGNALS.map((signal) => byId(`value-${signal.key}`));
     for (const span of SPANS) {
@@ -82,6 +83,7 @@ export class LivePlots {
   follow() {
     this.frozen = null;
     this.cursorAt = null;
+    this.toldAt = -FIGURES_MS;
     show("follow", false);
     this.draw();
   }
@@ -106,7 +108,7 @@ export class LivePlots {
       const pixels = u.bbox.width / devicePixelRatio;
       u.setData(this.rows.drawn(i, { from: zero + from, to: zero + to, pixels, zero, wraps: SIGNALS[i].wraps }), true);
     });
-    this.#tell();
+    if (this.frozen || this.cursorAt !== null || performance.now() - this.toldAt >= FIGURES_MS) this.#tell();
   }
 
   #point(x) {
@@ -115,6 +117,7 @@ export class LivePlots {
   }
 
   #tell() {
+    this.toldAt = performance.now();
     const zero = this.frozen?.zero ?? this.rows.newest;
     const pointed = this.cursorAt !== null;
     const t = pointed ? zero + this.cursorAt : zero;

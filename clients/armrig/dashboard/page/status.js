@@ -1,6 +1,6 @@
 // How the rig is: phase, owner, fault, age of the data, timing.
 
-import { attempt, askJson, byId, make, notice, setText, show } from "./elements.js";
+import { FIGURES_MS, attempt, askJson, byId, make, notice, setText, show } from "./elements.js";
 
 const FIRST = ["phase", "fault", "to do", "motor", "owner", "Ts", "arm"];
 
@@ -8,6 +8,7 @@ let status = { rows: [], trouble: "" };
 let edges = [];
 let age = null;
 let arrived = performance.now();
+let agedAt = -FIGURES_MS; // when the age was shown
 let stale = true;
 
 export const rigStatus = () => status;
@@ -48,9 +49,12 @@ function showPhase() {
 }
 
 export function showLive(live) {
+  const isCalm = age !== null && !stale && !live.is_stale;
   age = live.age_s;
   arrived = performance.now();
   setStale(live.is_stale, age === null ? "no data yet" : `no data for ${seconds(age)}`, status.trouble || status.line);
+  if (isCalm && arrived - agedAt < FIGURES_MS) return;
+  agedAt = arrived;
   setText("age", age === null ? "none yet" : `${seconds(age)} old`);
 }
 
