@@ -156,6 +156,53 @@ def test_a_refusal_is_over_with_the_next_attempt(browser: Any, client: Client) -
         assert not page.is_visible("#notice")
 
 
+def test_a_notice_moves_nothing_and_takes_no_click(browser: Any, client: Client) -> None:
+    """It lies over the page: what one is about to click stays where it is."""
+    with opened(browser, client.url) as page:
+        page.select_option("#kind", "step")
+        page.fill("#field-at", "9")
+        places = "['plots', 'show', 'tab-live'].map((id) => document.getElementById(id).offsetTop)"
+        before = page.evaluate(places)
+        page.click("#show")
+        page.wait_for_selector("#notice:not([hidden])")
+        assert page.evaluate(places) == before
+        assert page.evaluate("getComputedStyle(notice.parentNode).pointerEvents") == "none"
+
+
+def test_the_wheel_zooms_and_moves_the_view(browser: Any, client: Client) -> None:
+    """Plain in time, with Shift along it, with Alt the values; a double click goes back to live."""
+    with opened(browser, client.url, WIDE) as page:
+        until(page, lambda: "V" in text(page, "#value-u"))
+        page.locator(".u-over >> nth=0").hover()
+        for key in ("", "Shift", "Alt"):
+            if key:
+                page.keyboard.down(key)
+            page.mouse.wheel(0, -100)
+            if key:
+                page.keyboard.up(key)
+            page.wait_for_selector("#follow:not([hidden])")
+        page.dblclick(".u-over >> nth=0")
+        assert not page.is_visible("#follow")
+        shown = [text(page, "#axis")]
+        for _ in range(3):
+            page.click("#axis")
+            shown.append(text(page, "#axis"))
+        assert shown[0] == shown[3]
+        assert len({*shown}) == 3
+
+
+def test_a_finger_finds_each_button(browser: Any, client: Client) -> None:
+    """At least 44 pixels high and wide, on a phone and on a tablet."""
+    for size in (PHONE, {"width": 320, "height": 640}, {"width": 1024, "height": 768}):
+        with opened(browser, client.url, size, has_touch=True, is_mobile=True) as page:
+            page.click("#tab-recordings")
+            page.click("#tab-live")
+            for element in page.locator("button:visible, select:visible, summary:visible").all():
+                box = element.bounding_box()
+                assert min(box["height"], box["width"]) >= 44, element.inner_text()
+            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+
+
 def test_the_space_bar_stops_wherever_the_focus_is(
     browser: Any, client: Client, served: Bench
 ) -> None:
@@ -417,8 +464,8 @@ def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> 
         # The last that the server knows: a machine that stalls may have made it another than safe.
         last = client.first("status")["phase"]
         assert f"the last phase was {last}." in text(page, "#stale-what")
-        assert text(page, "#phase") == "stale"
-        assert page.title().startswith("stale")
+        assert text(page, "#phase") == "no data"
+        assert page.title().startswith("no data")
         assert not page.is_enabled("#arm")
         bench.serve()
         page.wait_for_selector(".pill.safe")
@@ -435,19 +482,24 @@ def test_a_dead_server_is_stale_too(browser: Any, client: Client, served: Bench)
     context.__exit__(None, None, None)
 
 
-def test_a_stop_that_was_not_taken_is_told_until_something_else_is(
+def test_a_stop_that_did_not_arrive_says_what_to_do_until_that_is_done(
     browser: Any, client: Client, served: Bench
 ) -> None:
-    """As what is wrong, and not for a while: the motor may turn."""
+    """First the plug of the motor's supply, then what ends by itself, then commands."""
     with watched(served) as short:
         context = opened(browser, short.url)
         page = context.__enter__()
     page.wait_for_selector(".pill.stale")
     page.clock.install()
     page.keyboard.press("Space")
-    until(page, lambda: "STOP was not taken" in text(page, "#notice"))
+    page.wait_for_selector("#undelivered[role=alert]")
+    first, *_, last = page.locator("#undelivered p").all_text_contents()
+    assert "pull the plug" in first
+    assert "armrig stop" in last
     page.clock.fast_forward(60_000)
-    assert page.is_visible("#notice.bad[role=alert]")
+    assert page.is_visible("#undelivered")
+    page.click("#undelivered-seen")
+    assert not page.is_visible("#undelivered")
     context.__exit__(None, None, None)
 
 

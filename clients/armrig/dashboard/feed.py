@@ -27,6 +27,7 @@ _MOST_ROWS = 40_000  # five minutes of bins, and as many wraps as there are
 LATE_US = (50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 """Upper edges of the histogram of lateness, in µs; the last bin is what is later."""
 _TS = 0.01  # before the daemon has said its own
+_MOST_MARKS = 200
 _BACK_NS = 1_000_000_000
 _LATE_S = 60  # seconds that the histogram is of
 
@@ -76,6 +77,8 @@ class Feed:
         self._late: deque[tuple[int, list[int]]] = deque(maxlen=_LATE_S)
         self._told: deque[Any] = deque(maxlen=MOST_TOLD)
         self._timing = Timing()
+        self._phase = ""  # of the newest state heard
+        self._marks: deque[tuple[float, str]] = deque(maxlen=_MOST_MARKS)
         self.status: StatusReport | None = None
         """Of the daemon; the newest that it gave."""
         self._model: LiveModel | None = None
@@ -116,6 +119,23 @@ class Feed:
     def add_gaps(self, gaps: Sequence[Any]) -> None:
         """Take what the daemon told of missing samples."""
         self._told.extend(gaps)
+
+    def add_states(self, states: Sequence[Any]) -> None:
+        """Take how the rig was from time to time: a run's start, its end and a trip are marked."""
+        with self._lock:
+            for state in states:
+                before, self._phase = self._phase, state.phase
+                if not before or before == state.phase:
+                    continue
+                kind = {"active": "start", "fault": "trip"}.get(state.phase)
+                if kind or before == "active":
+                    self._marks.append((state.t_host_ns / 1e9, kind or "end"))
+
+    def marks(self) -> list[tuple[float, str]]:
+        """Return time in s and kind of what happened lately: start, end, trip."""
+        with self._lock:
+            oldest_s = self._newest.t_host_ns / 1e9 - HISTORY_S if self._newest else -np.inf
+            return [mark for mark in self._marks if mark[0] >= oldest_s]
 
     def add_report(self, report: Any) -> None:
         """Take the daemon's report of a second's timing."""

@@ -76,7 +76,8 @@ class Listener:
                 for report in reports():
                     feed.add_report(report)
                 now = time.monotonic()
-                if _changed(states(), status) or now - asked_s >= _STATUS_S:
+                feed.add_states(fresh := states())
+                if _changed(fresh, status) or now - asked_s >= _STATUS_S:
                     feed.status = status = rig.status()
                     feed.trouble, asked_s = "", now
                 if now - heard_s > _SILENT_S + 2 * status.Ts:
@@ -100,6 +101,7 @@ class Listener:
     def _takers(self) -> tuple[tuple[str, Callable[[list[Any]], None]], ...]:
         return (
             ("gap", self._feed.add_gaps),
+            ("state", self._feed.add_states),
             ("sample", lambda samples: self._feed.add_samples(samples, live=False)),
         )
 

@@ -80,7 +80,11 @@ class Stream:
         return event("timing", facts)
 
     def _send_changed(self) -> None:
-        for name, value in (("status", status_facts(self._feed)), ("run", self._driver.run)):
+        for name, value in (
+            ("status", status_facts(self._feed)),
+            ("run", self._driver.run),
+            ("marks", self._feed.marks()),
+        ):
             message = event(name, value)
             if self._told.get(name) != message:
                 self._told[name] = message

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -293,3 +294,27 @@ def test_the_past_teaches_a_live_model_nothing() -> None:
     assert taught[0].startswith("rate of")
     assert still == taught
     assert feed.model_lines() is None
+
+
+def test_start_end_and_trip_are_marked() -> None:
+    """At the times of their states; the first state heard and one that is repeated mark nothing."""
+    feed = Feed()
+    phases = [
+        "active",
+        "active",
+        "armed",
+        "active",
+        "safe",
+        "active",
+        "fault",
+        "fault",
+        "init",
+        "safe",
+    ]
+    for k, phase in enumerate(phases):
+        feed.add_states([SimpleNamespace(t_host_ns=k * 10**9, phase=phase)])
+    told = feed.marks()
+    feed.add_samples(samples(31_000))  # 310 s: what is older than five minutes is not shown
+
+    assert told == [(2.0, "end"), (3.0, "start"), (4.0, "end"), (5.0, "start"), (6.0, "trip")]
+    assert feed.marks() == []

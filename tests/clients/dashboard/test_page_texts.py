@@ -118,13 +118,13 @@ def test_the_age_goes_on_while_nothing_comes(page: Path) -> None:
     )
 
     assert told == {
-        "none": "Stale: no data yet.",
+        "none": "No data yet.",
         "fresh": ["0.05 s old", True, "safe"],
         "lost": [
             "2.55 s old",
             False,
-            "stale",
-            "Stale: no data for 2.55 s; the last phase was safe.",
+            "no data",
+            "No data for 2.55 s; the last phase was safe.",
             "the server is silent",
         ],
     }

@@ -92,7 +92,7 @@ def test_who_connects_is_told_the_whole_past_and_each_state_once() -> None:
     first, then = asyncio.run(heard())
 
     kinds = [message.split(b"\n")[0].decode().removeprefix("event: ") for message in first]
-    assert kinds == ["hello", "status", "run", "timing", "past", "past", "past", "whole"]
+    assert kinds == ["hello", "status", "run", "marks", "timing", "past", "past", "past", "whole"]
     rows = [row for m in first if m.startswith(b"event: past") for row in json.loads(m[18:])]
     assert [row[0] for row in rows] == [round(1 + k / 100, 3) for k in range(1203)]
     assert not [m for m in then if m.startswith((b"event: status", b"event: run"))]

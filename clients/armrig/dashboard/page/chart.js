@@ -38,6 +38,58 @@ function drawnPath(u, from, to, stepped) {
   return path;
 }
 
+// 1, 2 or 5 times a power of ten: the least that is as large.
+function roundedUp(x) {
+  const power = 10 ** Math.floor(Math.log10(x));
+  return power * [1, 2, 5, 10].find((step) => step * power >= x * (1 - 1e-9));
+}
+
+// Lines across the chart where something happened: u.marks of {x, kind}.
+function drawMarks(u) {
+  const { left, top, width, height } = u.bbox;
+  u.ctx.save();
+  u.ctx.font = `${11 * devicePixelRatio}px system-ui, DejaVu Sans, sans-serif`;
+  for (const { x, kind } of u.marks ?? []) {
+    const at = u.valToPos(x, "x", true);
+    if (at < left || at > left + width) continue;
+    u.ctx.fillStyle = colour(kind === "trip" ? "bad" : kind === "start" ? "good" : "soft");
+    u.ctx.fillRect(at, top, devicePixelRatio, height);
+    if (u.namesMarks) u.ctx.fillText(kind, at + 4 * devicePixelRatio, top + 11 * devicePixelRatio);
+  }
+  u.ctx.restore();
+}
+
+// The wheel zooms in time about the pointer; with Shift it moves in time, with Alt it zooms the values.
+function wheel(u, event, onZoom) {
+  event.preventDefault();
+  const factor = (event.deltaY || event.deltaX) > 0 ? 1.25 : 0.8;
+  const { min, max } = u.scales.x;
+  if (event.altKey) {
+    const at = u.posToVal(u.cursor.top, "y");
+    u.wantedY = [u.scales.y.min, u.scales.y.max].map((y) => at + (y - at) * factor);
+    u.setData(u.data, true);
+  } else if (event.shiftKey || Math.abs(event.deltaX) > Math.abs(event.deltaY)) {
+    const step = ((max - min) / 10) * (factor > 1 ? 1 : -1);
+    onZoom?.(min + step, max + step);
+  } else {
+    const at = u.posToVal(u.cursor.left, "x");
+    onZoom?.(at + (min - at) * factor, at + (max - at) * factor);
+  }
+}
+
+// What the x axis shows is x + u.origin.s: seconds from now, since a start, or of the clock.
+function xSplits(u, axis, min, max, step) {
+  const origin = u.origin?.s ?? 0;
+  const first = Math.ceil((min + origin) / step - 1e-9);
+  return Array.from({ length: Math.floor((max + origin) / step + 1e-9) - first + 1 }, (_, i) => (first + i) * step - origin);
+}
+
+const xText = (u, x, unit) => (u.origin?.isClock ? clock(x + u.origin.s) : `${+(x + (u.origin?.s ?? 0)).toFixed(3)}${unit}`);
+
+const fifths = ([low, high]) => [0, 1, 2, 3, 4].map((i) => low + ((high - low) * (i + 0.5)) / 5);
+
+const clock = (s) => new Date(1000 * s).toTimeString().slice(0, 8);
+
 // A chart of least and largest values in the page's colours.
 export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped }) {
   const ink = () => colour("soft");
@@ -45,12 +97,18 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
   const axis = { stroke: ink, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("line"), width: 1 }, font: "12px system-ui, DejaVu Sans, sans-serif" };
   const series = { stroke, width: 1.5, points: { show: false } };
   const range = (u, least, largest) => {
+    if (u.wantedY) return u.wantedY;
     if (signal.range) return [signal.range[0] - signal.pad, signal.range[1] + signal.pad];
     if (least === null || !Number.isFinite(least)) return [-signal.least, signal.least];
+    if (signal.isSymmetric) {
+      const half = roundedUp(Math.max(signal.least / 2, -least, largest));
+      return [-half, half];
+    }
     const middle = (least + largest) / 2;
     const half = Math.max(signal.least / 2, ((largest - least) / 2) * 1.1);
     return [middle - half, middle + half];
   };
+  const withUnit = (u, splits) => splits.map((y, i) => `${+y.toPrecision(6)}${i === splits.length - 1 ? ` ${signal.unit}` : ""}`);
   const made = new uPlot(
     {
       width: where.clientWidth || 300,
@@ -59,11 +117,13 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
       cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false }, y: false, sync: sync ? { key: sync, setSeries: false } : undefined },
       scales: { x: { time: false, range: (u, a, b) => u.wanted || [a, b] }, y: { range } },
       axes: [
-        { ...axis, size: xLabel ? 30 : 8, values: (u, splits) => splits.map((x, i) => (xLabel ? `${+x.toFixed(3)}${i === splits.length - 1 ? ` ${xLabel}` : ""}` : "")) },
-        { ...axis, size: 54, ...(signal.splits ? { splits: () => signal.splits } : {}) },
+        { ...axis, size: xLabel ? 30 : 8, splits: xSplits, values: (u, splits) => splits.map((x, i) => (xLabel ? xText(u, x, i === splits.length - 1 ? ` ${xLabel}` : "") : "")) },
+        { ...axis, size: 64, space: 20, values: withUnit, ...(signal.splits ? { splits: (u) => (u.wantedY ? fifths(u.wantedY) : signal.splits) } : {}) },
       ],
       series: [{}, { ...series, paths: (u, i, from, to) => ({ stroke: drawnPath(u, from, to, stepped), fill: null }) }, { ...series, paths: () => null }],
       hooks: {
+        draw: [drawMarks],
+        ready: [(u) => u.over.addEventListener("wheel", (event) => wheel(u, event, onZoom), { passive: false })],
         destroy: [(u) => charts.delete(u)],
         setSelect: [
           (u) => {

@@ -108,7 +108,7 @@ async function preview() {
   show("running", going);
   const where = byId("preview-plot");
   plot?.destroy();
-  const signal = { key: "u", range: [0, 5], pad: 0.3 };
+  const signal = { key: "u", unit: "V", range: [0, 5], pad: 0.3, splits: [0, 1, 2, 3, 4, 5] };
   plot = chart(where, { signal, height: 130, xLabel: "s", stepped: true });
   plot.wanted = [0, found.seconds];
   plot.setData([found.t, found.u, found.u], true);

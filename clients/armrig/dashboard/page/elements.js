@@ -8,16 +8,25 @@ export function make(tag, properties = {}, ...children) {
   const made = document.createElement(tag);
   for (const [name, value] of Object.entries(properties)) {
     if (name.includes("-") || name === "for" || name === "role") made.setAttribute(name, value);
+    else if (name === "textContent") write(made, value);
     else made[name] = value;
   }
   made.append(...children); // a string becomes a text node
   return made;
 }
 
-export function setText(id, text) {
-  const element = byId(id);
-  if (element.textContent !== text) element.textContent = text;
+const written = new WeakMap();
+
+// Write a text; what stands between backticks is a command, in the font of one.
+function write(element, text) {
+  if (written.get(element) === text) return;
+  written.set(element, text);
+  const parts = String(text).split("`");
+  if (parts.length < 3) element.textContent = text;
+  else element.replaceChildren(...parts.map((part, i) => (i % 2 ? make("code", { textContent: part }) : part)));
 }
+
+export const setText = (id, text) => write(byId(id), text);
 
 export function show(id, visible) {
   byId(id).hidden = !visible;
@@ -49,7 +58,7 @@ export async function ask(path, body, signal) {
     answer = await fetch(`api/${path}`, how);
   } catch (error) {
     if (signal?.aborted) throw error;
-    throw new Error("the dashboard's server does not answer: start `armrig dashboard` again");
+    throw Object.assign(new Error("the dashboard's server does not answer: start `armrig dashboard` again"), { isSilent: true });
   }
   if (!answer.ok) {
     const told = await answer.json().catch(() => ({}));
@@ -62,14 +71,12 @@ export const askJson = async (path, body, signal) => (await ask(path, body, sign
 
 let noticeEnds = 0;
 
-// Tell the person something for a while; what is urgent stays until something else is told.
-export function notice(text, isUrgent = false) {
-  byId("notice").className = `banner ${isUrgent ? "bad" : "info"}`;
-  byId("notice").setAttribute("role", isUrgent ? "alert" : "status");
+// Tell the person something for a while.
+export function notice(text) {
   setText("notice", text);
   show("notice", Boolean(text));
   clearTimeout(noticeEnds);
-  if (text && !isUrgent) noticeEnds = setTimeout(() => show("notice", false), 12000);
+  if (text) noticeEnds = setTimeout(() => show("notice", false), 12000);
 }
 
 // Do something that may be refused; say so where it is. What was said before is over.

@@ -5,12 +5,13 @@ import { FIGURES_MS, byId, make, setText, show } from "./elements.js";
 import { KEPT_S, Rows } from "./rows.js";
 
 const SPANS = [5, 30, 300];
+const AXES = ["from now", "clock", "since start"]; // what the time axis counts
 
 const SIGNALS = [
-  { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 2 },
+  { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 2, splits: [0, 1, 2, 3, 4, 5] },
   { key: "theta_1", name: "θ₁", unit: "°", range: [0, 360], pad: 10, digits: 1, splits: [0, 90, 180, 270, 360], wraps: true },
-  { key: "rate", name: "rate of θ₁", unit: "°/s", range: null, least: 40, digits: 0 },
-  { key: "alpha", name: "α", unit: "°", range: null, least: 4, digits: 1 },
+  { key: "rate", name: "rate of θ₁", unit: "°/s", range: null, least: 40, digits: 0, isSymmetric: true },
+  { key: "alpha", name: "α", unit: "°", range: null, least: 4, digits: 1, isSymmetric: true },
 ];
 
 // Four plots fill a screen where it is wide; on a phone each is as high as can be read.
@@ -23,6 +24,7 @@ export class LivePlots {
     this.frozen = null; // {zero, from, to} while zoomed
     this.cursorAt = null; // in s from the newest, as the x axis
     this.toldAt = -FIGURES_MS; // when the figures were shown
+    this.restUntil = 0;
     this.charts = SIGNALS.map((signal, i) => this.#made(signal, i === SIGNALS.length - 1));
     this.values = SIGNALS.map((signal) => byId(`value-${signal.key}`));
     for (const span of SPANS) {
@@ -33,6 +35,9 @@ export class LivePlots {
       byId("span-choice").append(button);
     }
     this.setSpan(30);
+    this.marks = []; // of {t, kind}: what happened, in the time of the samples
+    this.setAxis(localStorage.getItem("armrig-axis") || AXES[0]);
+    byId("axis").addEventListener("click", () => this.setAxis(AXES[(AXES.indexOf(this.axis) + 1) % AXES.length]));
     byId("follow").addEventListener("click", () => this.follow());
     byId("charts").addEventListener("dblclick", () => this.follow());
     new ResizeObserver(() => this.#resize()).observe(byId("charts"));
@@ -72,10 +77,24 @@ export class LivePlots {
     }
   }
 
+  setAxis(axis) {
+    this.axis = axis;
+    localStorage.setItem("armrig-axis", axis);
+    setText("axis", `Time: ${axis}`);
+    this.draw();
+  }
+
+  setMarks(marks) {
+    this.marks = marks.map(([t, kind]) => ({ t, kind }));
+    this.wants();
+  }
+
   zoom(from, to) {
     const zero = this.frozen?.zero ?? this.rows.newest;
     if (!(to - from > 0.05) || Number.isNaN(zero)) return;
-    this.frozen = { zero, from, to };
+    const last = this.rows.newest - zero;
+    if (!this.frozen) this.shownAt = Date.now();
+    this.frozen = { zero, from: Math.max(from, last - KEPT_S), to: Math.max(Math.min(to, last), from + 0.05) };
     show("follow", true);
     this.draw();
   }
@@ -83,6 +102,7 @@ export class LivePlots {
   follow() {
     this.frozen = null;
     this.cursorAt = null;
+    for (const u of this.charts ?? []) u.wantedY = null;
     this.toldAt = -FIGURES_MS;
     show("follow", false);
     this.draw();
@@ -90,7 +110,8 @@ export class LivePlots {
 
   // Draw at most once a frame, and only what is seen.
   wants() {
-    if (this.due || document.hidden || byId("live").hidden) return;
+    // A browser that draws slowly draws less often, so that data and stops have their turn.
+    if (this.due || document.hidden || byId("live").hidden || performance.now() < this.restUntil) return;
     this.due = true;
     requestAnimationFrame(() => {
       this.due = false;
@@ -100,15 +121,26 @@ export class LivePlots {
 
   draw() {
     if (!this.charts) return;
+    const began = performance.now();
     const zero = this.frozen?.zero ?? this.rows.newest;
     if (Number.isNaN(zero)) return;
     const [from, to] = this.frozen ? [this.frozen.from, this.frozen.to] : [-this.span, 0];
+    const marks = this.marks.map(({ t, kind }) => ({ x: t - zero, kind }));
+    const origin = this.#origin(zero);
     this.charts.forEach((u, i) => {
-      u.wanted = [from, to];
+      Object.assign(u, { wanted: [from, to], marks, origin, namesMarks: i === 0 });
       const pixels = u.bbox.width / devicePixelRatio;
       u.setData(this.rows.drawn(i, { from: zero + from, to: zero + to, pixels, zero, wraps: SIGNALS[i].wraps }), true);
     });
     if (this.frozen || this.cursorAt !== null || performance.now() - this.toldAt >= FIGURES_MS) this.#tell();
+    this.restUntil = 2 * performance.now() - began;
+  }
+
+  // Where the time axis begins to count.
+  #origin(zero) {
+    if (this.axis === "clock") return { s: (this.frozen ? this.shownAt : Date.now()) / 1000, isClock: true };
+    const start = this.marks.findLast(({ kind }) => kind === "start");
+    return { s: this.axis === "since start" && start ? zero - start.t : 0 };
   }
 
   #point(x) {
@@ -161,7 +193,7 @@ export class LivePlots {
     } else if (event.key === "+" || event.key === "-") {
       const middle = this.cursorAt ?? (from + to) / 2;
       const half = ((to - from) / 2) * (event.key === "+" ? 0.5 : 2);
-      this.zoom(Math.max(-KEPT_S, middle - half), Math.min(0, middle + half));
+      this.zoom(middle - half, middle + half);
       event.preventDefault();
     }
   }

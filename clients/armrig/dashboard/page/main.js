@@ -2,10 +2,10 @@
 
 import { redrawCharts } from "./chart.js";
 import { allow, setUpControl, showRun, showControl, withdrawRun } from "./control.js";
-import { ask, attempt, byId, notice, owner, token } from "./elements.js";
+import { ask, attempt, byId, notice, owner, setText, show, token } from "./elements.js";
 import { LivePlots } from "./live_plots.js";
 import { listRecordings, setUpRecordings } from "./recordings.js";
-import { setEdges, setUpStatus, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
+import { setEdges, setUpStatus, showBusy, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
 import { Stream } from "./stream.js";
 
 const THEMES = ["system", "light", "dark"];
@@ -30,9 +30,11 @@ async function stop() {
   const waits = setTimeout(() => stream.open(), CONNECTION_MS);
   try {
     await ask("stop", { owner: owner() });
+    show("undelivered", false);
     notice("told the rig to stop: 0 V");
   } catch (error) {
-    notice(`STOP was not taken: ${error.message}`, true);
+    setText("undelivered-why", error.isSilent ? "The dashboard's server does not answer." : `${error.message}.`);
+    show("undelivered", true);
   } finally {
     clearTimeout(waits);
   }
@@ -76,6 +78,7 @@ function begin() {
     useTheme();
   });
   byId("stop").addEventListener("click", stop);
+  byId("undelivered-seen").addEventListener("click", () => show("undelivered", false));
   addEventListener("keydown", onKey, true);
   addEventListener("keyup", onKey, true);
   document.addEventListener("visibilitychange", () => plots.wants());
@@ -113,12 +116,14 @@ function begin() {
         showControl(status);
       },
       run: showRun,
+      marks: (marks) => plots.setMarks(marks),
       timing: showTiming,
     },
     (silence, why) => {
       showLost(silence, why);
       allow();
     },
+    showBusy,
   );
 }
 

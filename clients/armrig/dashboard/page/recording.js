@@ -5,7 +5,7 @@ import { ask, askJson, attempt, byId, make, notice, setText } from "./elements.j
 import { identify } from "./model.js";
 
 const SIGNALS = [
-  { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 3 },
+  { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 3, splits: [0, 1, 2, 3, 4, 5] },
   { key: "theta_1", name: "θ₁, turns counted", unit: "°", range: null, least: 1, digits: 2 },
   { key: "alpha", name: "α", unit: "°", range: null, least: 1, digits: 2 },
 ];
@@ -97,7 +97,7 @@ function curve(where, signal, last) {
     xLabel: last ? "s" : "",
     sync: "recording",
     stepped: signal.key === "u",
-    onZoom: (from, to) => attempt(() => zoom([Math.max(0, from), to])),
+    onZoom: (from, to) => attempt(() => zoom([Math.max(0, from), Math.min(seconds, Math.max(to, from + 0.01))])),
     onCursor: (x, u) => (value.textContent = valueAt(u, signal, x)),
   });
 }
@@ -110,6 +110,7 @@ function valueAt(u, signal, x) {
 }
 
 async function zoom(range) {
+  if (!range) for (const one of charts) one.wantedY = null;
   const mine = ++request;
   const [start, stop] = range || [0, seconds];
   const found = await askJson("curves", { file: chosen, start, stop });
@@ -120,7 +121,7 @@ async function zoom(range) {
 
 function draw(found) {
   const [from, to] = seen || [0, seconds];
-  setText("seen", seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are seen; double-click for the whole length` : "drag across a plot to zoom");
+  setText("seen", seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are seen; double-click for the whole length` : "drag across a plot or turn the wheel to zoom, with Shift to move, with Alt to zoom the values");
   SIGNALS.forEach((signal, i) => {
     charts[i].wanted = [from, to];
     charts[i].setData(found[signal.key], true);

@@ -42,17 +42,17 @@ export function showStatus(found) {
 function showPhase() {
   const phase = byId("phase");
   const name = stale ? "stale" : status.phase || "init";
-  setText("phase", name);
+  setText("phase", stale ? "no data" : name);
   phase.className = `pill ${name}`;
   document.body.classList.toggle("is-stale", stale);
-  document.title = `${name}${status.rig ? ` · rig ${status.rig}` : ""} · armrig`;
+  document.title = `${stale ? "no data" : name}${status.rig ? ` · rig ${status.rig}` : ""} · armrig`;
 }
 
 export function showLive(live) {
   const isCalm = age !== null && !stale && !live.is_stale;
   age = live.age_s;
   arrived = performance.now();
-  setStale(live.is_stale, age === null ? "no data yet" : `no data for ${seconds(age)}`, status.trouble || status.line);
+  setStale(live.is_stale, age === null ? "No data from the rig yet" : `No data from the rig for ${seconds(age)}`, status.trouble || status.line);
   if (isCalm && arrived - agedAt < FIGURES_MS) return;
   agedAt = arrived;
   setText("age", age === null ? "none yet" : `${seconds(age)} old`);
@@ -61,7 +61,12 @@ export function showLive(live) {
 export function showLost(silence, why) {
   const total = age === null ? null : age + (performance.now() - arrived) / 1000;
   setText("age", total === null ? "none yet" : `${seconds(total)} old`);
-  setStale(true, total === null ? "no data yet" : `no data for ${seconds(total)}`, why);
+  setStale(true, total === null ? "No data yet" : `No data for ${seconds(total)}`, why);
+}
+
+// This browser was too late to show what came.
+export function showBusy(late) {
+  notice(`this browser was too busy to draw for ${seconds(late / 1000)}: close other programs or tabs; the rig goes on`);
 }
 
 const seconds = (s) => (s < 10 ? `${s.toFixed(2)} s` : `${Math.round(s)} s`);
@@ -69,7 +74,7 @@ const seconds = (s) => (s < 10 ? `${s.toFixed(2)} s` : `${Math.round(s)} s`);
 function setStale(now, what, why) {
   show("stale", now);
   if (now) {
-    setText("stale-what", status.phase ? `Stale: ${what}; the last phase was ${status.phase}.` : `Stale: ${what}.`);
+    setText("stale-what", status.phase ? `${what}; the last phase was ${status.phase}.` : `${what}.`);
     setText("stale-why", why || "");
   }
   if (now !== stale) {

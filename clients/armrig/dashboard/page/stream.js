@@ -4,15 +4,19 @@ import { ask } from "./elements.js";
 
 const SILENT_MS = 700; // 20 messages a second come: without one for so long the server is gone
 const AGAIN_MS = 250;
+const LOOK_MS = 100;
+const BUSY_MS = 500; // a look that comes so late tells of this browser, not of the server
 const LOST_MS = 5000; // silent for so long it is opened anew; so long has each attempt to be answered
 
 export class Stream {
-  constructor(handlers, lost) {
+  constructor(handlers, lost, busy) {
     this.handlers = handlers;
     this.lost = lost; // called with why, again and again while nothing comes
+    this.busy = busy; // called with how late this browser was, in ms
+    this.looked = performance.now();
     this.heard = performance.now();
     this.why = "";
-    setInterval(() => this.#look(), 100);
+    setInterval(() => this.#look(), LOOK_MS);
     this.#run();
   }
 
@@ -26,6 +30,10 @@ export class Stream {
   }
 
   #look() {
+    const late = performance.now() - this.looked - LOOK_MS;
+    this.looked += late + LOOK_MS;
+    // What came meanwhile is still to be read: it is not the server that is silent.
+    if (late > BUSY_MS) return document.hidden ? undefined : this.busy(late);
     if (this.silence > SILENT_MS) {
       this.lost(this.silence, this.why || "the dashboard's server is silent");
       if (Math.min(this.silence, performance.now() - this.opened) > LOST_MS) this.open();
