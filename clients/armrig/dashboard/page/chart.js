@@ -38,16 +38,18 @@ function drawnPath(u, from, to, stepped) {
   return path;
 }
 
-// 1, 2 or 5 times a power of ten: the least that is as large.
+// A round number, at least x.
 function roundedUp(x) {
   const power = 10 ** Math.floor(Math.log10(x));
-  return power * [1, 2, 5, 10].find((step) => step * power >= x * (1 - 1e-9));
+  return power * [1, 2, 3, 4, 6, 8, 10].find((step) => step * power >= x * (1 - 1e-9));
 }
 
 // Lines across the chart where something happened: u.marks of {x, kind}.
 function drawMarks(u) {
   const { left, top, width, height } = u.bbox;
   u.ctx.save();
+  u.ctx.textAlign = "left";
+  u.ctx.textBaseline = "alphabetic";
   u.ctx.font = `${11 * devicePixelRatio}px system-ui, DejaVu Sans, sans-serif`;
   for (const { x, kind } of u.marks ?? []) {
     const at = u.valToPos(x, "x", true);
