@@ -18,6 +18,7 @@ from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.advice import advice
 from armrig.validation.advice.model_advice import COLOURED
 from armrig.validation.comparison import Comparison, ComparisonTable
+from armrig.validation.residual_figure import BAND_99_PERCENT
 from armrig.validation.residuals import ResidualTest
 
 if TYPE_CHECKING:
@@ -205,6 +206,7 @@ _ASKED_BY_WARNINGS = (
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"
+_LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
 _UNTESTED = "too few samples, or no residual, to test"
 _UNFINISHED = " (NOT CONVERGED)"
 
@@ -243,24 +245,37 @@ def root_lines(fit: Fit) -> list[str]:
 
 
 def tests_sentence(tests: ResidualTest) -> str:
-    """Return whether the residuals pass their tests, each that they fail with its p value."""
-    failed = [
-        f"{what} (p {p_relation(p)}): {way_out}"
-        for what, p, way_out in (
-            ("dynamics are missing", tests.missing_dynamics, _DYNAMICS),
-            ("there is feedback", tests.feedback, _FEEDBACK),
-        )
-        if p < WHITE_LEVEL
-    ][:1]  # what is missing shows at the lags of feedback, too, where u is not white
+    """Return whether the residuals pass their tests, each with its p value, and the level."""
+    failed, passed = [], []
     if tests.white.coloured:
-        failed.insert(0, f"they are {tests.white}: {_NOISE}")
+        failed.append(f"they are {tests.white}: {_NOISE}")
+    else:
+        passed.append(str(tests.white))
+    # What is missing shows at the lags of feedback, too, where u is not white.
+    feedback = f"there is feedback ({{}}): {_FEEDBACK}"
+    if tests.missing_dynamics < WHITE_LEVEL:
+        feedback = "until they are modelled, the test of feedback ({}) is void"
+    for p, bad, good in (
+        (
+            tests.missing_dynamics,
+            f"dynamics are missing ({{}}): {_DYNAMICS}",
+            "no dynamics missing",
+        ),
+        (tests.feedback, feedback, "no feedback seen in them"),
+    ):
+        said = f"p {p_relation(p)}"
+        if p < WHITE_LEVEL:
+            failed.append(bad.format(said))
+        else:
+            passed.append(f"{good} ({said})" if p >= 0 else f"{good}: {_UNTESTED}")
     if failed:
-        return f"its residuals do not pass: {'; '.join(failed)}"
+        rest = [f"passed: {', '.join(passed)}"] if passed else []
+        return f"its residuals do not pass: {'; '.join([*failed, *rest, _LEVEL])}"
     if tests.powerless:
         return f"its residuals tell nothing: {in_symbols(tests.powerless)}"
     if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
         return f"residuals {tests.white}; {_UNTESTED}"
-    return f"its residuals pass: {tests.white}, no dynamics missing, no feedback seen in them"
+    return f"its residuals pass: {', '.join(passed)}; {_LEVEL}"
 
 
 def residual_lines(tests: ResidualTest) -> list[str]:
@@ -268,12 +283,34 @@ def residual_lines(tests: ResidualTest) -> list[str]:
     where = "estimation" if tests.on_estimation_data else "validation"
     look = f": {_NOISE}" if tests.white.coloured else ""
     return [
-        f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples",
+        f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples; {_LEVEL}",
         f"  residuals {tests.white}{look}",
         f"  no dynamics missing: {_p(tests.missing_dynamics, _DYNAMICS)}",
         f"  no feedback seen in them: {_p(tests.feedback, _FEEDBACK)}",
         *([f"  no power: {in_symbols(tests.powerless)}"] if tests.powerless else []),
     ]
+
+
+def lags_outside(tests: ResidualTest) -> str:
+    """Say why lags may lie outside their bands while the joint test accepts; "" if none does."""
+    beyond = np.abs(tests.cross_correlation) > BAND_99_PERCENT * tests.cross_std
+    lags = [
+        outside
+        for p, outside in (
+            (tests.whiteness, np.abs(tests.autocorrelation[1:]) > tests.autocorrelation_band),
+            (tests.missing_dynamics, beyond[tests.cross_lags >= 0]),
+            (tests.feedback, beyond[tests.cross_lags < 0]),
+        )
+        if p >= WHITE_LEVEL
+    ]
+    n, N = (sum(f(outside) for outside in lags) for f in (np.count_nonzero, np.size))
+    if not n:
+        return ""
+    return (
+        f"{n} of {N} lags {'is' if n == 1 else 'are'} outside the 99 % band although their joint "
+        "test accepts. Each is right: the band is for one lag alone, of a hundred lags one leaves "
+        "it by chance, and its neighbours with it; the p is for all lags together."
+    )
 
 
 def model_facts(fit: Fit) -> dict[str, Any]:

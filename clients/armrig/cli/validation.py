@@ -102,7 +102,7 @@ def validate(
     if json:
         _print_validation_json(validated, model)
     else:
-        _print_validation(validated, file, verbose=verbose)
+        _print_validation(validated, file, verbose=verbose, drawn=plot is not None)
         estimation = estimation_of(file) if from_recording(data) else ""
         say_next(
             "validate" if estimation else "validate alone",
@@ -168,9 +168,9 @@ def _print_validation_json(validated: _Validated, model: Path) -> None:
     )
 
 
-def _print_validation(validated: _Validated, file: Path, *, verbose: bool) -> None:
+def _print_validation(validated: _Validated, file: Path, *, verbose: bool, drawn: bool) -> None:
     from armrig.canvas import signature
-    from armrig.cli.model_output import residual_lines, simulated_to, tests_sentence
+    from armrig.cli.model_output import lags_outside, residual_lines, simulated_to, tests_sentence
     from armrig.models.equation import input_and_output
 
     fit, table, tests = validated.fit, validated.simulated, validated.tests
@@ -185,3 +185,5 @@ def _print_validation(validated: _Validated, file: Path, *, verbose: bool) -> No
     say(f"  {table.note}")
     if verbose:
         say("\n".join(residual_lines(tests)))
+    if (verbose or drawn) and (why := lags_outside(tests)):
+        say(why)

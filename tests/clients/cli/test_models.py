@@ -12,7 +12,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.model_output import coefficients
+from armrig.cli.model_output import coefficients, lags_outside
 from armrig.cli.model_output import tests_sentence as sentence
 from armrig.cli.spinner import estimating
 from armrig.numerics.whiteness import Whiteness
@@ -217,10 +217,36 @@ def test_compare_says_how_and_on_which_recording_it_validates(
     assert f"\n{how} on {three_recordings[1]}, its second half" in capsys.readouterr().out
 
 
+def test_lags_outside_the_band_are_explained_where_the_joint_test_accepts() -> None:
+    """A lag counts only if its own test accepts: the one at -1 belongs to feedback."""
+    tests: Any = SimpleNamespace(
+        whiteness=0.5,
+        autocorrelation=np.array([1.0, 0.2, 0.0]),
+        autocorrelation_band=0.1,
+        missing_dynamics=0.001,
+        feedback=0.5,
+        cross_lags=np.arange(-2, 3),
+        cross_correlation=np.array([0.0, 0.2, 0.2, 0.2, 0.2]),
+        cross_std=np.full(5, 0.04),
+    )
+
+    text = lags_outside(tests)
+    tests.feedback = tests.whiteness = 0.001
+
+    assert text.startswith("2 of 4 lags are outside the 99 % band although their joint test")
+    assert lags_outside(tests) == ""
+
+
 @pytest.mark.parametrize(
     ("white", "dynamics", "feedback", "powerless", "said"),
     [
-        (0.5, 0.5, 0.5, "", "its residuals pass: white (p = 0.500), no dynamics missing"),
+        (
+            0.5,
+            0.5,
+            0.5,
+            "",
+            "its residuals pass: white (p = 0.500), no dynamics missing (p = 0.500), no feedback",
+        ),
         (0.001, 0.5, 0.5, "", "do not pass: they are coloured (p = 0.001): look at the noise"),
         (
             0.5,
@@ -248,4 +274,6 @@ def test_a_sentence_says_which_test_the_residuals_fail(
     text = sentence(tests)
 
     assert said in text
+    assert powerless or np.isnan(dynamics) or text.count("p = ") == 3
+    assert powerless or np.isnan(dynamics) or text.endswith("; a p below 0.01 rejects")
     assert ("dynamics are missing" in text) + ("there is feedback" in text) < 2
