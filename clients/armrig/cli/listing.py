@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,6 +12,7 @@ import typer
 from armrig_core.printable import printable
 
 from armrig.cli.chosen_recording import (
+    COMPLETE,
     VALIDATION,
     Answering,
     answering_among,
@@ -39,7 +41,8 @@ Naming = Callable[["RecordingSummary"], str]
 _COUNT = 20
 _NAMED = 3
 _WIDEST = 60  # characters of a column
-_HEADINGS = ("recording", "kind", "length", "Ts", "missing", "started", "validates")
+_HEADINGS = ("recording", "kind", "length", "Ts", "missing", "started", "outcome", "validates")
+_OPTIONAL = 2  # of them, the last
 
 
 def ls(
@@ -97,9 +100,10 @@ def ls(
 
     if shown:
         rows = [_row(s, name_of, answering) for s in shown]
-        # Most names say what a recording validates, and 80 columns are few.
-        columns = len(_HEADINGS) if any(row[-1] for row in rows) else len(_HEADINGS) - 1
-        echo(_table([row[:columns] for row in (_HEADINGS, *rows)]))
+        # Most are complete, most names say what a recording validates, and 80 columns are few.
+        kept = [True] * (len(_HEADINGS) - _OPTIONAL)
+        kept += [not {row[i] for row in rows} <= {"", COMPLETE} for i in range(-_OPTIONAL, 0)]
+        echo(_table([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)]))
     tell(_the_rest(folder, found, len(shown)))
     if shown:
         newest = shown[0]
@@ -138,7 +142,6 @@ def _list_rigs(connect: str | None, *, json: bool) -> None:
 
 def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tuple[str, ...]:
     why = re.split("[:(]", summary.outcome)[0].strip()
-    how = "" if summary.outcome == "complete" else f"({why})"
     cells = (
         name_of(summary),
         _clipped(summary.kind),
@@ -146,7 +149,8 @@ def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tu
         f"{summary.Ts:g} s",
         str(summary.missing),
         summary.started[:16].replace("T", " "),
-        f"{_validated_by(summary, name_of, answering)} {_clipped(how)}".strip(),
+        _clipped(why),
+        _validated_by(summary, name_of, answering),
     )
     return tuple(map(printable, cells))  # a name may have a line break in it
 

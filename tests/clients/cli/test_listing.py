@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
+from armrig_core.manifest import Outcome
 from made_recordings import manifest, recorded, sample, written
 
 
@@ -65,6 +66,24 @@ def test_each_recording_has_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert any(line.startswith(rf"{tmp_path}/a\nb.mcap ") for line in lines)
     [plain] = [line for line in lines if "plain" in line]
     assert len(plain.removeprefix(str(tmp_path))) < 140
+
+
+def test_an_outcome_has_a_column_of_its_own(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where a run ended early; a table of complete runs is without it."""
+    written(tmp_path, recording(), "whole.mcap")
+
+    assert main(["ls", str(tmp_path)]) == 0
+    whole = capsys.readouterr().out.splitlines()
+    ended = Outcome(outcome="stopped by bob", samples=1, missing=0)
+    written(tmp_path, recorded([sample(0)], outcome=ended), "ended.mcap")
+    assert main(["ls", str(tmp_path)]) == 0
+
+    assert whole[0].endswith("started")
+    head, *rows = capsys.readouterr().out.splitlines()
+    assert head.endswith("  outcome")
+    assert sorted(row.rpartition("  ")[2] for row in rows) == ["complete", "stopped by bob"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="names are text there")
