@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from armrig.cli.chosen_recording import DataFile
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.next_step import say_next, typed
+from armrig.cli.next_step import chassis, kind_of, say_next, typed
 from armrig.cli.options import (
     CalibrationFile,
     DataTs,
@@ -26,6 +27,7 @@ from armrig.cli.options import (
     Verbose,
     print_json,
     say,
+    tell,
 )
 from armrig.cli.recorded_data import Signals, from_recording, source_facts
 
@@ -37,6 +39,10 @@ if TYPE_CHECKING:
     from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
 T = TypeVar("T")
+_CHASSIS = (
+    "handout 3.5 and 3.6 are of the chassis alone, which no complete recording shows: take the arm "
+    "off, write chassis.toml with [arm] removed = true (docs/tutorial.md, part 9), end `armrig lab`"
+)
 
 
 def check(
@@ -96,7 +102,20 @@ def check(
         first, *more = (found.explain() if verbose else found.brief()).splitlines()
         verdict = first.removeprefix("open loop: ")
         say("\n".join([f"{where}: {verdict}", *(f"  {line}" for line in more)]))
-    say_next("check" if of_rig else "check other", file=typed(file), given=signals.options())
+    _say_next(file, signals, of_rig=of_rig)
+
+
+def _say_next(file: Path, signals: Signals, *, of_rig: bool) -> None:
+    """Say what comes next: of a rig its chassis alone (handout 3.5, 3.6), which may be recorded."""
+    if not of_rig:
+        say_next("check other", file=typed(file), given=signals.options())
+    elif kind_of(file) == "greybox":
+        say_next("check greybox")
+    elif recorded := chassis():
+        say_next("check with chassis", chassis=recorded)
+    else:
+        tell(_CHASSIS)
+        say_next("check")
 
 
 def _told(test: Callable[[Dataset], T], data: Dataset) -> T | str:

@@ -59,12 +59,15 @@ AFTER: Mapping[str, str] = {
     "compare": "armrig check {file}{given}",
     "simulate": "armrig lab",
     "simulate F": "armrig check {file}{given}",
-    "check": "armrig integrate -o integrate.png",
+    "check": "armrig lab --config chassis.toml",
+    "check with chassis": "armrig greybox {chassis} -o chassis.png",
+    "check greybox": "armrig integrate -o integrate.png",
     "check other": "armrig hints {file}{given} -o hints.png",
     "greybox": "armrig split {file}{given} -o split.png",
     "split": "armrig integrate -o integrate.png",
     "integrate": "armrig report --handout{files}{sinusoid} -o {report}",
     "report": "{opener} {file}",
+    "report --source": "armrig report --from {source} -o {report}",
 }
 """The line after each command, with what stands in braces filled in."""
 
@@ -214,15 +217,29 @@ def for_the_report() -> str:
         paths = newest_first(recording_folder())
     except NoSuchRecordingError:
         return ""
-    step, chassis = (
-        _newest(s for s in _complete(paths, kind) if s.kind == kind) for kind in ("step", "greybox")
-    )
+    step, chassis = (_newest_of(paths, kind) for kind in ("step", "greybox"))
     validation = _newest(
         s for s in _complete(paths, "-validation") if s.kind == "blackbox" and _estimation(s)
     )
     estimation = _estimation(validation) if validation else None
     found = (step, estimation, validation, chassis)
     return "".join(f" {typed(s.path)}" for s in found if s is not None)
+
+
+def chassis() -> str:
+    """Return the newest complete recording of the chassis alone, as typed; "" if there is none."""
+    from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
+    from armrig.recordings.folder import newest_first
+
+    try:
+        found = _newest_of(newest_first(recording_folder()), "greybox")
+    except (NoSuchRecordingError, OSError):
+        return ""
+    return typed(found.path) if found else ""
+
+
+def _newest_of(paths: Sequence[Path], kind: str) -> RecordingSummary | None:
+    return _newest(s for s in _complete(paths, kind) if s.kind == kind)
 
 
 def _complete(paths: Sequence[Path], part: str) -> Iterator[RecordingSummary]:

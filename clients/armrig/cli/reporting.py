@@ -11,7 +11,7 @@ import typer
 from armrig_core.printable import printable
 
 from armrig.cli.chosen_recording import recording_path
-from armrig.cli.next_step import opener, say_next
+from armrig.cli.next_step import free_name, opener, say_next
 from armrig.cli.options import (
     SAME_DATA,
     CalibrationFile,
@@ -132,7 +132,10 @@ def report(
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
     else:
         echo(str(output))
-        say_next("report", opener=opener(), file=quote(str(output)))
+        if source is not None:
+            say_next("report --source", source=quote(str(source)), report=free_name())
+        else:
+            say_next("report", opener=opener(), file=quote(str(output)))
 
 
 def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object]) -> None:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,19 @@ def test_report_writes_a_pdf_and_says_where(
     assert said.out == f"{pdf}\n"
     assert re.fullmatch(rf"next: (xdg-open|open|start) {pdf}", said.err.splitlines()[-1])
     assert pdf.read_bytes().startswith(b"%PDF-")
+
+
+def test_the_source_of_a_report_is_to_be_typeset_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Under a name that no file has."""
+    monkeypatch.chdir(tmp_path)
+
+    assert main(["report", "--handout", "--source", "my source"]) == 0
+
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == "next: armrig report --from 'my source' -o report-2.pdf"
+    assert main(shlex.split(last)[2:]) == 0
 
 
 def test_report_tells_a_program_what_it_was_made_from(

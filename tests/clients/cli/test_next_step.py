@@ -31,6 +31,8 @@ VALUES: dict[str, Any] = {
     "rig": " --rig 2",
     "given": " --signal theta_1",
     "report": "report.pdf",
+    "chassis": "F3.mcap",
+    "source": "source",
     "again": " --Ts 0.002 --at 1.8 --seconds 11 --name first-again",
 }
 
@@ -110,6 +112,33 @@ def test_the_report_is_of_the_newest_step_pair_and_chassis(
         f"next: armrig report --handout {files} -o {name}"
         for name in ("report.pdf", "report-2.pdf")
     ]
+
+
+@pytest.mark.parametrize(
+    ("recorded_before", "expected"),
+    [
+        (None, "armrig lab --config chassis.toml"),
+        ("greybox-chassis", "armrig greybox @chassis -o chassis.png"),
+    ],
+)
+def test_the_path_leads_over_the_chassis_alone(
+    pair: Path,
+    three_recordings: tuple[Path, ...],
+    recorded_before: str | None,
+    expected: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Assignments 3.5 and 3.6: to its recording, or to the rig that makes one."""
+    if recorded_before:
+        about = manifest(experiment=recorded_before, run_id="0000000d")
+        data = recorded([sample(k) for k in range(10)], manifest=about)
+        written(pair, data, f"1-{recorded_before}-20261120T140000-0000000d.mcap")
+
+    assert main(["check", str(three_recordings[1])]) == 0
+
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1] == f"next: {expected}"
+    assert any("take the arm off" in line for line in lines) == (recorded_before is None)
 
 
 def test_the_report_is_of_complete_recordings_that_belong_together(
