@@ -19,8 +19,11 @@ if TYPE_CHECKING:
 
 _SECONDS = 2.0  # after which the speed is steady to five digits
 _STEPS = 200_000
+_AT_ONCE = 1e-8  # s in which the slope has not changed in the digits shown
 _STATES = ("theta_1", "alpha", "theta_1'", "alpha'")
 _PRIME = "'"
+_TOGETHER = {"both": "both changes", "all": "all changes"}
+"""Headings of the column of several changes at once."""
 _TIMES = {
     "rise_time": "63 % time [s]",
     "equivalent_time": "equivalent [s]",
@@ -49,11 +52,11 @@ def model(
     say(f"A and B with {changes(given) or 'the parameters of the handout'}:")
     echo(f"{_state_space(last.parameters)}\n\n{_table(found)}\n")
     say(
-        f"A step of 1 V, simulated{_of(given)}: the speed begins to rise by {last.slope:.1f} "
+        f"A step of 1 V, simulated{_of(given)}: the speed begins to rise by {last.slope:.2f} "
         f"rad/s² and is {last.speed:.4f} rad/s after {_SECONDS:g} s. At t = 0 the chassis stands, "
         "so there is no back-EMF, and the spring is not wound: the torque accelerates J_1 alone."
     )
-    _say_later_rises(found)
+    _say_later_rises(found, given)
     if verbose:
         say(f"\n{last.predicted.explain()}")
     say_next("model --set" if given else "model")
@@ -79,13 +82,12 @@ def _answer(p: ArmParameters) -> _Answer:
 
     from armrig.physics.step_response import characteristics, step_response
 
-    t = np.linspace(0.0, _SECONDS, _STEPS + 1)
-    speed = step_response(p, t)
-    slope = float(speed[1] / t[1])
+    speed = step_response(p, np.linspace(0.0, _SECONDS, _STEPS + 1))
+    slope = float(step_response(p, [0.0, _AT_ONCE])[-1]) / _AT_ONCE
     return _Answer(predicted=characteristics(p), slope=slope, speed=float(speed[-1]))
 
 
-def _say_later_rises(found: dict[str, _Answer]) -> None:
+def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None:
     """Say of which models another rise than the first crosses 63 %."""
     import numpy as np
 
@@ -95,7 +97,8 @@ def _say_later_rises(found: dict[str, _Answer]) -> None:
         crossed = answer.predicted.rise_time
         t = np.linspace(0.0, crossed if isfinite(crossed) else 0.0, 1001)
         if np.diff(step_response(answer.parameters, t)).min() < 0:
-            say(f"63 % time of {name}: its first rise ends below 63 %, and a later one crosses it.")
+            of = changes(given) if name in _TOGETHER else name
+            say(f"63 % time of {of}: its first rise ends below 63 %, and a later one crosses it.")
 
 
 def _of(given: list[str] | None) -> str:
@@ -125,7 +128,7 @@ def _table(found: dict[str, _Answer]) -> str:
         poles += [""] * (3 - len(poles))
         times = [f"{getattr(p, time):.4f}" for time in _TIMES]
         figures = [f"{p.steady_speed:.4f}", f"{p.initial_slope:.2f}", *times, *poles]
-        columns.append([name, *figures, *_roots(p.zeros)])
+        columns.append([_TOGETHER.get(name, name), *figures, *_roots(p.zeros)])
     widths = [max(map(len, column)) for column in columns]
     rows = zip(*columns, strict=True)
     return "\n".join(

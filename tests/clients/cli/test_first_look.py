@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -42,10 +43,20 @@ def test_model_says_what_the_handout_asks_for(
     assert text.splitlines()[1].startswith("x' = A x + B u")
     assert handout["steady_speed"] == pytest.approx(1.8623, abs=5e-5)
     assert handout["simulated"]["speed"] == pytest.approx(handout["steady_speed"], rel=1e-6)
-    assert handout["simulated"]["slope"] == pytest.approx(handout["initial_slope"], rel=1e-3)
+    assert handout["simulated"]["slope"] == pytest.approx(handout["initial_slope"], rel=1e-6)
     assert handout["A"][2] == pytest.approx([0, 700, -52.84, 0], rel=1e-4)
     assert figure.read_bytes().startswith(PNG)
     assert max(map(len, text.splitlines()[:-1])) <= 80
+
+
+def test_model_says_in_its_sentence_what_its_table_says(capsys: pytest.CaptureFixture[str]) -> None:
+    """The slope was 78.9 rad/s² beside 78.96; and which changes the first rise is of."""
+    slower = said(["model", "--set", "R_m=4"], capsys)
+    both = said(["model", "--set", "J_1=0.0034", "--set", "K_lin=2.38"], capsys)
+
+    assert slower.count("78.96") == 4  # twice in B
+    assert re.search(r"K_lin=2.38 +both changes\n", both)
+    assert "63 % time of J_1=0.0034, K_lin=2.38: its first rise" in both
 
 
 def test_model_holds_changed_parameters_against_the_handouts(
@@ -61,7 +72,7 @@ def test_model_holds_changed_parameters_against_the_handouts(
     assert len({round(m["steady_speed"], 9) for m in found.values()}) == 1
     slopes = [round(m["initial_slope"], 2) for m in found.values()]
     assert slopes == [98.40, 49.20, 98.40, 49.20]
-    assert "simulated with J_1=0.0034, J_2=0.005: the speed begins to rise by 49.2 rad/s²" in text
+    assert "simulated with J_1=0.0034, J_2=0.005: the speed begins to rise by 49.20 rad/s²" in text
     assert max(map(len, text.splitlines()[:-1])) <= 80
 
 
