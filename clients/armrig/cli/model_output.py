@@ -13,7 +13,7 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.equation import form, heading, signals, whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.subspace_fit import SubspaceFit
-from armrig.numerics.quantities import NBSP, p_relation, places, with_std
+from armrig.numerics.quantities import NBSP, near_one, p_relation, places, with_std
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.advice.advice import advice
 from armrig.validation.advice.model_advice import COLOURED
@@ -88,10 +88,7 @@ def _roots(found: Roots) -> str:
             pair = f"{z.real:.{decimals}f} ± {z.imag:.{decimals}f}i"
             texts.append(f"{pair} (σ {real:.2g}, {imag:.2g})")
         elif z.imag == 0:
-            text = with_std(z.real, real)
-            if "e" in text:  # a root near 1 is read best beside 1
-                text = f"{z.real:.{min(places(real), _MOST_DECIMALS)}f} ± {real:.1e}"
-            texts.append(text if real else f"{z.real:g} (fixed)")
+            texts.append(near_one(z.real, real) if real else f"{z.real:g} (fixed)")
     return _listed(texts) or "none"
 
 

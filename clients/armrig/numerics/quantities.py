@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import floor, isfinite, isnan, log10
 
 _MOST_DECIMALS = 6
+_MOST_BESIDE_ONE = 9
 
 _UNITS_OF_TIME = (
     (3 * 86400.0, 86400.0, "days"),
@@ -33,6 +34,14 @@ def with_std(value: float, std: float) -> str:
     if decimals > _MOST_DECIMALS:
         return f"{value:.6e} ± {std:.1e}"
     return f"{value:.{decimals}f} ± {std:.{decimals}f}"
+
+
+def near_one(value: float, std: float) -> str:
+    """Return a number that is read best beside 1, ± its standard deviation."""
+    decimals = places(std)
+    if decimals <= _MOST_DECIMALS:
+        return with_std(value, std)
+    return f"{value:.{min(decimals, _MOST_BESIDE_ONE)}f} ± {std:.1e}"
 
 
 def scaled(value: float, std: float, unit: str) -> str:

@@ -14,7 +14,7 @@ from armrig.models.cancellation import overlapping
 from armrig.numerics.polynomial import filtered
 from armrig.validation.advice.advice import Advice
 from armrig.validation.advice.data_advice import examine_fit_of
-from armrig.validation.advice.model_advice import _about_poles
+from armrig.validation.advice.model_advice import _about_integrator, _about_poles
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -225,6 +225,24 @@ def test_a_doubtful_model_of_data_without_an_integrator_lacks_none() -> None:
     doubtful = replace(armrig.oe(data, nb=2, nf=2), converged=False)
 
     assert not [*examine_fit_of(data, doubtful)]
+
+
+@pytest.mark.parametrize(
+    ("pole", "std", "said"),
+    [
+        (1.00014, 1e-4, "pole 1.00014 ± 0.00010 is 1 within its accuracy: fix it"),
+        (0.99903, 1e-4, "pole 0.99903 ± 0.00010 is so near 1 that it integrates: fix it"),
+        (1 - 1e-7, 2.9e-8, "pole 0.999999900 ± 2.9e-08 is so near 1 that it integrates: fix it"),
+    ],
+)
+def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, said: str) -> None:
+    """By more than 2.58 of its deviations."""
+    poles = SimpleNamespace(values=np.array([pole], complex), std=np.array([std]))
+    fit: Any = SimpleNamespace(integrator=False, output="theta_1", poles=lambda: poles)
+
+    [found] = _about_integrator(fit)
+
+    assert found.text.startswith(said)
 
 
 @pytest.mark.parametrize(

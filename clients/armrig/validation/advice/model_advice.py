@@ -9,6 +9,7 @@ from armrig.models.cancellation import overlapping
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.structure_table import KINDS
+from armrig.numerics.quantities import near_one
 from armrig.recordings.usability import Finding
 from armrig.validation.advice.finding import finding
 
@@ -101,7 +102,9 @@ def _about_integrator(fit: Fit) -> Iterator[Finding]:
     for z, std in zip(poles.values, poles.std, strict=True):
         near = abs(z.real - 1) < max(_STD_99 * std, 1e-3) and std < _VAGUE
         if abs(z.imag) < _REAL and near:
-            text = f"pole {z.real:.5f} ± {std:.1g} is 1 as far as can be told: fix it, "
+            within = abs(z.real - 1) < _STD_99 * std
+            what = "is 1 within its accuracy" if within else "is so near 1 that it integrates"
+            text = f"pole {near_one(z.real, std)} {what}: fix it, "
             yield finding("integrator", text + "oe(…, integrator=True)", good=False)
             return
     if fit.output in INTEGRATING_OUTPUTS:
