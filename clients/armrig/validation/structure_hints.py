@@ -16,7 +16,7 @@ from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.coherence import explained
 from armrig.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.nonparametric.spectral import spa
-from armrig.numerics.quantities import minus, plural, times
+from armrig.numerics.quantities import minus, plural, times, with_std
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.recommended_structures import Recommendation, Recommended, recommended
@@ -433,6 +433,7 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         f"order: Hankel singular values {shown} …, uncertainty alone makes {h.threshold:.2g}: "
         + _standing(h.order - with_integrator)
         + (", and the integrator" if with_integrator else "")
+        + _more_poles(h)
     )
     if h.high_slope is not None:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
@@ -447,6 +448,17 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         )
     yield from _about_delay(h)
     yield from _others(h)
+
+
+def _more_poles(h: StructureHints) -> str:
+    """Return what it means that the first structure has more poles than stand out; "" if not."""
+    if h.order >= h.nf or h.integrator != (h.integrator and h.integrator_shown):
+        return ""
+    return (
+        f"; nf = {h.nf} describes these data shortest, which noise alone may bring about: keep it "
+        f"only if the residuals of a model with nf = {h.order} are coloured, or physics has more "
+        "poles"
+    )
 
 
 def _others(h: StructureHints) -> Iterator[str]:
@@ -465,7 +477,7 @@ def _about_integrator(h: StructureHints) -> Iterator[str]:
     if h.integrator_shown and not h.integrator and h.low_slope < -10:
         verdict = f"a slow pole, and {verdict}, since what a pulse of u does to y dies out"
     yield (
-        f"integrator: |G| has a slope of {minus(f'{h.low_slope:.1f}')} ± {h.low_slope_std:.1f} dB "
+        f"integrator: |G| has a slope of {minus(with_std(h.low_slope, h.low_slope_std))} dB "
         f"a decade at low frequency (0 without one, −20 with one): {verdict}"
     )
 

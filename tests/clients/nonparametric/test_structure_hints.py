@@ -186,7 +186,11 @@ def test_a_pure_integrator_has_the_one_pole_at_1() -> None:
     found = structure_hints(Dataset(u=u, y=y, Ts=0.05))
 
     assert (found.integrator, found.nb, found.nf, found.nk) == (True, 1, 1, 1)
-    assert "none stands out, and the integrator" in found.explain()
+    assert "none stands out, and the integrator\n" in found.explain()
+    assert "± 0.0 dB" not in found.explain()
+    more = replace(found, structures=(replace(found.structures[0], nf=3), *found.structures))
+    assert "nf = 3 describes these data shortest, which noise alone may" in more.explain()
+    assert "if the residuals of a model with nf = 1 are coloured" in more.explain()
 
 
 @pytest.mark.parametrize("samples", [0, 4, 9])
