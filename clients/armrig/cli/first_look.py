@@ -111,7 +111,7 @@ def sampling(
     shown = {"sampling": choice} if steps is None else {"step": steps, "sampling": choice}
     write_plot(plot, height=5.0, **{name: _drawing(one) for name, one in shown.items()})
     if json:
-        print_json(source_facts(data) | _sampling_facts(choice))
+        print_json(source_facts(data) | _sampling_facts(choice) | _step_facts(steps))
         return
     say("\n".join(repr(one) for one in reversed(shown.values())))
     if signals.read and (again := step_again(signals.read[0])):
@@ -144,13 +144,27 @@ def _sampling_facts(choice: SamplingTime) -> dict[str, Any]:
         "method": "step" if choice.from_step else "impulse response",
         "tau": choice.tau,
         "omega_step": choice.omega_step,
+        "omega_first": choice.omega_first,
         "omega_spectrum": choice.omega_spectrum,
         "settling": choice.settling,
+        "settling_std": choice.settling_std,
         "Ts_step": choice.Ts_step,
         "Ts_spectrum": choice.Ts_spectrum,
         "Ts_transient": choice.Ts_transient,
+        "near_nyquist": choice.near_nyquist,
+        "beyond": choice.beyond,
         "notes": choice.notes,
     }
+
+
+def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
+    """Return what the analysis of steps says, where there is one."""
+    if steps is None:
+        return {}
+    of = ("gain", "tau", "equivalent_time", "settling", "overshoot")
+    names = [text for name in of for text in (name, f"{name}_std")]
+    names += ["dead_time", "dead_time_interval"]
+    return {"step": {name: getattr(steps, name) for name in names}}
 
 
 def hints(

@@ -20,7 +20,7 @@ from armrig.nonparametric.missing_outputs import filled
 from armrig.nonparametric.spectral import spa
 from armrig.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.nonparametric.welch import welch
-from armrig.numerics.quantities import times
+from armrig.numerics.quantities import times, with_std
 from armrig.numerics.step_times import linear_crossing, rise_time
 from armrig.numerics.stretches import constant
 
@@ -125,15 +125,15 @@ class SamplingTime:
     def _transient_told(self) -> str:
         if self.settling < self.recorded_at:
             return "over within a sample"
-        about = "" if np.isnan(self.settling_std) else f" ± {times(self.settling_std)}"
-        return (
-            f"{times(self.settling)}{about} to within 5 %, 10 to 7 samples in it: Ts "
-            f"{times(*self.Ts_transient)}"
-        )
+        scale, unit = (1e3, "ms") if self.settling < 1 else (1.0, "s")
+        length = f"{with_std(scale * self.settling, scale * self.settling_std)} {unit}"
+        if np.isnan(self.settling_std):
+            length = times(self.settling)
+        return f"{length} to within 5 %, 10 to 7 samples in it: Ts {times(*self.Ts_transient)}"
 
     def _band_told(self) -> str:
         first, last = (f"{omega:.3g}" for omega in (self.omega_first, self.omega_spectrum))
-        return f"at {last}" if first == last else f"first at {first}, last at {last}"
+        return f"at {last}" if first == last else f"first at {first}, last (omega_B) at {last}"
 
 
 @takes_recordings
@@ -384,7 +384,10 @@ def _notes(
         return
     names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
     least, most = int(np.argmin(rules)), int(np.argmax(rules))
-    yield f"the shortest is taken, that of {names[least]}: a longer one loses dynamics"
+    yield (
+        f"the shortest is taken, {times(rules[least])} by {names[least]}, rounded to {times(Ts)} "
+        "(1, 2 or 5 times a power of ten): a longer one loses dynamics"
+    )
     if rules[most] > 4 * rules[least]:
         yield (
             f"the rules differ {rules[most] / rules[least]:.2g} times: the response rises fast and "

@@ -110,16 +110,19 @@ class StepAnalysis:
     def __repr__(self) -> str:
         """Say it in a few lines."""
         low, high = self.dead_time_interval
+        name = self.output
+        if self.rate:  # as the choice of a sampling time names it
+            name = "the rate of theta_1" if name == "velocity" else f"the {name}"
         unit = f"{self.unit or '1'}/{self.input_unit or '1'}".replace("1/1", "")
         lines = [
-            f"step analysis of {self.output}, {plural(self.steps, 'step')}, Ts {self.Ts:g} s",
-            f"  gain {self.gain:.4g} ± {self.gain_std:.2g} {unit}".rstrip(),
+            f"step analysis of {name}, {plural(self.steps, 'step')}, Ts {self.Ts:g} s",
+            f"  gain {with_std(self.gain, self.gain_std)} {unit}".rstrip(),
             f"  dead time {self.dead_time:.4g} s (95 %: {low:.4g} … {high:.4g} s)",
-            f"  63 % time {self.tau:.4g} ± {self.tau_std:.2g} s, so omega_B = 1/tau = "
-            f"{self.bandwidth:.4g} rad/s",
-            f"  equivalent time {self.equivalent_time:.4g} ± {self.equivalent_time_std:.2g} s "
+            f"  63 % time {with_std(self.tau, self.tau_std)} s, so omega_B = 1/tau = "
+            f"{self.bandwidth:.3g} rad/s",
+            f"  equivalent time {with_std(self.equivalent_time, self.equivalent_time_std)} s "
             "(area above the response)",
-            f"  within 5 % after {self.settling:.4g} ± {self.settling_std:.2g} s, "
+            f"  within 5 % after {with_std(self.settling, self.settling_std)} s, "
             f"{self._overshoot_told()}",
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])

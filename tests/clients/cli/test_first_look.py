@@ -11,6 +11,7 @@ import armrig
 import pytest
 from armrig.cli import main
 from armrig.excitation import step, telegraph
+from armrig.numerics.quantities import with_std
 from armrig.recordings.overview import overview
 from made_recordings import gap, manifest, of_the_arm, recorded, turning, written
 
@@ -210,6 +211,12 @@ def test_sampling_recommends_a_time_with_its_method(
     assert (by_step["method"], by_impulse["method"]) == ("step", "impulse response")
     assert by_step["Ts"] in (0.002, 0.005, 0.01)
     assert by_step["Ts_transient"][0] < by_step["Ts_transient"][1]
+    # Each deviation of the text, by the same digits; of an impulse response there is none.
+    analysed = by_step["step"]
+    assert by_step["settling_std"] == analysed["settling_std"] > 0
+    assert by_impulse["settling_std"] is by_impulse.get("step") is None
+    for name in ("gain", "tau", "equivalent_time", "settling"):
+        assert f" {with_std(analysed[name], analysed[name + '_std'])} " in text
     assert figure.read_bytes().startswith(PNG)
 
 

@@ -11,6 +11,7 @@ from armrig.data.dataset import Dataset
 from armrig.excitation import step, telegraph
 from armrig.nonparametric.sampling_time import nearest_125, sampling_time
 from armrig.numerics.polynomial import filtered
+from armrig.numerics.quantities import times
 from numpy.typing import NDArray
 from sampling import sampled
 
@@ -194,4 +195,8 @@ def test_the_band_is_drawn_over_the_gain_of_the_step(sampled: Callable[[float], 
     assert below.get_ylim()[0] < np.nanmin(curve)
     assert np.isnan(curve[-1])
     assert found.omega_first == pytest.approx(9.6, rel=0.05)
+    assert f"last (omega_B) at {found.omega_spectrum:.3g} rad/s" in repr(found)
+    shortest = times(min(found.Ts_step, found.Ts_spectrum))
+    assert f"the shortest is taken, {shortest} by the " in repr(found)
+    assert f"rounded to {times(found.Ts)} (1, 2 or 5 times" in repr(found)
     assert (found.t[0], found.response[0]) == (0.0, 0.0)

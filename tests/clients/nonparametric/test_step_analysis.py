@@ -9,6 +9,7 @@ import pytest
 from armrig.data.dataset import Dataset, merge
 from armrig.nonparametric.step_analysis import step_analysis
 from armrig.numerics.polynomial import filtered
+from armrig.numerics.quantities import with_std
 from numpy.typing import NDArray
 
 TS, TAU, GAIN = 0.01, 0.2, 3.0
@@ -234,7 +235,7 @@ def test_a_dead_band_after_the_step_is_no_late_settling(sampled: Any, begins: in
 
     assert found.settling == pytest.approx(0.372, rel=0.05)
     assert abs(found.settling - 0.372) < 3 * found.settling_std
-    assert f"± {found.settling_std:.2g} s, overshoot" in repr(found)
+    assert f"within 5 % after {with_std(found.settling, found.settling_std)} s" in repr(found)
 
 
 def test_a_soft_beginning_is_no_dead_time(sampled: Any) -> None:
