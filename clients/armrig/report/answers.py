@@ -17,6 +17,7 @@ MAX_STUDENTS: Final = 2
 MAX_NAME, MAX_REASONS = 80, 4000
 """In characters; ten pages hold no more."""
 _KEYS: Final = ("name", "registration_number")
+_QUOTED: Final = 'each value is a text in quotes, such as registration_number = "900101-1234"'
 
 
 class AnswersError(ValueError):
@@ -53,9 +54,10 @@ def read_answers(path: Path) -> Answers:
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file; `armrig report --handout --questions {path}` "
         raise AnswersError(f"{msg}writes one") from err
-    except (TomlError, OSError) as err:
-        why = getattr(err, "strerror", None) or err
-        raise AnswersError(f"{path}: {why}") from err
+    except TomlError as err:
+        raise AnswersError(f"{path}: {err}; {_QUOTED}") from err
+    except OSError as err:
+        raise AnswersError(f"{path}: {err.strerror or err}") from err
     try:
         return _answers(tables)
     except AnswersError as err:
@@ -96,8 +98,7 @@ def _text(table: dict[str, Any], key: str, most: int) -> str:
     """Return a text without the space around it."""
     value = table[key]
     if not isinstance(value, str):
-        msg = f'{key} is a {type(value).__name__}: give a text between """ and """'
-        raise AnswersError(msg)
+        raise AnswersError(f"{key} = {value!r:.40}: {_QUOTED}, of at most {most} characters")
     text = value.strip()
     if len(text) > most:
         raise AnswersError(f"{key} has {len(text)} characters: at most {most} are allowed")

@@ -57,13 +57,18 @@ def test_names_and_reasons_are_read(tmp_path: Path) -> None:
         ("students = 1", r"students: give a table \[\[students\]\]"),
         ("reasons = 1", r"reasons: give a table \[reasons\]"),
         ("[[students]]\n" * 3, "3 students: the handout's cover has room for 2"),
-        ('[reasons]\n"2.1" = 3', "2.1 is a int: give a text"),
+        ('[reasons]\n"2.1" = 3', "2.1 = 3: each value is a text in quotes, such as reg"),
         (
             f'[reasons]\n"2.1" = "{"x" * (MAX_REASONS + 1)}"',
             "2.1 has 4001 characters: at most 4000",
         ),
         ('[reasons]\n"2.1" = "\\u001b[1m"', "2.1 has characters that cannot be printed"),
         ("[reasons", "not a TOML file: "),
+        (
+            "[[students]]\nregistration_number = 900101-1234",
+            'not a TOML file: .*; each value is a text in quotes, such as reg.* = "900101-1234"',
+        ),
+        ("[[students]]\nregistration_number = 9001011234", ".*, of at most 80 characters"),
     ],
 )
 def test_what_is_no_answer_is_refused(text: str, message: str, tmp_path: Path) -> None:
