@@ -60,6 +60,8 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
 def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[Path]:
     """Write a figure with axes for each subject, say where it is, and return the files.
 
+    A figure is made again by the same line, so one that is there is replaced, and said.
+
     Parameters
     ----------
     path : Path, optional
@@ -83,10 +85,12 @@ def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[
         }
         for file in figures:
             check_output(file, ())
+    replaced = [str(file) for file in figures if file.exists()]
     with spinner("drawing"):
         for file, subjects in figures.items():
             save(_drawn(subjects, height), file, dpi=_DPI)
-    tell(f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}")
+    said = f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}"
+    tell(said + (f"; replaced: {', '.join(replaced)}" if replaced else ""))
     return list(figures)
 
 

@@ -113,6 +113,21 @@ def test_a_folder_takes_a_figure_for_each_subject(
     assert f"figures: {files[0]}, {files[1]}" in capsys.readouterr().err
 
 
+def test_figures_that_are_replaced_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of a folder those that were there; one line makes them again."""
+    (tmp_path / "step.png").touch()
+
+    assert main(["model", "-o", f"{tmp_path}/"]) == 0
+    first = capsys.readouterr().err
+    assert main(["model", "-o", f"{tmp_path}/"]) == 0
+
+    both = f"{tmp_path}/step.png, {tmp_path}/sensitivities.png"
+    assert f"figures: {both}; replaced: {tmp_path}/step.png\n" in first
+    assert f"figures: {both}; replaced: {both}\n" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("path", "refusal"),
     [
