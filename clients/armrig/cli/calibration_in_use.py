@@ -54,7 +54,7 @@ def take_into_use(
         is_used = False
         tell(f"not in use: no daemon of rig {rig} answers")
     if is_used:
-        tell(f"rig {rig} uses it from the next sample on, until armrigd ends")
+        tell(f"rig {rig} uses it from the next sample on, until `armrig lab` or armrigd ends")
     _say_how_it_stays(path, named)
     return is_used
 

@@ -26,6 +26,16 @@ def _doubted(given: list[str] | None) -> list[str] | None:
     return given
 
 
+def _explained_amplitude(volts: float) -> float:
+    """Return the amplitude as given, and tell that one beyond the rig's input is simulated only."""
+    if not abs(volts) <= AMPLITUDE_V:
+        tell(
+            f"--amplitude {volts:g}: the sinusoid is simulated, never played; the rig takes 0 to "
+            f"5 V, an amplitude of {AMPLITUDE_V:g} V at most"
+        )
+    return volts
+
+
 Given = Annotated[
     list[str] | None,
     typer.Option(
@@ -37,7 +47,14 @@ Given = Annotated[
 ]
 AMPLITUDE_V, OMEGA = 2.5, 10.0
 """Sinusoid of part 4, in V and rad/s."""
-Amplitude = Annotated[float, typer.Option("--amplitude", help="Amplitude of the sinusoid, in V.")]
+Amplitude = Annotated[
+    float,
+    typer.Option(
+        "--amplitude",
+        help="Amplitude of the simulated sinusoid, in V.",
+        callback=_explained_amplitude,
+    ),
+]
 Omega = Annotated[float, typer.Option("--omega", help="Frequency of the sinusoid, in rad/s.")]
 _FAR = 100.0
 """Times that a parameter differs from the handout's before it is doubted."""
@@ -85,6 +102,12 @@ def _values(given: list[str] | None) -> dict[str, float]:
             value = float(number)
         except ValueError:
             value = None
+        if name in names and value is None and number:
+            from armrig.physics.grey_box.parameters import UNITS
+
+            unit = f", in {UNITS[name]}" if UNITS[name] else ""
+            msg = f"--set {text}: give the number alone{unit}, such as "
+            raise typer.BadParameter(f"{msg}--set {name}={getattr(ArmParameters(), name):g}")
         if name not in names or value is None:
             msg = f"--set {text}: give NAME=VALUE, such as J_1=0.0017; names are {', '.join(names)}"
             raise typer.BadParameter(msg)

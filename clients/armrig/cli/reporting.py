@@ -93,8 +93,8 @@ def report(
 ) -> None:
     """Typeset a report.
 
-    The first recording that is no step estimates, the next validates. A report is of whole runs:
-    its --from names a folder that --source wrote.
+    The first recording that is no step estimates, the next validates. Runs are
+    reported whole: --from is no start in s, it names a folder that --source wrote.
     """
     files = files or []
     if questions is not None:

@@ -138,6 +138,7 @@ def _plainly(message: str, came: str = "") -> str:
     for theirs, ours in (
         (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),
         (r"^Invalid value: ", ""),
+        (r"^(--\S+): (?=\1 )", ""),
         (r"Value error, ", ""),
         (r"Input should be ", "must be "),
         (r"must be a valid (integer|number),? .*$", r"must be a \1"),

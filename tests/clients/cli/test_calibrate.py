@@ -95,8 +95,18 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
         ((), "\n", True, "Use it now? The running daemon takes it [Y/n]"),
         ((), "n\n", False, "armrig: not in use"),
         ((), None, False, "not in use: --use has the running daemon take it"),
-        (("--use",), None, True, "rig 1 uses it from the next sample on, until armrigd ends"),
-        (("--yes",), None, True, "rig 1 uses it from the next sample on, until armrigd ends"),
+        (
+            ("--use",),
+            None,
+            True,
+            "from the next sample on, until `armrig lab` or armrigd ends",
+        ),
+        (
+            ("--yes",),
+            None,
+            True,
+            "from the next sample on, until `armrig lab` or armrigd ends",
+        ),
         (("--no-use", "--yes"), None, False, "armrig: not in use"),
     ],
 )

@@ -80,8 +80,17 @@ def test_model_holds_changed_parameters_against_the_handouts(
 @pytest.mark.parametrize(
     ("given", "expected", "code"),
     [
-        ("J_3=1", "--set J_3=1: give NAME=VALUE, such as J_1=0.0017; names are J_1, J_2, N,", 2),
+        (
+            "J_3=1",
+            "armrig: --set J_3=1: give NAME=VALUE, such as J_1=0.0017; names are J_1, J_2, N,",
+            2,
+        ),
         ("J_1", "--set J_1: give NAME=VALUE", 2),
+        (
+            "J_2=6e-3kgm2",
+            "armrig: --set J_2=6e-3kgm2: give the number alone, in kg m², such as --set J_2=0.0048",
+            2,
+        ),
         ("J_1=0", "J_1=0.0 must be finite and > 0", 1),
     ],
 )

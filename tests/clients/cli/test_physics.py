@@ -147,6 +147,19 @@ def test_integrate_recommends_a_step_for_each_method(capsys: pytest.CaptureFixtu
     assert all(row["stable"] and row["error"] <= 0.01 for row in found["rows"])
 
 
+@pytest.mark.parametrize(("volts", "told"), [("2.5", False), ("20", True), ("-2.6", True)])
+def test_an_amplitude_that_no_rig_takes_is_told_as_simulated(
+    volts: str, told: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is allowed: part 4 integrates a model, and nothing is played."""
+    step = ["--h", "0.02", "--method", "ab2"]
+
+    assert main(["integrate", "--amplitude", volts, *step]) == 0
+
+    said = f"--amplitude {volts}: the sinusoid is simulated, never played; the rig takes 0 to 5 V"
+    assert (said in capsys.readouterr().err) == told
+
+
 @pytest.mark.parametrize(
     ("arguments", "message", "code"),
     [
