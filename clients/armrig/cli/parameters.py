@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -56,6 +57,7 @@ Amplitude = Annotated[
     ),
 ]
 Omega = Annotated[float, typer.Option("--omega", help="Frequency of the sinusoid, in rad/s.")]
+_WITH_UNIT = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)? ?[^\d,.\s]")
 _FAR = 100.0
 """Times that a parameter differs from the handout's before it is doubted."""
 
@@ -102,7 +104,7 @@ def _values(given: list[str] | None) -> dict[str, float]:
             value = float(number)
         except ValueError:
             value = None
-        if name in names and value is None and number:
+        if name in names and value is None and _WITH_UNIT.match(number):
             from armrig.physics.grey_box.parameters import UNITS
 
             unit = f", in {UNITS[name]}" if UNITS[name] else ""

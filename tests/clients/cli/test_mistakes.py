@@ -165,6 +165,7 @@ REFUSED = [
     # The physics.
     ("model --set J2=0.005", "names are J_1, J_2, N, K_lin, R_m, K_m, b_1"),
     ("model --set J_2=0,005", "give NAME=VALUE, such as J_1=0.0017"),
+    ("model --set J_2=6e-3kgm2", "give the number alone, in kg m², such as --set J_2=0.0048"),
     ("model --set J_1=-1", "J_1=-1.0 must be finite and > 0"),
     ("greybox est.mcap --free J1", "is none of J_1, J_2, N"),
     ("greybox est.mcap --free J_1,K_m", "give several one by one"),
