@@ -46,7 +46,7 @@ def answer(
     )
     said += f"; {_DATA_FIRST if doubted else COLOURED}." if fit.trusts_robust else "."
     if validation is None or tests is None:
-        return said
+        return said if isnan(fit.whiteness) else f"{said} {_MORE_TESTS}"
     simulated = simulated_to(validation[0], validation.unit)
     return (
         f"{said} Simulated on the validation data it fits to {simulated}; {tests_sentence(tests)}."
@@ -204,6 +204,7 @@ _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"
 _LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
+_MORE_TESTS = f"{_LEVEL.capitalize()}; --validate F2 tests the residuals against the input, too."
 _UNTESTED = "too few samples, or no residual, to test"
 _UNFINISHED = " (NOT CONVERGED)"
 

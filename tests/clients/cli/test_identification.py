@@ -196,6 +196,7 @@ def test_identify_says_roots_and_advice(
 
     assert main([*arguments, "-v"]) == 0
     whole = capsys.readouterr().out
+    assert "trust σ. A p below 0.01 rejects; --validate F2 tests" in text.splitlines()[0]
     [poles] = re.findall(r"^  poles  1 \(fixed\), (.+)$", text, re.MULTILINE)
     assert re.fullmatch(r"0\.9\d+ ± 0\.1\d+i \(σ \S+, \S+\), 0\.6\d+ ± \S+", poles)
     assert re.search(r"^  zeros  -0\.\d+ ± ", text, re.MULTILINE)
