@@ -452,7 +452,7 @@ def _reasons(h: StructureHints) -> Iterator[str]:
 
 def _more_poles(h: StructureHints) -> str:
     """Return what it means that the first structure has more poles than stand out; "" if not."""
-    if h.order >= h.nf or h.integrator != (h.integrator and h.integrator_shown):
+    if h.order >= h.nf or not h.integrator_shown:
         return ""
     return (
         f"; nf = {h.nf} describes these data shortest, which noise alone may bring about: keep it "

@@ -191,6 +191,7 @@ def test_a_pure_integrator_has_the_one_pole_at_1() -> None:
     more = replace(found, structures=(replace(found.structures[0], nf=3), *found.structures))
     assert "nf = 3 describes these data shortest, which noise alone may" in more.explain()
     assert "if the residuals of a model with nf = 1 are coloured" in more.explain()
+    assert "shortest" not in replace(more, integrator_shown=False).explain()
 
 
 @pytest.mark.parametrize("samples", [0, 4, 9])
