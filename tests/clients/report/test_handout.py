@@ -450,3 +450,24 @@ def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
     n, of = stopped.samples.size, stopped.manifest.samples
     said = f"{stopped.path.name} ended early, after {n} of {of} samples: stopped by root."
     assert said in remarks
+
+
+@pytest.mark.parametrize(
+    ("lines", "reasons"),
+    [(27, ["One line."]), (11, ["A line of many words. " * 100, "One line."])],
+)
+def test_no_line_of_reasons_stands_alone_on_the_last_page(
+    lines: int, reasons: list[str], without: HandoutStudy, tmp_path: Path
+) -> None:
+    """The last reasons stand with their figure though all but a line fit on the page before."""
+    handout_report(without, tmp_path / "report.pdf", source=tmp_path / "source")
+    values = json.loads((tmp_path / "source" / "data.json").read_text())
+    *_, before, last = values["sections"]
+    before["reasons"], last["reasons"] = ["One line."] * lines, reasons
+    values["sections"] = [before, last]
+    (tmp_path / "source" / "data.json").write_text(json.dumps(values))
+
+    *_, (name, end) = compiled(tmp_path / "source" / TEMPLATE)[1]
+
+    assert (name, int(end)) == ("end", 3)
+    assert end % 1 > 0.2
