@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from textwrap import fill
+from types import MappingProxyType
 from typing import TYPE_CHECKING
 
 from armrig.canvas.colours import GREY
@@ -16,12 +20,35 @@ NAMES = {"theta_1": r"$\theta_1$", "alpha": r"$\alpha$", "velocity": r"$\dot\the
 _FROM_RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
-def signature(*sources: str) -> str:
-    """Return the kind of files and their hashes, shortened: `recordings 0123…, 4567…`."""
+_RUNS: ContextVar[Mapping[str, str]] = ContextVar("_RUNS", default=MappingProxyType({}))
+
+
+@contextmanager
+def named_by_run(runs: Mapping[str, str]) -> Iterator[None]:
+    """Sign figures in this context with the run's id, as in `@0000000b`, in place of the hash.
+
+    Parameters
+    ----------
+    runs : mapping of str to str
+        Hash of a recording -> id of its run, or "" for none.
+    """
+    token = _RUNS.set(runs)
+    try:
+        yield
+    finally:
+        _RUNS.reset(token)
+
+
+def signature(*sources: str, runs: Mapping[str, str] = MappingProxyType({})) -> str:
+    """Return the kind of files and their hashes, shortened: `recordings 0123…, 4567…`.
+
+    A recording whose hash is in `runs` has the id of its run in place of the hash.
+    """
     hashes: dict[str, list[str]] = {}
     for one in dict.fromkeys(h for source in sources for h in source.split("+") if h):
         kind, _, digest = one.rpartition(":")
-        hashes.setdefault(kind or "recording", []).append(digest[:12])
+        run = runs.get(digest)
+        hashes.setdefault(kind or "recording", []).append(f"@{run}" if run else digest[:12])
     return "; ".join(
         f"{kind}{'s' if kind == 'recording' and len(of) > 1 else ''} {', '.join(of)}"
         for kind, of in hashes.items()
@@ -36,7 +63,7 @@ def sign(ax: Axes, *sources: str, above: float = 0.0) -> Axes:
     above : float
         Height, in points, of what stands above the axes already: see `legend`.
     """
-    if text := signature(*sources):
+    if text := signature(*sources, runs=_RUNS.get()):
         ax.set_title(text, loc="right", fontsize="x-small", color=GREY, pad=3 + above)
     return ax
 

@@ -15,11 +15,20 @@ from armrig.cli.output_file import check_output
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from armrig.recordings.recording import Recording
+
 Draw = Callable[..., Any]
 """Draws into `ax`."""
 _EACH = "*"  # for the subject, in the name of the files in a folder
 _WIDTH, _HEIGHT = 6.3, 8.0  # in inches: the text of an A4 page, and a screen
 _DPI = 200
+_RUNS: dict[str, str] = {}
+"""Run of each recording that the command has read, by the recording's hash."""
+
+
+def name_runs(*recordings: Recording) -> None:
+    """Sign the command's figures with the ids of these runs, as `armrig ls` shows them."""
+    _RUNS.update((r.sha256, r.manifest.run_id) for r in recordings)
 
 
 def figure_path(text: str | Path) -> Path:
@@ -73,7 +82,7 @@ def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[
     """
     if path is None:
         return []
-    from armrig.canvas import save
+    from armrig.canvas import named_by_run, save
     from armrig.cli.spinner import spinner
 
     figures = {path: list(draw.values())}
@@ -86,7 +95,7 @@ def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[
         for file in figures:
             check_output(file, ())
     replaced = [str(file) for file in figures if file.exists()]
-    with spinner("drawing"):
+    with spinner("drawing"), named_by_run(_RUNS):
         for file, subjects in figures.items():
             save(_drawn(subjects, height), file, dpi=_DPI)
     said = f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}"

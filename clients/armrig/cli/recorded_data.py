@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, get_args
 
 import typer
 
+from armrig.cli.figures import name_runs
 from armrig.cli.options import SAME_DATA, OutputName, tell, warned
 from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
 
@@ -42,6 +43,7 @@ def loaded(
 
     with spinner("reading"):
         recordings = [load(file, calibration, start=start, stop=stop) for file in files]
+    name_runs(*recordings)
     for text in all_doubts(recordings, one_plant=one_plant):
         tell(text)
     return [warned(recording) for recording in recordings]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from armrig.cli.chosen_recording import File
-from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.figures import Plot, check_plot, name_runs, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
     CalibrationFile,
@@ -45,6 +45,7 @@ def info(
 
     check_plot(plot, [file])
     recording = load(file, calibration, start=start, stop=stop)
+    name_runs(recording)
     _plot_timing(recording, plot)
     if json:
         print_json(_recording_facts(recording))

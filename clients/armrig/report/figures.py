@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armrig import plots
-from armrig.canvas import legend, pens, save
+from armrig.canvas import legend, named_by_run, pens, save
 from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.report.study import STEP, Study, kind_of
 
@@ -34,7 +34,8 @@ DETAIL_S = 4.0
 def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
     """Write the figures of a study as SVG into `directory` and return their paths."""
     paths = []
-    with mpl.rc_context(STYLE):
+    runs = {r.sha256: r.manifest.run_id for r in study.recordings}
+    with mpl.rc_context(STYLE), named_by_run(runs):
         for name, draw in _FIGURES.items():
             figure = draw(study)
             if figure is not None:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from armrig import plots
-from armrig.canvas import save
+from armrig.canvas import named_by_run, save
 from armrig.physics.integrators.accuracy import convergence
 from armrig.physics.systems import ArmParameters
 from armrig.report.figures import STYLE, WIDTH
@@ -34,7 +34,9 @@ class Shown(Protocol):
 def write_handout_figures(study: HandoutStudy, directory: Path) -> frozenset[str]:
     """Write the figures that the study has data for as SVG, and return their names."""
     drawn = _drawn(study)
-    with mpl.rc_context(STYLE | {"font.size": 7.5, "xtick.labelsize": 7, "ytick.labelsize": 7}):
+    look = STYLE | {"font.size": 7.5, "xtick.labelsize": 7, "ytick.labelsize": 7}
+    runs = {r.sha256: r.manifest.run_id for r in study.recordings}
+    with mpl.rc_context(look), named_by_run(runs):
         for name, (height, draws) in drawn.items():
             figure = Figure(figsize=(WIDTH, height), layout="constrained")
             columns = figure.subplots(1, len(draws), squeeze=False)[0]
@@ -59,7 +61,7 @@ def _drawn(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
             ],
         ),
         "solution": (
-            _HEIGHT,
+            _HIGHER,
             [
                 lambda ax: plots.plot_solution(
                     study.problem,
@@ -100,7 +102,7 @@ def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
         fit, data = black.best.fit, black.validation
         found["residuals"] = (_LEGENDS, [lambda ax: plots.plot_residuals(fit, data, ax=ax)])
         found["compare"] = (
-            2.45,
+            2.75,
             [lambda ax: plots.plot_compare(data, *models, labels=names, ax=ax)],
         )
     if grey is not None and chassis is not None:
