@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import is_dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +16,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
-from armrig.canvas import save
+from armrig.canvas import named_by_run, save
 from armrig.canvas.captions import _fits
 from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
@@ -29,7 +29,9 @@ from armrig.recordings.overview_figure import plot_overview
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
 from armrig.validation.comparison import compare
+from armrig.validation.comparison_figure import plot_comparison
 from armrig.validation.residuals import residuals
+from handout_plant import HandoutPlant
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -330,6 +332,65 @@ def test_a_phase_is_a_lag_in_degrees() -> None:
     assert below.lines[0].get_ydata() == pytest.approx([-0.573, -45.0, -89.427], abs=1e-3)
 
 
+def test_a_phase_does_not_jump_by_a_turn() -> None:
+    """Of a delay it falls on, and dots of an estimate stand on the turn of their model."""
+    import control
+
+    late = control.tf([1.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0)
+    ax = plots.plot_bode(late, omega=np.linspace(0.1, 3.0, 200), ax=Figure().add_subplot())
+
+    (below,) = [other for other in ax.figure.axes if "arg" in other.get_ylabel()]
+    phase = np.asarray(below.lines[0].get_ydata(), np.float64)
+    np.testing.assert_allclose(phase, -8 * np.degrees(np.linspace(0.1, 3.0, 200)), atol=0.1)
+    low, high = below.get_ylim()
+    assert low < phase.min()
+    assert phase.max() < high
+
+
+def test_phases_agree_after_a_zero_that_is_hardly_damped() -> None:
+    """It turns up if the zero is damped a little, down if it grows a little: that is chance."""
+    import control
+
+    pair = [control.tf([1.0, d, 256.0], [1.0, 30.0, 300.0, 0.0]) for d in (0.05, -0.05)]
+    ax = plots.plot_bode(*pair, omega=np.geomspace(0.5, 300.0, 500), ax=Figure().add_subplot())
+
+    (below,) = [other for other in ax.figure.axes if "arg" in other.get_ylabel()]
+    damped, growing = (np.asarray(line.get_ydata(), np.float64) for line in below.lines)
+    np.testing.assert_allclose(growing[-100:], damped[-100:], atol=1.0)
+
+
+def test_figures_name_a_run_where_it_is_known(recording: Recording) -> None:
+    """As `armrig ls` does; elsewhere the hash."""
+    with named_by_run({recording.sha256: "0000000b"}):
+        inside = plots.plot_data(recording, ax=Figure().add_subplot())
+    outside = plots.plot_data(recording, ax=Figure().add_subplot())
+
+    assert inside.get_title("right") == "recording @0000000b"
+    assert outside.get_title("right") == f"recording {recording.short_hash}"
+
+
+def test_a_test_s_figure_names_its_level_and_band(plant: HandoutPlant) -> None:
+    """So does the delay's, and each line in it has a name."""
+    data = plant.dataset(1)
+    loop = armrig.open_loop(data).plot(ax=Figure().add_subplot())
+    late = armrig.delay(data).plot(ax=Figure().add_subplot())
+
+    legend = loop.axes[0].get_legend()
+    assert legend is not None
+    assert "level 5\xa0%" in legend.get_title().get_text().replace("\n", " ")
+    assert len(said(loop.axes[0])) == 2
+    assert [len(said(ax)) for ax in late.axes] == [2, 3]
+
+
+def test_each_line_of_a_step_and_of_a_sampling_time_has_a_name(done: Study) -> None:
+    """The steady speed and the initial slope, and the level of −3 dB."""
+    step = plots.plot_physical_step(ax=Figure().add_subplot())
+    sampling = armrig.sampling_time(done.estimation).plot(ax=Figure().add_subplot())
+
+    assert said(step)[-1] == "steady speed and initial slope, handout"
+    assert "−3 dB" in said(sampling.axes[1])
+
+
 def test_the_bode_plot_has_hertz_above(done: Study) -> None:
     """Its own axis in rad/s, and Hz where 2 pi of them stand."""
     ax = plots.plot_bode(done.best.fit, ax=Figure().add_subplot())
@@ -347,7 +408,7 @@ def test_a_ramp_is_shown_without_its_slope(done: Study, recording: Recording) ->
     slope, _ = np.polyfit(recording.t[recording.valid], recording.theta_1[recording.valid], 1)
     shown = np.asarray(ax.lines[0].get_ydata(), dtype=np.float64)
     np.testing.assert_allclose(shown, recording.theta_1 - slope * recording.t, atol=1e-9)
-    assert f"{slope:.3g} $t$ [rad]" in ax.get_ylabel()
+    assert f"{slope:.3g} $t$\n[rad]" in ax.get_ylabel()
     legend = ax.get_legend()
     assert legend is not None
     explained = legend.get_title().get_text().replace("\xa0", " ")
@@ -400,7 +461,7 @@ def test_a_test_of_residuals_and_a_comparison_show_themselves(done: Study) -> No
     compared = compare(data, fit, labels=["mine"]).plot(ax=Figure().add_subplot())
 
     assert [ax.get_ylabel() for ax in tested.axes] == ["$r_e$(lag)", "$r_{eu}$(lag)"]
-    assert compared.axes[1].get_ylabel().startswith("minus mine")
+    assert said(compared.axes[1]) == ["measured − mine"]
     assert tested.axes[0].get_title("right") == compared.axes[0].get_title("right") != ""
 
 
@@ -417,7 +478,7 @@ def test_residuals_name_the_levels_of_band_and_test(done: Study) -> None:
 
 
 def test_a_stretched_axis_says_so_and_its_numbers_stand_apart(done: Study) -> None:
-    """The label gives where the logarithm begins, and no number covers another in a low panel."""
+    """The legend gives where the logarithm begins; nothing covers another in a low panel."""
     figure = Figure(figsize=(6.4, 2.6), layout="constrained")
     models = _models(done)
     far = replace(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
@@ -427,9 +488,44 @@ def test_a_stretched_axis_says_so_and_its_numbers_stand_apart(done: Study) -> No
     below = figure.axes[1]
     heights = [text.get_window_extent() for text in below.get_yticklabels()]
     assert below.get_yscale() == "symlog"
-    assert "log\nbeyond ±" in below.get_ylabel()
+    legend = below.get_legend()
+    assert legend is not None
+    assert "scale logarithmic beyond ±" in legend.get_title().get_text()
     assert len(heights) >= 3
     assert all(low.y1 <= high.y0 for low, high in pairwise(heights))
+
+
+def test_the_labels_of_a_comparison_stand_apart(done: Study) -> None:
+    """In a figure as low as a command's subject, with the name of a model in its legend."""
+    figure = Figure(figsize=(6.3, 2.8), layout="constrained")
+    plots.plot_compare(
+        done.validation, done.best.fit, labels=["OE[4 4 1]"], ax=figure.add_subplot()
+    )
+    FigureCanvasAgg(figure).draw()
+
+    upper, lower = (ax.yaxis.label.get_window_extent() for ax in figure.axes)
+    assert lower.y1 < upper.y0
+
+
+def test_the_numbers_of_a_stretched_axis_reach_near_its_end(plant: HandoutPlant) -> None:
+    """A number at 0.01 alone says nothing of an error of 0.08."""
+    ax = Figure().add_subplot()
+    data = plant.dataset(1, 600)
+    rows = [Line("near", 0.003, data.y + 0.003), Line("far", 0.08, data.y + 0.08)]
+
+    plot_comparison(data, rows, ax=ax)
+
+    ticks = ax.figure.axes[1].get_yticks()
+    assert float(np.max(ticks)) == pytest.approx(0.05)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A model's output in a comparison."""
+
+    name: str
+    rms_error: float
+    y: np.ndarray
 
 
 def test_identical_errors_need_no_logarithm(done: Study) -> None:

@@ -101,7 +101,7 @@ def without_ramp(data: Signals) -> tuple[Vector, str, tuple[str, ...]]:
     if not left < (1 - _RAMP) * np.var(data.y[seen]):
         return none
     name, digits = NAMES.get(data.output, data.output), minus(f"{abs(slope):.3g}")
-    label = f"{name} {'−' if slope > 0 else '+'} {digits} $t$ [{data.unit or '–'}]"
+    label = f"{name} {'−' if slope > 0 else '+'} {digits} $t$\n[{data.unit or '–'}]"
     rate = f"{minus(f'{slope:.3g}')}{NBSP}{f'{data.unit}/s' if data.unit else 'per s'}"
     return slope * data.t, label, (f"{name} less its mean rate, {rate}",)
 
@@ -137,6 +137,7 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
 
     data = _signals(source)
     ax, below = panels(ax, 0.5)
+    notes: list[str] = []
     for panel, signals, colour, label, unit in (
         (ax, [d.y for d in data.experiments()], BLUE, data.output, data.unit),
         (below, [d.u for d in data.experiments()], INK, "$u$", data.input_unit),
@@ -148,6 +149,7 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
         panel.set_xscale("log")
         panel.set_yscale("log")
         panel.set_ylabel(f"{NAMES.get(label, label)} [{squared(unit)}s/rad]")
+        notes.append(f"power density of {NAMES.get(label, label)}")
         bare_minor(panel.xaxis, panel.yaxis)
         shown = density[density > 0]
         if shown.size:
@@ -155,7 +157,8 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
             panel.set_ylim(max(float(shown.min()), 1e-12 * float(shown.max())) / 2, None)
     below.set_xlabel(r"$\omega$ [rad/s]")
     finish(ax, below, xlim=(float(omega[0]), np.pi / data.Ts))
-    return sign(ax, data.source, above=hertz(ax))
+    legend(below, notes[1])
+    return sign(ax, data.source, above=legend(ax, notes[0], lift=hertz(ax)))
 
 
 def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:

@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+_CHANCE = 150.0  # degrees, from which on a turn at once may have either sign
+_AT_ONCE = 4  # steps of the frequencies that are drawn
 _DOTS = 40  # at which an estimate without a structure is shown
 
 
@@ -74,19 +76,18 @@ def plot_bode(
     )
     ax, below = panels(ax, 0.42)
     levels: list[NDArray[np.float64]] = []
-    curves = [m for m in models if not isinstance(m, SpectralEstimate)]
-    pen = iter(pens(len(curves)))
+    named = list(zip(models, labels_of(models, labels), strict=True))
+    curves = [one for one in named if not isinstance(one[0], SpectralEstimate)]
     sampled: dict[str, Draws | None] = {}
-    for model, name in zip(models, labels_of(models, labels), strict=True):
+    for (model, name), pen in zip(curves, pens(len(curves)), strict=True):
+        level, sampled[name] = _curve(ax, below, model, name, w, pen)
+        levels.append(level)
+    for model, name in named:
         if isinstance(model, SpectralEstimate):
             levels.append(_dots(ax, below, model, name if labels else _method(model), w))
-        else:
-            level, sampled[name] = _curve(ax, below, model, name, w, next(pen))
-            levels.append(level)
     ax.set_xscale("log")
     _limit_level(ax, np.concatenate(levels))
-    below.set_ylim(-365, 5)
-    below.set_yticks([-360, -270, -180, -90, 0])
+    _limit_phase(below)
     ax.set_ylabel(f"$|G|$ [dB re 1 {gain_unit(models)}]")
     below.set_ylabel("arg $G$ [°]")
     below.set_xlabel(r"$\omega$ [rad/s]")
@@ -183,6 +184,11 @@ def _dots(
     at = _spread(w, np.flatnonzero(known))
     w, G = w[at], estimate.G[at]
     magnitude, level, phase = np.abs(G), decibels(G), _phase(G)
+    if below.lines and w.size:
+        # The turn of the last model: noise would unwrap the dots to anywhere.
+        curve = np.asarray(below.lines[-1].get_xydata(), np.float64)
+        near = np.interp(w, *curve[np.isfinite(curve).all(axis=1)].T)
+        phase = phase + 360 * np.round((near - phase) / 360)
     std = np.nan_to_num(estimate.std_magnitude[at]), np.nan_to_num(estimate.std_phase[at])
     down = level - decibels(np.maximum(magnitude - HALF_WIDTH * std[0], magnitude * 1e-3))
     up = decibels(magnitude + HALF_WIDTH * std[0]) - level
@@ -222,13 +228,35 @@ def _response(
 
 
 def _phase(G: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the phase as a lag, -360° to 0°, with NaN where it passes from one end to the other.
+    """Return the phase as a lag without jumps by 360°, begun between -360° and 0°.
 
-    Not without jumps: at an undamped zero it jumps by 180°, and whether up or down is chance.
+    At a zero that is hardly damped it turns by 180° at once, and whether up or down is chance:
+    to where it stays between -360° and 0°.
     """
     phase = np.degrees(np.angle(G)) % 360 - 360
-    phase[1:][np.abs(np.diff(phase)) > 300] = np.nan
+    for k in range(1, phase.size):
+        step = (phase[k] - phase[k - 1] + 180) % 360 - 180
+        if np.abs(step) < _CHANCE:
+            phase[k] = phase[k - 1] + step
+    for k in range(phase.size - _AT_ONCE):
+        begin, end = phase[k], phase[k + _AT_ONCE]
+        turns = np.ceil(end / 360)
+        if turns and -360 <= begin <= 0 and np.abs(end - begin) > _CHANCE:
+            phase[k + 1 : k + _AT_ONCE] = np.nan
+            phase[k + _AT_ONCE :] -= 360 * turns
     return np.asarray(phase)
+
+
+def _limit_phase(ax: Axes) -> None:
+    """Limit an axis of phases to the quarter turns that its curves and dots reach."""
+    shown = np.concatenate([np.asarray(line.get_ydata(), np.float64) for line in ax.lines])
+    shown = shown[np.isfinite(shown)]
+    if shown.size:
+        first, last = np.floor(shown.min() / 90), np.ceil(shown.max() / 90)
+        last = max(last, first + 1)
+        ticks = 90 * np.arange(first, last + 1)
+        ax.set_yticks(ticks[:: -(-ticks.size // 6)])
+        ax.set_ylim(90 * first - 5, 90 * last + 5)
 
 
 def _limit_level(ax: Axes, level: NDArray[np.float64]) -> None:

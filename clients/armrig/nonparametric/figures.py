@@ -184,7 +184,9 @@ def plot_impulse(response: Response, *, level: float = 0.99, ax: Axes | None = N
     ax.set_ylabel(f"$g$ of {rate}\n[{_gain(response, rate=response.integrator)}]")
     how = f"{response.kernel.upper()} kernel" if response.kernel else "least squares"
     finish(*(p for p in (ax, below) if p is not None))
-    return sign(ax, response.source, above=legend(ax, how))
+    if below is not None:
+        legend(below, f"running sum: impulse response of {_name(response.output)}")
+    return sign(ax, response.source, above=legend(ax, f"impulse response of {rate}, by {how}"))
 
 
 def plot_correlation(result: Correlated, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
@@ -203,11 +205,11 @@ def plot_correlation(result: Correlated, *, level: float = 0.99, ax: Axes | None
 def plot_step_analysis(result: Step, *, ax: Axes | None = None) -> Axes:
     """Show the mean answer to a unit step with final value, dead time and 63 % time."""
     ax = axes(ax)
-    ax.plot(result.t, result.y, ".", color=GREY, ms=2.5, label="mean of the steps")
+    ax.plot(result.t, result.y, ".", color=GREY, ms=2.5, label="measured, mean of all steps")
     t, y, std = (np.append(0.0, x) for x in (result.smooth_t, result.smooth, result.smooth_std))
-    ax.fill_between(t, y - 2 * std, y + 2 * std, color=SKY, alpha=0.4, lw=0, label="95 %")
+    ax.fill_between(t, y - 2 * std, y + 2 * std, color=SKY, alpha=0.4, lw=0, label="smoothed, 95 %")
     ax.plot(t, y, color=BLUE, lw=1.1, label="smoothed from the step on")
-    ax.axhline(result.gain, color=INK, lw=0.8, ls=":", label=f"gain {result.gain:.3g}")
+    ax.axhline(result.gain, color=INK, lw=0.8, ls=":", label=f"final value {result.gain:.3g}")
     at = result.dead_time + result.tau
     level = (1 - np.exp(-1)) * result.gain
     if result.dead_time > 0:
@@ -233,24 +235,24 @@ def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
     ax.plot(t, response, color=BLUE, lw=1.1, label="step response, smoothed")
     grid = np.arange(0.0, min(end, float(result.t[-1])), result.Ts)
     dots = np.interp(grid, t, response)
-    name = rf"every {1e3 * result.Ts:g} ms"
+    name = rf"recommended samples, every {1e3 * result.Ts:g} ms"
     ax.plot(grid, dots, "o", color=VERMILION, ms=2.6, label=name)
-    ax.axhspan(0.95, 1.05, color=GREY, alpha=0.25, lw=0, label="±5 %")
-    ax.axhline(1 - np.exp(-1), color=INK, lw=0.7, ls=":", label="63 %")
+    ax.axhspan(0.95, 1.05, color=GREY, alpha=0.25, lw=0, label="final value ±5 %")
+    ax.axhline(1 - np.exp(-1), color=INK, lw=0.7, ls=":", label="63 % of it")
     ax.set_xlim(0, end)
     ax.set_xlabel("$t$ [s]")
-    ax.set_ylabel("of the final value")
+    ax.set_ylabel("response over\nits final value")
     s = result.spectrum
     # Where it is hardly more than its deviation it is noise, and no part of the band.
     known = np.isfinite(s.G) & (s.magnitude > 2 * np.nan_to_num(s.std_magnitude))
     relative = np.where(known, s.magnitude, np.nan) / result.gain
-    below.plot(s.omega, relative, color=BLUE, lw=1.1, label="$|G|$ over the gain")
-    below.plot(result.omega, result.power, color=GREY, lw=0.8, ls="--", label="output's power")
-    below.axhline(np.sqrt(0.5), color=INK, lw=0.7, ls=":")
+    below.plot(s.omega, relative, color=BLUE, lw=1.1, label="$|G|$, relative")
+    below.plot(result.omega, result.power, color=GREY, lw=0.8, ls="--", label="power of the output")
+    below.axhline(np.sqrt(0.5), color=INK, lw=0.7, ls=":", label="−3 dB")
     for w, name, colour, dash in (
-        (result.omega_step, r"$1/\tau$", GREEN, "-."),
-        (result.omega_spectrum, "−3 dB", VERMILION, "--"),
-        (np.pi / result.Ts, r"$\pi/T_s$", INK, "-"),
+        (result.omega_step, r"$1/\tau$ of the step", GREEN, "-."),
+        (result.omega_spectrum, "bandwidth of $|G|$", VERMILION, "--"),
+        (np.pi / result.Ts, r"Nyquist $\pi/T_s$", INK, "-"),
     ):
         below.axvline(w, color=colour, ls=dash, lw=1.0, label=name)
     below.set_xscale("log")
@@ -259,7 +261,7 @@ def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
     drawn = drawn[drawn > LEAST_POWER]
     below.set_ylim(0.5 * float(drawn.min()), 2 * float(drawn.max()))
     below.set_xlabel(r"$\omega$ [rad/s]")
-    below.set_ylabel("relative")
+    below.set_ylabel("relative magnitude")
     bare_minor(below.yaxis)
     finish(ax)
     finish(below, xlim=(float(s.omega[0]), max(float(s.omega[-1]), 1.2 * np.pi / result.Ts)))
@@ -274,7 +276,7 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
     known = np.isfinite(s.G) & (s.omega > 0)
     w, magnitude = s.omega[known], s.magnitude[known]
     trusted = max(hints.trusted, float(w[0]))
-    ax.plot(w, decibels(magnitude), color=BLUE, lw=1.1, label="$|G|$")
+    ax.plot(w, decibels(magnitude), color=BLUE, lw=1.1, label="$|G|$, spectral analysis")
     for slope, at, name, dash in (
         (hints.low_slope, float(w[0]), "low", "--"),
         (hints.high_slope, trusted / 2, "high", "-."),
@@ -284,7 +286,7 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
         reach = at * np.array([1.0, 4.0]) if name == "low" else at * np.array([0.6, 2.0])
         level = float(np.interp(at, w, magnitude)) * (1.6 if name == "low" else 1.9)
         line = level * (reach / at) ** (slope / 20)
-        text = f"{minus(f'{slope:.0f}')} dB/decade"
+        text = f"slope {minus(f'{slope:.0f}')} dB/decade"
         ax.plot(reach, decibels(line), color=INK, ls=dash, lw=1.0, label=text)
     for marks, marker, name in (
         (hints.resonances, "^", "resonance"),
@@ -295,7 +297,7 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
             at_marks = decibels(np.interp(x, w, magnitude))
             ax.plot(x, at_marks, marker, color=VERMILION, ms=6, ls="none", label=name)
     unexplained = (trusted, max(float(w[-1]), trusted))
-    ax.axvspan(*unexplained, color=GREY, alpha=0.2, lw=0, label="unexplained by the input")
+    ax.axvspan(*unexplained, color=GREY, alpha=0.2, lw=0, label="not explained by the input")
     ax.set_xscale("log")
     seen = decibels(magnitude[w <= trusted])
     ax.set_ylim(float(seen.min()) - 12, float(decibels(magnitude).max()) + 12)
@@ -305,7 +307,7 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
     values = hints.singular_values[:12]
     index = np.arange(1, values.size + 1)
     below.bar(index, values, color=SKY, edgecolor=BLUE, lw=0.5)
-    name = "what uncertainty alone makes (95 %)"
+    name = "from noise alone, 95 %"
     below.axhline(hints.threshold, color=VERMILION, ls="--", lw=1.0, label=name)
     below.set_yscale("log")
     below.set_xticks(index)

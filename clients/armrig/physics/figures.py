@@ -108,19 +108,20 @@ def plot_physical_step(
         top = max(top, float(speed.max()))
         found = characteristics(p)
         steady, slope = u * found.steady_speed, u * found.initial_slope
-        text = f"{_in_symbols(label)}: {steady:.4f} rad/s, slope {slope:.2f} rad/s²"
+        text = f"{_in_symbols(label)}: steady {steady:.4f} rad/s, initial slope {slope:.2f} rad/s²"
         ax.plot(t, speed, label=text, **pen)
     first = characteristics(next(iter(cases.values())))
     steady = first.steady_speed * u
     top = max(top, steady)
     rise = np.array([0.0, 1.08 * top / (first.initial_slope * u)])
-    ax.plot(rise, first.initial_slope * u * rise, color=GREY, ls="-", lw=0.8)
+    label = f"steady speed and initial slope, {_in_symbols(next(iter(cases)))}"
+    ax.plot(rise, first.initial_slope * u * rise, color=GREY, ls="-", lw=0.8, label=label)
     ax.axhline(steady, color=GREY, ls="-", lw=0.8)
     ax.set_ylim(0.0, 1.08 * top)
     ax.set_xlabel("$t$ [s]")
     ax.set_ylabel(r"$\dot\theta_1$ [rad/s]")
     finish(ax, xlim=(0.0, seconds))
-    legend(ax)
+    legend(ax, f"step of {u:g} V from rest")
     return ax
 
 
@@ -150,7 +151,7 @@ def plot_sensitivities(
     for (name, alike), pen in zip(drawn.items(), pens(len(drawn)), strict=True):
         ax.plot(t, 10 * by[name], label=", ".join(map(symbol, alike)), **(pen | {"lw": 1.3}))
     ax.set_xlabel("$t$ [s]")
-    ax.set_ylabel("$\\dot\\theta_1$ for 1 % more [mrad/s]")
+    ax.set_ylabel("change of $\\dot\\theta_1$ [mrad/s]")
     finish(ax, xlim=(0.0, seconds))
-    legend(ax)
+    legend(ax, "change if one parameter is 1 % larger")
     return ax

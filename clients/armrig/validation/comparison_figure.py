@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
 
 
+_NAMED = 3  # models, up to which each difference has a name; the pens are those above
+_APART = 16.0  # points between two numbers, before a layout takes some of the height
+
+
 class Compared(Protocol):
     """One model in it: see `armrig.validation.comparison.Comparison`, whose fields say more."""
 
@@ -45,11 +49,11 @@ def plot_comparison(
     """Show measured output and models, and what tells the models apart.
 
     Below are data and other models less the best model, which has the least rms error: the data as
-    dots, so that what hides in their noise shows. Where another model is far worse, the scale is
-    linear up to about three times the best error and logarithmic beyond, as its label says.
+    dots, so that what hides in their noise shows. If another model is far worse, the scale is
+    linear up to about three times the best error and logarithmic beyond, as its legend says.
     What is a ramp and little else is shown without it: see `armrig.data.figures.without_ramp`.
     """
-    ax, below = panels(ax, 0.42)
+    ax, below = panels(ax, 0.5)
     names = labels or [row.name for row in compared]
     best = min(range(len(compared)), key=lambda i: _size(compared[i].rms_error))
     reference = compared[best].y
@@ -59,8 +63,11 @@ def plot_comparison(
         text = f"{name}, rms error {error(row.rms_error, data.unit)}"
         ax.plot(data.t, row.y - ramp, label=text, **pen)
         if i != best:
-            below.plot(data.t, row.y - reference, **(pen | {"lw": 0.6 * pen["lw"]}))
+            thin = pen | {"lw": 0.6 * pen["lw"]}
+            difference = f"{name} − {names[best]}" if len(names) <= _NAMED else None
+            below.plot(data.t, row.y - reference, label=difference, **thin)
     below.plot(data.t, data.y - reference, ".", color=GREY, ms=1.2, zorder=3)
+    below.plot([], [], ".", color=GREY, ms=5, label=f"measured − {names[best]}")
     below.axhline(0, color=INK, lw=0.6)
     linear = _limit_errors(below, data, compared, best)
     # Not autoscaled: where nothing was measured a model's initial transient may be anywhere.
@@ -72,10 +79,11 @@ def plot_comparison(
         min(all_[1], measured[1] + span) + 0.05 * span,
     )
     ax.set_ylabel(label)
-    stretched = f", log\nbeyond ±{linear:g}" if linear else ""
-    below.set_ylabel(f"minus {names[best]}\n[{data.unit or '–'}]{stretched}")
+    below.set_ylabel(f"difference\n[{data.unit or '–'}]")
     below.set_xlabel("$t$ [s]")
-    for panel in (ax, below):
+    unit = f" {data.unit}" if data.unit else ""
+    legend(below, *([f"scale logarithmic beyond ±{linear:g}{unit}"] if linear else []))
+    for panel in (ax, below):  # named in the upper legend alone
         shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
     return sign(ax, data.source, above=legend(ax, *notes))
@@ -94,9 +102,13 @@ def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Compared], best: int) 
     largest = max(float(np.nanmax(e, initial=linear)) for e in others if np.isfinite(e).any())
     ax.set_yscale("symlog", linthresh=linear, linscale=1.0)
     ax.set_ylim(-2 * largest, 2 * largest)
-    # Numbers at 0 and at the ends alone: the panel may be as low as three lines of text.
-    highest = max(10.0 ** np.floor(np.log10(largest)), linear)
-    ticks = (-highest, 0, highest)
+    # The panel may be as low as three lines of text: where the logarithm begins has a number if
+    # it stands apart from 0 and from the end.
+    steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.floor(np.log10(largest))
+    highest = max(float(steps[steps <= largest].max(initial=0.0)), linear)
+    places = ax.transData.transform([(0.0, 0.0), (0.0, linear), (0.0, highest)])[:, 1]
+    apart = np.diff(places).min() * 72 / ax.figure.dpi > _APART
+    ticks = (-highest, -linear, 0, linear, highest) if apart else (-highest, 0, highest)
     ax.set_yticks(ticks, [minus(f"{v:g}") for v in ticks])
     decades = 10.0 ** np.arange(np.ceil(np.log10(linear)), np.log10(highest))
     ax.set_yticks([*-decades, -linear, linear, *decades], minor=True)

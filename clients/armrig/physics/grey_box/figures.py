@@ -150,7 +150,9 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
         place = x + np.arange(s.k)
         value, std = (part / size for part in s.pooled)
         bars: dict[str, Any] = {"fmt": "o", "color": BLUE, "ms": 4, "lw": 1.0, "capsize": 3}
-        each, all_ = ("each part ±2 σ", "all parts ±2 σ") if not ticks else (None, None)
+        each, all_ = (
+            ("each part ±2 σ", "weighted mean of the parts ±2 σ") if not ticks else (None, None)
+        )
         ax.errorbar(place, s.values / size, 2 * s.std / size, label=each, **bars)
         edge = (place[0] - 0.4, place[-1] + 0.4)
         band: dict[str, Any] = {"color": VERMILION, "alpha": 0.2, "lw": 0, "label": all_}
@@ -164,8 +166,8 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     reported = np.concatenate([s.std for s in study.splits]) / of_std
     line = np.geomspace(N.min() / 1.2, N.max() * 1.2, 20)
     law = float(np.mean(reported * np.sqrt(N)))
-    below.plot(line, law / np.sqrt(line), color=GREY, ls="--", lw=1.0, label=r"$1/\sqrt{N}$")
-    below.plot(N, reported, "o", color=BLUE, ms=4, label="reported")
+    below.plot(line, law / np.sqrt(line), color=GREY, ls="--", lw=1.0, label=r"law $1/\sqrt{N}$")
+    below.plot(N, reported, "o", color=BLUE, ms=4, label="σ of each estimate")
     several = [s for s in study.splits if s.k > 2]
     if several:
         scatter = np.array([s.scatter for s in several]) / of_std
@@ -180,7 +182,7 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
             mew=1.5,
             lw=1.0,
             capsize=3,
-            label="scatter of parts, 95 %",
+            label="scatter of the parts, 95 % interval",
         )
     below.set_xscale("log")
     below.set_yscale("log")

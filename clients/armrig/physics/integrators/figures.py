@@ -100,9 +100,9 @@ def plot_convergence(studies: Sequence[Convergence], *, ax: Axes | None = None) 
     ax.set_yscale("log")
     ax.set_ylim(top=30 * max([*tops, 1e-12]))
     ax.set_xlabel("step $h$ [s]")
-    ax.set_ylabel("largest error, share of each state")
+    ax.set_ylabel("largest error of a state,\nover its largest value")
     finish(ax)
-    legend(ax, "dotted upright: stability limit")
+    legend(ax, "dotted: largest stable step of each method")
     return ax
 
 
@@ -175,7 +175,7 @@ def plot_solution(
     if finite:
         below.set_ylim(-1.2 * max(finite), 1.2 * max(finite))
     ax.set_ylabel(label)
-    below.set_ylabel(f"error{label[label.rfind(' [') :]}" if " [" in label else "error")
+    below.set_ylabel(f"error\n{label[label.rfind(' [') + 1 :]}" if " [" in label else "error")
     below.set_xlabel("$t$ [s]")
     finish(ax, below, xlim=(0.0, end))
     legend(ax, *([f"$h$ = {_in_ms(steps[names[0]])}"] if one else []))

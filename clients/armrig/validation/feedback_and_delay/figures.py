@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.canvas import BLUE, GREY, INK, NAMES, VERMILION, axes, finish, legend, panels, sign
-from armrig.numerics.quantities import p_relation
+from armrig.numerics.quantities import NBSP, p_relation
 from armrig.validation.residual_figure import BAND_99_PERCENT
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ class FeedbackTest(Protocol):
     def verdict(self) -> str: ...  # noqa: D102
     @property
     def p_value(self) -> float: ...  # noqa: D102
+    @property
+    def level(self) -> float: ...  # noqa: D102
     @property
     def sims(self) -> Sims | None: ...  # noqa: D102
     @property
@@ -76,12 +78,17 @@ def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
     ax.set_ylabel(
         f"coefficient of $u$ in {name}\n[{result.unit or '–'}/{result.input_unit or '–'}]"
     )
-    ax.axvspan(float(result.sims.lags[0]) - 0.5, 0.5, color=VERMILION, alpha=0.07, lw=0)
+    first = float(result.sims.lags[0]) - 0.5
+    label = f"tested: the input after {name} was read"
+    ax.axvspan(first, 0.5, color=VERMILION, alpha=0.07, lw=0, label=label)
     ax.axvline(0.5, color=GREY, lw=0.6, ls=":")
-    ax.set_xlabel("lag [samples]; shaded: y was read first")
+    ax.set_xlabel("lag of the input [samples]")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     finish(ax)
-    test = f"Sims' F-test: p {p_relation(result.p_value)}, {result.verdict}"
+    test = (
+        f"{result.verdict} (Sims' F-test: p {p_relation(result.p_value)}, "
+        f"level {100 * result.level:g}{NBSP}%)"
+    )
     return sign(ax, result.source, above=legend(ax, test))
 
 
@@ -91,18 +98,18 @@ def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
     last = result.nk + _BEYOND
     _response(ax, result.response, 0, last)
     for panel in (ax, below):
-        panel.axvline(result.nk, color=GREY, lw=0.8, ls="--")
+        panel.axvline(result.nk, color=GREY, lw=0.8, ls="--", label=result.nk_range)
     nk, V = np.array(list(result.arx_loss)), np.array(list(result.arx_loss.values()))
     best = float(V.min())
     rise = result.response.N * np.log(V / best) if best > 0 else np.zeros(V.size)
-    below.plot(nk, rise, marker="o", ms=4, lw=0.8, color=BLUE, label="ARX", mfc="none")
-    below.axhline(CHI2_95_PERCENT, color=GREY, lw=0.8, ls=":", label="95 %")
+    below.plot(nk, rise, marker="o", ms=4, lw=0.8, color=BLUE, label="ARX model", mfc="none")
+    below.axhline(CHI2_95_PERCENT, color=GREY, lw=0.8, ls=":", label="not worse, 95 %")
     below.set_yscale("symlog", linthresh=10)
     below.set_yticks([0, 10, 100, 1000, 10000], ["0", "10", "100", "1000", "10000"])
     below.set_ylim(bottom=-1)
     below.minorticks_off()
-    below.set_ylabel("$N$ ln(loss/least)")
-    below.set_xlabel("nk [samples]")
+    below.set_ylabel("$N$ ln(loss/least loss)")
+    below.set_xlabel("nk of the model [samples]")
     for panel in (ax, below):
         panel.set_xticks(range(last + 1))
         panel.set_xlim(-0.5, last + 0.5)
@@ -110,7 +117,7 @@ def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
     finish(ax)
     finish(below)
     legend(below)
-    return sign(ax, result.source, above=legend(ax, result.nk_range))
+    return sign(ax, result.source, above=legend(ax))
 
 
 def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> None:
@@ -129,7 +136,14 @@ def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, std: Vector) -> None:
     """Show coefficients with their 99 % band about zero."""
     band = BAND_99_PERCENT * std
     ax.fill_between(
-        lags, -band, band, step="mid", color=GREY, alpha=0.3, lw=0, label="99 %, if there is none"
+        lags,
+        -band,
+        band,
+        step="mid",
+        color=GREY,
+        alpha=0.3,
+        lw=0,
+        label="99 % band of a coefficient that is 0",
     )
     ax.vlines(lags, 0, g, color=BLUE, lw=1.0)
     ax.plot(lags, g, "o", color=BLUE, ms=3.5)
