@@ -62,6 +62,20 @@ def early_ends(recordings: Sequence[Recording]) -> list[str]:
     ]
 
 
+def different_calibrations(recordings: Sequence[Recording]) -> list[str]:
+    """Return which recordings were made with which calibration; nothing if all have the same."""
+    of: dict[tuple[object, ...] | None, list[str]] = {}
+    for r in recordings:
+        of.setdefault(_values(r), []).append(r.path.name)
+    if len(of) < 2:
+        return []
+    groups = "; ".join(listed(names) for names in of.values())
+    return [
+        f"The recordings were made with {len(of)} different calibrations ({groups}): their angles "
+        "and voltages do not compare. Read all with one, `--calibration FILE`."
+    ]
+
+
 def doubts_of_estimation(recording: Recording) -> list[str]:
     """Return what speaks against estimating a model of any order from a recording."""
     kind = recording.manifest.experiment.partition("-")[0]

@@ -10,7 +10,7 @@ from string import ascii_lowercase
 from typing import Any
 
 from armrig.numerics.quantities import error, percent
-from armrig.recordings.doubts import emulation
+from armrig.recordings.doubts import different_calibrations, emulation
 from armrig.report.conclusions import abstract, conclusions
 from armrig.report.data_facts import data_text, treatment
 from armrig.report.figures import DETAIL_S, write_figures
@@ -23,7 +23,14 @@ from armrig.report.model_facts import (
     residual_rows,
     structure,
 )
-from armrig.report.recording_facts import disturbance_rows, facts, role, shared_facts, timing_rows
+from armrig.report.recording_facts import (
+    disturbance_rows,
+    facts,
+    role,
+    run_name,
+    shared_facts,
+    timing_rows,
+)
 from armrig.report.study import STEP, Study, kind_of
 from armrig.report.typesetting import recorded, source_folder, typeset
 
@@ -87,6 +94,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
             for r in study.recordings
         ],
         "facts": facts(study),
+        "warnings": different_calibrations(study.recordings),
         "remarks": [*emulation(study.recordings), *remarks, *truncated],
         "chain": shared_facts(study),
         "timing": [*timing_rows(study.timing), *disturbance_rows(study.disturbances)],
@@ -121,12 +129,14 @@ def _step_caption(study: Study) -> str | None:
         return None
     return (
         f"(a) Chassis angle after a step of the motor's voltage (b); recording "
-        f"{steps[0].short_hash}."
+        f"{run_name(steps[0])}."
     )
 
 
 def _captions(study: Study) -> dict[str, str]:
-    estimation, validation = study.estimation.source[:12], study.validation.source[:12]
+    estimation, validation = (
+        run_name(study.recording_of(data.source)) for data in (study.estimation, study.validation)
+    )
     marks = ascii_lowercase[: 2 * len(study.estimated)]
     halves = ": first and second half of one recording" if study.halves else ""
     return {
@@ -138,13 +148,13 @@ def _captions(study: Study) -> dict[str, str]:
         f"{study.note[0].upper()}{study.note[1:]}.",
         "compare": "(a) Angle measured and simulated on the validation data (recording "
         f"{validation}), less the ramp of its mean speed; (b) data (dots) and models less the best "
-        "model, on a scale that is linear in the middle and, where another model is far off, "
-        "logarithmic beyond.",
+        "model. If another model is far off, the scale is logarithmic beyond the limit named "
+        "there.",
         "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle from differences (recording "
         f"{validation}). The models are simulated from the beginning of the data, as above.",
         "bode": "Frequency response from voltage to angle, with 95 % bands, linearised or, where "
         "that is poor, sampled from the covariance of the parameters; dots: spectral analysis of "
-        f"the estimation data, 95 % bars. Recording {estimation}. Phase modulo 360°.",
+        f"the estimation data, 95 % bars. Recording {estimation}.",
         "step_poles": "(a) Answer to a unit step with 95 % bands; (b) poles (×) and zeros "
         "(○) with 95 % regions (bars for real roots, ellipses, dotted where sampled); a square "
         "holds a pole and a zero that cannot be told apart (1 %). "

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig.numerics.quantities import milliseconds
-from armrig.recordings.doubts import early_ends, emulation
+from armrig.recordings.doubts import different_calibrations, early_ends, emulation
 from armrig.report.answers import Answers
 from armrig.report.conclusions import calibration_sentences
 from armrig.report.handout_figures import write_handout_figures
@@ -19,6 +19,7 @@ from armrig.report.handout_study import HandoutStudy
 from armrig.report.identification_sections import identification_sections
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.questions import QUESTIONS
+from armrig.report.recording_facts import run_name
 from armrig.report.section import Section
 from armrig.report.typesetting import ReportError, recorded, source_folder, typeset
 
@@ -98,12 +99,15 @@ def _values(
         "recordings": [
             (
                 r.path.name,
-                r.manifest.experiment,
-                f"{r.N} at {milliseconds(r.Ts)}, {r.missing} missing",
+                run_name(r),
+                f"{r.N} at {milliseconds(r.Ts)}",
+                str(r.missing),
+                str(r.hidden),
                 r.short_hash,
             )
             for r in study.recordings
         ],
+        "warnings": different_calibrations(study.recordings),
         "remarks": [
             *emulation(study.recordings),
             *early_ends(study.recordings),

@@ -141,7 +141,12 @@ def _black_box(study: HandoutStudy) -> Section:
             f"The {best.name} model: simulated on data that it has not seen{halves} it is off by "
             f"{error(best.comparison.rms_error, black.validation.unit)} rms. It is estimated from "
             f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}, "
-            "those whose errors are known; ± is one standard deviation.",
+            "those whose angle and past are known; ± is one standard deviation.",
+            f"The equation is that of the {best.name} model, in the delay q⁻¹ and white noise "
+            f"e(t); the table has the coefficients of its polynomials.{_fixed_root(black)} The "
+            "rms error is that of the simulated angle on the validation data. p white and p "
+            "dynamics are the p values of two tests of the residuals: that they are white, and "
+            "that past input does not explain them. Below 0.01 they speak against the model.",
         ),
         formula=typst_form(best.fit),
         table=Table(
@@ -150,6 +155,17 @@ def _black_box(study: HandoutStudy) -> Section:
         figure="residuals",
         caption=f"Residuals of the {best.name} model on validation data: correlation "
         "with themselves (a) and with the input (b).",
+    )
+
+
+def _fixed_root(black: Study) -> str:
+    """Return which models integrate by construction."""
+    names = [m.name for m in black.estimated if m.fit.integrator]
+    if not names:
+        return ""
+    return (
+        f" {listed(names)} {'has' if len(names) == 1 else 'have'} the factor 1 − q⁻¹, the "
+        "integrator from speed to angle: its root at 1 is fixed, not estimated."
     )
 
 
@@ -186,6 +202,9 @@ def _comparison(study: HandoutStudy) -> Section:
         answer=(
             f"On the validation data {listed(closest)} {are}, with an rms error of "
             f"{off[best.name]}. {_difference(black)}",
+            "The fit of the rate is the share of the measured rate's variation that the simulation "
+            "explains. Gain, times and overshoot are those of the rate after a step; the "
+            "equivalent time is the area above that response, over its final value.",
         ),
         table=Table(
             header=(
@@ -201,8 +220,8 @@ def _comparison(study: HandoutStudy) -> Section:
             rows=tuple(rows),
         ),
         figure="compare",
-        caption="(a) Validation data and models, less the ramp of the mean speed; (b) less the "
-        "best model.",
+        caption="(a) Validation data and models, less the ramp of the mean speed; (b) data (dots) "
+        "and models less the best model.",
     )
 
 
@@ -300,7 +319,8 @@ def _loop(study: HandoutStudy) -> Section:
             "is applied: in open loop no u from t on knows of θ₁(t) what its past does not.",
         ),
         figure="loop",
-        caption="Coefficients of u in the regression of θ₁(t), with the 99 % band.",
+        caption="Coefficients of u in the regression of θ₁(t), with the band that holds 99 % of "
+        "each if it is 0.",
     )
 
 
@@ -321,5 +341,7 @@ def _delay(study: HandoutStudy) -> Section:
             f"response of θ₁'s rate is {sizes}.",
         ),
         figure="delay",
-        caption="(a) Impulse response; (b) the loss by nk.",
+        caption="(a) Impulse response, with the band that holds 99 % of each coefficient if it "
+        "is 0; (b) the loss of ARX models by nk: below the dotted line none is worse than the "
+        "best.",
     )

@@ -162,12 +162,13 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
     return Section(
         number=number_,
         answer=(
-            f"{edge}; {number(1e3 * advice.h)} ms keeps the error below "
-            f"{100 * study.steps.tolerance:g} % ({advice.steps} steps over {problem.span:.3g} s, "
-            f"u = {problem.amplitude:g} sin({problem.omega:g} t) V, against the exact solution).",
+            f"{edge}; {number(1e3 * advice.h)} ms keeps the error of each state below "
+            f"{100 * study.steps.tolerance:g} % of its largest value ({advice.steps} steps over "
+            f"{problem.span:.3g} s, u = {problem.amplitude:g} sin({problem.omega:g} t) V, against "
+            "the exact solution).",
             _WORDS[name],
         ),
-        table=_errors(study, name, _steps(advice.h, limit)),
+        table=_errors(study, name, _steps(advice.h, limit), limit),
         figure="integrators" if first else "solution" if number_ == "4.4" else "",
         caption="(a) Regions of stability, and the arm's hλ at forward Euler's limit; (b) "
         "error against step, with the observed orders."
@@ -181,10 +182,17 @@ def _steps(h: float, limit: float) -> Sequence[float]:
     return sorted({h, 2 * h, 4 * h, *edges})
 
 
-def _errors(study: HandoutStudy, name: str, steps: Sequence[float]) -> Table:
-    """Return the largest errors at some steps, a column each."""
+def _marked(h: float, limit: float) -> str:
+    """Return a step in ms, and whether it is unstable."""
+    return f"{number(1e3 * h)}{'' if h <= limit else ' (unstable)'}"
+
+
+def _errors(study: HandoutStudy, name: str, steps: Sequence[float], limit: float) -> Table:
+    """Return the largest errors at some steps, a column each, relative to the states' largest."""
     errors = [study.problem.error(h, name) for h in steps]
     return Table(
-        header=("h [ms]", *(number(1e3 * h) for h in steps)),
-        rows=(("largest error", *(power(e) if isfinite(e) else "overflow" for e in errors)),),
+        header=("h [ms]", *(_marked(h, limit) for h in steps)),
+        rows=(
+            ("largest error, relative", *(power(e) if isfinite(e) else "overflow" for e in errors)),
+        ),
     )

@@ -23,6 +23,12 @@ def role(study: Study, recording: Recording) -> str:
     return "validation" if recording.sha256 == study.validation.source else "not used"
 
 
+def run_name(recording: Recording) -> str:
+    """Return the run's id as `@RUN`, which figures and commands show; without one, the hash."""
+    run = recording.manifest.run_id
+    return f"@{run}" if run else recording.short_hash
+
+
 def facts(study: Study) -> list[list[str]]:
     """Return the table of the recordings, a column each."""
     rows: list[list[str]] = []
@@ -33,6 +39,7 @@ def facts(study: Study) -> list[list[str]]:
         if any(values):
             rows.append([name, *(v or "–" for v in values)])
 
+    row("run", run_name)
     row("SHA-256", lambda r: r.short_hash)
     row("experiment", lambda r: r.manifest.experiment)
     row("made of", lambda r: ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()))

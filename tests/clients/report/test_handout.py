@@ -32,6 +32,7 @@ from armrig.report.questions import QUESTIONS
 from armrig.report.section import Section
 from armrig.report.typesetting import ReportError, compiled, typeset
 from armrig_core.arm import ArmParameters
+from armrig_core.calibration import Calibration, Driver
 from armrig_core.manifest import Outcome
 from made_recordings import of_the_arm, written
 from pages import script
@@ -186,6 +187,8 @@ def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStu
         "off by 4\xa0mrad rms. It is estimated from 1459 of 1500 samples at 10\xa0ms"
         in (found["3.3"].answer[0])
     )
+    assert "The equation is that of the OE model" in found["3.3"].answer[1]
+    assert "its root at 1 is fixed" in found["3.3"].answer[1]
 
 
 def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy) -> None:
@@ -314,6 +317,38 @@ def test_an_emulated_rig_is_named_on_the_cover(
     ]
 
 
+def test_different_calibrations_are_a_warning_on_the_cover(
+    three: list[Recording], without: HandoutStudy, tmp_path: Path
+) -> None:
+    """It names the recordings by calibration; a report whose recordings share one has none."""
+    first, *others = three
+    other = replace(first, calibration=Calibration(driver=Driver(gain=1.1)))
+
+    def warnings(*recordings: Recording) -> list[str]:
+        source = tmp_path / f"source-{len(list(tmp_path.iterdir()))}"
+        study = replace(without, recordings=recordings)
+        handout_report(study, tmp_path / "report.pdf", source=source)
+        found: list[str] = json.loads((source / "data.json").read_text())["warnings"]
+        return found
+
+    assert warnings(first, *others) == []
+    [warning] = warnings(other, *others)
+    named = " and ".join(r.path.name for r in others)
+    assert f"2 different calibrations ({first.path.name}; {named})" in warning
+
+
+def test_a_step_beyond_the_limit_is_marked(without: HandoutStudy) -> None:
+    """And the errors say what they are relative to."""
+    found = sections(without)
+
+    for number, marked in (("4.1", 1), ("4.2", 1), ("4.3", 0), ("4.4", 1)):
+        table = found[number].table
+        assert table is not None
+        assert [head.endswith(" (unstable)") for head in table.header].count(True) == marked
+        assert table.rows[0][0] == "largest error, relative"
+        assert "0.1 % of its largest value" in found[number].answer[0]
+
+
 def test_the_source_gives_the_same_report_and_an_edited_one(
     without: HandoutStudy, tmp_path: Path
 ) -> None:
@@ -380,7 +415,8 @@ def test_marks_that_were_edited_are_named(text: str, message: str, tmp_path: Pat
 @pytest.mark.parametrize("text", ["K_m", "x_hat_1", "K__", "a_b_c.mcap"])
 def test_a_name_with_underlines_is_typeset(text: str, tmp_path: Path) -> None:
     """In a reason, or as a file's: what follows the first one stands lower."""
-    values = {"version": "1", "sections": [], "students": [], "recordings": [], "remarks": [text]}
+    values = {"version": "1", "sections": [], "students": [], "recordings": []}
+    values |= {"warnings": [], "remarks": [text]}
 
     _, places = typeset(tmp_path, TEMPLATE, values, datetime(2026, 1, 1, tzinfo=UTC))
 
