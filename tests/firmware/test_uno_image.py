@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from armrig_daemon.command_line import app
 from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
 from armrig_daemon.emulator.harness import Harness, HarnessError
 from tools import needs
@@ -55,3 +56,26 @@ def test_an_image_that_is_not_there_is_named(tmp_path: Path) -> None:
     """Which file was looked for."""
     with pytest.raises(HarnessError, match=r"other\.hex: no such firmware"):
         firmware_image(tmp_path / "other.hex")
+
+
+@pytest.mark.parametrize(
+    "command", [["conformance"], ["emulate", "--port", "uno"], ["virtual", "--directory", "."]]
+)
+def test_an_image_that_was_cut_off_is_refused_by_each_command_that_runs_it(
+    command: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Print one line, and switch on nothing: simavr runs the file up to the cut."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ARMRIG_FIL", "/bin/true")  # a harness that ends at once
+    image = tmp_path / "cut.hex"
+    image.write_bytes(HEX.read_bytes()[: HEX.stat().st_size // 2 // 45 * 45])
+
+    with pytest.raises(SystemExit) as ended:
+        app([*command, "--hex", str(image)])
+
+    assert ended.value.code not in (None, 0)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{image}: no firmware in Intel HEX: it has no end; maybe it was cut off" in line

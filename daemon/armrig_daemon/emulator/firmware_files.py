@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from armrig_core.firmware_image import shipped_image
+from armrig_core.firmware_image import ImageError, read_image, shipped_image
 
 from armrig_daemon.emulator.harness import HarnessError
 
@@ -37,10 +37,16 @@ def firmware_image(image: Path | None) -> Path:
     Raises
     ------
     HarnessError
-        There is none; says which file was looked for.
+        The file does not exist, cannot be read, or is not a complete Intel HEX file.
     """
     found = image or shipped_image()
     if not found.is_file():
         msg = f"{found}: no such firmware; `make firmware` builds it in a checkout"
         raise HarnessError(msg)
+    try:
+        read_image(found)  # simavr runs a file that was cut off, up to the cut
+    except ImageError as err:
+        raise HarnessError(str(err)) from err
+    except OSError as err:
+        raise HarnessError(f"{found}: {err.strerror}") from err
     return found
