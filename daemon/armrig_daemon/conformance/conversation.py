@@ -7,6 +7,7 @@ has: nothing here is judged by the host's clock, which only says when to give up
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import inf
 from typing import Any, TypeVar
 
 from armrig_protocol import decoder, frame
@@ -31,6 +32,10 @@ M = TypeVar("M", bound=Message)
 
 class Broken(Exception):  # noqa: N818 - it is the device's error
     """The device does otherwise; says what came."""
+
+
+class EndlessError(Exception):
+    """The device sends more, or takes longer, than the whole suite needs; says which."""
 
 
 class Conversation:
@@ -62,6 +67,15 @@ class Conversation:
         self._fresh = True
         self._heard: list[Message] = []
         self._pings = 0
+        self._received = 0  # B
+        self._limits = inf, inf
+
+    def limit(self, ms: float = inf, received: float = inf) -> None:
+        """End reading by `EndlessError` after `ms` of the line's clock or so many bytes from now.
+
+        Every wait is bounded by itself, but not how many waits a device can cause.
+        """
+        self._limits = self.line.now_ns() + ms * 1e6, self._received + received
 
     def write(self, data: bytes) -> None:
         """Put bytes on the line."""
@@ -140,7 +154,16 @@ class Conversation:
         return came
 
     def _read(self, within_ms: float) -> None:
-        self._pending, received = decoder.feed(self._pending, self.line.receive(within_ms))
+        end_ns, most = self._limits
+        if self.line.now_ns() > end_ns:
+            msg = "the device has taken longer than the whole suite may"
+            raise EndlessError(msg)
+        if self._received > most:
+            msg = "the device has sent more than the whole suite may take: it floods the line"
+            raise EndlessError(msg)
+        data = self.line.receive(within_ms)
+        self._received += len(data)
+        self._pending, received = decoder.feed(self._pending, data)
         for item in received:
             if isinstance(item, Spoilt | Unknown):
                 self.spoilt += not self._fresh

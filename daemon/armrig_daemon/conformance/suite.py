@@ -20,7 +20,7 @@ from armrig_daemon.conformance import (
     setpoint_rules,
     state_rules,
 )
-from armrig_daemon.conformance.conversation import Broken
+from armrig_daemon.conformance.conversation import Broken, EndlessError
 from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import NotTried, Result, Rule
 
@@ -42,11 +42,16 @@ RULES: tuple[Rule, ...] = (
 _TRIES = 6
 _STALL_MS = 80
 """A silence of the host after which a rule that failed is tried again."""
+_LONGEST_MS, _MOST_RECEIVED = 600_000, 1 << 22
+"""Limits of the whole suite; an Uno needs 24 s, and sends 0.23 MB."""
 PASS, FAIL, NOT_TRIED = "pass", "FAIL", "not tried"
 
 
 def run(host: Host, tell: Callable[[Result], None], wanted: Sequence[Rule] = RULES) -> list[Result]:
     """Try each rule and return what became of it; the device ends at 0 V, whatever happens.
+
+    A device that floods the line, or takes minutes, breaks the rule that is being tried; the rules
+    after it are not tried.
 
     Parameters
     ----------
@@ -61,12 +66,27 @@ def run(host: Host, tell: Callable[[Result], None], wanted: Sequence[Rule] = RUL
         The device does not answer HELLO.
     """
     results: list[Result] = []
+    left = iter(wanted)
+    host.limit(_LONGEST_MS, _MOST_RECEIVED)
+
+    def add(result: Result) -> None:
+        results.append(result)
+        tell(result)
+
     try:
         host.hello(BOOT_MS)
-        for rule in wanted:
-            results.append(_tried(host, rule))
-            tell(results[-1])
+        for rule in left:
+            try:
+                add(_tried(host, rule))
+            except EndlessError as err:
+                add(Result(rule.section, rule.sentence, FAIL, str(err)))
+                break
+        for rule in left:
+            add(Result(rule.section, rule.sentence, NOT_TRIED, "the suite had ended before"))
+    except EndlessError as err:
+        raise Broken(str(err)) from err
     finally:
+        host.limit()
         leave(host)
     return results
 

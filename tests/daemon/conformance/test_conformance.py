@@ -12,17 +12,19 @@ from typing import Any
 import pytest
 from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import Result
-from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, RULES, leave, run
+from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, PASS, RULES, leave, run
 from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.decoder import feed
+from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     CalReply,
     ConfigReply,
     Flag,
     HelloReply,
     Sample,
+    Start,
     State,
     Status,
     Stop,
@@ -150,6 +152,50 @@ def test_a_device_is_left_neither_armed_nor_in_run(
     leave(host)
 
     assert device.state is (State.ESTOP if deaf else State.IDLE)
+
+
+class Flooded(VirtualLine):
+    """From the first START on, one piece comes again and again, and nothing else."""
+
+    def __init__(self, piece: bytes, every_ms: float) -> None:
+        super().__init__(Device(EmulatorSettings(boot_ms=5.0), 0))
+        self._piece, self._every_ns = piece, round(every_ms * 1e6)
+        self._floods = False
+
+    def send(self, data: bytes) -> None:
+        """Take note of a START."""
+        super().send(data)
+        self._floods |= any(isinstance(m, Start) for m in feed(b"", data)[1])
+
+    def receive(self, within_ms: float) -> bytes:
+        """Return the piece."""
+        if not self._floods:
+            return super().receive(within_ms)
+        self._now_ns += self._every_ns
+        return self._piece
+
+
+@pytest.mark.parametrize(
+    ("piece", "every_ms", "says"),
+    [
+        (b"\x55" * (1 << 18), 1.0, "has sent more than the whole suite may take"),
+        (encode(Sample(State.RUN, *[0] * 12)), 100.0, "has taken longer than"),
+    ],
+    ids=["bytes", "samples"],
+)
+def test_a_device_that_floods_the_line_breaks_the_rule_that_is_tried(
+    piece: bytes, every_ms: float, says: str
+) -> None:
+    """End the suite after so many bytes or so long; the device gets STOP and ESTOP."""
+    line = Flooded(piece, every_ms)
+    at = next(n for n, rule in enumerate(RULES) if "At 1 kHz" in rule.sentence)
+
+    results = run(Host(line), lambda _: None, [RULES[0], *RULES[at : at + 2]])
+
+    assert [r.outcome for r in results] == [PASS, FAIL, NOT_TRIED]
+    assert says in results[1].came
+    line.device.advance(line.now_ns() + 100_000_000)
+    assert line.device.state is State.ESTOP
 
 
 def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:
