@@ -451,7 +451,7 @@ def _check_no_file(path: Path) -> None:
 
 
 def _refuse(message: str, code: int = 1) -> NoReturn:
-    from armrig_daemon.service.sentences import log_prefix
+    from armrig_core.journal import log_prefix
 
     text = f"{log_prefix('error') or 'armrigd: '}{message}"
     typer.echo(printable(brief(text), keep="\n"), err=True)

@@ -79,9 +79,11 @@ class FleetLab:
         with Session(where, rig, lambda: None, *ways) as session:
             yield session
 
-    def recorder(self, tell: Callable[[str], None]) -> Recorder:
+    def recorder(
+        self, tell: Callable[[str], None], tell_error: Callable[[str], None] | None = None
+    ) -> Recorder:
         """Return one recorder of all."""
-        return Recorder(self, tell)
+        return Recorder(self, tell, tell_error or tell)
 
 
 def connected(*daemons: Session) -> None:
@@ -129,15 +131,17 @@ def publish(daemons: Sequence[Session], ks: range) -> None:
 class Recorder:
     """`armrig record --all` in a thread, in a `with` block."""
 
-    def __init__(self, lab: FleetLab, tell: Callable[[str], None]) -> None:
+    def __init__(
+        self, lab: FleetLab, tell: Callable[[str], None], tell_error: Callable[[str], None]
+    ) -> None:
         self.folder = lab.folder / "files"
         self.folder.mkdir()
         self.recorded: dict[str, RigRecorded] = {}
         self._stack = ExitStack()
         session = self._stack.enter_context(open_endpoint(lab.endpoint).session)
-        self._fleet = FleetRecorder(
-            session, lab.endpoint, lambda rig: self.folder / f"{rig}.mcap", tell
-        )
+        self._fleet = FleetRecorder(session, lab.endpoint, self.path_of, tell, tell_error)
+        self.paths: dict[str, Path] = {}
+        """Of rigs whose files go elsewhere."""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._record)
 
@@ -149,6 +153,10 @@ class Recorder:
         self._ended.set()
         self._thread.join()
         self._stack.close()
+
+    def path_of(self, rig: str) -> Path:
+        """Return where the first file of a rig goes."""
+        return self.paths.get(rig, self.folder / f"{rig}.mcap")
 
     def has_begun(self, *rigs: str) -> None:
         """Wait until there is a file of each of these."""

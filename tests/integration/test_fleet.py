@@ -15,6 +15,7 @@ import armrig
 import pytest
 import zenoh
 from armrig.cli import main
+from armrig.rig import fleet_recorder
 from armrig.rig.client import Rig
 from armrig.rig.fleet_recorder import FleetRecorder
 from armrig.rig.remote_recording import CUT_OFF
@@ -144,6 +145,35 @@ def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
     }
     assert "no message of armrigd's" in recorder.recorded["2"].why
     assert files["2"].outcome.startswith("the recorder ended: ")
+
+
+def test_a_rig_whose_file_the_disk_refuses_is_an_error_and_is_recorded_when_there_is_room(
+    lab: FleetLab, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The other rigs are recorded meanwhile; what the daemon keeps is in the later file."""
+    monkeypatch.setattr(fleet_recorder, "_AGAIN_S", 0.0)
+    stack.enter_context(lab.router())
+    daemons = [stack.enter_context(lab.daemon(rig)) for rig in ("1", "2")]
+    publish(daemons, range(50))
+    errors: list[str] = []
+    gone = lab.folder / "gone"
+    recorder = lab.recorder(lambda _: None, errors.append)
+    recorder.paths["2"] = gone / "2.mcap"
+    with recorder:
+        recorder.has_begun("1")
+        wait_for(lambda: errors, WITHIN_S)
+        gone.mkdir()
+        wait_for((gone / "2.mcap.active").exists, WITHIN_S)
+        publish(daemons, range(50, 100))
+
+    assert errors == [
+        f"rig 2: its recording ended: {gone}/2.mcap: No such file or directory; give a place with "
+        "room by -o"
+    ]
+    for rig in ("1", "2"):
+        [file] = recorder.recorded[rig].files
+        assert recorded_k(file.path) == list(range(100))
+    assert [bool(recorder.recorded[rig].why) for rig in ("1", "2")] == [False, True]
 
 
 def test_a_rig_speaks_for_itself_alone(lab: FleetLab, stack: ExitStack) -> None:
@@ -404,7 +434,11 @@ def test_a_recorder_of_named_rigs_ends_where_all_have_ended(
     session = stack.enter_context(open_endpoint(lab.endpoint).session)
     ended, told = threading.Event(), list[str]()
     recorder = FleetRecorder(
-        session, lab.endpoint, lambda rig: lab.folder / "gone" / f"{rig}.mcap", told.append
+        session,
+        lab.endpoint,
+        lambda rig: lab.folder / "gone" / f"{rig}.mcap",
+        lambda _: None,
+        told.append,
     )
     thread = threading.Thread(target=recorder.record, args=(ended, None, ["1", "3"]))
     thread.start()

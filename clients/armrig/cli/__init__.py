@@ -44,7 +44,7 @@ from armrig.cli import (
     service,
     validation,
 )
-from armrig.cli.options import tell
+from armrig.cli.options import tell_error
 from armrig.cli.usage_errors import usage_error
 
 _HELP = {"help_option_names": ["-h", "--help"]}
@@ -233,7 +233,7 @@ def _run(arguments: Sequence[str] | None) -> int:
 
 
 def _failed(message: str, code: int) -> int:
-    tell(message)
+    tell_error(message)
     return code
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 from armrig_core.signal_pipe import SignalPipe
 
-from armrig.cli.options import echo, print_json, tell
+from armrig.cli.options import echo, print_json, tell, tell_error
 
 if TYPE_CHECKING:
     from armrig.rig.fleet_recorder import RigRecorded
@@ -42,7 +42,9 @@ def record_many(
     with open_endpoint(where).session as session:
         if ended.is_set():  # while it was loaded and connected
             raise KeyboardInterrupt
-        recorder = FleetRecorder(session, where, lambda rig: folder / default_name(rig), tell)
+        recorder = FleetRecorder(
+            session, where, lambda rig: folder / default_name(rig), tell, tell_error
+        )
         named = "all rigs" if rigs is None else f"rigs {', '.join(rigs)}"
         tell(f"recording {named} from {where}; Ctrl-C ends it")
         recorded = recorder.record(ended, seconds, rigs)

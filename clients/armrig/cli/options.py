@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TextIO
 
 import typer
+from armrig_core.journal import log_prefix
 from armrig_core.printable import brief, json_printable, printable
 
 RigId = Annotated[str, typer.Option("--rig", help="Id of the rig.")]
@@ -109,6 +110,13 @@ def tell(message: str) -> None:
     with suppress(OSError):  # the terminal may be closed
         line = _for_terminal(f"armrig: {brief(' '.join(message.split()))}")
         print(folded(line, _columns(sys.stderr)), file=sys.stderr)
+
+
+def tell_error(message: str) -> None:
+    """Print a line as `tell` does; the journal of systemd gets it with the priority of an error."""
+    with suppress(OSError):
+        print(log_prefix("error") or "", end="", file=sys.stderr)
+    tell(message)
 
 
 def say(text: str) -> None:

@@ -5,6 +5,7 @@ Whatever becomes of one, the others are recorded on.
 
 from __future__ import annotations
 
+import shutil
 import threading
 import time
 from collections.abc import Callable, Collection
@@ -15,10 +16,14 @@ import zenoh
 
 from armrig.rig.live_rigs import ids_alive
 from armrig.rig.remote_recorder import Ended, RemoteRecorder
-from armrig.rig.remote_recording import RecordedFile, RemoteRecording, Tell
+from armrig.rig.remote_recording import DiskError, RecordedFile, RemoteRecording, Tell
 
 _LOOK_S = 1.0
 _ASK_S = 0.2
+_AGAIN_S = 60.0
+"""Time from a recording that the disk ended to the next one of that rig."""
+_ROOM = 64 << 20
+"""Free space for which that next one is begun, in B."""
 _COMPLETE = "complete"
 
 
@@ -30,13 +35,20 @@ class RigRecorded:
     files: list[RecordedFile]
     why: str = ""
     """Why its recording ended before the others; empty where it did not."""
+    again_s: float = float("inf")
+    """When it may be begun again, by the monotonic clock."""
 
 
 class FleetRecorder:
     """Records the rigs of a session, each from when it is there."""
 
     def __init__(
-        self, session: zenoh.Session, endpoint: str, path_of: Callable[[str], Path], tell: Tell
+        self,
+        session: zenoh.Session,
+        endpoint: str,
+        path_of: Callable[[str], Path],
+        tell: Tell,
+        tell_error: Tell,
     ) -> None:
         """Record nobody yet.
 
@@ -46,11 +58,12 @@ class FleetRecorder:
             Of the router, as the files name it.
         path_of : callable
             Returns the path of a rig's first file.
-        tell : callable
-            Called with a line for a person, by one thread at a time.
+        tell, tell_error : callable
+            Called with a line for a person, by one thread at a time; the second one if the
+            recording of a rig ended early.
         """
         self._session, self._endpoint = session, endpoint
-        self._path_of, self._tell_person = path_of, tell
+        self._path_of, self._tell_person, self._tell_error = path_of, tell, tell_error
         self._telling = threading.Lock()
         self._ended = threading.Event()
         self._threads: dict[str, threading.Thread] = {}
@@ -85,10 +98,28 @@ class FleetRecorder:
         with self._telling:
             self._tell_person(text)
 
+    def _fail(self, recorded: RigRecorded, err: Exception) -> None:
+        recorded.why = str(err)
+        if isinstance(err, DiskError):
+            recorded.again_s = time.monotonic() + _AGAIN_S
+        with self._telling:
+            self._tell_error(f"rig {recorded.rig}: its recording ended: {err}")
+
+    def _may_begin(self, rig: str) -> bool:
+        """Tell whether a rig is not recorded, nor was; or the disk ended that, and has room now."""
+        if rig not in self._threads:
+            return True
+        if self._threads[rig].is_alive() or time.monotonic() < self._recorded[rig].again_s:
+            return False
+        try:
+            return shutil.disk_usage(self._path_of(rig).parent).free >= _ROOM
+        except OSError:
+            return False
+
     def _begin(self, rig: str) -> None:
-        if rig in self._threads:
+        if not self._may_begin(rig):
             return
-        self._recorded[rig] = RigRecorded(rig, [])
+        self._recorded.setdefault(rig, RigRecorded(rig, []))
         self._threads[rig] = thread = threading.Thread(
             target=self._record, args=(self._recorded[rig],), name=f"rig {rig}", daemon=True
         )
@@ -102,7 +133,7 @@ class FleetRecorder:
             endpoint=self._endpoint,
             tell=lambda text: self._tell(text if text.startswith("rig ") else f"rig {rig}: {text}"),
         )
-        recorded.files = recording.done
+        recorded.again_s = float("inf")
         outcome = _COMPLETE
         try:
             recorder = RemoteRecorder(self._session, recording)
@@ -113,10 +144,11 @@ class FleetRecorder:
                 self._tell(f"recording rig {rig}")
                 recorder.record(self._ended)
         except (RuntimeError, OSError) as err:
-            recorded.why = str(err)
             outcome = f"the recorder ended: {err}"
-            self._tell(f"rig {rig}: its recording ended: {err}")
+            self._fail(recorded, err)
         try:
             recording.finish(outcome)
         except (RuntimeError, OSError) as err:
-            recorded.why = recorded.why or str(err)
+            if outcome == _COMPLETE:  # else it was told above
+                self._fail(recorded, err)
+        recorded.files += recording.done

@@ -35,6 +35,10 @@ _MOST_BEHIND, _LOOK_S = 16, 0.01  # pieces that the disk may be behind
 Tell = Callable[[str], None]
 
 
+class DiskError(RigError):
+    """The disk refuses a file, or the rest of it; the message says which and what to do."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedFile:
     """A file that is complete."""
@@ -109,7 +113,7 @@ class RemoteRecording:
         while file.behind > _MOST_BEHIND and not file.error:
             time.sleep(_LOOK_S)
         if file.error:
-            raise RigError(file.error)
+            raise DiskError(file.error)
 
     def _taken(self) -> list[Outgoing]:
         waiting, self._waiting, self._waiting_size = self._waiting, [], 0
@@ -181,7 +185,7 @@ class RemoteRecording:
             )
         except RecordingError as err:
             why = getattr(err.__cause__, "strerror", "") or err
-            raise RigError(f"{path}: {why}; give a place with room by -o") from err
+            raise DiskError(f"{path}: {why}; give a place with room by -o") from err
 
     def _free_path(self) -> Path:
         """Return where the next file goes: nothing is there that it could replace."""
@@ -204,7 +208,7 @@ class RemoteRecording:
         file.finish(outcome)
         file.join(_FINISH_S)
         if file.error:
-            raise RigError(file.error)
+            raise DiskError(file.error)
         self.done.append(
             RecordedFile(path=file.kept, outcome=outcome, samples=file.synced, missing=file.missing)
         )

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
-import os
 import sys
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 
 from armrig_core.endpoint import network_address
+from armrig_core.journal import log_prefix
 from armrig_core.printable import printable
 
 from armrig_daemon.config import Config
 from armrig_daemon.pipe import State
 from armrig_daemon.service.access import Network
-from armrig_daemon.service.systemd import journal_entry, journal_prefix, send_to_journal
+from armrig_daemon.service.systemd import journal_entry, send_to_journal
 
 _SOON = timedelta(days=30)
 
@@ -101,12 +101,6 @@ def state_sentence(state: State, line: str) -> str:
         return printable(f"not ready: {line}")
     who = f"{state.owner} has it" if state.owner else "nobody has it"
     return printable(f"{state.phase}, {who}")
-
-
-def log_prefix(level: str) -> str | None:
-    """Return what stands before a line where the journal reads it; None where it does not."""
-    stream = os.environ.get("JOURNAL_STREAM", "")
-    return journal_prefix(level, os.fstat(2), stream) if stream else None
 
 
 def print_line(level: str, message: str, fields: Mapping[str, str] | None = None) -> None:

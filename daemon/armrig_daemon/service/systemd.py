@@ -2,23 +2,21 @@
 
 References
 ----------
-.. [1] Linux man-pages of systemd, sd_notify(3), section "Description"; systemd.exec(5), under
-   "$JOURNAL_STREAM"; sd-daemon(3), the prefixes of priorities.
+.. [1] Linux man-pages of systemd, sd_notify(3), section "Description".
 """
 
 from __future__ import annotations
 
 import contextlib
-import os
 import socket
 import struct
 from collections.abc import Mapping, MutableMapping
 
+from armrig_core.journal import priority
+
 JOURNAL = "/run/systemd/journal/socket"
 """Where the journal takes entries with fields."""
 _VARIABLE = "NOTIFY_SOCKET"
-_PRIORITIES = {"error": 3, "warning": 4, "info": 6, "debug": 7}
-_NOTICE = 5
 _OURS = "ARMRIG_"
 _IDENTIFIER = "armrigd"
 
@@ -69,23 +67,6 @@ class Notifier:
                 self._socket.sendto(line.encode(), self._address)
 
 
-def journal_prefix(level: str, stderr: os.stat_result, stream: str) -> str | None:
-    """Return the priority of a line as the journal reads it; None where it does not read us.
-
-    Parameters
-    ----------
-    level : str
-        Of a line of the log.
-    stderr : os.stat_result
-        Of standard error, as by fstat.
-    stream : str
-        $JOURNAL_STREAM: device and inode of what the journal reads.
-    """
-    if stream != f"{stderr.st_dev}:{stderr.st_ino}":
-        return None
-    return f"<{_PRIORITIES.get(level, _NOTICE)}>"
-
-
 def journal_entry(level: str, message: str, fields: Mapping[str, str]) -> bytes:
     """Return a line with its fields, as the journal takes it by its own protocol.
 
@@ -105,7 +86,7 @@ def journal_entry(level: str, message: str, fields: Mapping[str, str]) -> bytes:
     .. [2] systemd, "Native Journal Protocol", docs/JOURNAL_NATIVE_PROTOCOL.md.
     """
     entry = {
-        "PRIORITY": str(_PRIORITIES.get(level, _NOTICE)),
+        "PRIORITY": str(priority(level)),
         "SYSLOG_IDENTIFIER": _IDENTIFIER,
         "MESSAGE": message,
         **{_OURS + name.upper(): value for name, value in fields.items() if value},

@@ -16,7 +16,7 @@ from typing import Any
 import armrig
 import pytest
 from armrig.cli import main
-from armrig.cli.options import folded
+from armrig.cli.options import folded, tell
 from armrig.rig import live_rigs
 from armrig.rig.realtime_status import scheduling_sentences
 from armrig_core import telemetry
@@ -343,3 +343,18 @@ def test_a_demonstration_into_a_file_is_told_what_to_do(
     assert main(["demo", "--directory", str(path)]) == 1
 
     assert f"--directory {path}: is a file; give a directory" in told(capsys)
+
+
+def test_an_error_has_its_priority_in_the_journal(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Write the prefix only if the journal reads standard error; a plain line has none."""
+    stderr = os.fstat(2)
+    monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino}")
+
+    tell("recording rig 1")
+    assert main(["info", "none.mcap"]) == 1
+
+    plain, error = capfd.readouterr().err.splitlines()
+    assert plain == "armrig: recording rig 1"
+    assert error.startswith("<3>armrig: none.mcap: ")

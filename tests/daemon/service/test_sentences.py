@@ -10,6 +10,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from armrig_core.journal import journal_prefix
 from armrig_daemon.pipe import State
 from armrig_daemon.service import sentences
 from armrig_daemon.service.sentences import (
@@ -18,7 +19,7 @@ from armrig_daemon.service.sentences import (
     state_sentence,
     unreachable,
 )
-from armrig_daemon.service.systemd import journal_entry, journal_prefix, send_to_journal
+from armrig_daemon.service.systemd import journal_entry, send_to_journal
 
 
 def test_a_line_of_the_log_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
