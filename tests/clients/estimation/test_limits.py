@@ -16,9 +16,9 @@ Y = filtered([0.0, 1.0, 0.5], [1.0, -1.5, 0.7], U) + 0.1 * E
 ESTIMATORS: dict[str, dict[str, Any]] = {
     "arx": {"na": 2, "nb": 2},
     "iv4": {"na": 2, "nb": 2},
-    "oe": {"nb": 2, "nf": 2},
-    "armax": {"na": 2, "nb": 2, "nc": 1},
-    "bj": {"nb": 2, "nc": 1, "nd": 1, "nf": 2},
+    "oe": {"nb": 2, "nf": 2, "starts": "few"},
+    "armax": {"na": 2, "nb": 2, "nc": 1, "starts": "few"},
+    "bj": {"nb": 2, "nc": 1, "nd": 1, "nf": 2, "starts": "few"},
     "n4sid": {"order": 2},
 }
 

@@ -89,7 +89,7 @@ def test_gaps_and_pieces_do_not_bias_the_estimate(
         for d, v in zip(whole.split(5), np.split(valid, 5), strict=True)
     ]
 
-    fit = estimate(merge(parts), **orders)
+    fit = estimate(merge(parts), **orders, starts="few")
 
     assert (np.abs(fit.theta - truth) < 4 * fit.std).all()
     assert (fit.std < 0.06).all()
@@ -126,7 +126,7 @@ def test_the_state_before_the_first_sample_does_not_show(plant: HandoutPlant) ->
     """With almost no noise any beginning gives back the plant, through an integrator too."""
     whole = plant.dataset(1, std=1e-5)
 
-    fit = bj(whole[700:], nb=4, nc=1, nd=1, nf=4, integrator=True)
+    fit = bj(whole[700:], nb=4, nc=1, nd=1, nf=4, integrator=True, starts="few")
 
     np.testing.assert_allclose(fit.theta[:4], plant.B[1:], rtol=0, atol=1e-4)
     np.testing.assert_allclose(fit.theta[6:], plant.F[1:], rtol=0, atol=1e-2)
@@ -162,7 +162,7 @@ def test_an_input_offset_is_estimated_along(
     seen = made(6, N=3000)
     moved = Dataset(u=seen.u + 2.5, y=seen.y, Ts=0.1)
 
-    fit = estimate(moved, **orders, offset=True)
+    fit = estimate(moved, **orders, offset=True, starts="few")
 
     assert (np.abs(fit.theta - truth) < 4 * fit.std).all()
     assert fit.free[0].offset == pytest.approx(2.5, abs=0.1)
@@ -178,7 +178,7 @@ def test_the_initial_state_is_kept_where_an_f_test_says_so() -> None:
     rest, moving = Dataset(u=u, y=y, Ts=1), Dataset(u=u[100:], y=y[100:], Ts=1)
 
     fits = {
-        (name, initial): bj(part, **orders, initial=initial)
+        (name, initial): bj(part, **orders, initial=initial, starts="few")
         for name, part in (("rest", rest), ("moving", moving))
         for initial in ("auto", "zero", "estimate")
     }
@@ -219,7 +219,7 @@ def test_the_predictor_stays_stable() -> None:
 def test_a_prediction_errs_as_the_noise_model_says(k: int) -> None:
     """Var(y - ŷ) at horizon k is lambda sum of h_i², i < k, with h = C/D's impulse response."""
     seen = bj_data(10, N=20_000)
-    fit = bj(seen, nb=2, nc=1, nd=1, nf=2)
+    fit = bj(seen, nb=2, nc=1, nd=1, nf=2, starts="few")
 
     error = seen.y - fit.predict(seen, horizon=k)
 
@@ -267,7 +267,7 @@ def test_residuals_of_the_estimation_are_those_of_the_test() -> None:
     """The model applied to its own data errs by its own loss."""
     for estimate, made, orders, _ in CASES:
         seen = made(12)[50:]
-        fit = estimate(seen, **orders)
+        fit = estimate(seen, **orders, starts="few")
 
         tested = residuals(fit, seen)
 
@@ -280,7 +280,7 @@ def test_the_noise_spectrum_is_that_of_the_noise() -> None:
     """Its integral is the variance of C/A e; its deviation is that of many estimates."""
     omega = np.linspace(0, np.pi / 0.1, 2001)
     fit = armax(armax_data(13, N=5000), na=2, nb=2, nc=1)
-    many = [armax(armax_data(seed), na=2, nb=2, nc=1) for seed in range(100, 180)]
+    many = [armax(armax_data(seed), na=2, nb=2, nc=1, starts="few") for seed in range(100, 180)]
 
     Phi = fit.noise_spectrum(omega).Phi
     at = [f.noise_spectrum([1.0, 10.0]) for f in many]
@@ -298,7 +298,7 @@ def test_the_hair_dryer_has_a_coloured_noise(
     u, y = reference("dryer.dat")[:500].T
     seen = detrend(Dataset(u=u, y=y, Ts=0.08))
 
-    fit = bj(seen, nb=2, nc=2, nd=2, nf=2, nk=3)
+    fit = bj(seen, nb=2, nc=2, nd=2, nf=2, nk=3, starts="few")
 
     assert fit.whiteness > 0.05
     assert arx(seen, na=2, nb=2, nk=3).whiteness < 0.01

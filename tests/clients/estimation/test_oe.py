@@ -152,7 +152,9 @@ def test_each_experiment_has_its_own_state_level_and_offset(plant: HandoutPlant)
 def test_many_short_experiments_leave_the_residuals_white(plant: HandoutPlant) -> None:
     """Five nuisance parameters in each hundred samples would look like colour, uncorrected."""
     p = [
-        oe(merge(plant.dataset(seed).split(30)), nb=4, nf=4, integrator=True).whiteness
+        oe(
+            merge(plant.dataset(seed).split(30)), nb=4, nf=4, integrator=True, starts="few"
+        ).whiteness
         for seed in range(10)
     ]
 

@@ -33,7 +33,7 @@ def test_the_prediction_is_what_repeated_experiments_scatter_by(structure: str) 
         e = 0.5 * np.random.default_rng(seed).standard_normal(N)
         v = e if structure == "oe" else filtered([1], A, e)
         data = Dataset(u=u, y=filtered(B, A, u) + v, Ts=1)
-        fit = oe(data, nb=2, nf=2) if structure == "oe" else arx(data, na=2, nb=2)
+        fit = oe(data, nb=2, nf=2, starts="few") if structure == "oe" else arx(data, na=2, nb=2)
         theta.append(fit.theta)
 
     predicted = predicted_std(model, u)

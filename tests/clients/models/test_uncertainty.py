@@ -170,7 +170,7 @@ def test_the_chosen_region_holds_a_pair_that_the_ellipse_loses() -> None:
     truth = NEAR[0]
     held = []
     for seed in range(60):
-        fit = oe(data(seed, NEAR[:2], 0.3), nb=3, nf=2)
+        fit = oe(data(seed, NEAR[:2], 0.3), nb=3, nf=2, starts="few")
         poles = fit.poles()
         i = int(np.argmin(np.abs(poles.values - truth)))
         ellipse = linearised_region(complex(poles[i]), poles.covariance[i])
