@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.nonparametric.step_analysis import step_analysis
+from armrig.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import with_std
 from numpy.typing import NDArray
@@ -25,6 +26,20 @@ def first_order(dead: int = 0, std: float = 0.0, *, down: bool = False, seed: in
     for t in range(1, N):
         y[t] = a * y[t - 1] + (1 - a) * GAIN * u[max(t - 1 - dead, 0)]
     return Dataset(u=u, y=y + std * np.random.default_rng(seed).standard_normal(N), Ts=TS)
+
+
+@cache
+def of_a_first_order_system() -> list[StepAnalysis]:
+    """Return what 40 noisy answers of the first-order system say."""
+    return [step_analysis(first_order(std=0.2, seed=s), integrator=False) for s in range(40)]
+
+
+@pytest.fixture(scope="module")
+def of_the_arm(sampled: Any) -> list[StepAnalysis]:
+    """Give what 20 noisy answers of the arm to a step of 4 V say, at 2 ms."""
+    arm = sampled(0.002)
+    u = np.where(np.arange(2500) < 500, 0.5, 4.5)
+    return [step_analysis(arm.dataset(u, std=4e-3, seed=seed)) for seed in range(20)]
 
 
 @pytest.mark.parametrize("down", [False, True])
@@ -54,7 +69,7 @@ def test_dead_time_counts_for_itself() -> None:
 
 def test_the_deviations_said_are_those_made() -> None:
     """Of gain, 63 % time, equivalent time and settling, in 40 runs."""
-    found = [step_analysis(first_order(std=0.2, seed=s), integrator=False) for s in range(40)]
+    found = of_a_first_order_system()
 
     gain, tau = np.array([f.gain for f in found]), np.array([f.tau for f in found])
     assert np.mean(gain) == pytest.approx(GAIN, abs=0.03)
@@ -108,25 +123,20 @@ def test_what_is_left_beside_a_hole_is_not_averaged_alone() -> None:
     assert found.overshoot < 0.1
 
 
-def test_the_overshoot_is_that_of_the_answer_and_not_of_its_noise(sampled: Any) -> None:
+def test_the_overshoot_is_that_of_the_answer_and_not_of_its_noise(
+    of_the_arm: list[StepAnalysis],
+) -> None:
     """10.7 % of the arm, as its model has it, within the deviation that is said."""
-    arm = sampled(0.002)
-    u = np.where(np.arange(2500) < 500, 0.5, 4.5)
+    above = np.array([f.overshoot for f in of_the_arm])
 
-    found = [step_analysis(arm.dataset(u, std=4e-3, seed=seed)) for seed in range(20)]
-
-    above = np.array([f.overshoot for f in found])
     assert np.mean(above) == pytest.approx(0.1067, abs=0.003)
-    assert 0.5 < np.std(above) / np.mean([f.overshoot_std for f in found]) < 1.5
-    assert "overshoot 10." in repr(found[0])
+    assert 0.5 < np.std(above) / np.mean([f.overshoot_std for f in of_the_arm]) < 1.5
+    assert "overshoot 10." in repr(of_the_arm[0])
 
 
-def test_an_overshoot_in_noise_is_no_settled_answer(sampled: Any) -> None:
+def test_an_overshoot_in_noise_is_no_settled_answer(of_the_arm: list[StepAnalysis]) -> None:
     """0.372 s to within 5 % for good, though the noise is as high as the peak."""
-    arm = sampled(0.002)
-    u = np.where(np.arange(2500) < 500, 0.5, 4.5)
-
-    found = [step_analysis(arm.dataset(u, std=4e-3, seed=seed)).settling for seed in range(20)]
+    found = [f.settling for f in of_the_arm]
 
     np.testing.assert_allclose(found, 0.372, rtol=0.06)
 
@@ -145,7 +155,7 @@ def test_an_answer_that_rings_fast_has_not_settled() -> None:
 
 def test_what_is_no_overshoot_is_not_called_one() -> None:
     """Of a first-order system, but for one in twenty; and where noise hides it."""
-    told = [repr(step_analysis(first_order(std=0.2, seed=s), integrator=False)) for s in range(40)]
+    told = [repr(found) for found in of_a_first_order_system()]
     loud = step_analysis(first_order(std=10.0, seed=4), integrator=False)
 
     assert sum("no overshoot seen (± " in text for text in told) >= 38
