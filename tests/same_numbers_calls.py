@@ -363,6 +363,39 @@ def folder() -> Path:
 _KEPT: list[Any] = []
 
 
+# Models that several calls are made of.
+
+
+@cache
+def oe_plain() -> Any:
+    """Return a model of the plain data."""
+    return armrig.oe(data()["plain"], nb=2, nf=2)
+
+
+@cache
+def oe_integrating() -> Any:
+    """Return a model that integrates."""
+    return armrig.oe(integrating(), nb=2, nf=2, integrator=True)
+
+
+@cache
+def oe_backwards() -> Any:
+    """Return a model that integrates backwards."""
+    return armrig.oe(unlike_integrating(), nb=2, nf=2, nk=2, integrator=True, offset=True)
+
+
+@cache
+def bj_odd() -> Any:
+    """Return a model with a noise model of its own."""
+    return armrig.bj(data()["odd"], nb=2, nc=1, nd=1, nf=2, nk=3)
+
+
+@cache
+def bj_unlike() -> Any:
+    """Return a model of data in which little is alike."""
+    return armrig.bj(unlike(), nb=2, nc=1, nd=1, nf=2, nk=3)
+
+
 # Data and their treatment.
 
 
@@ -511,7 +544,7 @@ def oe() -> Variants:
     for name in ("plain", "holes", "two", "mean"):
         yield name, armrig.oe(data()[name], nb=2, nf=2)
     yield "late", armrig.oe(data()["odd"], nb=2, nf=2, nk=3)
-    yield "integrator", armrig.oe(integrating(), nb=2, nf=2, integrator=True)
+    yield "integrator", oe_integrating()
     two = armrig.merge([integrating()[:250], integrating()[250:]])
     yield "offset", armrig.oe(two, nb=2, nf=2, integrator=True, offset=True)
     shifted = integrating().replaced(step=None, u=integrating().u + 0.8)
@@ -524,13 +557,13 @@ def oe() -> Variants:
 
 @variants
 def bj() -> Variants:
-    yield "odd", armrig.bj(data()["odd"], nb=2, nc=1, nd=1, nf=2, nk=3)
+    yield "odd", bj_odd()
     odd = data()["odd"]
     two = armrig.merge([odd[:200], odd[200:]])
     yield "two", armrig.bj(two, nb=2, nc=1, nd=1, nf=2, nk=3)
     yield "integrator", armrig.bj(integrating(), nb=2, nc=1, nd=1, nf=2, integrator=True)
     yield "holes", armrig.bj(data()["holes"], nb=2, nc=0, nd=1, nf=2, stable=True)
-    yield "unlike", armrig.bj(unlike(), nb=2, nc=1, nd=1, nf=2, nk=3)
+    yield "unlike", bj_unlike()
 
 
 @variants
@@ -605,7 +638,7 @@ def select_orders() -> Variants:
 @variants
 def residuals() -> Variants:
     d = data()
-    fit = armrig.oe(d["plain"], nb=2, nf=2)
+    fit = oe_plain()
     for name in ("plain", "holes", "two", "mean"):
         yield name, armrig.residuals(fit, d[name])
     yield (
@@ -623,7 +656,7 @@ def residuals() -> Variants:
 @variants
 def compare() -> Variants:
     d = data()
-    fits = armrig.arx(d["plain"], na=2, nb=2), armrig.oe(d["plain"], nb=2, nf=2)
+    fits = armrig.arx(d["plain"], na=2, nb=2), oe_plain()
     for horizon in (None, 1, 4):
         yield f"{horizon}", armrig.compare(d["two"], *fits, horizon=horizon)
     fit = armrig.oe(integrating(), nb=2, nf=2, integrator=True, offset=True)
@@ -636,7 +669,7 @@ def compare() -> Variants:
     slow = armrig.arx(unlike(), na=2, nb=2, nk=3), armrig.n4sid(unlike(), 2, nk=3)
     for horizon in (None, 3):
         yield f"unlike {horizon}", armrig.compare(unlike().select(2, 1), *slow, horizon=horizon)
-    fit = armrig.oe(unlike_integrating(), nb=2, nf=2, nk=2, integrator=True, offset=True)
+    fit = oe_backwards()
     yield "unlike integrator", armrig.compare(unlike_integrating()[50:], fit)
 
 
@@ -911,7 +944,7 @@ def predicted_std() -> Variants:
         B=[0, 0, 0, -7.0, 2.5], F=np.poly([0.82, 0.35]), noise_variance=4.0, Ts=0.5
     )
     yield "unlike", armrig.predicted_std(slow, unlike())
-    fit = armrig.oe(unlike_integrating(), nb=2, nf=2, nk=2, integrator=True, offset=True)
+    fit = oe_backwards()
     yield "unlike fit", armrig.predicted_std(fit, unlike_integrating())
 
 
@@ -1267,7 +1300,7 @@ def calibration() -> Variants:
 @variants
 def load_fit() -> Variants:
     path = folder() / "model.json"
-    armrig.bj(data()["odd"], nb=2, nc=1, nd=1, nf=2, nk=3).save(path)
+    bj_odd().save(path)
     yield "bj", armrig.load_fit(path)
     armrig.n4sid(data()["plain"], 2).save(path)
     yield "n4sid", armrig.load_fit(path)
@@ -1277,12 +1310,12 @@ def load_fit() -> Variants:
 def summary() -> Variants:
     d = data()
     yield "arx", armrig.arx(d["plain"], na=2, nb=2).summary()
-    yield "oe", armrig.oe(integrating(), nb=2, nf=2, integrator=True).summary()
-    yield "bj", armrig.bj(d["odd"], nb=2, nc=1, nd=1, nf=2, nk=3).summary()
+    yield "oe", oe_integrating().summary()
+    yield "bj", bj_odd().summary()
     yield "high", armrig.arx(d["odd"], na=5, nb=5).summary()
     yield "n4sid", armrig.n4sid(d["plain"], 3).summary()
-    fit = armrig.oe(unlike_integrating(), nb=2, nf=2, nk=2, integrator=True, offset=True)
-    yield "unlike", [fit.summary(), armrig.bj(unlike(), nb=2, nc=1, nd=1, nf=2, nk=3).summary()]
+    fit = oe_backwards()
+    yield "unlike", [fit.summary(), bj_unlike().summary()]
 
 
 @variants
@@ -1293,9 +1326,9 @@ def uncertainty() -> Variants:
     d = data()
     few = d["odd"][:60]
     fits = {
-        "oe": armrig.oe(d["plain"], nb=2, nf=2),
+        "oe": oe_plain(),
         "poor": armrig.arx(few, na=3, nb=3),
-        "integrator": armrig.oe(integrating(), nb=2, nf=2, integrator=True),
+        "integrator": oe_integrating(),
     }
     for name, fit in fits.items():
         draws = drawn(fit, n=200, rng=np.random.default_rng(1))
@@ -1423,8 +1456,8 @@ def plots() -> Variants:
     from armrig import plots as p
 
     d = data()
-    oe, arx = armrig.oe(d["plain"], nb=2, nf=2), armrig.arx(d["plain"], na=4, nb=4)
-    integrator = armrig.oe(integrating(), nb=2, nf=2, integrator=True)
+    oe, arx = oe_plain(), armrig.arx(d["plain"], na=4, nb=4)
+    integrator = oe_integrating()
     recording = armrig.load(recorded("validation"))
     few = armrig.arx(d["odd"][:60], na=3, nb=3)
     grey = armrig.greybox(chassis_data())
