@@ -1432,7 +1432,7 @@ def live() -> Variants:
     model = LiveModel(r.Ts)
     model.take(found)
     yield "model", numbers_in([line] for line in model.lines())
-    slope = bins.rate(found[:100], found[100:], 10)
+    slope = bins.rate(found[:100], found[100:])
     rows = bins.binned(found[100:], slope)
     yield "bins", [slope, rows, bins.coarser(rows, 0.07)]
 
