@@ -1,42 +1,77 @@
-// The list of what was recorded.
+// The list of what was recorded, which is filtered and sorted here.
 
 import { askJson, attempt, byId, make, setText } from "./elements.js";
 import { look, setUpRecording } from "./recording.js";
 
+const COLUMNS = [
+  { title: "recording", of: (one) => nameOf(one) },
+  { title: "id", of: (one) => one.run_id },
+  { title: "started", of: (one) => Date.parse(one.started) || 0, first: -1 },
+  { title: "length", of: (one) => one.seconds, first: -1 },
+  { title: "missing", of: (one) => one.missing, first: -1 },
+];
+const ID_LETTERS = 8; // as `armrig ls` shows them
+
 let chosen = ""; // the file
+let found = { recordings: [], left_out: [] };
+let sorted = { column: COLUMNS[2], way: -1 };
+
+const nameOf = (one) => `${one.experiment}${one.name ? ` ${one.name}` : ""}${one.validation ? ", validation" : ""}`;
+const idOf = (one) => `@${(one.run_id || "").slice(0, ID_LETTERS)}`;
 
 export function setUpRecordings() {
   byId("again").addEventListener("click", () => attempt(() => listRecordings()));
+  byId("filter").addEventListener("input", fill);
   setUpRecording();
 }
 
 export async function listRecordings(file) {
-  const found = await askJson("recordings", {});
+  found = await askJson("recordings", {});
   const more = found.count > found.recordings.length ? `, the newest ${found.recordings.length} of ${found.count}` : "";
   setText("folder", `in ${found.folder}${more}`);
-  const rows = found.recordings.map((one) => {
-    const button = make("button", { type: "button", textContent: `${one.experiment}${one.name ? ` ${one.name}` : ""}${one.validation ? ", validation" : ""}`, title: one.file });
-    button.addEventListener("click", () => attempt(() => choose(one.file)));
-    button.dataset.file = one.file;
-    const outcome = one.outcome === "complete" ? "" : one.outcome;
-    return make(
-      "tr",
-      {},
-      make("td", {}, button, outcome ? make("div", { className: "warn-text", textContent: outcome }) : ""),
-      make("td", { title: one.started, className: "n time" }, ...time(one.started)),
-      make("td", { className: "n", textContent: `${one.seconds.toPrecision(4) * 1} s` }),
-      make("td", { className: `n ${one.missing ? "warn-text" : ""}`, textContent: one.missing }),
-    );
-  });
-  const head = ["recording", "started", "length", "missing"].map((text, i) => make("th", { className: i > 0 ? "n" : "", textContent: text }));
-  byId("table").replaceChildren(
-    rows.length
-      ? make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...rows))
-      : make("p", { textContent: "There are no recordings yet: run an experiment on the page Live." }),
-    ...found.left_out.map((text) => make("p", { className: "warn-text", textContent: `not whole: ${text}` })),
-  );
+  fill();
   if (file) await choose(file);
-  else mark();
+}
+
+function fill() {
+  const words = byId("filter").value.toLowerCase().split(/\s+/);
+  const text = (one) => [nameOf(one), idOf(one), one.started, one.outcome, one.file].join(" ").toLowerCase();
+  const { column, way } = sorted;
+  const order = (a, b) => way * (column.of(a) < column.of(b) ? -1 : column.of(a) > column.of(b) ? 1 : 0);
+  const rows = found.recordings.filter((one) => words.every((word) => text(one).includes(word))).sort(order);
+  const empty = found.recordings.length ? "No recording has these words." : "There are no recordings yet: run an experiment on the page Live.";
+  byId("table").replaceChildren(
+    rows.length ? make("table", {}, make("thead", {}, make("tr", {}, ...COLUMNS.map(head))), make("tbody", {}, ...rows.map(row))) : make("p", { textContent: empty }),
+    ...found.left_out.map((why) => make("p", { className: "warn-text", textContent: `not whole: ${why}` })),
+  );
+  mark();
+}
+
+function head(column, i) {
+  const isSorted = sorted.column === column;
+  const button = make("button", { type: "button", className: "sort", textContent: `${column.title}${isSorted ? (sorted.way > 0 ? " ↑" : " ↓") : ""}` });
+  button.addEventListener("click", () => {
+    sorted = { column, way: isSorted ? -sorted.way : (column.first ?? 1) };
+    fill();
+  });
+  return make("th", { className: i > 1 ? "n" : "", "aria-sort": isSorted ? (sorted.way > 0 ? "ascending" : "descending") : "none" }, button);
+}
+
+function row(one) {
+  const button = make("button", { type: "button", textContent: nameOf(one), title: one.file });
+  button.addEventListener("click", () => attempt(() => choose(one.file)));
+  button.dataset.file = one.file;
+  // Why it ended is told where it is looked at: here a hundred rows may have the same reason.
+  const early = one.outcome === "complete" ? "" : make("div", { className: "warn-text", textContent: "ended early", title: one.outcome });
+  return make(
+    "tr",
+    {},
+    make("td", {}, button, early),
+    make("td", { className: "id", textContent: idOf(one) }),
+    make("td", { title: one.started, className: "n time" }, ...time(one.started)),
+    make("td", { className: "n", textContent: `${one.seconds.toPrecision(4) * 1} s` }),
+    make("td", { className: `n ${one.missing ? "warn-text" : ""}`, textContent: one.missing }),
+  );
 }
 
 // Day and hour: between them the line may break, and nowhere else.
@@ -50,6 +85,6 @@ async function choose(file) {
 
 function mark() {
   for (const button of byId("table").querySelectorAll("button")) {
-    button.setAttribute("aria-pressed", String(button.dataset.file === chosen));
+    if (button.dataset.file) button.setAttribute("aria-pressed", String(button.dataset.file === chosen));
   }
 }
