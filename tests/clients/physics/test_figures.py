@@ -125,10 +125,11 @@ def test_changed_parameters_stand_beside_the_handouts_own() -> None:
     legend = ax.get_legend()
     assert legend is not None
     assert [" ".join(t.get_text().split()) for t in legend.get_texts()] == [
-        "handout: 1.8623 rad/s, slope 98.40 rad/s²",
-        "$J_1$=0.0034: 1.8623 rad/s, slope 49.20 rad/s²",
-        "$K_{lin}$=2.38: 1.8623 rad/s, slope 98.40 rad/s²",
-        "both: 1.8623 rad/s, slope 49.20 rad/s²",
+        "handout: steady 1.8623 rad/s, initial slope 98.40 rad/s²",
+        "$J_1$=0.0034: steady 1.8623 rad/s, initial slope 49.20 rad/s²",
+        "$K_{lin}$=2.38: steady 1.8623 rad/s, initial slope 98.40 rad/s²",
+        "both: steady 1.8623 rad/s, initial slope 49.20 rad/s²",
+        "steady speed and initial slope, handout",
     ]
     own, changed = (np.asarray(line.get_ydata()) for line in ax.lines[:2])
     assert changed[5] == pytest.approx(own[5] / 2, rel=0.1)
