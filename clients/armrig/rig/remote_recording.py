@@ -207,11 +207,13 @@ class RemoteRecording:
         file.add(waiting)
         file.finish(outcome)
         file.join(_FINISH_S)
+        if not file.kept.name.endswith(ACTIVE):  # whole, though the disk may have ended it
+            how = "its recording ended early" if file.error else outcome
+            self.done.append(
+                RecordedFile(path=file.kept, outcome=how, samples=file.synced, missing=file.missing)
+            )
         if file.error:
             raise DiskError(file.error)
-        self.done.append(
-            RecordedFile(path=file.kept, outcome=outcome, samples=file.synced, missing=file.missing)
-        )
 
 
 def _gap(gap: LiveGap) -> bytes:

@@ -23,6 +23,7 @@ from armrig_core.history import Past
 from armrig_core.recording_file import recording_part
 from armrig_core.telemetry import Sample, encode_sample
 from mcap.reader import make_reader
+from processes import wait_for
 
 TS_NS = 10_000_000
 OFFSET_NS = 1_750_000_000_000_000_000
@@ -353,6 +354,28 @@ def test_a_disk_that_is_behind_is_waited_for(
     assert waits
     [found] = files(recording)
     assert ks(found) == list(range(40))
+
+
+def test_a_file_that_a_full_disk_has_ended_is_whole_and_listed(
+    recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The reserve completes the file; the error names the disk's reason."""
+    flush = recording_part.Part.flush
+
+    def full(self: recording_part.Part) -> None:
+        flush(self)
+        raise recording_part.EndsHereError("No space left on device")
+
+    monkeypatch.setattr(recording_part.Part, "flush", full)
+    recording.add(piece(state(), *map(sample, range(5))))
+    wait_for(recording.path.exists)
+
+    with pytest.raises(RigError, match="No space left on device"):
+        recording.finish("complete")
+
+    [file] = recording.done
+    assert (file.outcome, file.samples) == ("its recording ended early", 5)
+    assert armrig.load(file.path).samples.size == 5
 
 
 def test_a_folder_that_is_gone_is_told(recording: RemoteRecording, tmp_path: Path) -> None:
