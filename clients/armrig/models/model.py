@@ -183,8 +183,8 @@ class Model:
             dz[fixed] = 0.0
         both = np.stack([dz.real, dz.imag], axis=1)
         part = self.slice_of(letter)
-        covariance = both @ self.trusted_covariance[part, part] @ both.transpose(0, 2, 1)
-        return Roots(values=z, covariance=covariance)
+        moved = both @ _factor(self.trusted_covariance[part, part])
+        return Roots(values=z, covariance=moved @ moved.transpose(0, 2, 1))
 
     def frequency_response(self, omega: ArrayLike) -> FrequencyResponse:
         """Return G at omega (n,) in rad/s, up to the Nyquist frequency pi/Ts.
@@ -305,3 +305,14 @@ def freeze(value: Any, names: tuple[str, ...]) -> None:
 def standard_deviations(J: Matrix, covariance: Matrix) -> Vector:
     """Return the standard deviations of J theta, (n,)."""
     return np.asarray(np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", J, covariance, J), 0.0)))
+
+
+def _factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return L of C = L L', NaN where C is not known.
+
+    J L L' J' is never negative. J C J' can be, by rounding, where roots nearly meet.
+    """
+    if not np.isfinite(covariance).all():
+        return np.full_like(covariance, np.nan)
+    variances, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.maximum(variances, 0.0)))

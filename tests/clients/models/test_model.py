@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import armrig
@@ -93,3 +94,22 @@ def test_the_physics_predicts_by_simulation(plant: HandoutPlant) -> None:
 
     np.testing.assert_array_equal(physics.predict(data), physics.predict(data, horizon=1))
     assert np.nanstd(data.y - physics.predict(data)) < 0.01
+
+
+def test_a_pole_that_an_ill_conditioned_covariance_hardly_moves_has_a_deviation(
+    fit: armrig.Fit,
+) -> None:
+    """J C J' is rounded below 0 where a direction that moves no pole has a large variance."""
+    poles = np.array([0.95 + 0.025j, 0.95 - 0.025j, 0.99 + 0.008j, 0.99 - 0.008j])
+    F = np.poly(poles).real
+    powers = poles[0] ** np.arange(3, -1, -1)
+    still = np.linalg.svd(np.vstack([powers.real, powers.imag]))[2][2:]
+    plain = replace(fit, F=F, structure="OE", integrator=False)
+    f = plain.slice_of("f")
+
+    for v in np.random.default_rng(3).standard_normal((20, 2)) @ still:
+        covariance = np.zeros((f.stop, f.stop))
+        covariance[f, f] = 1e4 * np.outer(v, v)
+        with np.errstate(invalid="raise"):
+            known = replace(plain, covariance=covariance, covariance_robust=covariance)
+            assert np.isfinite(known.poles().std).all()
