@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import armrig
 import made_recordings
@@ -201,6 +202,53 @@ def test_a_finger_finds_each_button(browser: Any, client: Client) -> None:
                 box = element.bounding_box()
                 assert min(box["height"], box["width"]) >= 44, element.inner_text()
             assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+
+
+def test_the_drawn_arm_turns_with_the_rig(browser: Any, client: Client, served: Bench) -> None:
+    """By the angle that is shown, against the clock."""
+    with opened(browser, client.url, WIDE) as page:
+        turned = "document.querySelector('#arm-drawing .chassis').getAttribute('transform')"
+        until(page, lambda: "rotate" in str(page.evaluate(turned)))
+        before = page.evaluate(turned)
+        begin(client, served)
+        until(page, lambda: page.evaluate(turned) != before)
+        page.keyboard.press("Space")
+        client.wait("run", lambda seen: not seen["is_going"])
+
+
+def test_what_is_seen_is_saved_as_a_picture_and_as_values(
+    browser: Any, client: Client, tmp_path: Path
+) -> None:
+    """PNG, SVG with each panel's name and unit, and CSV of the page's quantities."""
+    with opened(browser, client.url, WIDE) as page:
+        until(page, lambda: "V" in text(page, "#value-u"))
+        saved = {}
+        for kind in ("png", "svg", "csv"):
+            with page.expect_download() as download:
+                page.click(f"#live-{kind}")
+            download.value.save_as(saved.setdefault(kind, tmp_path / f"seen.{kind}"))
+
+    assert saved["png"].read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    drawn = ElementTree.parse(saved["svg"]).getroot()
+    words = [element.text for element in drawn.iter("{http://www.w3.org/2000/svg}text")]
+    assert {"(a) u [V]", "(b) θ₁ [°]", "(c) rate of θ₁ [°/s]", "(d) α [°]"} <= {*words}
+    header, *rows = saved["csv"].read_text().splitlines()
+    assert header.startswith("t [s],u least [V],u largest [V],θ₁ least [°]")
+    assert {len(row.split(",")) for row in rows} == {9}
+
+
+def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Client) -> None:
+    """In letters that are read from ten metres, until it is switched off."""
+    with opened(browser, client.url, WIDE) as page:
+        page.click("#projector")
+        size = "(id) => parseFloat(getComputedStyle(document.getElementById(id)).fontSize)"
+        for part in ("phase", "stop", "value-u"):
+            assert page.is_visible(f"#{part}")
+            assert page.evaluate(size, part) >= 24
+        for part in ("tab-recordings", "experiment", "timing-text", "owner"):
+            assert not page.is_visible(f"#{part}")
+        page.click("#projector")
+        assert page.is_visible("#experiment")
 
 
 def test_the_space_bar_stops_wherever_the_focus_is(

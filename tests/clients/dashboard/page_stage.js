@@ -101,6 +101,7 @@ Object.assign(globalThis, {
   document: {
     getElementById: byId,
     createElement: (tag) => new (made[tag] ?? Element)(tag),
+    createElementNS: (_, tag) => new Element(tag),
     querySelectorAll: () => [byId("tab-recordings")],
     documentElement: new Element("html"),
     body,

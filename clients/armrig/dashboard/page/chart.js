@@ -93,11 +93,11 @@ const fifths = ([low, high]) => [0, 1, 2, 3, 4].map((i) => low + ((high - low) *
 const clock = (s) => new Date(1000 * s).toTimeString().slice(0, 8);
 
 // A chart of least and largest values in the page's colours.
-export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped }) {
+export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped, width = where.clientWidth, size = 12 }) {
   const ink = () => colour("soft");
   const stroke = () => colour(signal.key);
-  const axis = { stroke: ink, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("line"), width: 1 }, font: "12px system-ui, DejaVu Sans, sans-serif" };
-  const series = { stroke, width: 1.5, points: { show: false } };
+  const axis = { stroke: ink, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("line"), width: 1 }, font: `${size}px system-ui, DejaVu Sans, sans-serif` };
+  const series = { stroke, width: size / 8, points: { show: false } };
   const range = (u, least, largest) => {
     if (u.wantedY) return u.wantedY;
     if (signal.range) return [signal.range[0] - signal.pad, signal.range[1] + signal.pad];
@@ -113,14 +113,14 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
   const withUnit = (u, splits) => splits.map((y, i) => `${+y.toPrecision(6)}${i === splits.length - 1 ? ` ${signal.unit}` : ""}`);
   const made = new uPlot(
     {
-      width: where.clientWidth || 300,
+      width: width || 300,
       height,
       legend: { show: false },
       cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false }, y: false, sync: sync ? { key: sync, setSeries: false } : undefined },
       scales: { x: { time: false, range: (u, a, b) => u.wanted || [a, b] }, y: { range } },
       axes: [
-        { ...axis, size: xLabel ? 30 : 8, splits: xSplits, values: (u, splits) => splits.map((x, i) => (xLabel ? xText(u, x, i === splits.length - 1 ? ` ${xLabel}` : "") : "")) },
-        { ...axis, size: 64, space: 20, values: withUnit, ...(signal.splits ? { splits: (u) => (u.wantedY ? fifths(u.wantedY) : signal.splits) } : {}) },
+        { ...axis, size: xLabel ? 18 + size : 8, splits: xSplits, values: (u, splits) => splits.map((x, i) => (xLabel ? xText(u, x, i === splits.length - 1 ? ` ${xLabel}` : "") : "")) },
+        { ...axis, size: 10 + 4.5 * size, space: 1.7 * size, values: withUnit, ...(signal.splits ? { splits: (u) => (u.wantedY ? fifths(u.wantedY) : size > 12 ? signal.fewSplits : signal.splits) } : {}) },
       ],
       series: [{}, { ...series, paths: (u, i, from, to) => ({ stroke: drawnPath(u, from, to, stepped), fill: null }) }, { ...series, paths: () => null }],
       hooks: {
@@ -139,6 +139,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
     [[], [], []],
     where,
   );
+  made.isStepped = stepped;
   charts.add(made);
   return made;
 }

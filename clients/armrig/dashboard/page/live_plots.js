@@ -2,17 +2,13 @@
 
 import { chart } from "./chart.js";
 import { FIGURES_MS, byId, make, setText, show } from "./elements.js";
+import { setUpSaving } from "./live_saving.js";
+import { SIGNALS } from "./live_signals.js";
 import { KEPT_S, Rows } from "./rows.js";
+import { AXES, originOf } from "./time_axis.js";
 
 const SPANS = [5, 30, 300];
-const AXES = ["from now", "clock", "since start"]; // what the time axis counts
-
-const SIGNALS = [
-  { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 2, splits: [0, 1, 2, 3, 4, 5] },
-  { key: "theta_1", name: "θ₁", unit: "°", range: [0, 360], pad: 10, digits: 1, splits: [0, 90, 180, 270, 360], wraps: true },
-  { key: "rate", name: "rate of θ₁", unit: "°/s", range: null, least: 40, digits: 0, isSymmetric: true },
-  { key: "alpha", name: "α", unit: "°", range: null, least: 4, digits: 1, isSymmetric: true },
-];
+const HEAD_PIXELS = 255; // beside a chart for a hall
 
 // Four plots fill a screen where it is wide; on a phone each is as high as can be read.
 const heightOf = (last) => (innerWidth > 900 ? Math.max(115, Math.min(210, (innerHeight - 330) / 4)) : 105) + (last ? 22 : 0);
@@ -25,8 +21,7 @@ export class LivePlots {
     this.cursorAt = null; // in s from the newest, as the x axis
     this.toldAt = -FIGURES_MS; // when the figures were shown
     this.restUntil = 0;
-    this.charts = SIGNALS.map((signal, i) => this.#made(signal, i === SIGNALS.length - 1));
-    this.values = SIGNALS.map((signal) => byId(`value-${signal.key}`));
+    this.setLarge(false);
     for (const span of SPANS) {
       const text = span < 60 ? `${span} s` : `${span / 60} min`;
       const button = make("button", { type: "button", textContent: text });
@@ -40,8 +35,24 @@ export class LivePlots {
     byId("axis").addEventListener("click", () => this.setAxis(AXES[(AXES.indexOf(this.axis) + 1) % AXES.length]));
     byId("follow").addEventListener("click", () => this.follow());
     byId("charts").addEventListener("dblclick", () => this.follow());
+    setUpSaving(this);
     new ResizeObserver(() => this.#resize()).observe(byId("charts"));
     byId("plots").addEventListener("keydown", (event) => this.#key(event));
+  }
+
+  // Make the charts, for a desk or for a hall.
+  setLarge(isLarge) {
+    for (const u of this.charts ?? []) u.destroy();
+    byId("charts").replaceChildren();
+    this.isLarge = isLarge;
+    this.charts = SIGNALS.map((signal, i) => this.#made(signal, i === SIGNALS.length - 1));
+    this.values = SIGNALS.map((signal) => byId(`value-${signal.key}`));
+    this.toldAt = -FIGURES_MS;
+    this.draw();
+  }
+
+  #height(last) {
+    return this.isLarge ? Math.max(90, (innerHeight - 220) / 4) : heightOf(last);
   }
 
   #made(signal, last) {
@@ -56,9 +67,12 @@ export class LivePlots {
       ),
     );
     byId("charts").append(where);
+    const width = this.isLarge ? byId("charts").clientWidth - HEAD_PIXELS : undefined;
     return chart(where, {
+      width,
       signal,
-      height: heightOf(last),
+      height: this.#height(last),
+      size: this.isLarge ? 22 : 12,
       xLabel: last ? "s" : "",
       sync: "live",
       stepped: signal.key === "u",
@@ -90,7 +104,7 @@ export class LivePlots {
   }
 
   zoom(from, to) {
-    const zero = this.frozen?.zero ?? this.rows.newest;
+    const { zero } = this.seen;
     if (!(to - from > 0.05) || Number.isNaN(zero)) return;
     const last = this.rows.newest - zero;
     if (!this.frozen) this.shownAt = Date.now();
@@ -108,6 +122,12 @@ export class LivePlots {
     this.draw();
   }
 
+  // [from, to] in s from zero, the time of 0 on the axis.
+  get seen() {
+    const zero = this.frozen?.zero ?? this.rows.newest;
+    return { zero, from: this.frozen?.from ?? -this.span, to: this.frozen?.to ?? 0 };
+  }
+
   // Draw at most once a frame, and only what is seen.
   wants() {
     // A browser that draws slowly draws less often, so that data and stops have their turn.
@@ -122,11 +142,10 @@ export class LivePlots {
   draw() {
     if (!this.charts) return;
     const began = performance.now();
-    const zero = this.frozen?.zero ?? this.rows.newest;
+    const { zero, from, to } = this.seen;
     if (Number.isNaN(zero)) return;
-    const [from, to] = this.frozen ? [this.frozen.from, this.frozen.to] : [-this.span, 0];
     const marks = this.marks.map(({ t, kind }) => ({ x: t - zero, kind }));
-    const origin = this.#origin(zero);
+    const origin = originOf(this.axis, zero, this.frozen ? this.shownAt : Date.now(), this.marks);
     this.charts.forEach((u, i) => {
       Object.assign(u, { wanted: [from, to], marks, origin, namesMarks: i === 0 });
       const pixels = u.bbox.width / devicePixelRatio;
@@ -136,13 +155,6 @@ export class LivePlots {
     this.restUntil = 2 * performance.now() - began;
   }
 
-  // Where the time axis begins to count.
-  #origin(zero) {
-    if (this.axis === "clock") return { s: (this.frozen ? this.shownAt : Date.now()) / 1000, isClock: true };
-    const start = this.marks.findLast(({ kind }) => kind === "start");
-    return { s: this.axis === "since start" && start ? zero - start.t : 0 };
-  }
-
   #point(x) {
     this.cursorAt = x;
     this.#tell();
@@ -150,7 +162,7 @@ export class LivePlots {
 
   #tell() {
     this.toldAt = performance.now();
-    const zero = this.frozen?.zero ?? this.rows.newest;
+    const { zero } = this.seen;
     const pointed = this.cursorAt !== null;
     const t = pointed ? zero + this.cursorAt : zero;
     const row = this.rows.holding(t);
@@ -173,15 +185,15 @@ export class LivePlots {
   }
 
   #resize() {
-    const width = byId("charts").clientWidth;
+    const width = byId("charts").clientWidth - (this.isLarge ? HEAD_PIXELS : 0);
     if (!width || width === this.width) return;
     this.width = width;
-    this.charts.forEach((u, i) => u.setSize({ width, height: heightOf(i === this.charts.length - 1) }));
+    this.charts.forEach((u, i) => u.setSize({ width, height: this.#height(i === this.charts.length - 1) }));
     this.draw();
   }
 
   #key(event) {
-    const [from, to] = this.frozen ? [this.frozen.from, this.frozen.to] : [-this.span, 0];
+    const { from, to } = this.seen;
     const steps = { ArrowLeft: -1, ArrowRight: 1 };
     if (event.key in steps && event.target === byId("plots")) {
       const step = ((to - from) / 100) * steps[event.key] * (event.shiftKey ? 10 : 1);

@@ -1,5 +1,6 @@
 // The page: what comes from the stream goes to its places; keys; the theme.
 
+import { ArmDrawing } from "./arm.js";
 import { redrawCharts } from "./chart.js";
 import { allow, setUpControl, showRun, showControl, withdrawRun } from "./control.js";
 import { ask, attempt, byId, notice, owner, setText, show, token } from "./elements.js";
@@ -10,6 +11,7 @@ import { Stream } from "./stream.js";
 
 const THEMES = ["system", "light", "dark"];
 const systemDark = matchMedia("(prefers-color-scheme: dark)");
+const WIDE = 900; // pixels: on a narrower screen the charts have no room beside their names
 const CONNECTION_MS = 60; // a stop that has one is answered sooner
 let plots = null;
 let stream = null;
@@ -70,6 +72,13 @@ function choose(name) {
 
 function begin() {
   plots = new LivePlots();
+  const arm = new ArmDrawing(byId("arm-drawing"));
+  byId("projector").addEventListener("click", () => {
+    const isOn = document.body.classList.toggle("projector");
+    byId("projector").setAttribute("aria-pressed", String(isOn));
+    choose("live");
+    plots.setLarge(isOn && innerWidth > WIDE);
+  });
   useTheme();
   systemDark.addEventListener("change", useTheme);
   byId("theme").addEventListener("click", () => {
@@ -105,6 +114,7 @@ function begin() {
       },
       live: (live) => {
         showLive(live);
+        if (live.newest) arm.show(live.newest.theta_1, rigStatus().arm_removed ? 0 : live.newest.alpha);
         allow();
         if (live.rows.length) {
           plots.rows.addLive(live.rows);

@@ -3,6 +3,7 @@
 import { chart } from "./chart.js";
 import { ask, askJson, attempt, byId, make, notice, setText } from "./elements.js";
 import { identify } from "./model.js";
+import { save, savePng, saveSvg } from "./picture.js";
 
 const SIGNALS = [
   { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 3, splits: [0, 1, 2, 3, 4, 5] },
@@ -65,12 +66,16 @@ function buttons() {
     { className: "tools" },
     button("Download MCAP", () => download("mcap", { file: chosen }, chosen)),
     button("CSV of what is seen", () => download("csv", { file: chosen, ...(seen ? { start: seen[0], stop: seen[1] } : {}) }, chosen.replace(/mcap$/, "csv"))),
+    button("Picture, PNG", () => savePng(seenCharts(), chosen, chosen.replace(/\.mcap$/, ""))),
+    button("Picture, SVG", () => saveSvg(seenCharts(), chosen, chosen.replace(/\.mcap$/, ""))),
     button("Whole length", () => zoom(null)),
     output,
     button("Identify", () => identify(chosen, output.value), "go"),
     button("Report", () => download("report", { file: chosen }, chosen.replace(/mcap$/, "pdf"))),
   );
 }
+
+const seenCharts = () => charts.map((u, i) => ({ u, signal: SIGNALS[i] }));
 
 function button(text, does, className = "") {
   const made = make("button", { type: "button", textContent: text, className });
@@ -136,9 +141,5 @@ function resize() {
 
 async function download(what, body, name) {
   notice(what === "report" ? "typesetting the report …" : `fetching ${name} …`);
-  const data = await (await ask(what, body)).blob();
-  const link = make("a", { href: URL.createObjectURL(data), download: name });
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 60000);
-  notice(`${name}: ${data.size} B`);
+  save(await (await ask(what, body)).blob(), name);
 }

@@ -1,0 +1,31 @@
+// What the live plots show, as a picture or as values.
+
+import { attempt, byId } from "./elements.js";
+import { SIGNALS } from "./live_signals.js";
+import { save, savePng, saveSvg } from "./picture.js";
+
+export function setUpSaving(plots) {
+  const does = {
+    png: (name, title) => savePng(chartsOf(plots), title, name),
+    svg: (name, title) => saveSvg(chartsOf(plots), title, name),
+    csv: (name) => saveCsv(plots, name),
+  };
+  for (const [kind, write] of Object.entries(does)) {
+    byId(`live-${kind}`).addEventListener("click", () => {
+      const now = new Date();
+      attempt(async () => write(`live-${now.toISOString().slice(0, 19).replaceAll(":", "")}`, `${byId("title").textContent}, ${now.toLocaleString()}`));
+    });
+  }
+}
+
+const chartsOf = (plots) => plots.charts.map((u, i) => ({ u, signal: SIGNALS[i] }));
+
+// The bins that are seen: of each the least and the largest value.
+function saveCsv({ rows, seen: { zero, from, to } }, name) {
+  const head = SIGNALS.flatMap(({ name: of, unit }) => [`${of} least [${unit}]`, `${of} largest [${unit}]`]);
+  const lines = [["t [s]", ...head].join(",")];
+  for (let i = rows.find(zero + from); i < rows.length && rows.at(i, 0) <= zero + to; i++) {
+    lines.push(Array.from({ length: 1 + 2 * SIGNALS.length }, (_, column) => String(rows.at(i, column)).toLowerCase()).join(","));
+  }
+  save(new Blob([`${lines.join("\n")}\n`], { type: "text/csv" }), `${name}.csv`);
+}

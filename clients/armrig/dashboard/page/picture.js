@@ -1,0 +1,92 @@
+// A picture of the curves that are seen, as SVG and PNG, and their values as CSV.
+
+import { make, notice } from "./elements.js";
+
+const [WIDTH, HEIGHT, LEFT, TOP, GAP] = [1000, 170, 80, 56, 40];
+const PNG_SCALE = 2;
+
+const escaped = (text) => String(text).replace(/[&<>"]/g, (c) => `&#${c.charCodeAt(0)};`);
+const text = (x, y, what, more = "") => `<text x="${x.toFixed(1)}" y="${y.toFixed(1)}" ${more}>${escaped(what)}</text>`;
+
+// One chart: frame, labels as on the page, curves and marks.
+function panel(u, { signal, letter }, top) {
+  const [x, y] = [u.scales.x, u.scales.y];
+  const width = WIDTH - LEFT - 20;
+  const at = (t) => LEFT + ((t - x.min) / (x.max - x.min)) * width;
+  const up = (value) => top + HEIGHT - ((value - y.min) / (y.max - y.min)) * HEIGHT;
+  const labels = (axis) => u.axes[axis]._splits.map((value, i) => [value, u.axes[axis]._values[i]]);
+  const out = [text(LEFT, top - 8, `(${letter}) ${signal.name} [${signal.unit}]`)];
+  for (const [value, label] of labels(1)) {
+    if (value < y.min || value > y.max) continue;
+    out.push(`<path d="M${LEFT} ${up(value).toFixed(1)}h${width}" stroke="#ddd"/>`, text(LEFT - 6, up(value) + 4, label ?? "", 'text-anchor="end"'));
+  }
+  for (const [value, label] of labels(0)) {
+    if (value < x.min || value > x.max) continue;
+    out.push(`<path d="M${at(value).toFixed(1)} ${top}v${HEIGHT}" stroke="#ddd"/>`, text(at(value), top + HEIGHT + 16, label ?? "", 'text-anchor="middle"'));
+  }
+  for (const { x: t, kind } of u.marks ?? []) {
+    if (t < x.min || t > x.max) continue;
+    out.push(`<path d="M${at(t).toFixed(1)} ${top}v${HEIGHT}" stroke="#888"/>`, text(at(t) + 3, top + 12, kind));
+  }
+  out.push(`<clipPath id="clip-${letter}"><rect x="${LEFT}" y="${top}" width="${width}" height="${HEIGHT}"/></clipPath>`);
+  for (const [d, colour, dash] of curves(u, at, up)) out.push(`<path d="${d}" fill="none" stroke="${colour}" stroke-width="1.3" stroke-dasharray="${dash}" clip-path="url(#clip-${letter})"/>`);
+  return out.join("\n");
+}
+
+// The path of each pair of least and largest values, lifted where there is none.
+function* curves(u, at, up) {
+  const x = u.data[0];
+  for (let s = 1; s < u.data.length; s += 2) {
+    let d = "";
+    let isUp = true;
+    for (let i = 0; i < x.length; i++) {
+      const [low, high] = [u.data[s][i], u.data[s + 1][i]];
+      if (low == null) {
+        isUp = true;
+        continue;
+      }
+      const place = at(x[i]).toFixed(1);
+      d += isUp ? `M${place} ${up(low).toFixed(1)}` : u.isStepped ? `H${place}V${up(low).toFixed(1)}` : `L${place} ${up(low).toFixed(1)}`;
+      if (high !== low) d += `V${up(high).toFixed(1)}`;
+      isUp = false;
+    }
+    if (d) yield [d, s === 1 ? "#0059a0" : "#b84a00", s === 1 ? "" : "6 3"];
+  }
+}
+
+// charts: of {u, signal}; title: what is seen.
+export function svgOf(charts, title) {
+  const height = TOP + charts.length * (HEIGHT + GAP) + 10;
+  const panels = charts.map(({ u, signal }, i) => panel(u, { signal, letter: "abcdefgh"[i] }, TOP + i * (HEIGHT + GAP)));
+  return `<svg xmlns="http://www.w3.org/2000/svg" width="${WIDTH}" height="${height}" viewBox="0 0 ${WIDTH} ${height}" font-family="DejaVu Sans, Arial, sans-serif" font-size="12">
+<rect width="100%" height="100%" fill="#fff"/>
+${text(LEFT, 24, title, 'font-size="15"')}
+${panels.join("\n")}
+</svg>`;
+}
+
+async function pngOf(svg) {
+  const url = URL.createObjectURL(new Blob([svg], { type: "image/svg+xml" }));
+  const image = make("img", { src: url });
+  await image.decode();
+  const canvas = make("canvas", { width: PNG_SCALE * image.naturalWidth, height: PNG_SCALE * image.naturalHeight });
+  canvas.getContext("2d").drawImage(image, 0, 0, canvas.width, canvas.height);
+  URL.revokeObjectURL(url);
+  return new Promise((done) => canvas.toBlob(done, "image/png"));
+}
+
+export function save(data, name) {
+  const link = make("a", { href: URL.createObjectURL(data), download: name });
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 60000);
+  notice(`${name}: ${data.size} B`);
+}
+
+// Save what is seen under a name without an ending.
+export async function saveSvg(charts, title, name) {
+  save(new Blob([svgOf(charts, title)], { type: "image/svg+xml" }), `${name}.svg`);
+}
+
+export async function savePng(charts, title, name) {
+  save(await pngOf(svgOf(charts, title)), `${name}.png`);
+}
