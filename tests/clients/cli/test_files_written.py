@@ -46,7 +46,10 @@ def test_the_source_of_a_report_is_to_be_typeset_again(
 
 
 def test_report_tells_a_program_what_it_was_made_from(
-    three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    three_recordings: tuple[Path, ...],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The path, and the hash of each recording in the order given.
 
@@ -55,6 +58,9 @@ def test_report_tells_a_program_what_it_was_made_from(
     pdf = tmp_path / "r.pdf"
     step, recording, _ = three_recordings
     files = (recording, recording, step)
+    # What is told needs no figures and no typesetting, which take most of the time.
+    monkeypatch.setattr("armrig.report.document.write_figures", lambda *_: {})
+    monkeypatch.setattr("armrig.report.typesetting.compiled", lambda _: (b"%PDF-", []))
 
     assert main(["report", *map(str, files), "-o", str(pdf), "--json"]) == 0
 
