@@ -191,14 +191,15 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
         at = exp(-1j * w * model.Ts)
         return abs(_horner(b, at)) ** 2 / max(abs(_horner(f, at)) ** 2, 1e-300)
 
-    y = filtered(B, F, np.ones(_length(F)))
+    modulus = np.abs(roots(F))
+    y = filtered(B, F, np.ones(_length(modulus)))
     dead = max(model.nk - 1, 0)
     answer = y / gain
     # Of a rate, the mean of each interval, the area is exact; of an output by the trapezoidal rule.
     first = 1.0 if integrating else 0.5 * (1 - float(answer[dead]))
     shown = (model.Ts * np.cumsum(answer) if integrating else answer)[dead:]
     with np.errstate(divide="ignore"):
-        decay = np.log(np.abs(roots(F))) / model.Ts
+        decay = np.log(modulus) / model.Ts
     return {
         "gain": gain,
         "resonance": _extreme(omega, of_grid, power, sign=1),
@@ -224,9 +225,15 @@ def _polynomials(model: Model, theta: Vector) -> tuple[Vector, Vector]:
     return B, np.convolve(np.append(1.0, a), np.append(1.0, f))
 
 
-def _length(F: Vector) -> int:
-    """Return the samples in which a step response settles to a thousandth, 2000 at most."""
-    slowest = float(np.abs(roots(F)).max(initial=0.0))
+def _length(modulus: Vector) -> int:
+    """Return the samples in which a step response settles to a thousandth, 2000 at most.
+
+    Parameters
+    ----------
+    modulus : ndarray, shape (n,)
+        Of the poles.
+    """
+    slowest = float(modulus.max(initial=0.0))
     if not 0 < slowest < 1:
         return _LONGEST
     return min(_LONGEST, max(50, int(np.log(1e-3) / np.log(slowest)) + 1))

@@ -32,7 +32,7 @@ def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = 
     integrated : bool
         `y` is the integral of the answer, such as an angle whose rate is looked at.
     """
-    from scipy.interpolate import CubicSpline
+    from scipy.interpolate import CubicSpline, PPoly
 
     if y.size < 2 or not np.isfinite(y).all():
         return float("nan")
@@ -43,6 +43,10 @@ def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = 
     answer = curve.derivative() if integrated else curve
     if float(answer(0.0)) >= share:
         return 0.0
+    # Up to the first sample that is there: to solve all pieces takes as long as all else.
+    there = np.flatnonzero(answer.c[-1] >= share)
+    if there.size:
+        answer = PPoly(answer.c[:, : there[0] + 1], answer.x[: there[0] + 2])
     reached = answer.solve(share, extrapolate=False)
     reached = reached[np.isfinite(reached)]
     return float(reached[0]) if reached.size else float("nan")
