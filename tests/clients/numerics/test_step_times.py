@@ -16,6 +16,7 @@ from armrig_core.arm import ArmParameters
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from sampling import sampled
 
 OTHERS = {
     "handout": ArmParameters(),
@@ -45,7 +46,7 @@ def _shown(p: ArmParameters, Ts: float) -> Iterator[tuple[str, float, float, flo
 
 
 @EVERY
-@pytest.mark.parametrize("Ts", [0.005, 0.01])
+@pytest.mark.parametrize("Ts", sampled([0.01, 0.005]))
 def test_a_time_is_the_same_wherever_it_is_shown(p: ArmParameters, Ts: float) -> None:
     """`armrig model`, `compare`, the step analysis and `armrig sampling` give one number.
 

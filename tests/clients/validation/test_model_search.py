@@ -218,7 +218,8 @@ def test_models_without_a_sample_in_common_are_not_compared() -> None:
 
 def test_a_search_shows_each_structure_and_rings_the_choice() -> None:
     """Error against number of parameters, a line for each structure."""
-    found = search(_data(1, [1.0], [1.0]), _data(2, [1.0], [1.0]), families=("arx", "oe"))
+    data = _data(1, [1.0], [1.0]), _data(2, [1.0], [1.0])
+    found = search(*data, families=("arx", "oe"), orders=(1, 2, 3))
 
     ax = found.plot(ax=Figure().add_subplot()).axes[0]
 
