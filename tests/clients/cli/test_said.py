@@ -120,6 +120,12 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
     (here / ".home").mkdir()
     monkeypatch.chdir(here)
     monkeypatch.setattr("sys.stdin", io.StringIO())
+    # Whether this machine has a programmer is no command's doing; none of them starts it.
+    programmer = made / "programs" / "avrdude"
+    programmer.parent.mkdir(exist_ok=True)
+    programmer.write_text("#!/bin/false\n")
+    programmer.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{programmer.parent}:{os.environ['PATH']}")
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", _write_words)
     monkeypatch.setattr("typst.Compiler", _Compiler)
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
