@@ -251,6 +251,29 @@ def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Clie
         assert page.is_visible("#experiment")
 
 
+def test_a_recording_is_played_again_and_compared(
+    browser: Any, client: Client, served: Bench
+) -> None:
+    """Its cursor and its arm move at ten times its time; another one, or a model, lies over it."""
+    for seconds in (4.0, 5.0):
+        begin(client, served, STEP | {"seconds": seconds, "at": 1.0})
+        client.wait("run", lambda seen: not seen["is_going"])
+    with opened(browser, client.url, WIDE) as page:
+        page.click("#tab-recordings")
+        page.click("#table tbody button >> nth=0")
+        page.wait_for_selector("#curves canvas")
+        page.click("text=Replay 10 ×")
+        until(page, lambda: text(page, "#replay .value") == "5.00 s")
+        arm = page.locator("#replay .chassis")
+        assert "rotate" in str(arm.get_attribute("transform"))
+
+        page.select_option("#compared", index=1)
+        until(page, lambda: ".mcap" in text(page, "#seen"))
+        page.click("text=Identify")
+        page.wait_for_selector("#model h2")
+        until(page, lambda: "dashed: OE(" in text(page, "#seen"))
+
+
 def test_the_space_bar_stops_wherever_the_focus_is(
     browser: Any, client: Client, served: Bench
 ) -> None:

@@ -22,6 +22,8 @@ _NAMES = (
     "time_axis.js",
     "picture.js",
     "arm.js",
+    "replay.js",
+    "compared.js",
     "rows.js",
     "chart.js",
     "status.js",

@@ -96,7 +96,8 @@ def identified(path: Path, validation: Path | None, output: Output) -> dict[str,
     ValueError
         The data determine no model; the message says what is wrong with them.
     """
-    data = _loaded(path).dataset(output)
+    recording = _loaded(path)
+    data = recording.dataset(output)
     if validation is None:
         estimation, other = data.split(2)
     else:
@@ -109,6 +110,10 @@ def identified(path: Path, validation: Path | None, output: Output) -> dict[str,
     tests = residuals(fit, other)
     return {
         "model": fit.label,
+        "simulated": [
+            output,
+            _drawn(recording.t, np.degrees(compare(data, fit)[0].y)),
+        ],
         "judged": "the second half of the recording" if validation is None else validation.name,
         "texts": [
             ("model", repr(fit)),

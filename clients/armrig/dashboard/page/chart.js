@@ -17,12 +17,13 @@ export function redrawCharts() {
 
 // From the least to the largest value of each pixel, and on to the next; lifted where there is none.
 // uPlot's own paths go across a break and are clipped there to whole pixels, which leaves stubs.
-function drawnPath(u, from, to, stepped) {
-  const [x, low, high] = u.data;
+function drawnPath(u, series, from, to, stepped) {
+  const [x, low, high] = [u.data[0], u.data[series], u.data[series + 1]];
   const path = new Path2D();
   let before = null; // y of the last point drawn, null where the pen is up
   for (let i = from; i <= to; i++) {
-    if (low[i] == null) {
+    if (low[i] === undefined) continue; // another curve's point
+    if (low[i] === null) {
       before = null;
       continue;
     }
@@ -93,7 +94,7 @@ const fifths = ([low, high]) => [0, 1, 2, 3, 4].map((i) => low + ((high - low) *
 const clock = (s) => new Date(1000 * s).toTimeString().slice(0, 8);
 
 // A chart of least and largest values in the page's colours.
-export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped, width = where.clientWidth, size = 12 }) {
+export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, stepped, compares, width = where.clientWidth, size = 12 }) {
   const ink = () => colour("soft");
   const stroke = () => colour(signal.key);
   const axis = { stroke: ink, grid: { stroke: () => colour("grid"), width: 1 }, ticks: { stroke: () => colour("line"), width: 1 }, font: `${size}px system-ui, DejaVu Sans, sans-serif` };
@@ -110,6 +111,8 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
     const half = Math.max(signal.least / 2, ((largest - least) / 2) * 1.1);
     return [middle - half, middle + half];
   };
+  // Least and largest are one path, which the first of both draws.
+  const pair = (one) => [{ ...one, paths: (u, i, from, to) => ({ stroke: drawnPath(u, i, from, to, stepped), fill: null }) }, { ...one, paths: () => null }];
   const withUnit = (u, splits) => splits.map((y, i) => `${+y.toPrecision(6)}${i === splits.length - 1 ? ` ${signal.unit}` : ""}`);
   const made = new uPlot(
     {
@@ -122,7 +125,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
         { ...axis, size: xLabel ? 18 + size : 8, splits: xSplits, values: (u, splits) => splits.map((x, i) => (xLabel ? xText(u, x, i === splits.length - 1 ? ` ${xLabel}` : "") : "")) },
         { ...axis, size: 10 + 4.5 * size, space: 1.7 * size, values: withUnit, ...(signal.splits ? { splits: (u) => (u.wantedY ? fifths(u.wantedY) : size > 12 ? signal.fewSplits : signal.splits) } : {}) },
       ],
-      series: [{}, { ...series, paths: (u, i, from, to) => ({ stroke: drawnPath(u, from, to, stepped), fill: null }) }, { ...series, paths: () => null }],
+      series: [{}, ...pair(series), ...(compares ? pair({ ...series, stroke: () => colour("bad"), dash: [6, 4] }) : [])],
       hooks: {
         draw: [drawMarks],
         ready: [(u) => u.over.addEventListener("wheel", (event) => wheel(u, event, onZoom), { passive: false })],
@@ -136,7 +139,7 @@ export function chart(where, { signal, height, xLabel, onZoom, onCursor, sync, s
         setCursor: [(u) => onCursor?.(u.cursor.left >= 0 ? u.posToVal(u.cursor.left, "x") : null, u)],
       },
     },
-    [[], [], []],
+    compares ? [[], [], [], [], []] : [[], [], []],
     where,
   );
   made.isStepped = stepped;

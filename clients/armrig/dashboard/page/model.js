@@ -2,11 +2,14 @@
 
 import { askJson, byId, make } from "./elements.js";
 
-export async function identify(file, output) {
+// `simulated` is called with the model's name, its signal and its curve over the recording.
+export async function identify(file, output, simulated) {
   const where = byId("model"); // of this recording: another one has its own
   where.replaceChildren(make("p", { textContent: "estimating …", role: "status" }));
   try {
-    showModel(where, await askJson("identify", { file, output }));
+    const found = await askJson("identify", { file, output });
+    showModel(where, found);
+    simulated(found.model, ...found.simulated);
   } catch (error) {
     // The data are plotted above, whether a model fits or not.
     where.replaceChildren(make("p", { className: "bad-text", role: "alert", textContent: `no model: ${error.message}` }));

@@ -41,7 +41,8 @@ function* curves(u, at, up) {
     let isUp = true;
     for (let i = 0; i < x.length; i++) {
       const [low, high] = [u.data[s][i], u.data[s + 1][i]];
-      if (low == null) {
+      if (low === undefined) continue;
+      if (low === null) {
         isUp = true;
         continue;
       }

@@ -2,8 +2,10 @@
 
 import { chart } from "./chart.js";
 import { ask, askJson, attempt, byId, make, notice, setText } from "./elements.js";
+import { aligned, chooser, curvesOf } from "./compared.js";
 import { identify } from "./model.js";
 import { save, savePng, saveSvg } from "./picture.js";
+import { Replay } from "./replay.js";
 
 const SIGNALS = [
   { key: "u", name: "u", unit: "V", range: [0, 5], pad: 0.3, digits: 3, splits: [0, 1, 2, 3, 4, 5] },
@@ -15,12 +17,16 @@ let chosen = ""; // the file
 let seconds = 0;
 let seen = null; // [from, to] in s while zoomed
 let charts = [];
+let others = []; // of {file, text}: what it may be compared with
+let over = null; // what lies over the curves: {name, file} or {name, signal, curve}
 let request = 0; // of the newest curves: an older answer is passed over
 
 export const setUpRecording = () => new ResizeObserver(resize).observe(byId("one"));
 
-export async function look(file) {
+export async function look(file, list = []) {
   chosen = file;
+  others = list.filter((one) => one.file !== file);
+  over = null;
   request += 1; // curves that come late are of another one
   for (const one of charts) one.destroy();
   charts = [];
@@ -45,8 +51,9 @@ export async function look(file) {
   );
   const gaps = found.gaps.map(([t, count, reason]) => make("li", { textContent: `${t.toFixed(2)} s: ${count} samples missing: ${reason}` }));
   const where = make("div", { id: "curves" });
-  byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { className: "hint", id: "seen" }), where, make("h3", { textContent: "About it" }), facts, ...(gaps.length ? [make("h3", { textContent: "Missing samples" }), make("ul", {}, ...gaps)] : []), make("div", { id: "model" }));
-  charts = SIGNALS.map((signal, i) => curve(where, signal, i === SIGNALS.length - 1));
+  const replay = new Replay(charts, () => seen || [0, seconds]);
+  byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { className: "hint", id: "seen" }), where, replay.element, make("h3", { textContent: "About it" }), facts, ...(gaps.length ? [make("h3", { textContent: "Missing samples" }), make("ul", {}, ...gaps)] : []), make("div", { id: "model" }));
+  charts.push(...SIGNALS.map((signal, i) => curve(where, signal, i === SIGNALS.length - 1)));
   where.addEventListener("dblclick", () => attempt(() => zoom(null)));
   draw(found.curves);
 }
@@ -69,8 +76,9 @@ function buttons() {
     button("Picture, PNG", () => savePng(seenCharts(), chosen, chosen.replace(/\.mcap$/, ""))),
     button("Picture, SVG", () => saveSvg(seenCharts(), chosen, chosen.replace(/\.mcap$/, ""))),
     button("Whole length", () => zoom(null)),
+    chooser(others, (file) => attempt(() => lay(file ? { file, name: file } : null))),
     output,
-    button("Identify", () => identify(chosen, output.value), "go"),
+    button("Identify", () => identify(chosen, output.value, layModel), "go"),
     button("Report", () => download("report", { file: chosen }, chosen.replace(/mcap$/, "pdf"))),
   );
 }
@@ -101,6 +109,7 @@ function curve(where, signal, last) {
     height: last ? 190 : 150,
     xLabel: last ? "s" : "",
     sync: "recording",
+    compares: true,
     stepped: signal.key === "u",
     onZoom: (from, to) => attempt(() => zoom([Math.max(0, from), Math.min(seconds, Math.max(to, from + 0.01))])),
     onCursor: (x, u) => (value.textContent = valueAt(u, signal, x)),
@@ -117,19 +126,29 @@ function valueAt(u, signal, x) {
 async function zoom(range) {
   if (!range) for (const one of charts) one.wantedY = null;
   const mine = ++request;
-  const [start, stop] = range || [0, seconds];
-  const found = await askJson("curves", { file: chosen, start, stop });
+  const part = range || [0, seconds];
+  const [found, other] = await Promise.all([curvesOf(chosen, part), over?.file ? curvesOf(over.file, part) : null]);
   if (mine !== request) return;
   seen = range;
-  draw(found);
+  draw(found, other);
 }
 
-function draw(found) {
+// Lay another recording, a model or nothing over the curves.
+async function lay(what) {
+  over = what;
+  await zoom(seen);
+}
+
+const layModel = (name, signal, curve) => lay({ name, signal, curve });
+
+function draw(found, other) {
+  const overOf = (key) => (over?.file ? other?.[key] : over?.signal === key ? over.curve : null);
   const [from, to] = seen || [0, seconds];
-  setText("seen", seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are seen; double-click for the whole length` : "drag across a plot or turn the wheel to zoom, with Shift to move, with Alt to zoom the values");
+  const words = over ? `; dashed: ${over.name}` : "";
+  setText("seen", (seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are seen; double-click for the whole length` : "drag across a plot or turn the wheel to zoom, with Shift to move, with Alt to zoom the values") + words);
   SIGNALS.forEach((signal, i) => {
     charts[i].wanted = [from, to];
-    charts[i].setData(found[signal.key], true);
+    charts[i].setData(aligned(found[signal.key], overOf(signal.key)), true);
   });
 }
 

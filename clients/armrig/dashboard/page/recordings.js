@@ -80,7 +80,7 @@ const time = (iso) => [make("span", { textContent: iso.slice(0, 10) }), " ", mak
 async function choose(file) {
   chosen = file;
   mark();
-  await look(file);
+  await look(file, found.recordings.map((one) => ({ file: one.file, text: `${nameOf(one)} ${idOf(one)}` })));
 }
 
 function mark() {

@@ -1,0 +1,61 @@
+// A recording played again in the page: the cursor moves over its curves, and the arm with it.
+
+import { ArmDrawing } from "./arm.js";
+import { make } from "./elements.js";
+
+export class Replay {
+  // charts: of u, θ₁ and α; range: gives [from, to] in s of what is seen.
+  constructor(charts, range) {
+    this.charts = charts;
+    this.range = range;
+    this.speed = 0; // 0 at rest
+    this.t = null;
+    this.buttons = [1, 10].map((speed) => {
+      const button = make("button", { type: "button", textContent: `Replay ${speed} ×`, "aria-pressed": "false" });
+      button.addEventListener("click", () => this.play(this.speed === speed ? 0 : speed));
+      button.dataset.speed = speed;
+      return button;
+    });
+    this.time = make("span", { className: "value" });
+    const drawing = make("div", { className: "arm-drawing" });
+    this.arm = new ArmDrawing(drawing);
+    this.element = make("div", { className: "tools", id: "replay" }, ...this.buttons, this.time, drawing);
+  }
+
+  play(speed) {
+    const [from, to] = this.range();
+    if (this.t === null || this.t < from || this.t >= to) this.t = from;
+    const isGoing = this.speed > 0;
+    this.speed = speed;
+    for (const button of this.buttons) button.setAttribute("aria-pressed", String(Number(button.dataset.speed) === speed));
+    if (speed && !isGoing) requestAnimationFrame((now) => this.#step(now, now));
+  }
+
+  #step(now, before) {
+    if (!this.speed || !this.element.isConnected) return;
+    const [, to] = this.range();
+    this.t = Math.min(to, this.t + (this.speed * (now - before)) / 1000);
+    this.#show();
+    if (this.t >= to) this.play(0);
+    else requestAnimationFrame((next) => this.#step(next, now));
+  }
+
+  #show() {
+    const left = this.charts[0].valToPos(this.t, "x");
+    for (const u of this.charts) u.setCursor({ left, top: 10 });
+    this.time.textContent = `${this.t.toFixed(2)} s`;
+    this.arm.show(this.#value(1), this.#value(2));
+  }
+
+  // What a chart shows at the time that is played, null where nothing is known.
+  #value(chart) {
+    const [x, low] = this.charts[chart].data;
+    let [a, b] = [0, x.length];
+    while (b - a > 1) {
+      const middle = (a + b) >> 1;
+      if (x[middle] <= this.t) a = middle;
+      else b = middle;
+    }
+    return low[a] ?? null;
+  }
+}
