@@ -271,7 +271,7 @@ def test_a_recording_is_played_again_and_compared(
         until(page, lambda: ".mcap" in text(page, "#seen"))
         page.click("text=Identify")
         page.wait_for_selector("#model h2")
-        until(page, lambda: "dashed: OE(" in text(page, "#seen"))
+        until(page, lambda: "dashed: OE[" in text(page, "#seen"))
 
 
 def test_the_space_bar_stops_wherever_the_focus_is(

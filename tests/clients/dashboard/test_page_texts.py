@@ -33,6 +33,7 @@ globalThis.location = { hash: "#token=x" };
 globalThis.document = {
   getElementById: (id) => (there[id] ??= new Element()),
   createElement: () => new Element(),
+  createElementNS: () => new Element(),
   body: new Element(),
 };
 globalThis.performance = { now: () => globalThis.at ?? 0 };

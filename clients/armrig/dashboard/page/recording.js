@@ -117,8 +117,10 @@ function curve(where, signal, last) {
 }
 
 function valueAt(u, signal, x) {
-  const i = u.cursor.idx;
-  if (x === null || i === null || i === undefined || u.data[1][i] == null) return "";
+  let i = u.cursor.idx;
+  if (x === null || i === null || i === undefined) return "";
+  while (i > 0 && u.data[1][i] === undefined) i -= 1; // a point of what lies over it
+  if (u.data[1][i] == null) return "";
   const [least, largest] = [u.data[1][i], u.data[2][i]].map((value) => value.toFixed(signal.digits));
   return `${least === largest ? least : `${least} … ${largest}`} ${signal.unit} at ${u.data[0][i].toFixed(3)} s`;
 }
@@ -139,7 +141,10 @@ async function lay(what) {
   await zoom(seen);
 }
 
-const layModel = (name, signal, curve) => lay({ name, signal, curve });
+async function layModel(name, signal, curve) {
+  byId("compared").value = "";
+  await lay({ name, signal, curve });
+}
 
 function draw(found, other) {
   const overOf = (key) => (over?.file ? other?.[key] : over?.signal === key ? over.curve : null);

@@ -56,6 +56,7 @@ export class Replay {
       if (x[middle] <= this.t) a = middle;
       else b = middle;
     }
+    while (low[a] === undefined && a > 0) a -= 1; // a point of what lies over it
     return low[a] ?? null;
   }
 }
