@@ -20,8 +20,8 @@ _ANGLES = np.linspace(0.1, 3.0, 15)  # of the moved mode, in rad a sample
 _REAL = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
 _MOST_REAL = 0.998
 _IS_REAL = 1e-9
-_RADIUS = 0.93
-_EACH = 4  # starts of a kind
+_RADII = (0.98, 0.85, 0.6)
+_EACH = 6  # starts of a kind
 _OF_F = 2  # its place among the polynomials
 
 
@@ -84,8 +84,8 @@ def _with_white_noise(problem: PredictionError, theta: Array) -> Iterator[Array]
 
 def _other_pairs(z: Array) -> Iterator[Array]:
     for kept in _without_one_pair(z):
-        for angle in _ANGLES:
-            yield np.concatenate([kept, _RADIUS * np.exp(1j * np.array([angle, -angle]))])
+        for radius, angle in product(_RADII, _ANGLES):
+            yield np.concatenate([kept, radius * np.exp(1j * np.array([angle, -angle]))])
 
 
 def _other_reals(z: Array) -> Iterator[Array]:

@@ -17,7 +17,6 @@ Ends = list[tuple[str, Optimum]]
 SAME_MINIMUM = 1e-6  # relative difference in cost up to which two searches agree
 ROUNDING = 1e-18  # share of |y|² below which |e|² is rounding noise
 _MUCH_NOISE = 0.2  # share of the output's variance from which a mode may settle on noise
-_SOME_NOISE = 0.003  # the same, where the search is thorough
 _ROUNDS = 6
 _MOST_MOVED = 30  # coefficients of C, D and F; of 60 each round takes a minute
 _STAGES = ((10, 8), (40, 1))  # steps from each other start, how many of them go on
@@ -29,9 +28,9 @@ def searched_minimum(
 ) -> Ends:
     """Return where each start led, best first.
 
-    Where the ends differ, or where there is much noise, each mode of the best model is tried at
-    other frequencies too, again while that leads lower; what does not is not told. Of more than
-    30 coefficients none is: the modes are many, and mean little.
+    A thorough search tries each mode of the best model at other frequencies too, again while that
+    leads lower; what does not is left out. Another search does so where the ends differ, or where
+    there is much noise. Of more than 30 coefficients no mode is tried: they mean little.
 
     Parameters
     ----------
@@ -114,7 +113,7 @@ def _doubtful(problem: PredictionError, ends: Ends, *, strict: bool) -> bool:
         return False
     if not same_minimum(problem, ends[0][1].cost, ends[-1][1].cost):
         return True
-    if strict and n.nc + n.nd:
+    if strict:
         return ends[0][1].cost > rounding_floor(problem)
     if n.nf < 2:
         return False
@@ -123,4 +122,4 @@ def _doubtful(problem: PredictionError, ends: Ends, *, strict: bool) -> bool:
     y = [x.y[x.rows] for x in problem.experiments]
     noise = sum(float(np.sum(v**2)) for v in left)
     variance = sum(float(np.sum((s - s.mean()) ** 2)) for s in y if s.size)
-    return noise > (_SOME_NOISE if strict else _MUCH_NOISE) * variance
+    return noise > _MUCH_NOISE * variance

@@ -66,7 +66,7 @@ def test_a_mode_that_settled_on_noise_is_moved_to_where_it_belongs() -> None:
 
 
 def test_what_is_clear_is_not_searched_for_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Little noise and starts that agree need no more of them."""
+    """Little noise and starts that agree need no more of them, where few are asked for."""
     rng = np.random.default_rng(1)
     u = rng.standard_normal(400)
     y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u)
@@ -75,11 +75,12 @@ def test_what_is_clear_is_not_searched_for_elsewhere(monkeypatch: pytest.MonkeyP
     tried = []
     monkeypatch.setattr(multistart, "moved_modes", lambda *_, **__: iter(tried.append(1) or ()))
 
-    oe(clear, nb=2, nf=2)
+    oe(clear, nb=2, nf=2, starts="few")
     assert tried == []
 
-    oe(noisy, nb=2, nf=2)
-    assert tried == [1]
+    for data, starts in ((noisy, "few"), (clear, "many")):
+        oe(data, nb=2, nf=2, starts=starts)
+        assert tried.pop() == 1
 
 
 def test_a_high_order_has_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
