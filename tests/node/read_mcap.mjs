@@ -65,7 +65,7 @@ async function byIndex(path) {
     attachments[record.name] = record.data.length;
   }
   await source.close();
-  return { ...tally, metadata, attachments };
+  return { ...tally, profile: reader.header.profile, metadata, attachments };
 }
 
 async function fromFrontToBack(path) {

@@ -21,6 +21,8 @@ from armrig_core.recording_file.reserve import Reserve
 from armrig_core.recording_file.rewriting import compact, sync_directory
 from armrig_core.topics import RECORDED, topic
 
+PROFILE = "armrig"
+"""Profile in the header of a recording, by which other programs recognise one."""
 CHUNK = 128 * 1024
 _ENDING = 4 * CHUNK  # B: what is pending when the disk is found full, and the end of the file
 _INDEXED = 256  # B, and so much more for the index of each chunk
@@ -85,7 +87,7 @@ class Part:
 
     def _begin(self, attachments: dict[str, bytes]) -> dict[str, int]:
         writer, channels, manifest = self._writer, {}, self.manifest
-        writer.start(profile="", library=f"armrig {manifest.armrig}")
+        writer.start(profile=PROFILE, library=f"armrig {manifest.armrig}")
         for stream in RECORDED:
             name = protobuf.OF_STREAM[stream]
             schema = writer.register_schema(name, "protobuf", protobuf.descriptor_set(name))

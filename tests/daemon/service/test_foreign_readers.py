@@ -129,13 +129,14 @@ def test_mcap_for_javascript_reads_it(files: dict[str, Path]) -> None:
         for way in ("index", "stream"):
             _check(told[way]["topics"], told[way]["samples"], path)
         assert told["stream"]["done"] is True
+        assert told["index"]["profile"] == "armrig"
         assert told["index"]["metadata"] == _metadata(name)
         assert set(told["index"]["attachments"]) == _attachments(name)
 
 
 @pytest.mark.parametrize("kind", ["recovered", "part 2"])
 def test_the_independent_doctor_finds_nothing(files: dict[str, Path], kind: str) -> None:
-    """`pymcap-cli doctor`: no error, no warning, no remark."""
+    """`pymcap-cli doctor`: no error, no warning; its one remark is that it does not know armrig."""
     doctor = subprocess.run(
         [Path(sys.executable).with_name("pymcap-cli"), "doctor", files[kind]],
         capture_output=True,
@@ -147,5 +148,6 @@ def test_the_independent_doctor_finds_nothing(files: dict[str, Path], kind: str)
 
     assert doctor.returncode == 0, doctor.stdout
     assert "passed MCAP doctor checks" in doctor.stdout
-    assert "info" not in doctor.stdout
+    (remark,) = (line for line in doctor.stdout.splitlines() if line.startswith("│ info"))
+    assert "Header.profile 'armrig' is not a well-known profile" in remark
     assert "warning" not in doctor.stdout
