@@ -12,6 +12,7 @@ _PACKAGES = {
     "avrdude": "avrdude",
     "cc": "gcc libc6-dev",
     "chromium": "chromium",
+    "lua5.4": "lua5.4",
     "make": "make",
     "nft": "nftables",
     "node": "nodejs",

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import base64
 import itertools
 import json
 import ssl
 import struct
 from collections.abc import Iterator
+from math import remainder, tau
 from typing import Any
 
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from armrig_core.telemetry import decode_sample
+from armrig_core.topics import STREAMS
 from driving import hold
+from layouts import Kinds, foxglove_paths, frame_angles, kinds
 from processes import WITHIN_S, Bench, wait_for
 from watching import Client, begin, endpoint
 
@@ -141,3 +145,34 @@ def test_foxglove_hears_samples_and_commands_nothing(served: Bench) -> None:
     assert all(b - a >= 1 for a, b in itertools.pairwise(ks))
     assert served.settled() == "safe"
     assert served.voltage_changes() == before
+
+
+def test_the_layout_s_topics_are_served_and_the_frames_go_with_the_samples(served: Bench) -> None:
+    """With the fields that the layout names; the frames have the angles of the sample before."""
+    pytest.importorskip("foxglove", reason="no foxglove-sdk")
+    sync_client = pytest.importorskip("websockets.sync.client", reason="no websockets")
+    from armrig.dashboard.foxglove import foxglove
+
+    there, ids, pairs = Kinds(), {}, []
+    with foxglove(rig="1", connect=endpoint(served), port=0) as url:
+        protocol = sync_client.Subprotocol("foxglove.sdk.v1")
+        with sync_client.connect(url, subprotocols=[protocol], proxy=None) as link:
+            while len(ids) <= len(STREAMS):  # and the frames
+                for c in json.loads(link.recv(timeout=WITHIN_S)).get("channels", ()):
+                    ids[c["topic"]] = c["id"]
+                    there |= kinds(c["topic"], c["schemaName"], base64.b64decode(c["schema"]))
+            wanted = (ids["/rig/1/sample"], ids["/rig/1/transforms"])
+            asked = [{"id": i, "channelId": channel} for i, channel in enumerate(wanted)]
+            link.send(json.dumps({"op": "subscribe", "subscriptions": asked}))
+            sample = None
+            while len(pairs) < 10:
+                message = link.recv(timeout=WITHIN_S)
+                if isinstance(message, bytes) and message[1:5] == struct.pack("<I", 0):
+                    sample = decode_sample(message[13:])
+                elif isinstance(message, bytes) and sample:
+                    pairs.append((sample, frame_angles(message[13:])))
+
+    assert foxglove_paths().items() <= there.items()
+    for sample, angles in pairs:
+        assert angles["rig", "chassis"] == pytest.approx(remainder(sample.theta_1_rad, tau))
+        assert angles["chassis", "arm"] == pytest.approx(sample.alpha_rad)

@@ -45,7 +45,7 @@ def dashboard(
 
     Who has the address that it prints may command the rig. That of --share may watch and stop.
 
-    With --json it prints {"url": …, "shared_url": …, "foxglove": …}.
+    With --json it prints {"url": …, "shared_url": …, "foxglove": …, "layouts": …}.
     """
     with until_signal() as ended:
         _serve(
@@ -80,22 +80,23 @@ def _serve(
     with ExitStack() as opened:
         settings = Settings(rig=rig, connect=connect, port=port, share=address)
         served = opened.enter_context(serving(settings))
-        streams = ""
+        streams = layouts = ""
         if for_foxglove:
-            from armrig.dashboard.foxglove import foxglove
+            from armrig.dashboard.foxglove import LAYOUTS, foxglove
 
+            layouts = str(LAYOUTS)
             streams = opened.enter_context(foxglove(rig=rig, connect=connect))
         if json:
             urls = {"url": served.url, "shared_url": served.shared_url or None}
-            print_json(urls | {"foxglove": streams or None})
+            print_json(urls | {"foxglove": streams or None, "layouts": layouts or None})
         else:
-            _say(rig, served, streams)
+            _say(rig, served, streams, layouts)
         if browser:
             webbrowser.open(served.browser_url)
         ended.wait()
 
 
-def _say(rig: str, served: Served, streams: str) -> None:
+def _say(rig: str, served: Served, streams: str, layouts: str) -> None:
     """Say where the page is, and what may be done there."""
     echo(f"rig {rig}: {served.url}")
     echo("who has this address may command the rig; Ctrl-C ends it")
@@ -108,3 +109,4 @@ def _say(rig: str, served: Served, streams: str) -> None:
         echo(served.fingerprint)
     if streams:
         echo(f"for Foxglove, to watch: {streams}")
+        echo(f"layouts for Foxglove and PlotJuggler: {layouts}")

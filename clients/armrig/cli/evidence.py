@@ -28,6 +28,10 @@ Mat = Annotated[
     bool, typer.Option("--mat", help="For MATLAB and Octave: u, y, Ts and all columns.")
 ]
 Parquet = Annotated[bool, typer.Option("--parquet", help="For pandas, polars and others.")]
+Transforms = Annotated[
+    bool,
+    typer.Option("--transforms", help="Chassis and arm for Foxglove's 3D panel, as MCAP."),
+]
 Raw = Annotated[bool, typer.Option("--raw", help="The readings and times as recorded, too.")]
 OutputOfMat = Annotated[
     Literal["theta_1", "alpha"], typer.Option("--signal", help="What is y in the MAT-file.")
@@ -69,6 +73,7 @@ def export(
     csv: Csv = False,
     mat: Mat = False,
     parquet: Parquet = False,
+    transforms: Transforms = False,
     raw: Raw = False,
     signal: OutputOfMat = "theta_1",
     start: From = None,
@@ -84,8 +89,10 @@ def export(
     from armrig.cli.spinner import spinner
     from armrig.recordings.export import write_csv, write_mat, write_parquet
     from armrig.recordings.loading import load
+    from armrig.recordings.transforms import write_transforms
 
-    kind = _kind(out, {"csv": csv, "mat": mat, "parquet": parquet})
+    asked = {"csv": csv, "mat": mat, "parquet": parquet, "transforms": transforms}
+    kind = _kind(out, asked)
     check_output(out, [file])
     with spinner("reading"):
         recording = load(file, calibration, start=start, stop=stop)
@@ -95,8 +102,10 @@ def export(
             write_csv(recording, out, raw=raw)
         elif kind == "mat":
             write_mat(recording, out, output=signal, raw=raw)
-        else:
+        elif kind == "parquet":
             write_parquet(recording, out, raw=raw)
+        else:
+            write_transforms(recording, out)
     if json:
         print_json({"file": str(out), "samples": recording.N, "recording": recording.sha256})
     else:
@@ -125,5 +134,6 @@ def _kind(out: Path, asked: dict[str, bool]) -> str:
     ending = out.suffix.lower().removeprefix(".")
     if kinds or ending in asked:
         return kinds[0] if kinds else ending
-    msg = f"{out}: give --csv, --mat or --parquet, or a name that ends so"
+    msg = f"{out}: give --csv, --mat, --parquet or --transforms, or a name that ends in "
+    msg += ".csv, .mat or .parquet"
     raise typer.BadParameter(msg)

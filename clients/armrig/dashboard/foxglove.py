@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 from armrig_core import protobuf
@@ -13,11 +15,15 @@ from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import STREAMS, stream_key
 
 from armrig.recordings.export import imported
+from armrig.recordings.transforms import transforms, transforms_channel
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
 
 HOST = "127.0.0.1"
 PORT = 8765
+LAYOUTS = Path(__file__).parent / "layouts"
+"""Folder of the layouts for Foxglove and PlotJuggler; their topics are those of rig 1."""
+_FRAMES = "transforms"
 _PERIOD_S = 0.02
 """50 Hz: of samples that come faster the newest is sent."""
 _SILENT_S = 3.0
@@ -29,7 +35,8 @@ _MOST_WAITING = 100  # messages of a stream that is slower: the oldest go
 def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str]:
     """Serve the streams on the loopback until the block ends; give the address.
 
-    No service, no parameter, no channel of a client's: what is sent to it is passed over.
+    The frames of chassis and arm go with the samples. No service, no parameter, no channel of a
+    client's: what is sent to it is passed over.
 
     Raises
     ------
@@ -53,6 +60,7 @@ def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str
         )
         for name in STREAMS
     }
+    channels[_FRAMES] = transforms_channel(rig, context)
     try:
         server = sdk.start_server(
             name=f"armrig, rig {rig}", host=HOST, port=port, capabilities=[], context=context
@@ -98,7 +106,11 @@ def _pass_on(channels: dict[str, Any], rig: Rig, ends: threading.Event) -> None:
                 messages.extend(came[name]())
                 if messages:
                     silent = 0 if name == "sample" else silent
-                    channels[name].log(_bytes(messages.popleft()))
+                    message = messages.popleft()
+                    channels[name].log(_bytes(message))
+                    if isinstance(message, Sample):
+                        angles = message.theta_1_rad, message.alpha_rad
+                        channels[_FRAMES].log(transforms(*angles, time.time_ns()))
             silent += 1
             if silent * _PERIOD_S > _SILENT_S:
                 return

@@ -5,6 +5,7 @@ None is given its default; the work itself is another room's, and is left out he
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from contextlib import nullcontext
@@ -19,6 +20,7 @@ from armrig import Dataset
 from armrig.batch.tasks import Identify, Report, Validate, Verify
 from armrig.cli import main
 from armrig.cli.rig import _sample_line
+from armrig.dashboard.foxglove import LAYOUTS
 from armrig.report.study import Orders
 from armrig.rig.live_gaps import LiveGap
 from armrig_core.arm import ArmParameters
@@ -81,7 +83,9 @@ def test_a_dashboard_is_of_its_rig_at_its_port(
     settings, streams, opened = made
     assert (settings.rig, settings.connect, settings.port) == ("7", FAR, 8899)
     assert (settings.share, streams, opened) == ("10.1.2.3", {"rig": "7", "connect": FAR}, "B")
-    assert capsys.readouterr().out == '{"url":"U","shared_url":"S","foxglove":"W"}\n'
+    found = json.loads(capsys.readouterr().out)
+    assert found.pop("layouts") == str(LAYOUTS)
+    assert found == {"url": "U", "shared_url": "S", "foxglove": "W"}
 
 
 def test_a_bench_measures_what_it_was_asked_to(given: list[Any]) -> None:

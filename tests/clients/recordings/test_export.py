@@ -286,7 +286,7 @@ def test_the_command_exports_a_part_by_the_ending(
     assert main(["export", str(rec.path), str(rec.path), "--csv"]) == 1
     assert "would be lost" in capsys.readouterr().err
     assert main(["export", str(rec.path), str(out.with_suffix(".txt"))]) == 2
-    assert "give --csv, --mat or --parquet" in capsys.readouterr().err.replace("\n", " ")
+    assert "give --csv, --mat, --parquet or --transforms" in capsys.readouterr().err
     assert load(rec.path).N == N
 
 

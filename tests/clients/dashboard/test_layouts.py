@@ -1,0 +1,79 @@
+"""The layouts for Foxglove and PlotJuggler name what is in a recording, in every letter."""
+
+from __future__ import annotations
+
+import subprocess
+from math import pi
+from pathlib import Path
+
+import numpy as np
+import pytest
+from armrig.recordings.loading import load
+from armrig.recordings.transforms import write_transforms
+from armrig_core.commands import Run
+from armrig_daemon.config import Config
+from armrig_daemon.service.virtual_service import LEASE, VirtualService
+from layouts import Kinds, foxglove_paths, kinds_in_file, plotjuggler_curves, snippets
+from tools import require
+
+RATE = "rate of θ₁"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a recording of the daemon's, made in virtual time."""
+    service = VirtualService(Config(), tmp_path_factory.mktemp("run"), seed=1)
+    return service.record(Run(lease=LEASE, n=0, u=[1.0] * 10, experiment="step"))
+
+
+@pytest.fixture(scope="module")
+def there(recorded: Path) -> Kinds:
+    """Return topics and fields of the recording."""
+    return kinds_in_file(recorded)
+
+
+def test_foxglove_s_layout_names_what_is_in_a_recording_and_its_transforms(
+    recorded: Path, there: Kinds
+) -> None:
+    """Numbers are plotted, texts are states, and the 3D panel has its frames."""
+    pytest.importorskip("foxglove", reason="no foxglove-sdk")
+    frames = recorded.with_name("frames.mcap")
+    write_transforms(load(recorded), frames)
+    named = foxglove_paths()
+
+    assert named.items() <= (there | kinds_in_file(frames)).items()
+    streams = {path.split("/")[-1].partition(".")[0] for path in named}
+    assert streams == {"sample", "state", "event", "transforms"}
+
+
+def test_plotjuggler_s_layout_names_what_is_in_a_recording(there: Kinds) -> None:
+    """A curve is a number of a recording, or what a function makes of a field."""
+    curves, sources = plotjuggler_curves()
+    named = {path.replace(".", "/"): kind for path, kind in there.items()}
+
+    assert set(snippets()) <= curves
+    assert {named.get(curve) for curve in curves - set(snippets())} == {"number"}
+    assert {named.get(source) for source in sources} == {"number", "text"}
+
+
+def test_plotjuggler_s_rate_passes_the_wrap_and_averages_the_steps() -> None:
+    """9 rad/s at 1 kHz through three turns, each reading rounded to a step of 10 bit."""
+    require("lua5.4")
+    t, step = 1e9 + np.arange(2000) * 1e-3, 2 * pi / 1024
+    theta_1 = np.round(((9.0 * (t - t[0])) % (2 * pi)) / step) * step
+    rate = snippets()[RATE]
+    rows = "".join(
+        f"put({at!r}, {y!r})\n" for at, y in zip(t.tolist(), theta_1.tolist(), strict=True)
+    )
+    program = f"""{rate.findtext("global")}
+        function calc(time, value) {rate.findtext("function")} end
+        function put(t, y) local at, rate = calc(t, y); if rate then print(rate) end end
+        """
+
+    said = subprocess.run(
+        ["lua5.4", "-"], input=program + rows, capture_output=True, text=True, check=True
+    )
+
+    rates = [float(line) for line in said.stdout.split()]
+    assert len(rates) == pytest.approx(20, abs=1)
+    assert rates == pytest.approx([9.0] * len(rates), abs=step / 0.1)

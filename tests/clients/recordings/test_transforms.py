@@ -1,0 +1,71 @@
+"""Frames of chassis and arm for a 3D panel: foxglove-sdk's own message, with the right angles."""
+
+from __future__ import annotations
+
+from math import nan, pi, remainder, tau
+from pathlib import Path
+
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig.recordings.loading import load
+from armrig.recordings.recording import Recording
+from armrig.recordings.transforms import transforms
+from armrig_core.topics import topic
+from layouts import frame_angles, frames_class
+from made_recordings import of_the_arm, written
+from mcap.reader import make_reader
+
+pytest.importorskip("foxglove", reason="no foxglove-sdk")
+N = 200
+
+
+@pytest.fixture
+def rec(tmp_path: Path) -> Recording:
+    """Return a run of the arm through the dead band, with missing samples."""
+    u = np.full(N, 4.0)
+    return load(written(tmp_path, of_the_arm(u, missing=slice(50, 60), start=2.5)))
+
+
+def test_the_arm_stands_at_the_sum_of_bothframe_angles() -> None:
+    """It turns with the chassis, which turns in the rig."""
+    found = frame_angles(transforms(pi / 3, -pi / 6, 0).encode())
+
+    assert found == {("rig", "chassis"): pytest.approx(pi / 3), ("chassis", "arm"): -pi / 6}
+    assert sum(found.values()) == pytest.approx(pi / 6)
+
+
+@pytest.mark.parametrize(
+    ("theta_1", "alpha", "left"),
+    [(nan, 0.1, {"arm"}), (0.1, nan, {"chassis"}), (nan, nan, set())],
+)
+def test_an_angle_that_is_not_known_leaves_its_frame_out(
+    theta_1: float, alpha: float, left: set[str]
+) -> None:
+    """A viewer would place a frame of NaN anywhere."""
+    assert {child for _, child in frame_angles(transforms(theta_1, alpha, 0).encode())} == left
+
+
+def test_the_frames_of_a_recording_have_its_angles_at_its_times(
+    rec: Recording, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One message for each sample that came, at the log time of the sample."""
+    out = rec.path.with_name("frames.mcap")
+
+    assert main(["export", str(rec.path), str(out), "--transforms"]) == 0
+
+    assert f"{N} samples, 10 of them missing" in capsys.readouterr().out
+    times = {}
+    for path, stream in ((rec.path, "sample"), (out, "transforms")):
+        with path.open("rb") as file:
+            messages = [m for *_, m in make_reader(file).iter_messages([topic("1", stream)])]
+        times[stream] = [m.log_time for m in messages]
+    assert times["transforms"] == times["sample"]
+    stamps = [frames_class().FromString(m.data).transforms[-1].timestamp for m in messages]
+    assert [stamp.ToNanoseconds() for stamp in stamps] == times["sample"]
+    expected = zip(rec.theta_1[rec.present], rec.alpha[rec.present], strict=True)
+    assert np.isnan(rec.theta_1[rec.present]).any()
+    for message, angles in zip(messages, expected, strict=True):
+        both = zip((("rig", "chassis"), ("chassis", "arm")), angles, strict=True)
+        known = {frame: pytest.approx(remainder(a, tau)) for frame, a in both if not np.isnan(a)}
+        assert frame_angles(message.data) == known
