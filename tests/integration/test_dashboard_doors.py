@@ -5,10 +5,16 @@ from __future__ import annotations
 import base64
 import itertools
 import json
+import os
+import re
+import socket
 import ssl
 import struct
+import subprocess
+import sys
 from collections.abc import Iterator
 from math import remainder, tau
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,7 +22,7 @@ from armrig.dashboard.serving import Settings, dashboard
 from armrig_core.telemetry import decode_sample
 from armrig_core.topics import STREAMS
 from driving import hold
-from layouts import Kinds, foxglove_paths, frame_angles, kinds
+from layouts import Kinds, foxglove_paths, frame_angles, kinds, plotjuggler_curves, snippets
 from processes import WITHIN_S, Bench, wait_for
 from watching import Client, begin, endpoint
 
@@ -176,3 +182,25 @@ def test_the_layout_s_topics_are_served_and_the_frames_go_with_the_samples(serve
     for sample, angles in pairs:
         assert angles["rig", "chassis"] == pytest.approx(remainder(sample.theta_1_rad, tau))
         assert angles["chassis", "arm"] == pytest.approx(sample.alpha_rad)
+
+
+def test_the_page_s_program_sends_what_plotjuggler_s_layout_draws(served: Bench) -> None:
+    """PlotJuggler joins the keys of nested JSON by slashes; a NaN would end its server."""
+    page = Path(__file__).parents[2] / "docs" / "dashboard.md"
+    (program,) = re.findall(r"```python\n(# plot\.py.*?)```", page.read_text("utf-8"), re.DOTALL)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as plotjuggler:
+        plotjuggler.bind((ADDRESS, 0))
+        plotjuggler.settimeout(WITHIN_S)
+        text = program.replace("9870", str(plotjuggler.getsockname()[1]))
+        settings = {"ARMRIG_CLIENT_CONNECT": endpoint(served)}
+        with subprocess.Popen([sys.executable, "-c", text], env=os.environ | settings) as running:
+            try:
+                sent = json.loads(plotjuggler.recv(65_536), parse_constant=pytest.fail)
+            finally:
+                running.kill()
+
+    names = {f"/rig/1/sample/{name}" for name in sent["rig"]["1"]["sample"]}
+    curves, sources = plotjuggler_curves()
+    of_samples = {c for c in curves - set(snippets()) | sources if c.startswith("/rig/1/sample/")}
+    assert len(of_samples) == 3
+    assert of_samples <= names
