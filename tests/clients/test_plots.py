@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import inspect
 import re
+import sys
+from base64 import b64decode
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, is_dataclass, replace
+from html import escape
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from pkgutil import walk_packages
+from types import ModuleType
 
 import armrig
 import matplotlib as mpl
@@ -702,3 +706,39 @@ def test_a_column_of_a_legend_is_as_wide_as_its_widest_name() -> None:
     """Two columns of three names: the first has two of them."""
     assert _fits([10.0, 50.0, 10.0], 2, 60.0, 0.0)
     assert not _fits([10.0, 50.0, 10.0], 2, 59.0, 0.0)
+
+
+@pytest.mark.parametrize("result", ["recording", "dataset", "sampling time", "comparison"])
+def test_a_notebook_shows_words_and_figure(result: str, done: Study, recording: Recording) -> None:
+    """And leaves no figure of pyplot's open."""
+    data = recording.dataset()
+    shown = {
+        "recording": lambda: recording,
+        "dataset": lambda: data,
+        "sampling time": lambda: armrig.sampling_time(data),
+        "comparison": lambda: armrig.compare(data, done.best.fit),
+    }[result]()
+    html = shown._repr_html_()
+
+    assert escape(repr(shown)) in html
+    (image,) = re.findall(r'src="data:image/png;base64,([^"]+)"', html)
+    assert b64decode(image)[:8] == b"\x89PNG\r\n\x1a\n"
+    assert plt.get_fignums() == []
+
+
+def test_a_notebook_shows_a_plot_once(
+    recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a cell's result, and then not again with the figures of pyplot."""
+    monkeypatch.setattr(plt, "get_backend", lambda: "module://matplotlib_inline.backend_inline")
+    shown: list[object] = []
+    ipython = ModuleType("IPython.display")
+    ipython.Image, ipython.display = bytes, shown.append  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "IPython", ModuleType("IPython"))
+    monkeypatch.setitem(sys.modules, "IPython.display", ipython)
+    figure = recording.plot()
+
+    figure._ipython_display_()  # type: ignore[attr-defined]
+
+    assert len(shown) == 1
+    assert plt.get_fignums() == []  # of which the notebook shows what is left

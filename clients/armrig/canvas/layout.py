@@ -6,6 +6,7 @@ from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
 from armrig.canvas.colours import INK, ORANGE
+from armrig.canvas.notebook import show_once
 from armrig.numerics.stretches import stretches
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ def figure_of(ax: Axes) -> Figure:
     figure = ax.figure.figure
     if len({_group(one) for one in figure.axes}) == 1:
         letter(figure)
+    show_once(figure)
     return figure
 
 

@@ -295,6 +295,12 @@ class Dataset:
             trends=self.trends if trends is None else trends,
         )
 
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook: what it says, and its figure."""
+        from armrig.canvas.notebook import html
+
+        return html(self)
+
     def __repr__(self) -> str:
         """Say it in one line."""
         unit = f" [{self.unit}]" if self.unit else ""

@@ -98,6 +98,12 @@ class SamplingTime:
 
         return figure_of(plot_sampling_time(self, ax=ax))
 
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook: what it says, and its figure."""
+        from armrig.canvas.notebook import html
+
+        return html(self)
+
     def __repr__(self) -> str:
         """Give the recommendation and its reasons."""
         beyond = "unknown" if np.isnan(self.beyond) else f"{100 * self.beyond:.2g} %"

@@ -195,6 +195,12 @@ class Recording:
 
         return figure_of(plot_data(self, ax=ax))
 
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook: what it says, and its figure."""
+        from armrig.canvas.notebook import html
+
+        return html(self)
+
     def __repr__(self) -> str:
         """Say it in a line."""
         parts = [f"{self.manifest.experiment}, {self.N} samples at {self.Ts:g} s"]

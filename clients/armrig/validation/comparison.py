@@ -96,6 +96,12 @@ class ComparisonTable:
 
         return figure_of(plot_comparison(self.data, self.rows, ax=ax))
 
+    def _repr_html_(self) -> str:
+        """Show itself in a notebook: what it says, and its figure."""
+        from armrig.canvas.notebook import html
+
+        return html(self)
+
     def __repr__(self) -> str:
         """Say it in a few lines."""
         what = "simulation" if self.horizon is None else f"{self.horizon} samples ahead"

@@ -1,0 +1,57 @@
+"""How results show themselves in a notebook: their words, and their figure."""
+
+from __future__ import annotations
+
+import sys
+from base64 import b64encode
+from html import escape
+from io import BytesIO
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Plotted(Protocol):
+    """A result that has a figure."""
+
+    def plot(self) -> Figure:
+        """Return the figure."""
+
+
+def html(result: Plotted) -> str:
+    """Return what a result says and its figure, as HTML for a notebook's `_repr_html_`."""
+    from matplotlib import pyplot as plt
+
+    figure = result.plot()
+    data = b64encode(png(figure)).decode()
+    plt.close(figure)
+    words = escape(repr(result))
+    return f'<pre>{words}</pre><img alt="{words}" src="data:image/png;base64,{data}">'
+
+
+def png(figure: Figure) -> bytes:
+    """Return a figure as a PNG of a screen's resolution."""
+    out = BytesIO()
+    figure.savefig(out, format="png", dpi=100)
+    return out.getvalue()
+
+
+def show_once(figure: Figure) -> None:
+    """Have a notebook show a figure of pyplot's once, as a cell's result or at the cell's end.
+
+    IPython asks an object for `_ipython_display_` before all else. Whoever asks first shows the
+    figure and takes it from pyplot, whose figures are shown at a cell's end.
+    """
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    if pyplot is None or "inline" not in pyplot.get_backend():
+        return
+
+    def display() -> None:
+        from IPython.display import Image  # type: ignore[import-not-found]
+        from IPython.display import display as show
+
+        show(Image(png(figure)))
+        pyplot.close(figure)
+
+    figure._ipython_display_ = display  # type: ignore[attr-defined]
