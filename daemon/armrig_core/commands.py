@@ -97,6 +97,18 @@ class Stop(Request, frozen=True, kw_only=True, omit_defaults=True):
     """Who stops it, for the recording; of any length, as a stop is not refused for a name."""
 
 
+class Note(Request, frozen=True, kw_only=True, omit_defaults=True):
+    """Write a line into the recording of the run in hand. Taken from anybody who may stop."""
+
+    name: ClassVar[str] = "note"
+    text: Annotated[
+        str, Meta(min_length=1, max_length=500, description="1 to 500 characters that print")
+    ]
+    """What happened, such as that somebody touched the arm."""
+    owner: str = ""
+    """Author of the note; more than 80 characters are cut off."""
+
+
 class Reset(Request, frozen=True, kw_only=True):
     """Leave a latched fault, disarmed."""
 
@@ -123,7 +135,7 @@ MOST_REMOTE_BYTES = (8 << 20) - (64 << 10)
 """Longest command over a network, in B: 8 MiB less what zenoh writes around it."""
 MOST_DETAILS = 1 << 20
 """Longest `details` of a run, as JSON in B."""
-Requests = Arm | Disarm | Run | Renew | Set | Stop | Reset | Calibrate | Status
+Requests = Arm | Disarm | Run | Renew | Set | Stop | Note | Reset | Calibrate | Status
 """Any command."""
 REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}
 """Class of each command."""
@@ -257,6 +269,14 @@ def parse(name: str, payload: bytes) -> Requests:
             f"arm: owner '{printable(request.owner)}': allowed are 1 to 80 characters that print, "
         )
         msg += "one of them a letter or a digit"
+        raise ValueError(msg)
+    if isinstance(request, Note) and not (
+        request.text.isprintable() and request.text.strip(f" {_FILLERS}")
+    ):
+        msg = (
+            f"note: text '{printable(request.text)}': allowed are 1 to 500 characters that print, "
+        )
+        msg += "on one line, and not blanks alone"
         raise ValueError(msg)
     if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS:
         msg = f"run: details take more than the {MOST_DETAILS} B of JSON that are allowed"

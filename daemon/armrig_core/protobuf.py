@@ -75,6 +75,8 @@ SAMPLE, GAP, TIMING, CLOCK, STATE, TRACE = (
     f"{PACKAGE}.{name}" for name in ("Sample", "Gap", "Timing", "Clock", "State", "Trace")
 )
 LOG = "foxglove.Log"
+NOTE = "note"
+"""`name` of a log record that a person has written; all other records have another one."""
 OF_STREAM = {
     "sample": SAMPLE,
     "gap": GAP,
@@ -111,7 +113,7 @@ def _armrig_file() -> descriptor_pb2.FileDescriptorProto:
 
 
 def _log_file() -> descriptor_pb2.FileDescriptorProto:
-    # The well-known schema of log messages that viewers show as text.
+    # The well-known schema of log messages that viewers show as text, and two fields of a note.
     file = descriptor_pb2.FileDescriptorProto(
         name="foxglove/Log.proto",
         package="foxglove",
@@ -122,8 +124,8 @@ def _log_file() -> descriptor_pb2.FileDescriptorProto:
     level = message.enum_type.add(name="Level")
     for number, name in enumerate(("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")):
         level.value.add(name=name, number=number)
-    kinds = ("MESSAGE", "ENUM", "STRING", "STRING", "STRING", "FIXED32")
-    names = ("timestamp", "level", "message", "name", "file", "line")
+    kinds = ("MESSAGE", "ENUM", "STRING", "STRING", "STRING", "FIXED32", "STRING", "SFIXED64")
+    names = ("timestamp", "level", "message", "name", "file", "line", "owner", "t_host_ns")
     for number, (name, kind) in enumerate(zip(names, kinds, strict=True), 1):
         entry = message.field.add(name=name, number=number, label="LABEL_OPTIONAL")
         entry.type = descriptor_pb2.FieldDescriptorProto.Type.Value(f"TYPE_{kind}")

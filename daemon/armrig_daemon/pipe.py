@@ -41,6 +41,8 @@ class Log(Tagged, frozen=True, kw_only=True):
     message: str
     fields: dict[str, str] = {}
     """What it is about, for programs: `rig`, `run`, `owner`, `command`, `cause`."""
+    is_note: bool = False
+    """A person has written the message; `fields` names the `owner`."""
 
 
 class Distribution(Tagged, frozen=True, kw_only=True):

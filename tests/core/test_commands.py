@@ -6,7 +6,7 @@ import json
 
 import msgspec
 import pytest
-from armrig_core.commands import REQUESTS, Arm, Run, Set, Stop, json_schema, parse
+from armrig_core.commands import REQUESTS, Arm, Note, Run, Set, Stop, json_schema, parse
 
 LEASE = "0" * 32
 
@@ -22,6 +22,7 @@ def test_a_command_is_read_with_its_fields() -> None:
     assert parse("stop", b"") == Stop()
     assert parse("stop", b'{"by": "anna"}') == Stop(by="anna")
     assert msgspec.json.encode(Stop()) == b"{}"  # as a daemon of an earlier version takes it
+    assert parse("note", '{"text": "#set $1 <b> 陈"}'.encode()) == Note(text="#set $1 <b> 陈")
     assert parse("arm", '{"owner": "Zoë 陈 [red]"}'.encode()) == Arm(owner="Zoë 陈 [red]")
 
 
@@ -57,6 +58,14 @@ def test_a_command_is_read_with_its_fields() -> None:
         ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "experiment": "../x"}}', "experiment"),
         ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "dead_man": 0}}', r">= 0.5.*dead_man"),
         ("run", f'{{"lease": "{LEASE}", "n": 1, "u": [1], "dead_man": 61}}', r"<= 60.*dead_man"),
+        ("note", "{}", "missing required field `text`"),
+        ("note", '{"text": ""}', r"length >= 1.*\$.text"),
+        ("note", f'{{"text": "{501 * "x"}"}}', r"length <= 500.*\$.text"),
+        ("note", '{"text": "a\\u001b[2J"}', r"text 'a\\x1b\[2J': allowed are 1 to 500 .* print"),
+        ("note", '{"text": "a\\nb"}', r"text 'a\\nb': allowed are"),
+        ("note", '{"text": "a\\u202eb"}', r"text 'a\\u202eb': allowed are"),  # turns what follows
+        ("note", '{"text": " \\u3164"}', "not blanks alone"),
+        ("note", '{"text": "x", "t": 1}', "unknown field `t`"),
         ("calibrate", "{}", "missing required field `calibration`"),
         ("calibrate", _calibration('"driver": {"gain": 11}'), r"gain=11.0 .* 0.1 to 10.*\$.c"),
         ("calibrate", _calibration('"driver": {"gain": NaN}'), "calibrate: "),
@@ -76,6 +85,7 @@ def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str)
 def test_every_command_serves_its_schema() -> None:
     """JSON Schema with the fields' bounds."""
     names = {"arm", "disarm", "run", "renew", "set", "stop", "reset", "calibrate", "status"}
+    names |= {"note"}
     assert set(REQUESTS) == names
     text = json.loads(json_schema("set"))
 

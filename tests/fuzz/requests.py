@@ -16,6 +16,7 @@ CORPUS = [
     ("status", b"{}"),
     ("arm", b'{"owner": "a student"}'),
     ("arm", b'{"owner": "a student", "Ts": 0.005}'),
+    ("note", b'{"text": "the arm was touched", "owner": "Ada"}'),
     ("renew", b"{%s}" % _LEASE),
     ("set", b'{%s, "u": 2.5}' % _LEASE),
     ("run", b'{%s, "u": [0, 1.5, 5.0, 4e0], "pacing": "exchange"}' % _LEASE),

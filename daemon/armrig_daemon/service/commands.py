@@ -41,6 +41,7 @@ from armrig_daemon.service.played_input import checked
 from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
+from armrig_daemon.service.token_bucket import Bucket, take_at
 
 ANSWER_S = 3.0
 """How long the loop may take to answer a command, in s."""
@@ -48,6 +49,7 @@ _SILENT = f"the loop did not answer within {ANSWER_S:g} s: ask again, or start a
 _SOMEBODY = "somebody on this machine"
 _MOST_AT_ONCE = 16  # commands of a kind, between two looks at the loop and at the run's client
 _MOST_ASKED = 16  # orders without an answer yet, beyond which a stranger's are not passed on
+_NOTES_PER_S, _MOST_NOTES = 2, 20  # of all people: a flood must not fill the recording or the log
 _MOST_UNANSWERED = 64  # and nobody's: what the service has to say itself must not wait behind more
 
 
@@ -82,6 +84,7 @@ class Commands:
         session: Session,
         loop: LoopChild,
         say: Callable[..., None],
+        note: Callable[[int, str, str], None],
     ) -> None:
         """Begin with nobody holding the rig.
 
@@ -89,6 +92,8 @@ class Commands:
         ----------
         say : callable
             Takes the level and the text of a line, and what it is about by keyword.
+        note : callable
+            Publishes and records a note: its time on the monotonic clock in ns, text and owner.
         """
         self._config = config
         self._rig = rig
@@ -96,6 +101,8 @@ class Commands:
         self._session = session
         self._loop = loop
         self._say = say
+        self._note = note
+        self._notes = Bucket(_MOST_NOTES)
         self._waiting: dict[int, _Waiting] = {}
         self._calibration: tuple[int, commands.Calibrate] | None = None  # ordered, not yet taken
         self._numbers = 0
@@ -225,12 +232,25 @@ class Commands:
                 who = signed(request.by, command.by)
                 halt = Halt(reason=f"stopped by {who}") if who else Halt()
                 self._order(command, halt, who=who)
+            case commands.Note():
+                self._take_note(command, request)
             case commands.Reset():
                 self._order(command, Reset())
             case commands.Calibrate():
                 self._calibrate(command, request)
             case _:
                 assert_never(request)
+
+    def _take_note(self, command: Command, request: commands.Note) -> None:
+        """Publish and record a note. The loop, and so the motor, never hears of it."""
+        left = take_at(_NOTES_PER_S, _MOST_NOTES, self._notes, time.monotonic())
+        if left is None:
+            msg = f"too many notes came, {_NOTES_PER_S:g} a second are taken{commands.TRY_AGAIN}"
+            raise ValueError(msg)
+        self._notes = left
+        who = signed(request.owner, command.by) or _SOMEBODY
+        self._note(round(command.came_s * 1e9), request.text, who)
+        command.answer(commands.Done(done=self._runs.takes_notes))
 
     def _calibrate(self, command: Command, request: commands.Calibrate) -> None:
         """Hand a calibration to the loop, which needs its figures only."""

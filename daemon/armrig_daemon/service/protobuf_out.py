@@ -49,6 +49,10 @@ def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns
             message = protobuf.message_class(protobuf.LOG)(
                 level=protobuf.LEVELS[record.level], message=record.message, name="armrigd"
             )
+            if record.is_note:
+                message.name = protobuf.NOTE
+                message.owner = record.fields["owner"]
+                message.t_host_ns = record.t_host_ns
             message.timestamp.FromNanoseconds(record.t_host_ns + clock_offset_ns)
             return _out("event", record.t_host_ns, message.SerializeToString())
 

@@ -226,6 +226,11 @@ class Runs:
         self._presence = begun(planned.request, time.monotonic())
         return self._recording.active
 
+    @property
+    def takes_notes(self) -> bool:
+        """Whether a recording is being written."""
+        return self._recording is not None and not self._recording.error
+
     def includes_sample(self, k: int) -> bool:
         """Return whether sample `k` belongs into the recording."""
         return self._recording is not None and self._first <= k < self._end

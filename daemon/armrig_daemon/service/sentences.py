@@ -13,7 +13,7 @@ from armrig_core.journal import log_prefix
 from armrig_core.printable import printable
 
 from armrig_daemon.config import Config
-from armrig_daemon.pipe import State
+from armrig_daemon.pipe import Log, State
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.systemd import journal_entry, send_to_journal
 
@@ -101,6 +101,11 @@ def state_sentence(state: State, line: str) -> str:
         return printable(f"not ready: {line}")
     who = f"{state.owner} has it" if state.owner else "nobody has it"
     return printable(f"{state.phase}, {who}")
+
+
+def log_line(log: Log) -> str:
+    """Return the line of a log record, with the author of a note."""
+    return f"note by {log.fields['owner']}: {log.message}" if log.is_note else log.message
 
 
 def print_line(level: str, message: str, fields: Mapping[str, str] | None = None) -> None:

@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 
 import zenoh
-from armrig_core import open_files
+from armrig_core import commands, open_files
 from armrig_core.held_up import held_up
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import RecordingError
@@ -56,6 +56,7 @@ from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.sentences import (
     endpoint_error,
+    log_line,
     network_error,
     print_line,
     reached,
@@ -191,7 +192,9 @@ class Service:
         if listen := self._config.access.listen:
             open_anew = partial(_open_network, session, listen)
             self._guard = NetworkGuard(open_files.count, session.shut_network, open_anew)
-        self._commands = Commands(self._config, self._rig, self._runs, session, loop, self._say)
+        self._commands = Commands(
+            self._config, self._rig, self._runs, session, loop, self._say, self._note
+        )
 
     def _serve(self) -> None:
         """Carry records out and commands in until the loop's pipe ends."""
@@ -283,7 +286,7 @@ class Service:
             self._rig.note_state(record)
             self._notifier.status(state_sentence(record, self._rig.line))
         if isinstance(record, Log) and record.level != "debug":
-            print_line(record.level, record.message, self._about(record))
+            print_line(record.level, log_line(record), self._about(record))
         message = outgoing(record, self._offset_ns)
         self._session.put(message.stream, message.data)
         return message
@@ -302,6 +305,12 @@ class Service:
         """Say a line, and what it is about."""
         now_ns = realtime.now_ns()
         self._handle([Log(t_host_ns=now_ns, level=level, message=message, fields=fields)])
+
+    def _note(self, t_host_ns: int, text: str, owner: str) -> None:
+        """Publish and record a note; not thinned as a line of ours, each was asked for."""
+        fields = {"owner": owner, "command": commands.Note.name}
+        log = Log(t_host_ns=t_host_ns, level="info", message=text, fields=fields, is_note=True)
+        self._runs.add(self._published([log]))
 
     def _hear_of_stalls(self, fd: int) -> None:
         """Tell how long an emulator was held up, which tells of it once a second at most."""

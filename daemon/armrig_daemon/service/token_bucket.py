@@ -24,7 +24,12 @@ class Bucket(NamedTuple):
 
 def take(bucket: Bucket, now_s: float) -> Bucket | None:
     """Return the bucket after one more question, None where it is one too many."""
-    tokens = min(BURST, bucket.tokens + PER_S * (now_s - bucket.at_s))
+    return take_at(PER_S, BURST, bucket, now_s)
+
+
+def take_at(per_s: float, burst: float, bucket: Bucket, now_s: float) -> Bucket | None:
+    """Return the same at another rate and for another burst."""
+    tokens = min(burst, bucket.tokens + per_s * (now_s - bucket.at_s))
     return Bucket(tokens - 1, now_s) if tokens >= 1 else None
 
 

@@ -18,7 +18,7 @@ import msgspec
 import pytest
 from armrig.rig.session import open_session
 from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.commands import Arm, Disarm, Renew, Run, Set, Stop
+from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop
 from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Reset as AskedReset
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, manifest_of
@@ -53,6 +53,7 @@ from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.service import Service
 from loop_ends import LoopEnds
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 from odd_bench import CONFIG
 
 LEASE = "a" * 32
@@ -651,6 +652,69 @@ def test_a_voltage_held_by_hand_may_step_as_far_as_it_will(narrow: Between) -> N
     assert (held.n, held.code, held.lease) == (4, round(4.4 / 5 * 65_535), LEASE)
     assert isinstance(taken, Acquire)
     assert (taken.owner, taken.ts_us) == ("Ada", 2000)
+
+
+def test_a_note_is_in_the_recording_by_a_field_and_the_loop_never_hears_of_it(
+    between: Between, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """S5: each is written with its author and when it came, also where two have one text."""
+    between.begin_run()
+    before_ns = time.monotonic_ns()
+    replies = [between.ask(Note(text="note 1: *touched*", owner="Ada")) for _ in range(2)]
+    came_ns = time.monotonic_ns()
+
+    between.commands.serve()
+
+    assert between.loop.orders() == []
+    assert [msgspec.json.decode(next(iter(r)).ok.payload.to_bytes()) for r in replies] == [
+        {"done": True}
+    ] * 2
+    assert capsys.readouterr().err.count("note by Ada: note 1: *touched*") == 2
+    # As others read it: by the schema that the file itself carries.
+    with _finished(between).open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = [event for *_, event in reader.iter_decoded_messages("/rig/1/event")]
+    notes = [event for event in found if event.name == "note"]
+    assert [(event.message, event.owner) for event in notes] == [("note 1: *touched*", "Ada")] * 2
+    assert all(before_ns <= event.t_host_ns <= came_ns for event in notes)
+    others = [(event.name, event.t_host_ns) for event in found if event not in notes]
+    assert others == [("armrigd", 0)]  # the recording's name
+
+
+def test_a_note_outside_a_run_is_answered_that_no_recording_has_it(between: Between) -> None:
+    """It is published all the same; somebody without a name is one on this machine."""
+    replies = between.ask(Note(text="the belt was changed"))
+
+    between.commands.serve()
+
+    answer = next(iter(replies)).ok
+    assert answer is not None
+    assert msgspec.json.decode(answer.payload.to_bytes()) == {"done": False}
+    past = between.service._session._past(0, 0)
+    assert b"the belt was changed" in past
+    assert b"somebody on this machine" in past
+
+
+def test_a_flood_of_notes_leaves_twenty_and_two_a_second(
+    between: Between, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """R1: the others are refused for the moment; the recording and the log grow by no more."""
+    now_s = time.monotonic()
+    monkeypatch.setattr("armrig_daemon.service.commands.time.monotonic", lambda: now_s)
+    asked = [between.ask(Note(text=f"{i}")) for i in range(21)]
+    for _ in range(2):
+        between.commands.serve()
+    now_s += 0.5
+    asked += [between.ask(Note(text="later")) for _ in range(2)]
+
+    between.commands.serve()
+
+    replies = [next(iter(one)) for one in asked]
+    refused = [i for i, reply in enumerate(replies) if reply.err is not None]
+    assert refused == [20, 22]
+    assert b"too many notes came, 2 a second are taken: try again" in (
+        replies[20].err.payload.to_bytes()
+    )
 
 
 def _ready(between: Between) -> None:

@@ -33,7 +33,9 @@ def test_a_sign_that_waited_for_the_service_is_of_when_it_came(tmp_path: Path) -
     runs = Runs(config, tmp_path, lambda: None)
     runs._presence = begun(RUN, 0.0)  # as good as gone
     with Session(endpoint, "1", has_come.set) as session:
-        commands = Commands(config, rig, runs, session, loop.child, lambda *_: None)
+        commands = Commands(
+            config, rig, runs, session, loop.child, lambda *_: None, lambda *_: None
+        )
         commands.note_lease(LEASE)
         with open_session(endpoint, rig="1") as client:
             sent_s = time.monotonic()
