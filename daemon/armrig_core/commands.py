@@ -26,6 +26,8 @@ Fact = str | int | float | bool | list[str | int | float | bool] | None
 
 MOST_SAMPLES = 4_000_000
 """Longest run: more than an hour at 1 kHz."""
+MOST_NOTE = 500
+"""Longest note, in characters."""
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -101,9 +103,7 @@ class Note(Request, frozen=True, kw_only=True, omit_defaults=True):
     """Write a line into the recording of the run in hand. Taken from anybody who may stop."""
 
     name: ClassVar[str] = "note"
-    text: Annotated[
-        str, Meta(min_length=1, max_length=500, description="1 to 500 characters that print")
-    ]
+    text: Annotated[str, Meta(min_length=1, max_length=MOST_NOTE, description="prints")]
     """What happened, such as that somebody touched the arm."""
     owner: str = ""
     """Author of the note; more than 80 characters are cut off."""
@@ -270,18 +270,20 @@ def parse(name: str, payload: bytes) -> Requests:
         )
         msg += "one of them a letter or a digit"
         raise ValueError(msg)
-    if isinstance(request, Note) and not (
-        request.text.isprintable() and request.text.strip(f" {_FILLERS}")
-    ):
-        msg = (
-            f"note: text '{printable(request.text)}': allowed are 1 to 500 characters that print, "
-        )
-        msg += "on one line, and not blanks alone"
-        raise ValueError(msg)
+    if isinstance(request, Note):
+        check_note(request.text)
     if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS:
         msg = f"run: details take more than the {MOST_DETAILS} B of JSON that are allowed"
         raise ValueError(msg)
     return request
+
+
+def check_note(text: str) -> None:
+    """Raise ValueError if a text is not allowed as a note."""
+    if len(text) > MOST_NOTE or not text.isprintable() or not text.strip(f" {_FILLERS}"):
+        msg = f"note: text '{printable(text)}': allowed are 1 to {MOST_NOTE} characters that "
+        msg += "print, on one line, and not blanks alone"
+        raise ValueError(msg)
 
 
 def _is_name(owner: str) -> bool:

@@ -81,6 +81,13 @@ def event(k: int, message: str, level: str = "info") -> Any:
     return log
 
 
+def note(k: int, text: str, owner: str = "Ada") -> Any:
+    """Return a note that came at sample k."""
+    log = event(k, text)
+    log.name, log.owner, log.t_host_ns = protobuf.NOTE, owner, sample(k).t_host_ns
+    return log
+
+
 def timing(k: int) -> Any:
     """Return a timing report at sample k."""
     report = protobuf.message_class(protobuf.TIMING)(t_host_ns=sample(k).t_host_ns)

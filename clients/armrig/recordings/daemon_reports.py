@@ -7,6 +7,8 @@ from math import nan
 from operator import attrgetter
 from typing import Any
 
+from armrig_core import protobuf
+
 _LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
 
 
@@ -36,6 +38,18 @@ class Event:
     """debug, info, warning, error or fatal."""
     message: str
     """What happened."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Note:
+    """A line that a person wrote during the run."""
+
+    t: float
+    """When it came, in s from the recording's first sample."""
+    text: str
+    """What it says."""
+    owner: str
+    """Author."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,6 +147,16 @@ def event_of(message: Any, clock: Clock) -> Event:
     real_ns = stamp.seconds * 1_000_000_000 + stamp.nanos
     level = _LEVELS[message.level] if 0 <= message.level < len(_LEVELS) else str(message.level)
     return Event(t=clock.seconds(real_ns - clock.offset_ns), level=level, message=message.message)
+
+
+def is_note(message: Any) -> bool:
+    """Return whether a person wrote a log record, by its `name`."""
+    return bool(message.name == protobuf.NOTE)
+
+
+def note_of(message: Any, clock: Clock) -> Note:
+    """Return the note in a protobuf message."""
+    return Note(t=clock.seconds(message.t_host_ns), text=message.message, owner=message.owner)
 
 
 def timing_of(message: Any, clock: Clock) -> Timing:

@@ -27,6 +27,8 @@ from armrig.recordings.daemon_reports import (
     device_clock_of,
     event_of,
     gap_of,
+    is_note,
+    note_of,
     timing_of,
 )
 from armrig.recordings.grid import Grid, grid
@@ -276,9 +278,12 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     saved += f"{rows.N * manifest.Ts:g} s of {max(manifest.samples, 0) * manifest.Ts:g} s"
     t = np.arange(rows.k_first - origin, rows.k_first - origin + rows.N, dtype=np.float64)
     t *= manifest.Ts
+    logs = messages.get("event", [])
     reports: dict[str, Any] = {
         "gaps": gaps,
-        "events": tuple(event_of(message, clock) for message in messages.get("event", [])),
+        # Only the daemon's own lines: some are read for what disturbed the timing.
+        "events": tuple(event_of(message, clock) for message in logs if not is_note(message)),
+        "notes": tuple(note_of(message, clock) for message in logs if is_note(message)),
         "timing": tuple(timing_of(message, clock) for message in messages.get("timing", [])),
         "clock": tuple(device_clock_of(message, clock) for message in messages.get("clock", [])),
     }

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
 from armrig.numerics.stretches import Mask
-from armrig.recordings.daemon_reports import DeviceClock, Event, Gap, Timing
+from armrig.recordings.daemon_reports import DeviceClock, Event, Gap, Note, Timing
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,6 +86,8 @@ class Recording:
     """Missing samples, as the daemon recorded them."""
     events: tuple[Event, ...]
     """What the daemon had to say."""
+    notes: tuple[Note, ...]
+    """What people wrote during the run."""
     timing: tuple[Timing, ...]
     """Timing, once a second."""
     clock: tuple[DeviceClock, ...]

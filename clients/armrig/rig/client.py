@@ -306,6 +306,44 @@ class Rig:
         if not reply.done:
             raise no_daemon(self.rig, self.endpoint, "the answer to 'stop' does not say done")
 
+    def note(self, text: str, owner: str = "") -> bool:
+        """Write a note into the recording of the run in hand; needs no lease.
+
+        Repeats a note that is refused for the moment only, for up to 2.5 s.
+
+        Parameters
+        ----------
+        text : str
+            What happened, such as that somebody touched the arm; 1 to 500 characters that print.
+        owner : str, optional
+            Author; by default the owner whom the rig was armed for, or this user.
+
+        Returns
+        -------
+        bool
+            Whether a recording is being written, and so contains the note.
+
+        Raises
+        ------
+        RefusedError
+            The daemon is older than notes; a `BusyError` after too many notes.
+        NoReplyError
+            The daemon does not answer.
+        ValueError
+            The text is not allowed; nothing was sent.
+        """
+        commands.check_note(text)  # a network drops what is too long, and nobody would answer
+        request = commands.Note(text=text, owner=(owner or self._owner or this_user())[:80])
+        try:
+            return self._ask_again(request, commands.Done).done
+        except BusyError:
+            raise
+        except RefusedError as err:
+            if self._has_command(request.name):
+                raise
+            msg = f"the daemon of rig {self.rig} takes no notes: update armrig on its machine"
+            raise RefusedError(msg) from err
+
     def reset(self) -> bool:
         """Leave a latched fault, disarmed; return whether there was one."""
         return self._ask_again(commands.Reset(), commands.Done).done
@@ -367,6 +405,11 @@ class Rig:
             raise RefusedError(msg)
         self._n += 1
         return {"lease": self._lease, "n": self._n}
+
+    def _has_command(self, name: str) -> bool:
+        """Return whether the daemon serves the schema of a command."""
+        key = topics.schema_key(self.rig, f"cmd/{name}")
+        return any(reply.ok for reply in self._connected().get(key, timeout=REPLY_S))
 
     def _connected(self) -> zenoh.Session:
         if self._session is None:

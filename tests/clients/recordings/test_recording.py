@@ -42,6 +42,7 @@ from made_recordings import (
     event,
     gap,
     manifest,
+    note,
     recorded,
     sample,
     timing,
@@ -112,6 +113,27 @@ def test_gaps_events_and_timing_are_told_in_seconds_from_the_first_sample(tmp_pa
     assert rec.events[0].t == pytest.approx(5 * TS, abs=1e-4)
     assert rec.timing[0].t == pytest.approx(10 * TS, abs=1e-4)
     assert rec.timing[0].wake_lateness_us.p50 == 3.0
+    assert rec.notes == ()
+
+
+def test_a_note_is_known_by_its_field_and_never_read_as_a_line_of_the_daemon(
+    tmp_path: Path,
+) -> None:
+    """Whatever it says: some lines of the daemon count as disturbances of the timing."""
+    messages = [*(sample(k) for k in range(100, 120)), event(103, "note by Ada: hello")]
+    messages += [note(105, "emulator held up 9999 ms"), note(115, "#set", "Bob")]
+    path = written(tmp_path, recorded(messages))
+
+    rec, part = load(path), load(path, start=0.1)
+
+    assert [(n.text, n.owner) for n in rec.notes] == [
+        ("emulator held up 9999 ms", "Ada"),
+        ("#set", "Bob"),
+    ]
+    assert [n.t for n in rec.notes] == pytest.approx([5 * TS, 15 * TS], abs=1e-4)
+    assert [e.message for e in rec.events] == ["note by Ada: hello"]
+    assert disturbances(rec).held_up_ms == 0
+    assert [n.owner for n in part.notes] == ["Bob"]
 
 
 def test_a_missing_sample_has_its_row_and_the_voltage_that_was_held(tmp_path: Path) -> None:

@@ -163,6 +163,44 @@ def test_who_stops_a_rig_is_named(daemon: FakeDaemon, where: str) -> None:
     assert stops == [getpass.getuser(), "a student", "the teacher"]
 
 
+def test_who_writes_a_note_is_named(daemon: FakeDaemon, where: str) -> None:
+    """The owner, or the author that is given, or this user; no lease is needed."""
+    with Rig("1", connect=where) as rig:
+        assert rig.note("the belt was changed")
+        rig.arm("a student")
+        rig.note("the arm was touched")
+        rig.note("so it was", "the teacher")
+
+    notes = [(r.text, r.owner) for r in daemon.asked if isinstance(r, commands.Note)]
+    assert notes == [
+        ("the belt was changed", getpass.getuser()),
+        ("the arm was touched", "a student"),
+        ("so it was", "the teacher"),
+    ]
+
+
+@pytest.mark.parametrize("text", ["", " ", "\x1b[2J", "a\nb", "x" * 10_000])
+def test_a_note_that_is_not_allowed_is_not_sent(daemon: FakeDaemon, where: str, text: str) -> None:
+    """A network would drop the longest, and nobody would answer."""
+    with Rig("1", connect=where) as rig, pytest.raises(ValueError, match=r"500"):
+        rig.note(text)
+
+    assert daemon.asked == []
+
+
+def test_a_daemon_that_is_older_than_notes_is_named_in_a_line(
+    daemon: FakeDaemon, where: str
+) -> None:
+    """It serves no schema of the command."""
+    daemon.refusals["note"] = "command 'note': allowed are arm, disarm"
+
+    with Rig("1", connect=where) as rig, pytest.raises(RefusedError) as refused:
+        rig.note("the arm was touched")
+
+    told = "the daemon of rig 1 takes no notes: update armrig on its machine"
+    assert str(refused.value) == told
+
+
 def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
