@@ -73,6 +73,7 @@ for _command, _example in (
     (rig.watch, ""),
     (rig.stop, ""),
     (rig.reset, ""),
+    (rig.note, '"the arm was touched"'),
     (dashboard.dashboard, "--open"),
     (calibrate.calibrate, ""),
     (collect.app, "collect"),

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from armrig.cli.replay import Replay
     from armrig.recordings.recording import Recording
 
-_GAPS = 3  # lines of them without --verbose
+_GAPS, _NOTES = 3, 10  # lines of them without --verbose
 _MOST_TOLD = 1000  # characters
 
 
@@ -80,6 +80,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
         "verdict": data_verdict(rec).facts(),
         "gaps": rec.gaps,
         "events": rec.events,
+        "notes": rec.notes,
     }
 
 
@@ -124,6 +125,10 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
         yield "gap", text
     if len(gaps) > _GAPS and not verbose:
         yield "gap", f"{len(gaps) - _GAPS} more lines; --verbose shows them"
+    for note in rec.notes if verbose else rec.notes[:_NOTES]:
+        yield "note", _clipped(f"at {note.t:.2f} s, {note.owner}: {note.text}")
+    if len(rec.notes) > _NOTES and not verbose:
+        yield "note", f"{len(rec.notes) - _NOTES} more; --verbose shows them"
     if rec.truncated:
         yield "damage", rec.damage
     for finding in verdict.findings if verbose else ():

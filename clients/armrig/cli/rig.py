@@ -1,4 +1,4 @@
-"""The commands about a rig: status, watch, stop, reset."""
+"""The commands about a rig: status, watch, stop, reset, note."""
 
 from __future__ import annotations
 
@@ -90,6 +90,35 @@ def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None
     else:
         echo(f"rig {rig}: nothing is latched, so there is nothing to reset")
     say_next("reset", rig=naming(rig, connect))
+
+
+def note(
+    text: Annotated[
+        str,
+        typer.Argument(
+            metavar="TEXT", help="What happened, in 1 to 500 characters.", show_default=False
+        ),
+    ],
+    rig: RigId = "1",
+    connect: Connect = None,
+    owner: Annotated[
+        str,
+        typer.Option("--owner", help="Author of the note.", show_default="this user"),
+    ] = "",
+    json: Json = False,
+) -> None:
+    """Write a note into the recording while it runs; info, report and page show it.
+
+    With --json it prints {"rig": "1", "recorded": true}, or false if no run is being recorded.
+    """
+    with _opened(rig, connect) as opened:
+        is_recorded = opened.note(text, owner)
+    if json:
+        print_json({"rig": rig, "recorded": is_recorded})
+    elif is_recorded:
+        echo(f"rig {rig}: the note is in the recording")
+    else:
+        echo(f"rig {rig}: no run is being recorded, so the note is in no recording of the daemon")
 
 
 @contextmanager

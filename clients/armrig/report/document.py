@@ -26,6 +26,7 @@ from armrig.report.model_facts import (
 from armrig.report.recording_facts import (
     disturbance_rows,
     facts,
+    notes,
     role,
     run_name,
     shared_facts,
@@ -94,6 +95,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
             for r in study.recordings
         ],
         "facts": facts(study),
+        "notes": notes(study),
         "warnings": different_calibrations(study.recordings),
         "remarks": [*emulation(study.recordings), *remarks, *truncated],
         "chain": shared_facts(study),

@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from armrig.numerics.quantities import microseconds, milliseconds, number
+from armrig.numerics.quantities import NBSP, microseconds, milliseconds, number
 from armrig.recordings.calibration.staleness import calibrated
 from armrig.recordings.jitter import SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
 from armrig.recordings.timing_disturbances import Disturbances
 from armrig.report.study import STAIRCASE, STEP, Study, kind_of
+
+_MOST_NOTES = 20  # of a recording
 
 
 def role(study: Study, recording: Recording) -> str:
@@ -53,6 +55,17 @@ def facts(study: Study) -> list[list[str]]:
     row("in the dead band, or just after", lambda r: str(r.hidden))
     row("outcome", _outcome)
     return rows
+
+
+def notes(study: Study) -> list[str]:
+    """Return the notes of the recordings: which, when, who and what."""
+    said = []
+    for recording in study.recordings:
+        name, found = run_name(recording), recording.notes
+        said += [f"{name} at {n.t:.2f}{NBSP}s, {n.owner}: {n.text}" for n in found[:_MOST_NOTES]]
+        if len(found) > _MOST_NOTES:
+            said.append(f"{name}: {len(found) - _MOST_NOTES} more notes")
+    return said
 
 
 def _outcome(recording: Recording) -> str:

@@ -19,7 +19,7 @@ from armrig.cli import main
 from armrig.cli.options import folded, tell
 from armrig.rig import live_rigs
 from armrig.rig.realtime_status import scheduling_sentences
-from armrig_core import telemetry
+from armrig_core import commands, telemetry
 from fake_daemon import FakeDaemon
 from made_recordings import sample, written
 from running import running
@@ -119,6 +119,42 @@ def test_status_tells_what_the_daemon_says_of_scheduling(
     assert "no real-time scheduling; not allowed: SCHED_FIFO (set LimitRTPRIO=)" in text
     assert facts["endpoint"] == where
     assert facts["u_max"] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("is_recorded", "told"),
+    [(True, "the note is in the recording"), (False, "no run is being recorded, so the note")],
+)
+def test_a_note_says_whether_a_recording_has_it(
+    daemon: FakeDaemon,
+    where: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    is_recorded: bool,
+    told: str,
+) -> None:
+    """For a person, and for a program."""
+    monkeypatch.setattr(daemon, "_carry_out", lambda _: commands.Done(done=is_recorded))
+
+    assert main(["note", "the arm was touched", "--connect", where, "--owner", "Ada"]) == 0
+    said = capsys.readouterr().out
+    assert main(["note", "the arm was touched", "--connect", where, "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+
+    assert said.startswith(f"rig 1: {told}")
+    assert facts == {"rig": "1", "recorded": is_recorded}
+
+
+def test_a_note_that_is_too_long_is_refused_in_a_line(
+    daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nothing is sent, and the line does not repeat all of it."""
+    assert main(["note", "x" * 10_000, "--connect", where]) == 1
+
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "characters)': allowed are 1 to 500 characters" in said
+    assert daemon.asked == []
 
 
 @pytest.mark.parametrize("command", ["stop", "reset"])

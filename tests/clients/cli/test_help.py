@@ -13,6 +13,7 @@ COMMANDS = [
     "watch",
     "stop",
     "reset",
+    "note",
     "calibrate",
     "bench",
     "doctor",

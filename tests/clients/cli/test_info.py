@@ -10,7 +10,7 @@ import pytest
 from armrig.cli import main
 from armrig.cli.recording_info import _replay_verdict
 from armrig.cli.replay import Replay
-from made_recordings import manifest, recorded, sample, written
+from made_recordings import manifest, note, recorded, sample, written
 from told import told
 
 
@@ -26,6 +26,23 @@ def test_a_truncated_recording_is_used_and_the_loss_is_told(
     facts = json.loads(capsys.readouterr().out)
     assert facts["truncated"] is True
     assert f"saved: {facts['samples']} samples" in facts["damage"]
+
+
+def test_notes_are_listed_with_their_times_and_authors(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first ten of them; --verbose lists all."""
+    notes = [note(k, f"touched #{k}") for k in range(12)]
+    path = str(written(tmp_path, recorded([*(sample(k) for k in range(40)), *notes])))
+
+    assert main(["info", path]) == 0
+    brief = capsys.readouterr().out
+    assert main(["info", path, "--verbose"]) == 0
+    full = capsys.readouterr().out
+
+    assert re.search(r"^note +at 0\.09 s, Ada: touched #9\nnote +2 more; --verbose", brief, re.M)
+    assert brief.count("touched") == 10
+    assert re.search(r"^note +at 0\.11 s, Ada: touched #11$", full, re.M)
 
 
 def test_damage_is_told_wherever_a_recording_is_used(

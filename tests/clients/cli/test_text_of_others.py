@@ -14,7 +14,7 @@ from armrig.cli.options import tell
 from armrig.cli.spinner import spinner
 from armrig.rig.progress import bar
 from armrig_core.manifest import Outcome
-from made_recordings import event, gap, manifest, of_the_arm, recorded, sample, written
+from made_recordings import event, gap, manifest, note, of_the_arm, recorded, sample, written
 from rich.console import Console
 
 HOSTILE = "\x1b]0;mine\x07\x1b[2Ja rig\r\n\x9b[red]\u202e"
@@ -36,6 +36,7 @@ def recording(tmp_path: Path) -> Path:
     )
     messages = [sample(k) for k in range(5)] + [gap(5, 1, 1.0, HOSTILE)]
     messages += [sample(k) for k in range(6, 10)] + [event(9, HOSTILE)]
+    messages += [note(9, HOSTILE, HOSTILE)]
     outcome = Outcome(outcome=HOSTILE, samples=9, missing=1)
     return written(tmp_path, recorded(messages, manifest=told, outcome=outcome))
 
@@ -49,7 +50,7 @@ def test_a_recording_s_texts_do_nothing_to_a_terminal(
 
     assert told.out.replace("\n", "").isprintable()
     assert told.err.replace("\n", "").isprintable()
-    for name in ("run", "experiment", "outcome", "gap"):
+    for name in ("run", "experiment", "outcome", "gap", "note"):
         (line,) = (line for line in told.out.splitlines() if line.startswith(f"{name} "))
         assert SHOWN in line
 
@@ -65,6 +66,9 @@ def test_a_recording_as_json_keeps_its_texts(
     facts = json.loads(told)
     assert facts["manifest"]["experiment"] == HOSTILE
     assert facts["outcome"]["outcome"] == HOSTILE
+    assert facts["notes"] == [
+        {"t": pytest.approx(0.09, abs=1e-3), "text": HOSTILE, "owner": HOSTILE}
+    ]
     assert facts["gaps"][0]["reason"] == facts["events"][0]["message"] == HOSTILE
 
 

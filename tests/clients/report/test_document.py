@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.data.trend import Trend
+from armrig.numerics.quantities import NBSP
 from armrig.physics.physical_model import physical_model
+from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
 from armrig.recordings.recording import RecordingError
 from armrig.report.conclusions import abstract, conclusions
@@ -27,6 +29,9 @@ from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made
 from made_recordings import of_the_arm, recorded, sample, written
 
+NOTE = Note(t=1.5, text='#panic() *x* $y$ `#eval("1")` \\ [z] @nobody', owner="#panic() <b>")
+"""Markup, which a report prints as text."""
+
 
 @pytest.fixture(scope="module")
 def of_three(done: Study) -> Study:
@@ -34,7 +39,7 @@ def of_three(done: Study) -> Study:
     armax = armrig.armax(done.estimation, na=4, nb=4, nc=2, integrator=True)
     fits = {"ARMAX": armax} | {m.name: m.fit for m in done.estimated}
     recordings = tuple(
-        replace(r, manifest=msgspec.structs.replace(r.manifest, run_id=f"run-{k}"))
+        replace(r, manifest=msgspec.structs.replace(r.manifest, run_id=f"run-{k}"), notes=(NOTE,))
         for k, r in enumerate(done.recordings, 1)
     )
     models = assessed(fits, done.reference.model, done.validation)
@@ -310,6 +315,20 @@ def test_a_truncated_recording_is_named_in_the_report(
 
     assert cut.truncated
     assert "cut.mcap is not whole" in " ".join(content(done, ())["remarks"])
+
+
+def test_the_notes_of_a_recording_stand_in_the_report(
+    done: Study, of_three: Study, made: tuple[bytes, Path]
+) -> None:
+    """Markup in them is text: the report compiles, and prints each as it was written."""
+    told = [f"@run-{k} at 1.50{NBSP}s, {NOTE.owner}: {NOTE.text}" for k in (1, 2, 3)]
+    assert content(of_three, ())["notes"] == told
+    assert content(done, ())["notes"] == []
+
+    many = replace(done.recordings[0], notes=(NOTE,) * 25)
+    told = content(replace(done, recordings=(many, *done.recordings[1:])), ())["notes"]
+    assert len(told) == 21
+    assert told[-1].endswith(": 5 more notes")
 
 
 def test_a_file_cut_off_behind_its_outcome_is_told_in_the_table(done: Study) -> None:
