@@ -126,6 +126,25 @@ def test_stop_ends_a_run_of_the_page(page: Client, served: Bench) -> None:
     assert "stopped by somebody" in page.first("run")["error"]
 
 
+def test_a_note_is_marked_and_is_in_the_recording(page: Client, served: Bench) -> None:
+    """With the page's name; one that is not allowed is refused, and says why."""
+    begin(page, served)
+    assert page.ask("/api/note", {"owner": "Ada", "text": "<b>touched"}) == (
+        200,
+        {"recorded": True},
+    )
+    page.wait("marks", lambda seen: [kind for _, kind in seen][-2:] == ["start", "note"])
+    status, told = page.ask("/api/note", {"owner": "Ada", "text": "x" * 501})
+    assert (status, told["error"][-20:]) == (400, "and not blanks alone")
+    page.ask("/api/stop", {})
+    last = page.wait("status", lambda seen: seen["last_run"]["finished"])["last_run"]
+
+    status, found = page.ask("/api/recording", {"file": last["file"]})
+
+    assert status == 200
+    assert [(owner, text) for _, owner, text in found["notes"]] == [("Ada", "<b>touched")]
+
+
 def test_a_stop_right_behind_a_run_holds(page: Client, served: Bench) -> None:
     """However far the run has come: neither armed, nor rehearsed, nor begun."""
     for _ in range(5):

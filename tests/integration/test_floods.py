@@ -119,6 +119,7 @@ def test_strangers_who_ask_for_runs_do_not_keep_the_holder_from_his(served: Benc
         ("set", {"lease": "0" * 32, "n": 1, "u": 5.0}),
         ("renew", {"lease": "0" * 32, "n": 1}),
         ("arm", {"owner": "a stranger"}),
+        ("note", {"text": "the arm was touched"}),
     ],
 )
 def test_a_flood_hides_neither_the_client_nor_its_end(

@@ -45,6 +45,11 @@ class _Wanted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     experiment: Experiment
 
 
+class _Noted(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    owner: _Owner
+    text: str
+
+
 class _Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     wanted: bool
 
@@ -91,6 +96,7 @@ class RigRoutes:
                     ("arm", self._arm),
                     ("release", self._release),
                     ("reset", self._reset),
+                    ("note", self._note),
                     ("preview", self._preview),
                     ("model", self._model),
                 )
@@ -119,6 +125,10 @@ class RigRoutes:
 
     def _reset(self, _: bytes) -> Any:
         return {"was_latched": self._driver.reset()}
+
+    def _note(self, body: bytes) -> Any:
+        asked = msgspec.json.decode(body, type=_Noted)
+        return {"recorded": self._driver.note(asked.text, asked.owner)}
 
     def _preview(self, body: bytes) -> Any:
         asked = msgspec.json.decode(body, type=Experiment)

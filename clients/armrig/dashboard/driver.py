@@ -142,6 +142,11 @@ class Driver:
         with Rig(self._rig, connect=self._connect) as rig:
             return rig.reset()
 
+    def note(self, text: str, owner: str) -> bool:
+        """Write a note into the recording; return whether there is one: see `Rig.note`."""
+        with Rig(self._rig, connect=self._connect) as rig:
+            return rig.note(text, owner)
+
     def end(self) -> None:
         """Stop a run that is on, take no other, and give the rig back."""
         self._runner.shutdown(wait=False)  # first: a run that began behind the stop would go on

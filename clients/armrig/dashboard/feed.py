@@ -16,6 +16,7 @@ from armrig_core.telemetry import Sample
 
 from armrig.dashboard.bins import COLUMNS, Rows, binned, coarser, needed_before, rate, signals
 from armrig.dashboard.live_model import LiveModel
+from armrig.recordings.daemon_reports import is_note
 from armrig.rig.live_gaps import MOST_TOLD, gaps_between
 
 HISTORY_S = 300.0
@@ -27,7 +28,7 @@ _MOST_ROWS = 40_000  # five minutes of bins, and as many wraps as there are
 LATE_US = (50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 """Upper edges of the histogram of lateness, in µs; the last bin is what is later."""
 _TS = 0.01  # before the daemon has said its own
-_MOST_MARKS = 200
+_MOST_MARKS, _MOST_NOTES = 200, 100
 _BACK_NS = 1_000_000_000
 _LATE_S = 60  # seconds that the histogram is of
 
@@ -79,6 +80,7 @@ class Feed:
         self._timing = Timing()
         self._phase = ""  # of the newest state heard
         self._marks: deque[tuple[float, str]] = deque(maxlen=_MOST_MARKS)
+        self._notes: deque[tuple[float, str]] = deque(maxlen=_MOST_NOTES)  # they push out no start
         self.status: StatusReport | None = None
         """Of the daemon; the newest that it gave."""
         self._model: LiveModel | None = None
@@ -131,11 +133,19 @@ class Feed:
                 if kind or before == "active":
                     self._marks.append((state.t_host_ns / 1e9, kind or "end"))
 
+    def add_events(self, events: Sequence[Any]) -> None:
+        """Take lines of the daemon's log: a note is marked, once however often it is heard."""
+        with self._lock:
+            for mark in ((e.t_host_ns / 1e9, "note") for e in events if is_note(e)):
+                if mark not in self._notes:
+                    self._notes.append(mark)
+
     def marks(self) -> list[tuple[float, str]]:
-        """Return time in s and kind of what happened lately: start, end, trip."""
+        """Return time in s and kind of what happened lately: start, end, trip, note."""
         with self._lock:
             oldest_s = self._newest.t_host_ns / 1e9 - HISTORY_S if self._newest else -np.inf
-            return [mark for mark in self._marks if mark[0] >= oldest_s]
+            marks = sorted([*self._marks, *self._notes])
+            return [mark for mark in marks if mark[0] >= oldest_s]
 
     def add_report(self, report: Any) -> None:
         """Take the daemon's report of a second's timing."""

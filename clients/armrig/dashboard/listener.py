@@ -62,6 +62,7 @@ class Listener:
             rig.arrivals("gap") as gaps,
             rig.arrivals("timing") as reports,
             rig.arrivals("state") as states,
+            rig.arrivals("event") as events,
         ):
             feed.status = status = rig.status()
             feed.trouble = ""
@@ -75,6 +76,7 @@ class Listener:
                     heard_s = time.monotonic()
                 for report in reports():
                     feed.add_report(report)
+                feed.add_events(events())
                 now = time.monotonic()
                 feed.add_states(fresh := states())
                 if _changed(fresh, status) or now - asked_s >= _STATUS_S:
@@ -102,6 +104,7 @@ class Listener:
         return (
             ("gap", self._feed.add_gaps),
             ("state", self._feed.add_states),
+            ("event", self._feed.add_events),
             ("sample", lambda samples: self._feed.add_samples(samples, live=False)),
         )
 

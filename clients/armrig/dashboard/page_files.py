@@ -32,6 +32,7 @@ _NAMES = (
     "recording.js",
     "model.js",
     "elements.js",
+    "note.js",
     "icon.svg",
     "vendor/uPlot.iife.min.js",
     "vendor/uPlot.min.css",

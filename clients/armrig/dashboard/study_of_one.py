@@ -22,7 +22,7 @@ from armrig.validation.residuals import residuals
 from armrig.validation.structure_hints import structure_hints
 
 _POINTS = 4000  # of a curve: four a pixel, so that a pixel holds its extremes at their times
-_MOST_GAPS = 100
+_MOST_GAPS = _MOST_NOTES = 100
 _KEPT = 2  # recordings: the one that is looked at, and its validation
 Output = Literal["theta_1", "alpha"]
 
@@ -51,6 +51,7 @@ def facts(path: Path) -> dict[str, Any]:
             [float(round(g.k_first - recording.k_first)) * recording.Ts, g.count, g.reason]
             for g in recording.gaps[:_MOST_GAPS]
         ],
+        "notes": [(n.t, n.owner, n.text) for n in recording.notes[:_MOST_NOTES]],
         "seconds": recording.N * recording.Ts,
         "curves": curves(path, None, None),
     }

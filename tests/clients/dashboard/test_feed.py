@@ -15,7 +15,7 @@ from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
 from armrig.dashboard.messages import live_facts
 from armrig_core.commands import StatusReport
 from armrig_core.telemetry import Sample
-from made_recordings import gap, sample
+from made_recordings import event, gap, note, sample
 
 
 def samples(*numbers: int) -> list[Sample]:
@@ -318,3 +318,18 @@ def test_start_end_and_trip_are_marked() -> None:
 
     assert told == [(2.0, "end"), (3.0, "start"), (4.0, "end"), (5.0, "start"), (6.0, "trip")]
     assert feed.marks() == []
+
+
+def test_a_note_is_marked_once_and_pushes_out_no_start() -> None:
+    """The past brings it once more when a daemon is found again; other lines mark nothing."""
+    feed = Feed()
+    notes = [note(k, "note") for k in range(500)]
+
+    feed.add_states([SimpleNamespace(t_host_ns=1, phase=p) for p in ("safe", "active")])
+    feed.add_events([*notes, *notes[-50:], event(7, "note by Ada: note")])
+
+    (start, *marks) = feed.marks()
+    assert start == (1e-9, "start")
+    assert {kind for _, kind in marks} == {"note"}
+    assert marks[-1] == (sample(499).t_host_ns / 1e9, "note")
+    assert len(marks) == len(set(marks)) == 100

@@ -194,6 +194,7 @@ def test_another_recording_is_shown_in_its_whole_length(page: Path) -> None:
     """A zoom is of the recording that it was made in."""
     curves = {name: [[], [], []] for name in ("u", "theta_1", "alpha")}
     found = {"seconds": 10, "summary": "", "usable": True, "about": [], "findings": [], "gaps": []}
+    found |= {"notes": []}
     told = _run(
         page,
         "const charts = [];"

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from armrig.dashboard.study_of_one import csv, curves
+from armrig.dashboard.study_of_one import csv, curves, facts
 from armrig.recordings.loading import load
+from made_recordings import note, recorded, sample, written
 
 
 @pytest.mark.parametrize(("start", "k"), [(0.995, 100), (1.999, -1), (1e6, -1)])
@@ -35,3 +36,14 @@ def test_a_part_as_csv_has_the_page_s_quantities(three_recordings: tuple[Path, P
     angles = np.degrees([recording.theta_1[k], recording.alpha[k]])
     expected = np.column_stack([recording.t[k], recording.u[k], *angles])
     np.testing.assert_allclose(shown, expected, atol=6e-5)
+
+
+def test_the_notes_of_a_recording_are_listed(tmp_path: Path) -> None:
+    """A hundred of them at most: when, who and what."""
+    notes = [note(k % 20, f"<b>{k}") for k in range(150)]
+    path = written(tmp_path, recorded([*(sample(k) for k in range(40)), *notes]))
+
+    found = facts(path)["notes"]
+
+    assert len(found) == 100
+    assert found[5] == (pytest.approx(0.05, abs=1e-4), "Ada", "<b>5")

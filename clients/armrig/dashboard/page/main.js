@@ -5,6 +5,7 @@ import { redrawCharts } from "./chart.js";
 import { allow, setUpControl, showRun, showControl, withdrawRun } from "./control.js";
 import { ask, attempt, byId, notice, owner, setText, show, token } from "./elements.js";
 import { LivePlots } from "./live_plots.js";
+import { setUpNote, takesBlank } from "./note.js";
 import { listRecordings, setUpRecordings } from "./recordings.js";
 import { setEdges, setUpStatus, showBusy, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
 import { Stream } from "./stream.js";
@@ -49,10 +50,10 @@ function onKey(event) {
   const typing = isText(event.target);
   if (event.code === "Space") {
     // At rest a text takes its blank; while the motor may turn the space bar stops, wherever.
-    if (typing && !["armed", "active"].includes(rigStatus().phase)) return;
+    if (typing && (takesBlank(event.target) || !["armed", "active"].includes(rigStatus().phase))) return;
     event.preventDefault();
     event.stopPropagation();
-    if (event.type === "keydown" && !event.repeat) stop();
+    if (event.type === "keydown" && !(event.repeat && !typing)) stop();
     return;
   }
   if (event.type !== "keydown" || typing || event.target instanceof HTMLSelectElement) return;
@@ -98,6 +99,7 @@ function begin() {
     attempt(() => listRecordings(file));
   });
   setUpRecordings();
+  setUpNote();
   if (!token) notice("open the address that `armrig dashboard` printed: it ends with a token");
   stream = new Stream(
     {

@@ -50,10 +50,14 @@ export async function look(file, list = []) {
     ...found.findings.filter(([level]) => level !== "good").map(([level, about, text]) => make("li", { className: level === "unusable" ? "bad-text" : "warn-text", textContent: `${about}: ${text}` })),
   );
   const gaps = found.gaps.map(([t, count, reason]) => make("li", { textContent: `${t.toFixed(2)} s: ${count} samples missing: ${reason}` }));
+  const notes = found.notes.map(([t, owner, text]) => make("li", {}, `${t.toFixed(2)} s, ${owner}: ${text}`));
   const where = make("div", { id: "curves" });
   const replay = new Replay(charts, () => seen || [0, seconds]);
-  byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { className: "hint", id: "seen" }), where, replay.element, make("h3", { textContent: "About it" }), facts, ...(gaps.length ? [make("h3", { textContent: "Missing samples" }), make("ul", {}, ...gaps)] : []), make("div", { id: "model" }));
+  const list = (title, items) => (items.length ? [make("h3", { textContent: title }), make("ul", {}, ...items)] : []);
+  const about = [make("h3", { textContent: "About it" }), facts];
+  byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { className: "hint", id: "seen" }), where, replay.element, ...list("Notes", notes), ...about, ...list("Missing samples", gaps), make("div", { id: "model" }));
   charts.push(...SIGNALS.map((signal, i) => curve(where, signal, i === SIGNALS.length - 1)));
+  charts.forEach((u, i) => Object.assign(u, { marks: found.notes.map(([x]) => ({ x, kind: "note" })), namesMarks: i === 0 }));
   where.addEventListener("dblclick", () => attempt(() => zoom(null)));
   draw(found.curves);
 }
