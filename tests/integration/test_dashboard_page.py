@@ -279,7 +279,7 @@ def test_the_space_bar_stops_wherever_the_focus_is(
 ) -> None:
     """Without a dialog, at the motor's terminals; it presses no button and writes no blank."""
     with opened(browser, client.url) as page:
-        for focus in ("#run", "#owner-name", "#kind", "#plots", "body"):
+        for focus in ("#run", "#owner-name", "#note-text", "#kind", "#plots", "body"):
             run_step(page, served)
             page.wait_for_selector(".pill.active")
             if focus not in ("#run", "body"):
@@ -291,6 +291,29 @@ def test_the_space_bar_stops_wherever_the_focus_is(
             assert page.input_value("#owner-name") == owner
             until(page, lambda: "stopped by dashboard" in text(page, "#running-text"))
             bring_to_rest(served)
+
+
+def test_a_note_is_typed_while_a_run_plays_and_the_space_bar_still_stops(
+    browser: Any, client: Client, served: Bench
+) -> None:
+    """A blank behind a letter is written, the next one is a stop; a sent note leaves its field."""
+    with opened(browser, client.url) as page:
+        run_step(page, served)
+        page.wait_for_selector(".pill.active")
+        page.click("#note-text")
+        page.keyboard.type("the arm was touched")
+        page.keyboard.press("Enter")
+        until(page, lambda: text(page, "#notice") == "the note is in the recording")
+        assert page.input_value("#note-text") == ""
+        client.wait("marks", lambda seen: seen[-1][1] == "note")
+        assert client.first("status")["phase"] == "active"
+        assert page.evaluate("document.activeElement.id") == "plots"
+        page.click("#note-text")
+        page.keyboard.type("a ")
+        pressed = time.monotonic_ns()
+        page.keyboard.press("Space")
+        assert served.went_to_0_v_after(pressed) < STOPPED_S
+        assert page.input_value("#note-text") == "a "
 
 
 def test_as_many_tabs_as_a_browser_has_connections_hold_up_no_stop(
