@@ -95,7 +95,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
             for r in study.recordings
         ],
         "facts": facts(study),
-        "notes": notes(study),
+        "notes": notes(study.recordings),
         "warnings": different_calibrations(study.recordings),
         "remarks": [*emulation(study.recordings), *remarks, *truncated],
         "chain": shared_facts(study),

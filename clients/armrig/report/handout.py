@@ -19,7 +19,7 @@ from armrig.report.handout_study import HandoutStudy
 from armrig.report.identification_sections import identification_sections
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.questions import QUESTIONS
-from armrig.report.recording_facts import run_name
+from armrig.report.recording_facts import notes, run_name
 from armrig.report.section import Section
 from armrig.report.typesetting import ReportError, recorded, source_folder, typeset
 
@@ -107,6 +107,7 @@ def _values(
             )
             for r in study.recordings
         ],
+        "notes": notes(study.recordings),
         "warnings": different_calibrations(study.recordings),
         "remarks": [
             *emulation(study.recordings),

@@ -57,10 +57,10 @@ def facts(study: Study) -> list[list[str]]:
     return rows
 
 
-def notes(study: Study) -> list[str]:
+def notes(recordings: Sequence[Recording]) -> list[str]:
     """Return the notes of the recordings: which, when, who and what."""
     said = []
-    for recording in study.recordings:
+    for recording in recordings:
         name, found = run_name(recording), recording.notes
         said += [f"{name} at {n.t:.2f}{NBSP}s, {n.owner}: {n.text}" for n in found[:_MOST_NOTES]]
         if len(found) > _MOST_NOTES:

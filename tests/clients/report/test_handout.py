@@ -17,6 +17,8 @@ import msgspec
 import numpy as np
 import pytest
 from armrig.excitation import telegraph
+from armrig.numerics.quantities import NBSP
+from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig.report.handout import (
@@ -434,7 +436,7 @@ def test_marks_that_were_edited_are_named(text: str, message: str, tmp_path: Pat
 def test_a_name_with_underlines_is_typeset(text: str, tmp_path: Path) -> None:
     """In a reason, or as a file's: what follows the first one stands lower."""
     values = {"version": "1", "sections": [], "students": [], "recordings": []}
-    values |= {"warnings": [], "remarks": [text]}
+    values |= {"warnings": [], "remarks": [text], "notes": [f"#panic() {text}"]}
 
     _, places = typeset(tmp_path, TEMPLATE, values, datetime(2026, 1, 1, tzinfo=UTC))
 
@@ -505,6 +507,22 @@ def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
     n, of = stopped.samples.size, stopped.manifest.samples
     said = f"{stopped.path.name} ended early, after {n} of {of} samples: stopped by root."
     assert said in remarks
+
+
+@pytest.mark.usefixtures("only_values")
+def test_the_notes_of_the_recordings_stand_on_the_cover(
+    three: list[Recording], without: HandoutStudy, tmp_path: Path
+) -> None:
+    """With the run, the time and the author of each."""
+    step, first, _ = three
+    noted = replace(first, notes=(Note(t=1.5, text="#panic()", owner="Ada"),))
+    source = tmp_path / "source"
+
+    study = replace(without, recordings=(step, noted))
+    handout_report(study, tmp_path / "report.pdf", source=source)
+
+    told = json.loads((source / "data.json").read_text())["notes"]
+    assert told == [f"@{first.manifest.run_id} at 1.50{NBSP}s, Ada: #panic()"]
 
 
 @pytest.mark.parametrize(
