@@ -50,10 +50,10 @@ function onKey(event) {
   const typing = isText(event.target);
   if (event.code === "Space") {
     // At rest a text takes its blank; while the motor may turn the space bar stops, wherever.
-    if (typing && (takesBlank(event.target) || !["armed", "active"].includes(rigStatus().phase))) return;
+    if (typing && (takesBlank(event) || !["armed", "active"].includes(rigStatus().phase))) return;
     event.preventDefault();
     event.stopPropagation();
-    if (event.type === "keydown" && !(event.repeat && !typing)) stop();
+    if (event.type === "keydown" && !event.repeat) stop();
     return;
   }
   if (event.type !== "keydown" || typing || event.target instanceof HTMLSelectElement) return;

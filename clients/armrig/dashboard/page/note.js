@@ -18,6 +18,5 @@ async function send() {
   notice(recorded ? "the note is in the recording" : "no run is being recorded, so the note is in no recording of the daemon");
 }
 
-// While the motor may turn a note takes a blank behind a letter only: whoever hits the space bar in
-// an empty field, twice, or for long, means the stop.
-export const takesBlank = (target) => target === byId("note-text") && /\S$/.test(target.value);
+// While the motor may turn the space bar alone is always the stop; with Shift a note takes a blank.
+export const takesBlank = (event) => event.target === byId("note-text") && event.shiftKey;

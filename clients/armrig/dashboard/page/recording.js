@@ -53,9 +53,9 @@ export async function look(file, list = []) {
   const notes = found.notes.map(([t, owner, text]) => make("li", {}, `${t.toFixed(2)} s, ${owner}: ${text}`));
   const where = make("div", { id: "curves" });
   const replay = new Replay(charts, () => seen || [0, seconds]);
-  const list = (title, items) => (items.length ? [make("h3", { textContent: title }), make("ul", {}, ...items)] : []);
+  const section = (title, items) => (items.length ? [make("h3", { textContent: title }), make("ul", {}, ...items)] : []);
   const about = [make("h3", { textContent: "About it" }), facts];
-  byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { className: "hint", id: "seen" }), where, replay.element, ...list("Notes", notes), ...about, ...list("Missing samples", gaps), make("div", { id: "model" }));
+  byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { className: "hint", id: "seen" }), where, replay.element, ...section("Notes", notes), ...about, ...section("Missing samples", gaps), make("div", { id: "model" }));
   charts.push(...SIGNALS.map((signal, i) => curve(where, signal, i === SIGNALS.length - 1)));
   charts.forEach((u, i) => Object.assign(u, { marks: found.notes.map(([x]) => ({ x, kind: "note" })), namesMarks: i === 0 }));
   where.addEventListener("dblclick", () => attempt(() => zoom(null)));
