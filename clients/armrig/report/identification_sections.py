@@ -202,9 +202,10 @@ def _comparison(study: HandoutStudy) -> Section:
         answer=(
             f"On the validation data {listed(closest)} {are}, with an rms error of "
             f"{off[best.name]}. {_difference(black)}",
-            "The fit of the rate is the share of the measured rate's variation that the simulation "
-            "explains. Gain, times and overshoot are those of the rate after a step; the "
-            "equivalent time is the area above that response, over its final value.",
+            "The fit of the rate is 100 (1 − |v − w|/|v − mean v|) %, v measured and w simulated. "
+            "It is below 0 % if a constant fits better, and below 100 % even for the true system, "
+            "since v has the converter's noise twice. Gain, times and overshoot are those of the "
+            "rate after a step; the equivalent time is the area above it, over its final value.",
         ),
         table=Table(
             header=(
