@@ -22,6 +22,7 @@ from armrig.numerics.quantities import (
     with_std,
 )
 from armrig.report.handout_study import HandoutStudy
+from armrig.report.model_facts import arm_at_rest
 from armrig.report.section import Section, Table
 from armrig.report.study import Study
 
@@ -135,13 +136,21 @@ def _black_box(study: HandoutStudy) -> Section:
             )
         )
     halves = " (the second half of the one recording)" if black.halves else ""
+    nb, nf = (best.fit.orders.get(name) for name in ("nb", "nf"))
+    hints = study.hints
+    other = ""
+    if hints is not None and nf is not None and (nb, nf) != (hints.nb, hints.nf):
+        other = (
+            f" It has nb = {nb} and nf = {nf}, not the orders of 3.2: they are chosen by `--nb` "
+        )
+        other += "and `--nf`."
     return Section(
         number="3.3",
         answer=(
             f"The {best.name} model: simulated on data that it has not seen{halves} it is off by "
             f"{error(best.comparison.rms_error, black.validation.unit)} rms. It is estimated from "
             f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}, "
-            "those whose angle and past are known; ± is one standard deviation.",
+            f"those whose angle and past are known; ± is one standard deviation.{other}",
             f"The equation is that of the {best.name} model, in the delay q⁻¹ and white noise "
             f"e(t); the table has the coefficients of its polynomials.{_fixed_root(black)} The "
             "rms error is that of the simulated angle on the validation data. p white and p "
@@ -240,7 +249,7 @@ def _difference(black: Study) -> str:
     return (
         f"From {black.omega[0]:g} to {black.omega[-1]:.0f} rad/s the frequency response of "
         f"{black.best.name} differs from the physics, nothing of which was fitted, by a median of "
-        f"{median}."
+        f"{median}.{arm_at_rest(black)}"
     )
 
 

@@ -12,6 +12,8 @@ from armrig.models.fit import Fit
 from armrig.models.markup import typst_form
 from armrig.models.model import Model
 from armrig.numerics.quantities import fixed, listed, number, p_value, percent, places, power
+from armrig.recordings.findings import alpha_moves
+from armrig.report.recording_facts import run_name
 from armrig.report.study import Assessed, AssessedFit, Study
 
 
@@ -113,7 +115,19 @@ def physics(study: Study) -> str:
     )
     for m, (median, most, at) in zip(study.ranked[1:], others, strict=True):
         text += f"; the {m.name} model by {median} and {most}, at {at}"
-    return f"{text}."
+    return f"{text}.{arm_at_rest(study)}"
+
+
+def arm_at_rest(study: Study) -> str:
+    """Return a space and which data have no moving arm, as the physics has; "" if all have."""
+    used = {study.estimation.source, study.validation.source}
+    names = [run_name(r) for r in study.recordings if r.sha256 in used and not alpha_moves(r)]
+    if not names:
+        return ""
+    return (
+        f" In {listed(names)} alpha rests: the arm was off, or held. The physics has a moving arm, "
+        "so it is the physics of another rig."
+    )
 
 
 def _deviation(m: AssessedFit, study: Study) -> tuple[str, str, str]:

@@ -30,8 +30,10 @@ from armrig.report.handout import (
 )
 from armrig.report.handout_study import HandoutStudy, handout_study
 from armrig.report.identification_sections import identification_sections
+from armrig.report.model_facts import physics
 from armrig.report.physical_sections import numerical_sections, physical_sections
 from armrig.report.questions import QUESTIONS
+from armrig.report.recording_facts import run_name
 from armrig.report.section import Section
 from armrig.report.typesetting import ReportError, compiled, typeset
 from armrig_core.arm import ArmParameters
@@ -233,6 +235,28 @@ def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy
     assert [head.partition(" [")[0] for head in table.header[3:]] == [
         *("gain", "antires.", "63 % time", "equivalent", "overshoot")
     ]
+
+
+def test_a_recording_without_its_arm_is_not_held_against_the_physics_in_silence(
+    done: HandoutStudy,
+) -> None:
+    """Both reports say that alpha rests; orders other than those of 3.2 are named in 3.3."""
+    assert done.black is not None
+    assert done.hints is not None
+    *others, last = done.black.recordings
+    samples = last.samples.copy()
+    samples["alpha_counts"] = 32768
+    bare = replace(done.black, recordings=(*others, replace(last, samples=samples)))
+    two = replace(done.hints, structures=(replace(done.hints.structures[0], nb=2, nf=2),))
+
+    with_arm, without_arm = sections(done), sections(replace(done, black=bare, hints=two))
+
+    resting = f"In {run_name(last)} alpha rests: the arm was off, or held. The physics has a moving"
+    assert resting in without_arm["3.4"].answer[0]
+    assert resting in physics(bare)
+    assert "It has nb = 4 and nf = 4, not the orders of 3.2" in without_arm["3.3"].answer[0]
+    assert "alpha" not in with_arm["3.4"].answer[0] + physics(done.black)
+    assert "not the orders" not in with_arm["3.3"].answer[0]
 
 
 def test_a_recording_of_the_chassis_fills_its_sections(tmp_path: Path) -> None:
