@@ -252,7 +252,7 @@ def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
     for w, name, colour, dash in (
         (result.omega_step, r"$1/\tau$ of the step", GREEN, "-."),
         (result.omega_spectrum, "bandwidth of $|G|$", VERMILION, "--"),
-        (np.pi / result.Ts, r"Nyquist $\pi/T_s$", INK, "-"),
+        (np.pi / result.Ts, rf"Nyquist $\pi/T_s$ of {1e3 * result.Ts:g} ms", INK, "-"),
     ):
         below.axvline(w, color=colour, ls=dash, lw=1.0, label=name)
     below.set_xscale("log")
