@@ -482,7 +482,7 @@ def test_residuals_name_the_levels_of_band_and_test(done: Study) -> None:
 
 
 def test_a_stretched_axis_says_so_and_its_numbers_stand_apart(done: Study) -> None:
-    """The legend gives where the logarithm begins; nothing covers another in a low panel."""
+    """Dotted lines show where the logarithm begins; nothing covers another in a low panel."""
     figure = Figure(figsize=(6.4, 2.6), layout="constrained")
     models = _models(done)
     far = replace(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
@@ -494,7 +494,10 @@ def test_a_stretched_axis_says_so_and_its_numbers_stand_apart(done: Study) -> No
     assert below.get_yscale() == "symlog"
     legend = below.get_legend()
     assert legend is not None
-    assert "scale logarithmic beyond ±" in legend.get_title().get_text()
+    said, _, begin = legend.get_title().get_text().partition(" ±")
+    assert said == "scale logarithmic beyond"
+    dotted = [line.get_ydata()[0] for line in below.lines if line.get_linestyle() == ":"]
+    assert dotted == [-float(begin.split()[0]), float(begin.split()[0])]
     assert len(heights) >= 3
     assert all(low.y1 <= high.y0 for low, high in pairwise(heights))
 

@@ -150,8 +150,8 @@ def _captions(study: Study) -> dict[str, str]:
         f"{study.note[0].upper()}{study.note[1:]}.",
         "compare": "(a) Angle measured and simulated on the validation data (recording "
         f"{validation}), less the ramp of its mean speed; (b) data (dots) and models less the best "
-        "model. If another model is far off, the scale is logarithmic beyond the limit named "
-        "there.",
+        "model. If another model is far off, the scale is logarithmic beyond the dotted "
+        "lines.",
         "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle from differences (recording "
         f"{validation}). The models are simulated from the beginning of the data, as above.",
         "bode": "Frequency response from voltage to angle, with 95 % bands, linearised or, where "

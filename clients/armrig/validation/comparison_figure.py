@@ -50,7 +50,7 @@ def plot_comparison(
 
     Below are data and other models less the best model, which has the least rms error: the data as
     dots, so that what hides in their noise shows. If another model is far worse, the scale is
-    linear up to about three times the best error and logarithmic beyond, as its legend says.
+    linear up to about three times the best error and logarithmic beyond: dotted lines show where.
     What is a ramp and little else is shown without it: see `armrig.data.figures.without_ramp`.
     """
     ax, below = panels(ax, 0.5)
@@ -82,7 +82,7 @@ def plot_comparison(
     below.set_ylabel(f"difference\n[{data.unit or '–'}]")
     below.set_xlabel("$t$ [s]")
     unit = f" {data.unit}" if data.unit else ""
-    legend(below, *([f"scale logarithmic beyond ±{linear:g}{unit}"] if linear else []))
+    legend(below, *([f"scale logarithmic beyond ±{linear:g}{unit}, dotted"] if linear else []))
     for panel in (ax, below):  # named in the upper legend alone
         shade(panel, data.valid, data.Ts)
     finish(ax, below, xlim=(0.0, float(data.t[-1]) or 1.0))
@@ -102,6 +102,8 @@ def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Compared], best: int) 
     largest = max(float(np.nanmax(e, initial=linear)) for e in others if np.isfinite(e).any())
     ax.set_yscale("symlog", linthresh=linear, linscale=1.0)
     ax.set_ylim(-2 * largest, 2 * largest)
+    for edge in (-linear, linear):
+        ax.axhline(edge, color=INK, lw=0.9, ls=":", zorder=4)
     # The panel may be as low as three lines of text: where the logarithm begins has a number if
     # it stands apart from 0 and from the end.
     steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.floor(np.log10(largest))
