@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,11 +25,31 @@ _WIDTH, _HEIGHT = 6.3, 8.0  # in inches: the text of an A4 page, and a screen
 _DPI = 200
 _RUNS: dict[str, str] = {}
 """Run of each recording that the command has read, by the recording's hash."""
+_ESTIMATION: dict[Path, str] = {}
+"""Files that these recordings validate models of, which a saved model names by hash; their runs."""
 
 
 def name_runs(*recordings: Recording) -> None:
-    """Sign the command's figures with the ids of these runs, as `armrig ls` shows them."""
-    _RUNS.update((r.sha256, r.manifest.run_id) for r in recordings)
+    """Sign the command's figures with the ids of these runs, as `armrig ls` shows them.
+
+    The run that a recording validates models of has its id, too, if it is in the same folder.
+    """
+    for r in recordings:
+        _RUNS[r.sha256] = r.manifest.run_id
+        of = str(r.manifest.details.get("validation_of", ""))
+        if of.isalnum():
+            _ESTIMATION.update((path, of) for path in r.path.parent.glob(f"*-{of}.mcap"))
+
+
+def _runs() -> dict[str, str]:
+    """Return the run of each recording that a figure may be of, by the recording's hash."""
+    from hashlib import file_digest
+
+    runs = dict(_RUNS)
+    for path, of in _ESTIMATION.items():
+        with suppress(OSError), path.open("rb") as file:
+            runs[file_digest(file, "sha256").hexdigest()] = of
+    return runs
 
 
 def figure_path(text: str | Path) -> Path:
@@ -95,7 +116,7 @@ def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[
         for file in figures:
             check_output(file, ())
     replaced = [str(file) for file in figures if file.exists()]
-    with spinner("drawing"), named_by_run(_RUNS):
+    with spinner("drawing"), named_by_run(_runs()):
         for file, subjects in figures.items():
             save(_drawn(subjects, height), file, dpi=_DPI)
     said = f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}"

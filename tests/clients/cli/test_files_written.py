@@ -10,10 +10,14 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import armrig
 import pytest
+from armrig.canvas import sign
 from armrig.cli import main
-from armrig.cli.figures import write_plot
+from armrig.cli.figures import name_runs, write_plot
 from armrig.report.answers import read_answers
+from made_recordings import manifest, recorded, sample, written
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 from told import told
 
@@ -30,6 +34,20 @@ def test_report_writes_a_pdf_and_says_where(
     assert said.out == f"{pdf}\n"
     assert re.fullmatch(rf"next: (xdg-open|open|start) {pdf}", said.err.splitlines()[-1])
     assert pdf.read_bytes().startswith(b"%PDF-")
+
+
+def test_a_figure_of_a_saved_model_has_the_run_that_its_data_validate(tmp_path: Path) -> None:
+    """The model names its recording by hash, and `armrig ls` knows no hash."""
+    of, drawn = "0000000b", Figure().add_subplot()
+    estimation = written(tmp_path, recorded([sample(0)]), f"1-blackbox-20260101T131100-{of}.mcap")
+    about = manifest(run_id="0000000c", details={"validation_of": of})
+    validation = written(tmp_path, recorded([sample(0)], manifest=about))
+    source = armrig.load(estimation).sha256
+
+    name_runs(armrig.load(validation))
+    write_plot(tmp_path / "a.svg", model=lambda ax: sign(drawn, source))
+
+    assert drawn.get_title("right") == "recording @0000000b"
 
 
 def test_the_source_of_a_report_is_to_be_typeset_again(
