@@ -265,7 +265,8 @@ def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
     assert draws.unstable > 0
     legend = ax.get_legend()
     assert legend is not None
-    assert legend.get_title().get_text() == f"draws left out: {draws.unstable} of 1000 unstable"
+    left_out = f"draws left out: {draws.unstable} of 1000 unstable"
+    assert legend.get_title().get_text().splitlines() == ["× poles, ○ zeros", left_out]
 
 
 def test_a_pole_and_a_zero_that_cancel_are_framed() -> None:

@@ -145,11 +145,12 @@ def _plot_validation(validated: _Validated, lags: int | None, plot: Path | None)
 
     fit, data = validated.fit, validated.data
     beside = spectral_beside(data)
+    names = [fit.label, *("spectral analysis, 95 %" for _ in beside)]
     write_plot(
         plot,
         compare=lambda ax: plot_compare(data, fit, table=validated.simulated, ax=ax),
         residuals=lambda ax: plot_residuals(fit, data, lags=lags, ax=ax),
-        bode=lambda ax: plot_bode(fit, *beside, ax=ax),
+        bode=lambda ax: plot_bode(fit, *beside, labels=names, ax=ax),
         poles=lambda ax: plot_poles_zeros(fit, ax=ax),
     )
 

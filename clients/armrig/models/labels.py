@@ -40,7 +40,7 @@ def gain_unit(models: Sequence[Any], *, rate: bool = False) -> str:
 
 def with_method(name: str, band: Band) -> str:
     """Return a model's name with what its band is: 95 %, linearised or by draws."""
-    return f"{name}, 95 % {band.method}"
+    return f"{name}, 95 % {'by draws' if band.method == 'sampled' else band.method}"
 
 
 def left_out(of: Mapping[str, Draws | None], *, models: int) -> list[str]:

@@ -67,7 +67,7 @@ def plot_poles_zeros(*models: Model, labels: Labels = None, ax: Axes | None = No
     ax.set_aspect("equal")
     ax.locator_params(nbins=6)
     finish(ax)
-    above = legend(ax, *left_out(by_draws, models=len(models)))
+    above = legend(ax, "× poles, ○ zeros", *left_out(by_draws, models=len(models)))
     return sign(ax, *sources_of(models), above=above)
 
 
