@@ -286,13 +286,16 @@ def test_spectral_analysis_stands_beside_a_model_as_dots(done: Study) -> None:
     fit, estimate = done.best.fit, spectral_reference(done.estimation)
     ax = plots.plot_bode(fit, estimate, ax=Figure().add_subplot())
 
-    [dots] = [line for line in ax.lines if line.get_marker() == "o"]
+    dots, hollow = (line for line in ax.lines if line.get_marker() == "o")
     omega, level = (np.asarray(x, dtype=np.float64) for x in dots.get_data())
     near = (omega > 20) & (omega < 60)
     assert np.count_nonzero(near) > 5
     modelled = 20 * np.log10(np.abs(fit.frequency_response(omega[near]).G))
     assert np.median(np.abs(level[near] - modelled)) < 0.8
-    assert said(ax)[-1] == "Blackman-Tukey, 95 %"
+    assert estimate.coherence is not None
+    weak = estimate.omega[estimate.coherence < 0.5]
+    np.testing.assert_array_equal(hollow.get_xdata(), weak)
+    assert said(ax)[-2:] == ["not explained by the input", "Blackman-Tukey, 95 %"]
 
 
 def test_the_bars_of_a_phase_are_in_degrees_as_its_axis(done: Study) -> None:

@@ -34,7 +34,7 @@ from armrig.models.labels import (
 from armrig.models.model import Model
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.pole_zero_figure import plot_poles_zeros
-from armrig.models.spectral_estimate import SpectralEstimate
+from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.models.uncertainty import frequency_bands, step_band
 from armrig.numerics.confidence_regions import HALF_WIDTH, Band
 
@@ -64,7 +64,8 @@ def plot_bode(
     ----------
     *models
         `Fit`, an estimate of `spa`, `etfe` or `bla` (dots with 95 % bars, the band's smoothing not
-        counted), or a python-control system with one input and one output.
+        counted; hollow where u explains less than half of y's power), or a python-control system
+        with one input and one output.
     omega : array_like, optional
         Frequencies in rad/s; by default two and a half decades up to the highest Nyquist frequency.
     """
@@ -197,6 +198,10 @@ def _dots(
     style |= {"fmt": "o", "ms": 2.5}
     ax.errorbar(w, level, yerr=[down, up], label=name, **style)
     below.errorbar(w, phase, yerr=across, **style)
+    if estimate.coherence is not None and (weak := estimate.coherence[at] < COHERENT).any():
+        hollow: dict[str, Any] = {"color": INK, "mfc": "white", "ms": 3, "mew": 0.7, "zorder": 1.6}
+        ax.plot(w[weak], level[weak], "o", label="not explained by the input", **hollow)
+        below.plot(w[weak], phase[weak], "o", **hollow)
     return level
 
 

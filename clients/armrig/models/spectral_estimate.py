@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+COHERENT = 0.5
+"""Least coherence at which u explains y: half of the power of y."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)

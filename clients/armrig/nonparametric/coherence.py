@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.models.spectral_estimate import SpectralEstimate
+from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 
-COHERENT = 0.5  # least coherence at which a frequency is believed
 FEWEST_FREQUENCIES = 3
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
-from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.coherence import COHERENT, explained
+from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
+from armrig.nonparametric.coherence import explained
 from armrig.nonparametric.impulse import impulse_response, long_enough
 from armrig.nonparametric.integrator import integration
 from armrig.nonparametric.missing_outputs import filled
