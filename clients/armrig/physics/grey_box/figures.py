@@ -24,7 +24,7 @@ from armrig.canvas import (
     symbol,
 )
 from armrig.data.figures import without_ramp
-from armrig.numerics.quantities import plural, raised, scaled
+from armrig.numerics.quantities import listed, plural, raised, scaled
 from armrig.physics.grey_box.least_squares_problem import GreyBox
 from armrig.physics.grey_box.parameters import COULOMB, UNITS
 from armrig.physics.grey_box.sampled_model import Physics
@@ -136,7 +136,7 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
     """Show each part's estimate with ±2 standard deviations and, below, those against N.
 
     The cross is the scatter of the parts: of four parts it has three degrees of freedom, so its
-    95 % interval is wide.
+    95 % interval is wide. Two parts have no cross: its interval would be wider than the figure.
     """
     ax, below = panels(axes(ax), 0.5, sharex=False)
     unit = UNITS.get(study.parameter, "")
@@ -182,7 +182,7 @@ def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
             mew=1.5,
             lw=1.0,
             capsize=3,
-            label="scatter of the parts, 95 % interval",
+            label=f"scatter of {listed([str(s.k) for s in several])} parts, 95 % interval",
         )
     below.set_xscale("log")
     below.set_yscale("log")
