@@ -39,11 +39,12 @@ from handout_plant import HandoutPlant
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.text import Text
+from scipy.special import chdtri, ndtri
 
 
 def said(ax: Axes) -> list[str]:
@@ -388,6 +389,19 @@ def test_a_test_s_figure_names_its_level_and_band(plant: HandoutPlant) -> None:
     assert "level 5\xa0%" in legend.get_title().get_text().replace("\n", " ")
     assert len(said(loop.axes[0])) == 2
     assert [len(said(ax)) for ax in late.axes] == [2, 3]
+
+
+def test_the_figure_of_a_delay_is_at_the_level_of_its_tests(plant: HandoutPlant) -> None:
+    """Or a lag that they do not show leaves its band, and their nk is called worse."""
+    late = armrig.delay(plant.dataset(1))
+    response, losses = late.plot(ax=Figure().add_subplot()).axes
+
+    (dotted,) = [line for line in losses.lines if line.get_linestyle() == ":"]
+    assert dotted.get_ydata()[0] == pytest.approx(chdtri(1, late.level), rel=1e-3)
+    (band,) = [c for c in response.collections if isinstance(c, PolyCollection)]
+    std = late.response.decaying[1][late.response.lags == late.nk]
+    heights = np.abs(band.get_paths()[0].vertices[:, 1])
+    assert np.abs(heights / (ndtri(1 - late.level / 2) * std) - 1).min() < 1e-3
 
 
 def test_each_line_of_a_step_and_of_a_sampling_time_has_a_name(done: Study) -> None:

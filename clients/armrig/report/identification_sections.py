@@ -330,7 +330,7 @@ def _loop(study: HandoutStudy) -> Section:
         ),
         figure="loop",
         caption="Coefficients of u in the regression of θ₁(t), with the band that holds 99 % of "
-        "each if it is 0.",
+        "each if it is 0. Lags from 1 on are past input, which may leave the band.",
     )
 
 
@@ -351,7 +351,7 @@ def _delay(study: HandoutStudy) -> Section:
             f"response of θ₁'s rate is {sizes}.",
         ),
         figure="delay",
-        caption="(a) Impulse response, with the band that holds 99 % of each coefficient if it "
+        caption="(a) Impulse response, with the band that holds 99.9 % of each coefficient if it "
         "is 0; (b) the loss of ARX models by nk: below the dotted line none is worse than the "
-        "best.",
+        "best, at a level of 0.1 %.",
     )

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-CHI2_95_PERCENT = 3.84  # one degree of freedom
+# Those of the delay are at the level of its tests, or the figure would contradict the verdict.
+_BAND_99_9_PERCENT = 3.29
+_CHI2_99_9_PERCENT = 10.83  # one degree of freedom
 _ABOUT = 15  # lags shown on the causal side
 _BEYOND = 6  # lags shown past nk
 
@@ -74,7 +76,8 @@ def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
         return sign(ax, result.source)
     shown = result.sims.lags <= _ABOUT
     name = NAMES.get(result.output, result.output)
-    _stems(ax, result.sims.lags[shown], result.sims.coefficients[shown], result.sims.std[shown])
+    band = BAND_99_PERCENT * result.sims.std[shown]
+    _stems(ax, result.sims.lags[shown], result.sims.coefficients[shown], band, "99 %")
     ax.set_ylabel(
         f"coefficient of $u$ in {name}\n[{result.unit or '–'}/{result.input_unit or '–'}]"
     )
@@ -93,7 +96,10 @@ def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
-    """Show the first coefficients with their band and, below, the losses by nk."""
+    """Show the first coefficients with their band and, below, the losses by nk.
+
+    Band and dotted line are at the level of the tests, 0.1 %.
+    """
     ax, below = panels(ax, 0.5, sharex=False)
     last = result.nk + _BEYOND
     _response(ax, result.response, 0, last)
@@ -103,7 +109,7 @@ def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
     best = float(V.min())
     rise = result.response.N * np.log(V / best) if best > 0 else np.zeros(V.size)
     below.plot(nk, rise, marker="o", ms=4, lw=0.8, color=BLUE, label="ARX model", mfc="none")
-    below.axhline(CHI2_95_PERCENT, color=GREY, lw=0.8, ls=":", label="not worse, 95 %")
+    below.axhline(_CHI2_99_9_PERCENT, color=GREY, lw=0.8, ls=":", label="not worse, 99.9 %")
     below.set_yscale("symlog", linthresh=10)
     below.set_yticks([0, 10, 100, 1000, 10000], ["0", "10", "100", "1000", "10000"])
     below.set_ylim(bottom=-1)
@@ -121,10 +127,10 @@ def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
 
 
 def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> None:
-    """Show the coefficients first … last that die out, with their 99 % band about zero."""
+    """Show the coefficients first … last that die out, with their 99.9 % band about zero."""
     g, std = response.decaying
     shown = (response.lags >= first) & (response.lags <= last)
-    _stems(ax, response.lags[shown], g[shown], std[shown])
+    _stems(ax, response.lags[shown], g[shown], _BAND_99_9_PERCENT * std[shown], "99.9 %")
     name = NAMES.get(response.output, response.output)
     per = "/s" if response.integrator else ""
     of = f"rate of {name}" if response.integrator else name
@@ -132,9 +138,8 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
     ax.set_ylabel(f"$g$ of {of}\n[{unit}]")
 
 
-def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, std: Vector) -> None:
-    """Show coefficients with their 99 % band about zero."""
-    band = BAND_99_PERCENT * std
+def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, band: Vector, share: str) -> None:
+    """Show coefficients with the band about zero that holds a share of them."""
     ax.fill_between(
         lags,
         -band,
@@ -143,7 +148,7 @@ def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, std: Vector) -> None:
         color=GREY,
         alpha=0.3,
         lw=0,
-        label="99 % band of a coefficient that is 0",
+        label=f"{share} band of a coefficient that is 0",
     )
     ax.vlines(lags, 0, g, color=BLUE, lw=1.0)
     ax.plot(lags, g, "o", color=BLUE, ms=3.5)
