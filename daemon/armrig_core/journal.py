@@ -19,10 +19,10 @@ def priority(level: str) -> int:
     return _PRIORITIES.get(level, _NOTICE)
 
 
-def log_prefix(level: str) -> str | None:
-    """Return what stands before a line where the journal reads it; None where it does not."""
+def log_prefix(level: str, fd: int = 2) -> str | None:
+    """Return what stands before a line where the journal reads `fd`; None where it does not."""
     stream = os.environ.get("JOURNAL_STREAM", "")
-    return journal_prefix(level, os.fstat(2), stream) if stream else None
+    return journal_prefix(level, os.fstat(fd), stream) if stream else None
 
 
 def journal_prefix(level: str, stderr: os.stat_result, stream: str) -> str | None:

@@ -133,6 +133,8 @@ def estop(
 
     A daemon that holds the port is not disturbed: `armrig stop` stops it.
     """
+    from armrig_core.journal import log_prefix
+
     from armrig_daemon.loop.estop import estop as send_estop
     from armrig_daemon.loop.link import LinkError, TakenPortError
 
@@ -152,7 +154,8 @@ def estop(
             f"estop: sent to {device.port}, no answer: see that the motor stands still; "
             "a device that hears nothing stops by itself"
         )
-    typer.echo(f"armrigd: estop: {device.port} is in ESTOP, 0 V; `armrig reset` leads out of it")
+    begin = log_prefix("info", fd=1) or "armrigd: "
+    typer.echo(f"{begin}estop: {device.port} is in ESTOP, 0 V; `armrig reset` leads out of it")
 
 
 def _has_failed(environ: Mapping[str, str]) -> bool:
