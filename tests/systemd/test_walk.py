@@ -24,6 +24,8 @@ SERVICE, ACCESS, CLASS, FIRMWARE = (
     (CHECKOUT / "docs" / f"{page}.md").read_text(encoding="utf-8")
     for page in ("service", "access", "class", "firmware")
 )
+STALLS = ("the host paused", "WATCHDOG", "no answer from the device")
+"""How a run ends where the emulator, a process of ordinary priority, had no processor."""
 AT_LAPTOP = ("nsenter", "--net=/run/netns/laptop", "unshare", "--mount")
 ALICE = "--reuid=alice --regid=alice --init-groups"
 AS_ALICE_2 = "export ARMRIG_CLIENT_CERTIFICATE=pki/alice-2.pem\n"
@@ -298,7 +300,8 @@ def test_router_and_recorder_are_kept_to_the_lab_s_network(lab: Lab) -> None:
 
     assert f"gives {score} for the router and for the recorder" in SERVICE
     assert f"`IPAddressAllow=` brings that down to {after}" in SERVICE
-    wait_for(lambda: "safe" in lab.alice(AS_ALICE_2 + LOOK))
+    # The daemon comes back to a router by itself, some seconds after it.
+    wait_for(lambda: "safe" in lab.alice(f"({AS_ALICE_2 + LOOK}) 2>&1 || true"))
     wait_for(lambda: lab.said("armrig-recorder").count("recording rig 2") > begun, 60)
 
 
@@ -358,10 +361,9 @@ def test_without_the_service_a_class_has_a_daemon_of_its_own(lab: Lab) -> None:
     lab.script("systemctl stop of-class-1 of-class-2")
 
 
+@pytest.mark.parametrize("lab", [_empty], indirect=True)  # the sources are there alone
 def test_the_firmware_is_built_and_runs_without_a_board(lab: Lab) -> None:
     """docs/firmware.md: the same bytes as those that are committed, and every rule is held."""
-    if not lab.machine.path("/root/armrig").is_dir():
-        pytest.skip("the sources are on the empty machine alone")
     image = "firmware_protocol/firmware/armrig-uno.hex"
     packages = " ".join(sorted(set(re.findall(r"gcc-avr|avr-libc|libsimavr-dev", FIRMWARE))))
     lab.script(f"apt-get install --yes make gcc libc6-dev {packages}", online=True)
@@ -412,6 +414,6 @@ def _until_it_works(typed: Callable[[str], str], text: str) -> str:
         try:
             return typed(text)
         except AssertionError as err:
-            if "the host paused" not in str(err) and "WATCHDOG" not in str(err):
+            if not any(stall in str(err) for stall in STALLS):
                 raise
     return typed(text)
