@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armrig.cli.figures import Plot, check_plot, write_plot
-from armrig.cli.next_step import for_the_report, free_name, say_next
+from armrig.cli.next_step import answers_here, for_the_report, free_name, say_next
 from armrig.cli.options import Json, print_json, say
 from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Omega
 
@@ -202,4 +202,5 @@ def _print_table(solved: _Solved, given: str) -> None:
         "The limit is the largest absolutely stable step (the handout calls it the minimum): at a "
         "larger one h λ leaves the method's region of stability for an eigenvalue λ of A."
     )
-    say_next("integrate", files=for_the_report(), sinusoid=given, report=free_name())
+    values = {"files": for_the_report(), "answers": answers_here(), "report": free_name()}
+    say_next("integrate", **values, sinusoid=given)

@@ -65,7 +65,7 @@ AFTER: Mapping[str, str] = {
     "check other": "armrig hints {file}{given} -o hints.png",
     "greybox": "armrig split {file}{given} -o split.png",
     "split": "armrig integrate -o integrate.png",
-    "integrate": "armrig report --handout{files}{sinusoid} -o {report}",
+    "integrate": "armrig report --handout{files}{answers}{sinusoid} -o {report}",
     "report": "{opener} {file}",
     "report --source": "armrig report --from {source} -o {report}",
 }
@@ -207,8 +207,8 @@ def free_name() -> str:
 def for_the_report() -> str:
     """Return the recordings of the handout's report, as typed: step, pair and chassis.
 
-    They are complete; of each kind the newest one with a name, else the newest. With a blank before
-    each; "" if there is none.
+    They are complete and of one calibration, the one that most of the four have; of each kind the
+    newest one with a name, else the newest. With a blank before each; "" if there is none.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.folder import newest_first
@@ -217,13 +217,26 @@ def for_the_report() -> str:
         paths = newest_first(recording_folder())
     except NoSuchRecordingError:
         return ""
-    step, chassis = (_newest_of(paths, kind) for kind in ("step", "greybox"))
-    validation = _newest(
-        s for s in _complete(paths, "-validation") if s.kind == "blackbox" and _estimation(s)
-    )
+    parts = ("-validation", "greybox", "step")
+    every = {s.path: s for part in parts for s in _complete(paths, part)}
+    calibrations = dict.fromkeys(s.calibration_sha256 for s in every.values())
+    found = (_of_calibration(hash_, list(every.values())) for hash_ in calibrations)
+    return "".join(f" {typed(s.path)}" for s in max(found, key=len, default=[]))
+
+
+def _of_calibration(hash_: str, every: Sequence[RecordingSummary]) -> list[RecordingSummary]:
+    """Return step, pair and chassis of a calibration, as far as there are any."""
+    known = [s for s in every if s.calibration_sha256 == hash_]
+    step, chassis = (_newest(s for s in known if s.kind == kind) for kind in ("step", "greybox"))
+    pairs = (s for s in known if s.kind == "blackbox" and s.is_validation)
+    validation = _newest(s for s in pairs if _estimation(s))
     estimation = _estimation(validation) if validation else None
-    found = (step, estimation, validation, chassis)
-    return "".join(f" {typed(s.path)}" for s in found if s is not None)
+    return [s for s in (step, estimation, validation, chassis) if s is not None]
+
+
+def answers_here() -> str:
+    """Return the option with the answers that the pages have one write, "" without the file."""
+    return " --answers reasons.toml" if Path("reasons.toml").exists() else ""
 
 
 def chassis() -> str:
@@ -232,14 +245,11 @@ def chassis() -> str:
     from armrig.recordings.folder import newest_first
 
     try:
-        found = _newest_of(newest_first(recording_folder()), "greybox")
+        every = _complete(newest_first(recording_folder()), "greybox")
+        found = _newest(s for s in every if s.kind == "greybox")
     except (NoSuchRecordingError, OSError):
         return ""
     return typed(found.path) if found else ""
-
-
-def _newest_of(paths: Sequence[Path], kind: str) -> RecordingSummary | None:
-    return _newest(s for s in _complete(paths, kind) if s.kind == kind)
 
 
 def _complete(paths: Sequence[Path], part: str) -> Iterator[RecordingSummary]:
@@ -262,14 +272,18 @@ def _newest(found: Iterator[RecordingSummary]) -> RecordingSummary | None:
 
 
 def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
-    """Return the complete recording that one was made to validate, if it has its sampling time."""
+    """Return the complete recording that one was made to validate.
+
+    None where its sampling time or its calibration is another.
+    """
     from armrig.cli.chosen_recording import COMPLETE, NoSuchRecordingError, chosen
 
     try:
         found = chosen(f"@{validation.validation_of}", validation.folder)
     except NoSuchRecordingError:
         return None
-    return found if (found.outcome, found.Ts) == (COMPLETE, validation.Ts) else None
+    same = found.Ts == validation.Ts and found.calibration_sha256 == validation.calibration_sha256
+    return found if same and found.outcome == COMPLETE else None
 
 
 def validation_beside(path: Path) -> str:

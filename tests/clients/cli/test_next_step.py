@@ -18,6 +18,7 @@ from armrig_core.manifest import Outcome
 from made_recordings import manifest, of_the_arm, recorded, sample, written
 
 VALUES: dict[str, Any] = {
+    "answers": " --answers reasons.toml",
     "sinusoid": " --omega 5 --amplitude 2",
     "file": "F.mcap",
     "port": "/dev/ttyACM0",
@@ -169,6 +170,28 @@ def test_the_report_is_of_complete_recordings_that_belong_together(
     [line] = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
     files = "@again @0000000a @0000000a/validation"
     assert line == f"next: armrig report --handout {files} -o report.pdf"
+
+
+def test_the_report_is_of_one_calibration_and_has_the_answers(
+    pair: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A later step of another calibration does not compare with the pair and the chassis."""
+    made = [
+        ("00000020", "step-first", ""),
+        ("00000021", "step-again", "ab" * 32),
+        ("00000022", "greybox-chassis", ""),
+    ]
+    for second, (run_id, experiment, hash_) in enumerate(made):
+        about = manifest(experiment=experiment, run_id=run_id, calibration_sha256=hash_)
+        data = recorded([sample(k) for k in range(10)], manifest=about)
+        written(pair, data, f"1-{experiment}-20261120T1500{second:02}-{run_id}.mcap")
+    Path("reasons.toml").touch()
+
+    assert main(["integrate"]) == 0
+
+    [line] = [x for x in capsys.readouterr().err.splitlines() if x.startswith("next: ")]
+    files = "@first @0000000a @0000000a/validation @chassis"
+    assert line == f"next: armrig report --handout {files} --answers reasons.toml -o report.pdf"
 
 
 def test_a_step_whose_rise_is_hidden_is_made_again(
