@@ -38,13 +38,16 @@ def loaded(
 ) -> list[Recording]:
     """Return the recordings, and tell their damage, and what speaks against using them together."""
     from armrig.cli.spinner import spinner
-    from armrig.recordings.doubts import all_doubts
+    from armrig.recordings.doubts import all_doubts, early_ends
     from armrig.recordings.loading import load
 
     with spinner("reading"):
         recordings = [load(file, calibration, start=start, stop=stop) for file in files]
     name_runs(*recordings)
-    for text in all_doubts(recordings, one_plant=one_plant):
+    # Of a file that is cut off `warned` says more; a part that was asked for has no early end.
+    whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
+    early = [text.removesuffix(".") for text in early_ends(whole)]
+    for text in (*early, *all_doubts(recordings, one_plant=one_plant)):
         tell(text)
     return [warned(recording) for recording in recordings]
 

@@ -224,14 +224,14 @@ def _report_handout(
     """Typeset the handout's report from whatever there is."""
     from armrig.cli.recorded_data import loaded
     from armrig.cli.spinner import estimating, spinner
-    from armrig.recordings.doubts import early_ends
+    from armrig.recordings.doubts import different_calibrations
     from armrig.report.answers import Answers, read_answers
     from armrig.report.handout import handout_report
     from armrig.report.handout_study import handout_study
 
     said = Answers() if answers is None else read_answers(answers)
     recordings = loaded(files, calibration, one_plant=False)
-    for text in early_ends(recordings):
+    for text in different_calibrations(recordings):
         tell(text.removesuffix("."))
     with estimating("na, nb and nf"):
         done = handout_study(recordings, **problem)

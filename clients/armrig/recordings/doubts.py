@@ -53,12 +53,15 @@ def ended_early(recording: Recording) -> bool:
 
 
 def early_ends(recordings: Sequence[Recording]) -> list[str]:
-    """Return which recordings ended early, and why, a sentence each."""
+    """Return which recordings ended early, and why, a sentence each.
+
+    A recording of no certain length (`armrig record`) has no end that is too early.
+    """
     return [
         f"{r.path.name} ended early, after {r.samples.size} of {r.manifest.samples} samples: "
         f"{r.outcome.outcome if r.outcome else 'nothing says why'}."
         for r in recordings
-        if ended_early(r)
+        if ended_early(r) and r.manifest.samples
     ]
 
 
