@@ -186,7 +186,7 @@ def _played(
 ) -> tuple[Path, str, Rehearsal | None]:
     """Play an input, show its progress; return recording, run id, and what was rehearsed."""
     rehearsal: Rehearsal | None = None
-    run_id = ""
+    run_id, taken = "", 0
 
     def accepted(run: RunAccepted) -> None:
         nonlocal rehearsal, run_id
@@ -195,15 +195,28 @@ def _played(
             tell(sentence(rehearsal))
 
     with shown(rig, plan.experiment, u.size) as progress:
-        path = rig.run(
-            u,
-            pacing=plan.pacing,
-            experiment=plan.experiment,
-            details=plan.details,
-            dead_man=plan.dead_man,
-            accepted=accepted,
-            progress=progress,
-        )
+
+        def counted(done: int, total: int) -> None:
+            nonlocal taken
+            taken = done
+            progress(done, total)
+
+        try:
+            path = rig.run(
+                u,
+                pacing=plan.pacing,
+                experiment=plan.experiment,
+                details=plan.details,
+                dead_man=plan.dead_man,
+                accepted=accepted,
+                progress=counted,
+            )
+        except NoReplyError as err:
+            if not run_id or service_has_stopped(rig.rig, rig.endpoint):
+                raise
+            msg = f"the run was cut off after {taken} or more of {u.size} samples: {err}; what was "
+            msg += "recorded is in `armrig ls`; start the rig with the options that it had before, "
+            raise NoReplyError(f"{msg}then repeat the command") from err
     return path, run_id, rehearsal
 
 
@@ -261,7 +274,8 @@ def _reason(rig: Rig, err: RigError, connect: str | None) -> str:
     except RigError:
         return str(err)
     if status.phase != "fault":
-        return with_reset_command(str(err), rig.rig, connect)
+        again = "; nothing is latched: repeat the command" if isinstance(err, RunEndedError) else ""
+        return with_reset_command(str(err), rig.rig, connect) + again
     way_out = f"{status.remedy or 'mend it'}; then {reset_command(rig.rig, connect)}"
     if isinstance(err, RunEndedError):
         return f"{err}; {way_out}"

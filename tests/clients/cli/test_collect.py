@@ -385,6 +385,7 @@ def test_a_run_that_ends_early_is_a_failure(
     said = capsys.readouterr()
     assert said.out == ""
     assert "the host paused for 68 ms; recorded in /nowhere/run.mcap" in said.err
+    assert "nothing is latched: repeat the command" in said.err
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])

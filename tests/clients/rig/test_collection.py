@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zenoh
 from armrig.rig.client import Progress, Rig, RunEndedError
 from armrig.rig.collection import Plan, _interrupted_sentence, collect
+from armrig.rig.session import NoReplyError
 from armrig_core.commands import Arm, LastRun, Run, Status, StatusReport
 from fake_daemon import FakeDaemon
 from msgspec.structs import replace
@@ -38,6 +40,11 @@ def test_an_interrupted_run_is_told_with_its_own_recording(
     assert _interrupted_sentence(rig, before) == (
         f"interrupted: rig 1 was told to stop (0 V); {said}"
     )
+
+
+@contextmanager
+def _unseen(*_: object) -> Iterator[Progress]:
+    yield lambda done, total: None
 
 
 class _SlowDisk(FakeDaemon):
@@ -85,6 +92,38 @@ def test_a_collection_ends_with_the_last_sample_that_there_is(where: str) -> Non
     assert shown == [(-1, 15), (5, 15), (10, 15), (15, 15), (15, 15), (15, 15)]
     assert polls == 5
     assert told == []
+
+
+class _CutOff(FakeDaemon):
+    """Answers nothing more after it has shown two thirds of a run."""
+
+    def _answer(self, query: zenoh.Query) -> None:
+        if self._polls < 2:
+            super()._answer(query)
+        else:
+            query.drop()
+
+
+def test_a_daemon_that_ends_during_a_run_leaves_what_it_had_recorded(where: str) -> None:
+    """The message says how far the run was, where the recording is, and how to repeat it."""
+    plan = Plan(
+        experiment="step",
+        make=lambda N, _: np.ones(N),
+        details={},
+        seconds=3.0,
+        Ts=None,
+        pacing="scheduled",
+        owner="Ada",
+    )
+    with _CutOff(where), pytest.raises(NoReplyError) as told:
+        collect(plan, rig="1", connect=where, tell=print, shown=_unseen)
+
+    text = str(told.value)
+    assert text.startswith("the run was cut off after 200 or more of 300 samples: no reply from")
+    assert text.endswith(
+        "; what was recorded is in `armrig ls`; start the rig with the options that it had "
+        "before, then repeat the command"
+    )
 
 
 def test_a_recording_is_named_once_where_a_run_ended_early(where: str) -> None:
