@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -111,8 +112,8 @@ def _experiment_name(experiment: str, name: str) -> str:
     return whole
 
 
-def _tell_of_a_used_name(name: str) -> None:
-    """Tell that a name will mean two recordings."""
+def _check_name_is_free(name: str) -> None:
+    """Refuse the name of a complete recording: it would mean two, and every command refuse it."""
     from armrig.cli.chosen_recording import (
         COMPLETE,
         NoSuchRecordingError,
@@ -123,10 +124,18 @@ def _tell_of_a_used_name(name: str) -> None:
 
     if not name:
         return
-    with suppress(NoSuchRecordingError, OSError):
-        found = matching(f"@{name}", newest_first(recording_folder()))
-        if found and found[0].outcome == COMPLETE:
-            tell(f"@{name} is a complete recording already, and will mean two: give another --name")
+    try:
+        paths = newest_first(recording_folder())
+    except (NoSuchRecordingError, OSError):
+        return
+
+    def is_used(text: str) -> bool:
+        return any(s.outcome == COMPLETE for s in matching(text, paths))
+
+    if is_used(f"@{name}"):
+        free = next(f"{name}-{n}" for n in count(2) if not is_used(f"@{name}-{n}"))
+        msg = f"--name {name}: @{name} is a complete recording already, and a name means one; give "
+        raise ValueError(f"{msg}another, such as --name {free}")
 
 
 def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = False) -> None:
@@ -155,7 +164,7 @@ def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = Fals
         )
         for p in each
     ]
-    _tell_of_a_used_name(run.name)
+    _check_name_is_free(run.name)
     estimation, first = "", None  # id of the run before; path of the first that is here to read
     for p, plan in zip(each, plans, strict=True):
         details = {**plan.details, VALIDATION_OF: estimation} if p.is_validation else plan.details

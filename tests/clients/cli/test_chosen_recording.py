@@ -308,6 +308,38 @@ def test_ls_is_read_by_programs(folder: Path, capsys: pytest.CaptureFixture[str]
     assert [Path(path).suffix for path in found["unfinished"]] == [".active"]
 
 
+@pytest.mark.parametrize(
+    ("kind", "outcome", "said"),
+    [
+        ("step", "complete", "@first is a complete recording already, and a name means one; give"),
+        ("blackbox", "complete", "a name means one; give another, such as --name first-3"),
+        ("step", "stopped", "no reply from rig 1"),
+    ],
+)
+def test_the_name_of_a_complete_recording_is_refused_before_a_rig_is_asked_for(
+    kind: str,
+    outcome: str,
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Two of one name are refused wherever it is typed; a run that ended early is repeated."""
+    monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path))
+    for run_id, name in (("0000000a", "first"), ("0000000b", "first-2")):
+        about = manifest(experiment=f"{kind}-{name}", run_id=run_id)
+        ended = Outcome(outcome=outcome, samples=10, missing=0)
+        data = recorded([sample(k) for k in range(10)], manifest=about, outcome=ended)
+        written(tmp_path, data, f"1-{kind}-{name}-20261120T140000-{run_id}.mcap")
+    nowhere = f"unixsock-stream/{tmp_path}/no.sock"
+
+    assert main(["collect", "step", "--name", "first", "--connect", nowhere]) == 1
+
+    told = capsys.readouterr().err
+    assert said in told
+    assert ("no reply" in told) == (outcome == "stopped")
+
+
 @pytest.mark.parametrize("name", ["last", "validation", "validation-2"])
 def test_a_name_that_would_mean_another_recording_cannot_be_given(
     name: str, capsys: pytest.CaptureFixture[str]
