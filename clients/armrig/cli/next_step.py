@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 _LONGEST = 28
 """Letters of a name that another word is put behind."""
+_AGAIN = "-again"
+"""Ending of the name of a step that is made again."""
 _MOST_READ = 100
 """Recordings of a kind that are looked at."""
 
@@ -105,10 +107,12 @@ def _goes_on(line: str) -> str:
     from armrig.recordings.folder import newest_first
 
     try:
-        found = matching(f"@{words[-1]}", newest_first(recording_folder()))
+        paths = newest_first(recording_folder())
     except (NoSuchRecordingError, OSError):
         return line
-    if not found or found[0].outcome != COMPLETE:
+    names = (f"@{words[-1]}{_AGAIN}", f"@{words[-1]}")  # what was made again replaces the first
+    found = [s for name in names for s in matching(name, paths) if s.outcome == COMPLETE]
+    if not found:
         return line
     after = f"collect {found[0].kind}"
     return AFTER[after if after in AFTER else "plot"].format(file=typed(found[0].path))
@@ -126,7 +130,7 @@ def step_again(recording: Recording) -> str:
     hidden = hidden_step(recording) if kind == "step" else None
     if hidden is None or not isfinite(hidden.at_s):
         return ""
-    named = f" --name {shlex.quote(f'{name[:_LONGEST]}-again')}" if name else ""
+    named = f" --name {shlex.quote(f'{name[:_LONGEST]}{_AGAIN}')}" if name else ""
     when = f" --at {hidden.at_s:g} --seconds {hidden.seconds:g}"
     return f" --Ts {manifest.Ts:g}{when}{named}"
 

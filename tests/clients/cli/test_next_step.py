@@ -249,6 +249,16 @@ def test_no_line_records_a_second_one_of_a_name(
     assert next_line(after, rig="") == f"next: {goes_on}"
 
 
+def test_a_step_that_was_made_again_replaces_the_first(pair: Path) -> None:
+    """The hidden one is complete, too."""
+    for run_id, experiment in (("0000000e", "step-first"), ("0000000f", "step-first-again")):
+        about = manifest(experiment=experiment, run_id=run_id)
+        data = recorded([sample(k) for k in range(10)], manifest=about)
+        written(pair, data, f"1-{experiment}-20261120T140000-{run_id}.mcap")
+
+    assert next_line("calibrate", rig="") == "next: armrig sampling @first-again -o sampling.png"
+
+
 def test_a_program_is_told_nothing_of_it(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """With --json the answer is all."""
     for arguments in ("model", "ls", "info @0000000a", "integrate"):
