@@ -190,17 +190,32 @@ def test_plot_of_a_chassis_says_that_alpha_rests(
     assert found["not_looked_at"]["alpha"].startswith("it rests")
 
 
+def test_plot_says_how_fast_the_chassis_turned_and_no_noise_of_the_converter(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A reading that jumps by a step of the converter, at 2 ms, is no rate of ± 3 rad/s."""
+    counts = [32768 + 64 * (k % 2) for k in range(200)]
+    data = recorded(turning(counts), manifest=manifest(samples=200, Ts=0.002))
+
+    text = said(["plot", str(written(tmp_path, data)), "-o", str(tmp_path / "x.png")], capsys)
+
+    [line] = [x for x in text.splitlines() if x.startswith("theta_1 ")]
+    low, high = map(float, re.findall(r"at (\S+) to (\S+) rad/s over 0.1 s", line)[0])
+    assert max(-low, high) < 0.1
+
+
 def test_plot_of_a_step_takes_no_swing_for_outliers_or_an_integrator(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One change teaches no model to judge by, and says so; springs hold alpha: it may drift."""
+    """One change teaches no model to judge by, nor a drift of the rate; springs hold alpha."""
     path = written(tmp_path, of_the_arm(step(600, at=100)))
 
     found = facts(["plot", str(path), "-o", str(tmp_path / "x.png")], capsys)
 
     assert found["outliers"] == {}
     assert found["not_looked_at"]["outliers"].startswith("u changes 1 time; fewer than 20 teach")
-    assert set(found["drift"]) == {"velocity", "alpha"}
+    assert "looks like a drift" in found["not_looked_at"]["velocity"]
+    assert set(found["drift"]) == {"alpha"}
     assert abs(found["drift"]["alpha"]["rate"]) < 3 * found["drift"]["alpha"]["std"]
 
 
