@@ -38,6 +38,9 @@ NEAR_NYQUIST = 0.8  # of it: what counts as near
 FASTER = 5  # by how much where the response is over within a sample
 ZERO = 0.05  # of the largest value of a step response: less is a final value of 0
 ALIASING = 0.05  # share of power near Nyquist from which folding is suspected
+# Share near Nyquist of 1 - cos(omega Ts), the spectrum of differences of white noise; and with the
+# scatter of an estimated spectrum.
+DIFFERENCED, MOST_DIFFERENCED = 0.39, 0.45
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -223,7 +226,9 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         source=data.source,
         notes=(
             *(steps.warnings if steps else decided.notes),
-            *_notes(Ts, data.Ts, rules, last, near, seen=seen),
+            *_notes(
+                Ts, data.Ts, rules, last, near, seen=seen, of=data.output if integrates else ""
+            ),
         ),
     )
 
@@ -380,7 +385,9 @@ def _notes(
     near: float,
     *,
     seen: bool,
+    of: str,
 ) -> Iterator[str]:
+    """Say what a reader should know; `of` is the output whose rate was looked at, or ""."""
     if not seen:
         yield (
             f"63 % is reached within one sample of {times(now)}, so these data do not tell how "
@@ -404,7 +411,13 @@ def _notes(
             f"the band reaches {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
             f"frequency: record at {times(now / FASTER)} once and ask again"
         )
-    if near > ALIASING:
+    if near > ALIASING and of and near < MOST_DIFFERENCED:
+        yield (
+            f"{100 * near:.2g} % of the power lies near Nyquist: white noise of {of} gives its "
+            f"differences {100 * DIFFERENCED:g} % there, at any sampling time, so a faster "
+            "recording shows it, too"
+        )
+    elif near > ALIASING:
         yield (
             f"{100 * near:.2g} % of the power lies near Nyquist: noise or folded frequencies; "
             "compare with a faster recording before trusting it"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import step, telegraph
-from armrig.nonparametric.sampling_time import nearest_125, sampling_time
+from armrig.nonparametric.sampling_time import DIFFERENCED, nearest_125, sampling_time
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import times
 from numpy.typing import NDArray
@@ -94,6 +94,21 @@ def test_missing_samples_and_steps_lead_to_the_same(arm: Any) -> None:
 
     assert sampling_time(holed).Ts == 0.005
     assert sampling_time(arm.steps()).Ts == 0.005
+
+
+def test_noise_of_an_angle_is_no_reason_to_record_faster(
+    sampled: Callable[[float], Any],
+) -> None:
+    """Its differences have 39 % of their power near Nyquist at any sampling time."""
+    omega = np.linspace(0, np.pi, 100_001)
+    power = 1 - np.cos(omega)
+    rates = sampled(0.002).steps(4e-3)
+
+    [note] = [n for n in sampling_time(rates).notes if "near Nyquist" in n]
+
+    assert power[omega > 0.8 * np.pi].sum() / power.sum() == pytest.approx(DIFFERENCED, abs=0.005)
+    assert "white noise of theta_1 gives its differences 39 % there" in note
+    assert "before trusting" not in note
 
 
 def test_power_near_nyquist_is_reported() -> None:
