@@ -190,12 +190,12 @@ def _print_table(solved: _Solved, given: str) -> None:
         f"x' = A x + B u, the handout's arm, u = {problem.amplitude:g} sin({problem.omega:g} t) V, "
         f"{problem.span:.4g} s from rest; error: largest, each state against its own largest value"
     )
-    say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10} {'':8} {'error':>10}")
+    say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10}  {'at h':8} {'error':>10}")
     for row in solved.rows:
-        limit = f"{row.limit:10.5g}" if isfinite(row.limit) else f"{'none':>10}"
+        limit = f"{row.limit:10.5g}" if isfinite(row.limit) else f"{'no limit':>10}"
         error = f"{row.error:10.3g}" if isfinite(row.error) else f"{'overflow':>10}"
         stable = "stable" if row.stable else "UNSTABLE"
-        say(f"{row.method:14} {row.h:10.4g} {limit} {stable:8} {error}")
+        say(f"{row.method:14} {row.h:10.4g} {limit}  {stable:8} {error}")
     if solved.advice is not None:
         say(solved.advice.explain())
     say(

@@ -306,8 +306,8 @@ def lags_outside(tests: ResidualTest) -> str:
         return ""
     return (
         f"{n} of {N} lags {'is' if n == 1 else 'are'} outside the 99 % band although their joint "
-        "test accepts. Each is right: the band is for one lag alone, of a hundred lags one leaves "
-        "it by chance, and its neighbours with it; the p is for all lags together."
+        "test accepts. The test decides, whose p is for all lags together. The band is for a "
+        "single lag: one in a hundred leaves it by chance, often together with its neighbours."
     )
 
 

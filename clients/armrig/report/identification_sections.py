@@ -94,8 +94,8 @@ def _hints(study: HandoutStudy) -> Section:
     )
     slope = ""
     if found.low_slope is not None:
-        slope = f"At low frequency |G| falls by {minus(f'{-found.low_slope:.1f}')} ± "
-        slope += f"{found.low_slope_std:.1f} dB a decade, by 20 with an integrator. "
+        slope = f"At low frequency |G| falls by {minus(f'{-found.low_slope:.1f}')} dB a decade, "
+        slope += "by 20 with an integrator. "
     return Section(
         number="3.2",
         answer=(

@@ -162,9 +162,10 @@ class SearchResult:
         if self.halved:
             lines = [f"{lines[0]} estimated them"]
         width = max(len(j.candidate.name) for j in self.ranked)
-        head = (
-            f"  {'model':{width}} {'parameters':>10} {'rms':>11}  {'excess of the best ± se':>24}"
-        )
+        unit = f" [{self.unit}]" if self.unit else ""
+        square = f" [{f'({self.unit})' if '/' in self.unit else self.unit}²]" if self.unit else ""
+        over = f"excess mean square ± se{square}"
+        head = f"  {'model':{width}} {'parameters':>10} {f'rms{unit}':>11}  {over:>24}"
         lines.append(head)
         shown = sorted({*range(min(most, len(self.ranked))), self.chosen_index})
         for i in shown:
@@ -173,7 +174,7 @@ class SearchResult:
             mark = "  <- chosen" if i == self.chosen_index else ""
             lines.append(
                 f"  {j.candidate.name:{width}} {j.parameters:10} {self.rms[i]:11.5g}  "
-                f"{of_best:>24}{mark}"
+                f"{of_best:>{max(24, len(over))}}{mark}"
             )
         if len(self.ranked) > len(shown):
             lines.append(f"  … and {len(self.ranked) - len(shown)} more")

@@ -16,7 +16,7 @@ from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.nonparametric.coherence import explained
 from armrig.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.nonparametric.spectral import spa
-from armrig.numerics.quantities import minus, plural, times, with_std
+from armrig.numerics.quantities import minus, plural, times
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.recommended_structures import Recommendation, Recommended, recommended
@@ -52,7 +52,8 @@ class StructureHints:
     """Of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None where
     the first structure has another."""
     low_slope_std: float
-    """Its standard deviation."""
+    """Of the fit of a line to the points. Neighbours are smoothed together, so that noise moves
+    the slope by more."""
     low_band: Vector
     """Frequencies that it was read at, in rad/s."""
     high_slope: float | None
@@ -477,7 +478,7 @@ def _about_integrator(h: StructureHints) -> Iterator[str]:
     if h.integrator_shown and not h.integrator and h.low_slope < -10:
         verdict = f"a slow pole, and {verdict}, since what a pulse of u does to y dies out"
     yield (
-        f"integrator: |G| has a slope of {minus(with_std(h.low_slope, h.low_slope_std))} dB "
+        f"integrator: |G| has a slope of {minus(f'{h.low_slope:.3g}')} dB "
         f"a decade at low frequency (0 without one, −20 with one): {verdict}"
     )
 
