@@ -111,8 +111,10 @@ class Delay:
                 f"Quantisation is no delay: {self.output} is read in steps of "
                 f"{_quantity(self.quantum, self.unit)}, and after a step of "
                 f"{self.largest_step:.3g} {self.input_unit} the first is passed after t_q = sqrt(2 "
-                f"LSB / (b Δu)) = {1e3 * self.t_q:.2g} ms, {self.t_q / self.Ts:.2g} samples. On a "
-                "step response that looks like dead time; over many steps it averages out."
+                f"LSB / (b Δu)) = {1e3 * self.t_q:.2g} ms, {self.t_q / self.Ts:.2g} samples, "
+                "with the mean acceleration b per unit of input until then, of the impulse "
+                "response. On a step response that looks like dead time; over many steps it "
+                "averages out."
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
