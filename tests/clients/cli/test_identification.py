@@ -261,7 +261,7 @@ def test_the_next_line_lowers_what_the_advice_says_to_lower() -> None:
     u = rng.choice([-1.0, 1.0], 3000)
     y = lfilter([0, 1, 0.5], [1, -1.5, 0.7], u) + 0.1 * rng.standard_normal(u.size)
     data = armrig.Dataset(u=u, y=y, Ts=0.1)
-    high = armrig.oe(data, nb=3, nf=3)
+    high = armrig.oe(data, nb=3, nf=3, starts="few")
 
     assert "order" in to_act_on(high, [])
     assert next_of(high, searched=True) == "--structure oe --nb 2 --nf 2 --nk 1"
