@@ -47,7 +47,7 @@ coverage: .venv/dev
 
 # Write again what is stored of what the programs print, draw and compute; read the difference.
 stored: .venv/dev
-	WRITE_STORED=1 $(BIN)/pytest -q $$(grep -rlE "assert_said|said_again|WRITE_STORED" tests --include="test_*.py")
+	WRITE_STORED=1 $(BIN)/pytest -q $$(grep -rlE "from said import|WRITE_STORED" tests --include="test_*.py")
 	$(BIN)/python tests/same_numbers.py --write
 
 # N generated bugs over all rooms, by their lines, each of which a test must see. It goes
