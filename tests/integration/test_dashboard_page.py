@@ -545,7 +545,7 @@ def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: 
         seen = [b for b in page.locator("button").all() if b.is_visible()]
         names = " ".join(b.text_content() for b in seen)
         assert names == (
-            "Stop Space Live L Projector Theme: system 5 s 30 s 5 min Time: from now PNG SVG CSV"
+            "Stop Space Live L Theme: system 5 s 30 s 5 min Time: from now PNG SVG CSV"
         )
 
 
