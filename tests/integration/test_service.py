@@ -68,7 +68,7 @@ def test_a_run_comes_back_as_a_recording_that_others_read(served: Bench) -> None
     )
     assert doctor.returncode == 0, doctor.stdout
     assert "passed MCAP doctor checks" in doctor.stdout
-    remarks = [line for line in doctor.stdout.splitlines() if "info" in line]
+    remarks = [line for line in doctor.stdout.splitlines() if "│ info" in line]
     assert [line for line in remarks if "UNKNOWN_PROFILE" not in line] == []  # `armrig` is ours
     assert "warning" not in doctor.stdout
 
