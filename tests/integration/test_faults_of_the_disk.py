@@ -92,7 +92,7 @@ def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) ->
         assert recording.samples.size > 20
         check_every_k(recording)
     else:
-        assert line.endswith(".mcap.active: removed while it was written; its samples are gone")
+        assert ".mcap.active: removed while it was written; its samples are gone" in line
     check_volts(bench, 0.5, 4.5)
     assert "Traceback" not in daemon.said
     with bench.rig() as rig:
