@@ -49,7 +49,9 @@ class Element {
     if (this.download) say(`saved as ${this.download}`);
     this.fire("click");
   }
-  focus() {}
+  focus() {
+    say(`${[...known].find(([, one]) => one === this)[0]}: has the focus`);
+  }
   querySelectorAll(tag) {
     return this.children.flatMap((one) => (one instanceof Element ? [...(one.tag === tag ? [one] : []), ...one.querySelectorAll(tag)] : []));
   }

@@ -193,6 +193,7 @@ export class LivePlots {
   }
 
   #key(event) {
+    if (event.target instanceof HTMLInputElement) return; // letters of a note
     const { from, to } = this.seen;
     const steps = { ArrowLeft: -1, ArrowRight: 1 };
     if (event.key in steps && event.target === byId("plots")) {

@@ -13,8 +13,10 @@ async function send() {
   const field = byId("note-text");
   const text = field.value;
   const { recorded } = await askJson("note", { owner: owner(), text: text.trim() });
-  if (field.value === text) field.value = "";
-  byId("plots").focus(); // the space bar stops from there
+  if (field.value === text) {
+    field.value = "";
+    byId("plots").focus(); // the space bar stops from there
+  }
   notice(recorded ? "the note is in the recording" : "no run is being recorded, so the note is in no recording of the daemon");
 }
 
