@@ -7,7 +7,8 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import islice
+from itertools import islice, pairwise
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ _MOST_ROWS = 40_000  # five minutes of bins, and as many wraps as there are
 LATE_US = (50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 """Upper edges of the histogram of lateness, in µs; the last bin is what is later."""
 _TS = 0.01  # before the daemon has said its own
-_MOST_MARKS, _MOST_NOTES = 200, 100
+_MOST_STATES, _MOST_NOTES = 200, 100
 _BACK_NS = 1_000_000_000
 _LATE_S = 60  # seconds that the histogram is of
 
@@ -79,8 +80,8 @@ class Feed:
         self._told: deque[Any] = deque(maxlen=MOST_TOLD)
         self._timing = Timing()
         self._phase = ""  # of the newest state heard
-        self._marks: deque[tuple[float, str]] = deque(maxlen=_MOST_MARKS)
-        self._notes: deque[tuple[float, str]] = deque(maxlen=_MOST_NOTES)  # they push out no start
+        self._states: deque[tuple[int, str]] = deque(maxlen=_MOST_STATES)  # in ns, and phase
+        self._notes: deque[int] = deque(maxlen=_MOST_NOTES)  # in ns; they push out no start
         self.status: StatusReport | None = None
         """Of the daemon; the newest that it gave."""
         self._model: LiveModel | None = None
@@ -93,6 +94,7 @@ class Feed:
             if live and samples and self._is_of_another_clock(samples[0]):
                 self._rows.clear()
                 self._kept, self._newest, self._tail = 0, None, self._tail[:0]
+                self._forget_marks_after(samples[0].t_host_ns)
             newest_ns = self._newest.t_host_ns if self._newest else -1
             samples = [s for s in samples if s.t_host_ns > newest_ns]
             if not samples:
@@ -123,29 +125,31 @@ class Feed:
         self._told.extend(gaps)
 
     def add_states(self, states: Sequence[Any]) -> None:
-        """Take how the rig was from time to time: a run's start, its end and a trip are marked."""
+        """Take how the rig was from time to time; a state may come twice, live and of the past."""
         with self._lock:
             for state in states:
-                before, self._phase = self._phase, state.phase
-                if not before or before == state.phase:
-                    continue
-                kind = {"active": "start", "fault": "trip"}.get(state.phase)
-                if kind or before == "active":
-                    self._marks.append((state.t_host_ns / 1e9, kind or "end"))
+                found = state.t_host_ns, state.phase
+                if state.phase != self._phase and found not in self._states:
+                    self._states.append(found)
+                self._phase = state.phase
 
     def add_events(self, events: Sequence[Any]) -> None:
         """Take lines of the daemon's log: a note is marked, once however often it is heard."""
         with self._lock:
-            for mark in ((e.t_host_ns / 1e9, "note") for e in events if is_note(e)):
-                if mark not in self._notes:
-                    self._notes.append(mark)
+            for t_ns in (e.t_host_ns for e in events if is_note(e)):
+                if t_ns not in self._notes:
+                    self._notes.append(t_ns)
 
     def marks(self) -> list[tuple[float, str]]:
         """Return time in s and kind of what happened lately: start, end, trip, note."""
         with self._lock:
             oldest_s = self._newest.t_host_ns / 1e9 - HISTORY_S if self._newest else -np.inf
-            marks = sorted([*self._marks, *self._notes])
-            return [mark for mark in marks if mark[0] >= oldest_s]
+            states = sorted(self._states, key=itemgetter(0))
+            marks = [(t_ns / 1e9, "note") for t_ns in self._notes]
+        for (_, before), (t_ns, phase) in pairwise(states):
+            if kind := _mark(before, phase):
+                marks.append((t_ns / 1e9, kind))
+        return sorted(mark for mark in marks if mark[0] >= oldest_s)
 
     def add_report(self, report: Any) -> None:
         """Take the daemon's report of a second's timing."""
@@ -206,6 +210,11 @@ class Feed:
         """Tell whether the rig's machine was started anew, and its clock with it."""
         return self._newest is not None and sample.t_host_ns < self._newest.t_host_ns - _BACK_NS
 
+    def _forget_marks_after(self, t_ns: int) -> None:
+        states = [found for found in self._states if found[0] <= t_ns]
+        self._states, self._phase = deque(states, maxlen=_MOST_STATES), ""
+        self._notes = deque((note for note in self._notes if note <= t_ns), maxlen=_MOST_NOTES)
+
     def _note_gaps(self, samples: Sequence[Sample]) -> None:
         before = self._newest
         for sample in samples:
@@ -228,3 +237,10 @@ class Feed:
         counts = self._late[-1][1]
         for place in np.searchsorted(LATE_US, late_us).tolist():
             counts[place] += 1
+
+
+def _mark(before: str, phase: str) -> str:
+    """Return the kind of the mark between two phases: start, trip, end or none."""
+    if phase == before:
+        return ""
+    return {"active": "start", "fault": "trip"}.get(phase, "end" if before == "active" else "")

@@ -29,6 +29,11 @@ def late(k: int, lateness_us: float) -> Sample:
     return plain._replace(t_host_ns=plain.t_sched_ns + round(lateness_us * 1e3))
 
 
+def state(t_s: int, phase: str) -> Any:
+    """Return a state that the daemon publishes."""
+    return SimpleNamespace(t_host_ns=t_s * 10**9, phase=phase)
+
+
 def counted(feed: Feed) -> tuple[int, int, str]:
     """Return what was missing, what was unheard, and the last reason."""
     timing = feed.timing()
@@ -312,12 +317,39 @@ def test_start_end_and_trip_are_marked() -> None:
         "safe",
     ]
     for k, phase in enumerate(phases):
-        feed.add_states([SimpleNamespace(t_host_ns=k * 10**9, phase=phase)])
+        feed.add_states([state(k, phase)])
     told = feed.marks()
     feed.add_samples(samples(31_000))  # 310 s: what is older than five minutes is not shown
 
     assert told == [(2.0, "end"), (3.0, "start"), (4.0, "end"), (5.0, "start"), (6.0, "trip")]
     assert feed.marks() == []
+
+
+def test_states_that_come_twice_are_marked_once() -> None:
+    """The past brings what was heard live; a repeated state is no change back."""
+    feed = Feed()
+    phases = ("safe", "armed", "active", "safe", "armed", "active")
+    states = [state(k, phase) for k, phase in enumerate(phases)]
+
+    for part in (states[:4], states, states[4:]):
+        feed.add_states(part)
+
+    assert feed.marks() == [(2.0, "start"), (3.0, "end"), (5.0, "start")]
+
+
+def test_marks_of_another_clock_are_forgotten() -> None:
+    """They would stand in the future; those of the new clock, which come first, are kept."""
+    feed = Feed()
+    feed.add_samples(samples(100_000))
+    feed.add_states([state(900, "safe"), state(901, "active")])
+    feed.add_events([note(90_000, "before")])
+    feed.add_states([state(1, "safe"), state(2, "active")])
+    feed.add_events([note(200, "after")])
+
+    feed.add_samples(samples(300))
+
+    assert [kind for _, kind in feed.marks()] == ["start", "note"]
+    assert max(t for t, _ in feed.marks()) < 100.0
 
 
 def test_a_note_is_marked_once_and_pushes_out_no_start() -> None:
