@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, isnan, sin
+from math import cos, isfinite, sin
 from typing import TYPE_CHECKING, Any
 
 from armrig_core.topics import topic
@@ -31,8 +31,8 @@ def transforms_channel(rig: str, context: Any) -> Any:
 def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
     """Return the frames of a sample: `chassis` turned by θ₁ in `rig`, `arm` by α in `chassis`.
 
-    Both turn about z, so that the arm's angle in `rig` is θ₁ + α. A frame whose angle is NaN is
-    left out. `t_ns` is the time on the wall clock.
+    Both turn about z, so that the arm's angle in `rig` is θ₁ + α. A frame whose angle is not
+    finite is left out. `t_ns` is the time on the wall clock.
     """
     messages = imported("foxglove.messages", "foxglove")
     stamp = messages.Timestamp(*divmod(t_ns, _NS))
@@ -47,7 +47,7 @@ def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
                 rotation=messages.Quaternion(x=0.0, y=0.0, z=sin(angle / 2), w=cos(angle / 2)),
             )
             for parent, child, angle, above in frames
-            if not isnan(angle)
+            if isfinite(angle)
         ]
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import nan, pi, remainder, tau
+from math import inf, nan, pi, remainder, tau
 from pathlib import Path
 
 import numpy as np
@@ -37,12 +37,12 @@ def test_the_arm_stands_at_the_sum_of_bothframe_angles() -> None:
 
 @pytest.mark.parametrize(
     ("theta_1", "alpha", "left"),
-    [(nan, 0.1, {"arm"}), (0.1, nan, {"chassis"}), (nan, nan, set())],
+    [(nan, 0.1, {"arm"}), (0.1, inf, {"chassis"}), (-inf, nan, set())],
 )
 def test_an_angle_that_is_not_known_leaves_its_frame_out(
     theta_1: float, alpha: float, left: set[str]
 ) -> None:
-    """A viewer would place a frame of NaN anywhere."""
+    """A viewer would place a frame of NaN anywhere; infinity, from a stranger, has no sine."""
     assert {child for _, child in frame_angles(transforms(theta_1, alpha, 0).encode())} == left
 
 
