@@ -18,6 +18,7 @@ RATE_S = 0.1
 """Length over which the rate is the slope: one step of the converter is then 3.5 °/s."""
 _TURN = 360.0
 _CLOCK_S = 1e-6  # to which times are known
+_MOST_BEFORE = 1000  # rows for a rate; a rig at 1 kHz has 200
 
 
 def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
@@ -60,7 +61,8 @@ def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.fl
 
 
 def needed_before(found: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return those rows that the rate of later samples may need."""
+    """Return those rows that the rate of later samples may need, the newest `_MOST_BEFORE`."""
+    found = found[-_MOST_BEFORE:]
     first = int(np.searchsorted(found[:, 1], found[-1, 1] - 2 * RATE_S))
     return found[min(first, found.shape[0] - 1) :]
 

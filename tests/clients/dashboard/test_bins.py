@@ -128,6 +128,13 @@ def test_slow_samples_have_a_rate_from_one_to_the_next() -> None:
         np.testing.assert_allclose(rate(before, found[n:]), rate(found[:n], found[n:]))
 
 
+def test_few_samples_are_kept_for_a_rate_whatever_their_times() -> None:
+    """A stranger's samples may all have one time: they take no more room than those of a rig."""
+    found = np.zeros((5000, 5))
+
+    assert needed_before(found).shape[0] == 1000
+
+
 def test_coarser_rows_keep_the_extremes() -> None:
     """Five bins into one: least of all, largest of all, at the first's time."""
     rows = _binned(_samples([float(k % 37) for k in range(100)]))
