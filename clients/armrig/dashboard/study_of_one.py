@@ -66,11 +66,12 @@ def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any
     return {name: _drawn(t, y) for name, y in zip(("u", "theta_1", "alpha"), signals, strict=True)}
 
 
-def csv(path: Path, start: float | None, stop: float | None) -> str:
+def csv(path: Path, start: float | None, stop: float | None) -> bytes:
     """Return every sample that the page's curves show, in their quantities, with units."""
     rows = zip(*(column.tolist() for column in _part(path, start, stop)), strict=True)
     lines = (f"{t:.6f},{u:.4f},{theta_1:.4f},{alpha:.4f}\n" for t, u, theta_1, alpha in rows)
-    return "t [s],u [V],theta_1 counted [deg],alpha [deg]\n" + "".join(lines)
+    # Here, in the worker: the process that serves a stop does not encode some 100 MB.
+    return ("t [s],u [V],theta_1 counted [deg],alpha [deg]\n" + "".join(lines)).encode()
 
 
 def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[np.float64]]:

@@ -28,7 +28,7 @@ def test_a_part_as_csv_has_the_page_s_quantities(three_recordings: tuple[Path, P
     """Degrees whose turns are counted since the recording began, and units in the header."""
     path = three_recordings[0]
     recording = load(path)
-    header, *rows = csv(path, 1.0, 1.5).splitlines()
+    header, *rows = csv(path, 1.0, 1.5).decode().splitlines()
     k = np.flatnonzero((recording.t >= 1.0) & (recording.t <= 1.5))
 
     assert header == "t [s],u [V],theta_1 counted [deg],alpha [deg]"
