@@ -148,6 +148,7 @@ def _drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | 
     """Return x, and the least and the largest y of each point; None where there is none."""
     n = -(-t.size // _POINTS)
     first = np.arange(0, t.size, n)
+    y = np.where(np.isfinite(y), y, np.nan)
     least, largest = np.fmin.reduceat(y, first), np.fmax.reduceat(y, first)
     return [
         t[first].round(6).tolist(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import inf
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,15 @@ def test_a_part_as_csv_has_the_page_s_quantities(three_recordings: tuple[Path, P
     angles = np.degrees([recording.theta_1[k], recording.alpha[k]])
     expected = np.column_stack([recording.t[k], recording.u[k], *angles])
     np.testing.assert_allclose(shown, expected, atol=6e-5)
+
+
+def test_an_infinite_voltage_is_not_drawn(tmp_path: Path) -> None:
+    """Half of a pair would be null in JSON, and the page reads both."""
+    samples = [sample(k, u_applied_v=inf if k == 70 else 1.0) for k in range(5000)]
+
+    _, least, largest = curves(written(tmp_path, recorded(samples)), None, None)["u"]
+
+    assert {*least, *largest} == {1.0}
 
 
 def test_the_notes_of_a_recording_are_listed(tmp_path: Path) -> None:
