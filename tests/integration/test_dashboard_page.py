@@ -31,6 +31,7 @@ SMALL = {"width": 640, "height": 480}  # to draw it costs a third
 _PATIENCE_MS = 1000 * WITHIN_S
 _CONNECTIONS = 6
 MARKUP = "<img src=x onerror=document.title='owned'>"
+LONG_WORD = "W" * 500
 
 
 @pytest.fixture(scope="module")
@@ -489,6 +490,22 @@ def test_it_fits_the_screen(browser: Any, client: Client) -> None:
                 box = page.locator("#stop").bounding_box()
                 assert 0 <= box["y"] <= size["height"] - box["height"]
                 assert box["height"] >= (44 if size is PHONE else 36)
+
+
+def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, served: Bench) -> None:
+    """In its name, its notes and the choice of others: nothing to scroll sideways."""
+    of = made_recordings.manifest(experiment=LONG_WORD)
+    note = made_recordings.note(100, LONG_WORD, LONG_WORD[:80])
+    data = made_recordings.recorded([*map(made_recordings.sample, range(300)), note], manifest=of)
+    for name in ("a", "b"):
+        made_recordings.written(served.recordings, data, f"{name}{LONG_WORD[:200]}.mcap")
+    with opened(browser, client.url, WIDE) as page:
+        page.click("#tab-recordings")
+        page.click(f"#table tbody tr:has-text('{LONG_WORD}') button")
+        page.wait_for_selector("#curves canvas")
+        for size in (WIDE, PHONE):
+            page.set_viewport_size(size)
+            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
 
 
 _LINES = """cells => cells.map(cell => {
