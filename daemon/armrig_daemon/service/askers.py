@@ -23,7 +23,8 @@ def signed(said: str, by: str) -> str:
         What was checked, such as `certificate alice`; "" on the Unix socket, where whoever may
         open it is trusted.
     """
-    name = "".join(map(_square, printable(said).strip()[:_LONGEST]))
+    begin = said.strip()[:_LONGEST]  # of a name of any length: the rest would hold up a stop
+    name = "".join(map(_square, printable(begin).strip()[:_LONGEST]))
     if not by:
         return name
     return f"{name} ({by})" if name else by

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 from armrig_daemon.service.askers import signed
 
@@ -21,6 +23,20 @@ from armrig_daemon.service.askers import signed
 def test_who_asks_is_told_with_what_was_checked(said: str, by: str, told: str) -> None:
     """What he says is bounded and prints; what was checked stands after it in round brackets."""
     assert signed(said, by) == told
+
+
+class _Unread(str):
+    """A name that must not be read letter by letter."""
+
+    __slots__ = ()
+
+    def __iter__(self) -> Iterator[str]:
+        pytest.fail("all of the name is read")
+
+
+def test_of_a_name_of_any_length_the_beginning_is_read() -> None:
+    """8 MB of what does not print held up the service for half a second, and a stop with it."""
+    assert signed(_Unread(" " + "\x01" * 1000), "user bob") == "\\x01" * 20 + " (user bob)"
 
 
 @pytest.mark.parametrize(
