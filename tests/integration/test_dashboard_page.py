@@ -505,7 +505,9 @@ def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, serv
         page.wait_for_selector("#curves canvas")
         for size in (WIDE, PHONE):
             page.set_viewport_size(size)
-            assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+            # The charts are told of their new width once it is laid out.
+            width = "document.documentElement.scrollWidth"
+            until(page, lambda most=size["width"]: page.evaluate(width) <= most)
 
 
 _LINES = """cells => cells.map(cell => {
