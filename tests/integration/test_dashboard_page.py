@@ -492,6 +492,9 @@ def test_it_fits_the_screen(browser: Any, client: Client) -> None:
                 assert box["height"] >= (44 if size is PHONE else 36)
 
 
+_WIDTH = "document.documentElement.scrollWidth"
+
+
 def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, served: Bench) -> None:
     """In its name, its notes and the choice of others: nothing to scroll sideways."""
     of = made_recordings.manifest(experiment=LONG_WORD)
@@ -506,8 +509,7 @@ def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, serv
         for size in (WIDE, PHONE):
             page.set_viewport_size(size)
             # The charts are told of their new width once it is laid out.
-            width = "document.documentElement.scrollWidth"
-            until(page, lambda most=size["width"]: page.evaluate(width) <= most)
+            until(page, lambda most=size["width"]: page.evaluate(_WIDTH) <= most)
 
 
 _LINES = """cells => cells.map(cell => {
