@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 _ARM_ABOVE_M = 0.1  # so that both frames are seen; the rig's own height is not known
 _NS = 1_000_000_000
+_END_NS = 2**32 * _NS  # of Foxglove's timestamps
 
 
 def transforms_channel(rig: str, context: Any) -> Any:
@@ -56,12 +57,20 @@ def write_transforms(recording: Exported, path: Path) -> None:
     """Write the frames of each sample as an MCAP file, at the times of the recording's own.
 
     A viewer opens it together with the recording, from which nothing is repeated.
+
+    Raises
+    ------
+    ValueError
+        The wall clock of the rig's machine was before 1970, or after 2106.
     """
     sdk = imported("foxglove", "foxglove")
     context = sdk.Context()
     channel = transforms_channel(recording.manifest.rig, context)
     here = recording.present
     times = recording.samples["t_host_ns"] + recording.manifest.clock_offset_ns
+    if not ((times >= 0) & (times < _END_NS)).all():
+        msg = f"the wall clock of the rig's machine was at {times[0] / _NS:.0f} s after 1970; "
+        raise ValueError(f"{msg}--transforms takes 1970 to 2106: export a CSV instead")
     with sdk.open_mcap(path, allow_overwrite=True, context=context):
         for t_ns, theta_1, alpha in zip(
             times.tolist(),

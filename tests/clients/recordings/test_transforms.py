@@ -13,7 +13,7 @@ from armrig.recordings.recording import Recording
 from armrig.recordings.transforms import transforms
 from armrig_core.topics import topic
 from layouts import frame_angles, frames_class
-from made_recordings import of_the_arm, written
+from made_recordings import manifest, of_the_arm, recorded, sample, written
 from mcap.reader import make_reader
 
 pytest.importorskip("foxglove", reason="no foxglove-sdk")
@@ -44,6 +44,20 @@ def test_an_angle_that_is_not_known_leaves_its_frame_out(
 ) -> None:
     """A viewer would place a frame of NaN anywhere; infinity, from a stranger, has no sine."""
     assert {child for _, child in frame_angles(transforms(theta_1, alpha, 0).encode())} == left
+
+
+@pytest.mark.parametrize("offset_ns", [-4 * 10**18, 72 * 10**17])
+def test_times_that_foxglove_does_not_have_are_refused(
+    offset_ns: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a line: a recording's offset of the clocks may be of any size."""
+    data = recorded(map(sample, range(3)), manifest=manifest(clock_offset_ns=offset_ns))
+    out = tmp_path / "frames.mcap"
+
+    assert main(["export", str(written(tmp_path, data)), str(out), "--transforms"]) == 1
+
+    assert "--transforms takes 1970 to 2106" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def test_the_frames_of_a_recording_have_its_angles_at_its_times(
