@@ -38,10 +38,10 @@ def png(figure: Figure) -> bytes:
 
 
 def show_once(figure: Figure) -> None:
-    """Have a notebook show a figure of pyplot's once, as a cell's result or at the cell's end.
+    """Make a notebook show a figure of pyplot once.
 
-    IPython asks an object for `_ipython_display_` before all else. Whoever asks first shows the
-    figure and takes it from pyplot, whose figures are shown at a cell's end.
+    A notebook shows a cell's result, and at the cell's end all open figures of pyplot. IPython
+    calls `_ipython_display_` of a result: it shows the figure and closes it in pyplot.
     """
     pyplot = sys.modules.get("matplotlib.pyplot")
     if pyplot is None or "inline" not in pyplot.get_backend():

@@ -21,9 +21,9 @@ from armrig.rig.remote_recording import DiskError, RecordedFile, RemoteRecording
 _LOOK_S = 1.0
 _ASK_S = 0.2
 _AGAIN_S = 60.0
-"""Time from a recording that the disk ended to the next one of that rig."""
+"""Least time between the end of a rig's recording by a full disk and its next one, in s."""
 _ROOM = 64 << 20
-"""Free space for which that next one is begun, in B."""
+"""Free space that this next recording needs, in B."""
 _COMPLETE = "complete"
 
 
@@ -36,7 +36,7 @@ class RigRecorded:
     why: str = ""
     """Why its recording ended before the others; empty where it did not."""
     again_s: float = float("inf")
-    """When it may be begun again, by the monotonic clock."""
+    """Earliest time of its next recording, on the monotonic clock; inf if there is none."""
 
 
 class FleetRecorder:
@@ -106,7 +106,7 @@ class FleetRecorder:
             self._tell_error(f"rig {recorded.rig}: its recording ended: {err}")
 
     def _may_begin(self, rig: str) -> bool:
-        """Tell whether a rig is not recorded, nor was; or the disk ended that, and has room now."""
+        """Return whether a rig may be recorded: the first time, or after a full disk has room."""
         if rig not in self._threads:
             return True
         if self._threads[rig].is_alive() or time.monotonic() < self._recorded[rig].again_s:

@@ -307,7 +307,7 @@ class Service:
         self._handle([Log(t_host_ns=now_ns, level=level, message=message, fields=fields)])
 
     def _note(self, t_host_ns: int, text: str, owner: str) -> None:
-        """Publish and record a note; not thinned as a line of ours, each was asked for."""
+        """Publish and record a note; the thinning of the log drops none."""
         fields = {"owner": owner, "command": commands.Note.name}
         log = Log(t_host_ns=t_host_ns, level="info", message=text, fields=fields, is_note=True)
         self._runs.add(self._published([log]))

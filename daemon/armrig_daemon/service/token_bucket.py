@@ -28,7 +28,7 @@ def take(bucket: Bucket, now_s: float) -> Bucket | None:
 
 
 def take_at(per_s: float, burst: float, bucket: Bucket, now_s: float) -> Bucket | None:
-    """Return the same at another rate and for another burst."""
+    """Return the bucket after one more question at a rate and a burst; None if it is too many."""
     tokens = min(burst, bucket.tokens + per_s * (now_s - bucket.at_s))
     return Bucket(tokens - 1, now_s) if tokens >= 1 else None
 

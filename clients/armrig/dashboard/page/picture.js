@@ -56,7 +56,7 @@ function* curves(u, at, up) {
 }
 
 // charts: of {u, signal}; title: what is seen.
-export function svgOf(charts, title) {
+function svgOf(charts, title) {
   const height = TOP + charts.length * (HEIGHT + GAP) + 10;
   const panels = charts.map(({ u, signal }, i) => panel(u, { signal, letter: "abcdefgh"[i] }, TOP + i * (HEIGHT + GAP)));
   return `<svg xmlns="http://www.w3.org/2000/svg" width="${WIDTH}" height="${height}" viewBox="0 0 ${WIDTH} ${height}" font-family="DejaVu Sans, Arial, sans-serif" font-size="12">
