@@ -52,6 +52,7 @@ def facts(path: Path) -> dict[str, Any]:
             for g in recording.gaps[:_MOST_GAPS]
         ],
         "notes": [(n.t, n.owner, n.text) for n in recording.notes[:_MOST_NOTES]],
+        "more_notes": max(0, len(recording.notes) - _MOST_NOTES),
         "seconds": recording.N * recording.Ts,
         "curves": curves(path, None, None),
     }

@@ -49,11 +49,12 @@ def test_an_infinite_voltage_is_not_drawn(tmp_path: Path) -> None:
 
 
 def test_the_notes_of_a_recording_are_listed(tmp_path: Path) -> None:
-    """A hundred of them at most: when, who and what."""
+    """A hundred of them at most: when, who and what; and how many more there are."""
     notes = [note(k % 20, f"<b>{k}") for k in range(150)]
     path = written(tmp_path, recorded([*(sample(k) for k in range(40)), *notes]))
 
-    found = facts(path)["notes"]
+    found = facts(path)
 
-    assert len(found) == 100
-    assert found[5] == (pytest.approx(0.05, abs=1e-4), "Ada", "<b>5")
+    assert len(found["notes"]) == 100
+    assert found["more_notes"] == 50
+    assert found["notes"][5] == (pytest.approx(0.05, abs=1e-4), "Ada", "<b>5")

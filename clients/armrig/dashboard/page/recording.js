@@ -51,6 +51,7 @@ export async function look(file, list = []) {
   );
   const gaps = found.gaps.map(([t, count, reason]) => make("li", { textContent: `${t.toFixed(2)} s: ${count} samples missing: ${reason}` }));
   const notes = found.notes.map(([t, owner, text]) => make("li", {}, `${t.toFixed(2)} s, ${owner}: ${text}`));
+  if (found.more_notes) notes.push(make("li", { textContent: `${found.more_notes} more, which \`armrig info --verbose\` lists` }));
   const where = make("div", { id: "curves" });
   const replay = new Replay(charts, () => seen || [0, seconds]);
   const section = (title, items) => (items.length ? [make("h3", { textContent: title }), make("ul", {}, ...items)] : []);
