@@ -47,8 +47,9 @@ def armax(
     stable : bool, default False
         Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
     starts : {"many", "few"}, default "many"
-        Further starts that are tried where searches disagree. "few" takes a fifth to two thirds of
-        the time, and ends in a poorer minimum more often.
+        Whether each mode of the model is tried at other places, too, or only where searches
+        disagree. "few" takes a tenth to a half of the time, and ends more often in a poorer
+        minimum.
 
     Returns
     -------

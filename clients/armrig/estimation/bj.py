@@ -48,8 +48,9 @@ def bj(
         Reflect poles of the noise, D, outside the unit circle into it, draw those of F on it
         inside, and estimate B anew; the search lets no pole of F pass the circle.
     starts : {"many", "few"}, default "many"
-        Further starts that are tried where searches disagree. "few" takes a fifth to two thirds of
-        the time, and ends in a poorer minimum more often.
+        Whether each mode of the model is tried at other places, too, or only where searches
+        disagree. "few" takes a tenth to a half of the time, and ends more often in a poorer
+        minimum.
 
     Returns
     -------

@@ -2,7 +2,7 @@
 
 In strong noise the prediction error has minima of little difference, in which a weak mode has
 settled on the noise of some frequency. Slow noise and slow inputs have others, in which a real root
-has. Where searches disagree, that mode is tried elsewhere.
+has. So each mode is tried elsewhere.
 """
 
 from __future__ import annotations

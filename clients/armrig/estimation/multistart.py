@@ -38,8 +38,8 @@ def searched_minimum(
         A part of much data: the starts are searched from on it first, and only where they lead
         apart is the whole searched from more than once.
     thorough : bool
-        Whether modes of C and D, and real ones, are moved, too. Without `part` modes are then
-        moved wherever there is C or D, or some noise.
+        Whether modes of C and D, and real ones, are moved, too. Without `part` they are then moved
+        wherever the cost is more than rounding.
     """
     ends = _from_starts(problem) if part is None else _through(part, problem)
     if not (thorough or problem.structure.nf >= 2):

@@ -45,8 +45,9 @@ def oe(
     stable : bool, default False
         Draw poles on the unit circle into it, and estimate B anew; the search lets none pass it.
     starts : {"many", "few"}, default "many"
-        Further starts that are tried where searches disagree. "few" takes a fifth to two thirds of
-        the time, and ends in a poorer minimum more often.
+        Whether each mode of the model is tried at other places, too, or only where searches
+        disagree. "few" takes a tenth to a half of the time, and ends more often in a poorer
+        minimum.
 
     Returns
     -------
