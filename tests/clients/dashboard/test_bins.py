@@ -100,7 +100,7 @@ def test_the_rate_is_a_slope_over_a_tenth_of_a_second_of_time() -> None:
 
 
 def test_a_missing_sample_or_a_hidden_angle_costs_no_rate_of_another() -> None:
-    """An older one stands in for it, up to twice a tenth of a second; then there is no rate."""
+    """The slope is then from an older sample, at most 0.2 s older; without one there is no rate."""
     nan = float("nan")
     samples = _samples([nan if k in (3, 25) else float(k) for k in range(60)], Ts=0.01)
     del samples[15:17]

@@ -20,7 +20,7 @@ export class LivePlots {
     this.frozen = null; // {zero, from, to} while zoomed
     this.cursorAt = null; // in s from the newest, as the x axis
     this.toldAt = -FIGURES_MS; // when the figures were shown
-    this.restUntil = 0;
+    this.restUntil = 0; // as long after a drawing as it took
     this.setLarge(false);
     for (const span of SPANS) {
       const text = span < 60 ? `${span} s` : `${span / 60} min`;
@@ -130,13 +130,17 @@ export class LivePlots {
 
   // Draw at most once a frame, and only what is seen.
   wants() {
-    // A browser that draws slowly draws less often, so that data and stops have their turn.
-    if (this.due || document.hidden || byId("live").hidden || performance.now() < this.restUntil) return;
+    if (this.due || document.hidden || byId("live").hidden) return;
     this.due = true;
-    requestAnimationFrame(() => {
-      this.due = false;
-      this.draw();
-    });
+    const frame = () =>
+      requestAnimationFrame(() => {
+        this.due = false;
+        this.draw();
+      });
+    // A browser that draws slowly rests between drawings, so that data and stops have their turn.
+    const rest = this.restUntil - performance.now();
+    if (rest > 0) setTimeout(frame, rest);
+    else frame();
   }
 
   draw() {

@@ -5,7 +5,7 @@ import { ask } from "./elements.js";
 const SILENT_MS = 700; // 20 messages a second come: without one for so long the server is gone
 const AGAIN_MS = 250;
 const LOOK_MS = 100;
-const BUSY_MS = 500; // a look that comes so late tells of this browser, not of the server
+const BUSY_MS = 500; // a timer that is so late shows a busy browser, not a silent server
 const LOST_MS = 5000; // silent for so long it is opened anew; so long has each attempt to be answered
 
 export class Stream {
