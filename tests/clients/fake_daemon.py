@@ -7,10 +7,25 @@ from collections.abc import Callable
 from typing import Any, Self
 
 import msgspec
+import numpy as np
 import zenoh
+from armrig.rig.collection import Plan
 from armrig_core import commands, topics
 from armrig_core.commands import LastRun, StatusReport
 from armrig_core.rehearsal import Rehearsal
+
+
+def step_plan(owner: str, seconds: float = 1.0) -> Plan:
+    """Return the plan of a step of 1 V from the first sample on."""
+    return Plan(
+        experiment="step",
+        make=lambda N, _: np.ones(N),
+        details={},
+        seconds=seconds,
+        Ts=None,
+        pacing="scheduled",
+        owner=owner,
+    )
 
 
 class FakeDaemon:

@@ -8,24 +8,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from armrig.dashboard.driver import BusyDriverError, Driver
-from armrig.rig.collection import Plan
 from armrig.rig.session import NoReplyError
 from armrig_core import commands
 from armrig_core.rehearsal import Rehearsal
-from fake_daemon import FakeDaemon
+from fake_daemon import FakeDaemon, step_plan
 
-PLAN = Plan(
-    experiment="step",
-    make=lambda N, _: np.ones(N),
-    details={},
-    seconds=1.0,
-    Ts=None,
-    pacing="scheduled",
-    owner="a page",
-)
+PLAN = step_plan("a page")
 
 
 @pytest.fixture

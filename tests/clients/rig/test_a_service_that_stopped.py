@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
-import numpy as np
 import pytest
 import zenoh
 from armrig.cli import main
@@ -18,7 +17,7 @@ from armrig.dashboard.feed import Feed
 from armrig.dashboard.listener import Listener
 from armrig.rig import client, remote_recorder, session, telemetry_stream
 from armrig.rig.client import Progress, Rig
-from armrig.rig.collection import Plan, collect
+from armrig.rig.collection import collect
 from armrig.rig.remote_recorder import RemoteRecorder
 from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecording
 from armrig.rig.remote_source import Piece
@@ -26,7 +25,7 @@ from armrig.rig.session import NoReplyError, RigError
 from armrig_core.commands import StatusReport
 from armrig_core.endpoint import endpoint
 from armrig_core.history import Past
-from fake_daemon import FakeDaemon
+from fake_daemon import FakeDaemon, step_plan
 from processes import wait_for
 
 SAID = (
@@ -35,15 +34,7 @@ SAID = (
 )
 
 
-PLAN = Plan(
-    experiment="step",
-    make=lambda N, _: np.ones(N),
-    details={},
-    seconds=1.0,
-    Ts=None,
-    pacing="scheduled",
-    owner="a student",
-)
+PLAN = step_plan("a student")
 
 
 @contextmanager

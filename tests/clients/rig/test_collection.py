@@ -15,7 +15,7 @@ from armrig.rig.client import Progress, Rig, RunEndedError
 from armrig.rig.collection import Plan, _interrupted_sentence, collect
 from armrig.rig.session import NoReplyError
 from armrig_core.commands import Arm, LastRun, Run, Status, StatusReport
-from fake_daemon import FakeDaemon
+from fake_daemon import FakeDaemon, step_plan
 from msgspec.structs import replace
 
 NEW = LastRun(run_id="new", recording="new.mcap", finished=True, samples=7, outcome="stopped")
@@ -106,15 +106,7 @@ class _CutOff(FakeDaemon):
 
 def test_a_daemon_that_ends_during_a_run_leaves_what_it_had_recorded(where: str) -> None:
     """The message says how far the run was, where the recording is, and how to repeat it."""
-    plan = Plan(
-        experiment="step",
-        make=lambda N, _: np.ones(N),
-        details={},
-        seconds=3.0,
-        Ts=None,
-        pacing="scheduled",
-        owner="Ada",
-    )
+    plan = step_plan("Ada", seconds=3.0)
     with _CutOff(where), pytest.raises(NoReplyError) as told:
         collect(plan, rig="1", connect=where, tell=print, shown=_unseen)
 
