@@ -270,6 +270,9 @@ def test_a_recording_is_played_again_and_compared(
 
         page.select_option("#compared", index=1)
         until(page, lambda: ".mcap" in text(page, "#seen"))
+        with page.expect_download() as download:
+            page.click("text=Picture, SVG")
+        assert "; dashed: 1-step-" in Path(download.value.path()).read_text()
         page.click("text=Identify")
         page.wait_for_selector("#model h2")
         until(page, lambda: "dashed: OE[" in text(page, "#seen"))

@@ -78,8 +78,8 @@ function buttons() {
     { className: "tools" },
     button("Download MCAP", () => download("mcap", { file: chosen }, chosen)),
     button("CSV of what is seen", () => download("csv", { file: chosen, ...(seen ? { start: seen[0], stop: seen[1] } : {}) }, chosen.replace(/mcap$/, "csv"))),
-    button("Picture, PNG", () => savePng(seenCharts(), chosen, chosen.replace(/\.mcap$/, ""))),
-    button("Picture, SVG", () => saveSvg(seenCharts(), chosen, chosen.replace(/\.mcap$/, ""))),
+    button("Picture, PNG", () => savePng(seenCharts(), pictureTitle(), chosen.replace(/\.mcap$/, ""))),
+    button("Picture, SVG", () => saveSvg(seenCharts(), pictureTitle(), chosen.replace(/\.mcap$/, ""))),
     button("Whole length", () => zoom(null)),
     chooser(others, (file) => attempt(() => lay(file ? { file, name: file } : null))),
     output,
@@ -87,6 +87,10 @@ function buttons() {
     button("Report", () => download("report", { file: chosen }, chosen.replace(/mcap$/, "pdf"))),
   );
 }
+
+const dashed = () => (over ? `; dashed: ${over.name}` : "");
+
+const pictureTitle = () => `${chosen}${dashed()}`;
 
 const seenCharts = () => charts.map((u, i) => ({ u, signal: SIGNALS[i] }));
 
@@ -154,8 +158,7 @@ async function layModel(name, signal, curve) {
 function draw(found, other) {
   const overOf = (key) => (over?.file ? other?.[key] : over?.signal === key ? over.curve : null);
   const [from, to] = seen || [0, seconds];
-  const words = over ? `; dashed: ${over.name}` : "";
-  setText("seen", (seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are seen; double-click for the whole length` : "drag across a plot or turn the wheel to zoom, with Shift to move, with Alt to zoom the values") + words);
+  setText("seen", (seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are seen; double-click for the whole length` : "drag across a plot or turn the wheel to zoom, with Shift to move, with Alt to zoom the values") + dashed());
   SIGNALS.forEach((signal, i) => {
     charts[i].wanted = [from, to];
     charts[i].setData(aligned(found[signal.key], overOf(signal.key)), true);
