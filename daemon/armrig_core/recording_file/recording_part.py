@@ -63,6 +63,7 @@ class Part:
         self._chunks = 0
         self._offset_ns = manifest.clock_offset_ns
         self._sample_ns = t_first_ns
+        self._logged_ns = 0
         self._pending = _Pending()
         self._file = cast("IO[bytes]", self.active.open("xb", buffering=0))
         try:
@@ -105,15 +106,18 @@ class Part:
 
     def add(self, message: Outgoing) -> None:
         """Take a message, to be written at the next flush."""
-        # Log times do not go back in the file: what a sample in flight is overtaken by gets the
-        # time of the sample before; its own is in its payload.
+        # Log times do not go back in the file: a message that overtakes a sample in flight gets
+        # the time of the sample before, and one that a sample overtook gets that sample's time.
+        # A message's own time is in its payload.
+        t_ns = message.t_host_ns
         if message.stream == "sample":
-            t_ns = self._sample_ns = message.t_host_ns
+            self._sample_ns = t_ns
             self.samples += 1
         else:
-            t_ns = min(message.t_host_ns, self._sample_ns)
+            t_ns = min(t_ns, self._sample_ns)
             if message.stream == "gap":
                 self.missing += self._missing(message.data)
+        t_ns = self._logged_ns = max(t_ns, self._logged_ns)
         self._writer.add_message(
             channel_id=self._channels[message.stream],
             log_time=t_ns + self._offset_ns,

@@ -20,6 +20,7 @@ from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from msgspec.structs import replace
 
 MANIFEST = Manifest(
     rig="1",
@@ -95,14 +96,16 @@ def test_who_made_a_recording_is_told_when_it_is_complete(tmp_path: Path) -> Non
 def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
     """What overtakes a sample in flight gets the time of the sample before.
 
-    A sample that came before it was due was not published later than it was logged.
+    What a sample overtook gets that sample's time. A sample that came before it was due was not
+    published later than it was logged.
     """
     path = tmp_path / "run.mcap"
     recording = _recording(path)
     late = Gap(k_first=1, count=1, t_from_ns=0, t_to_ns=15_000_000, u_held_v=0, reason="late")
     early = _sample(3)._replace(t_host_ns=29_999_000)
+    overtaken = outgoing(replace(late, t_to_ns=19_000_000), 0)
 
-    recording.add([_sample(1), outgoing(late, 0), _sample(2), early])
+    recording.add([_sample(1), outgoing(late, 0), _sample(2), overtaken, early])
     recording.finish("complete")
     recording.join(30)
 
@@ -110,8 +113,8 @@ def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
         messages = [m for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
     offset = MANIFEST.clock_offset_ns
     logged = [m.log_time - offset for m in messages]
-    assert logged == [10_000_005, 10_000_005, 20_000_005, 29_999_000]
-    published = [messages[i].publish_time - offset for i in (0, 2, 3)]
+    assert logged == [10_000_005, 10_000_005, 20_000_005, 20_000_005, 29_999_000]
+    published = [messages[i].publish_time - offset for i in (0, 2, 4)]
     assert published == [10_000_000, 20_000_000, 29_999_000]
 
 
