@@ -134,7 +134,7 @@ class FleetRecorder:
             tell=lambda text: self._tell(text if text.startswith("rig ") else f"rig {rig}: {text}"),
         )
         recorded.again_s = float("inf")
-        outcome = _COMPLETE
+        outcome, error = _COMPLETE, None
         try:
             recorder = RemoteRecorder(self._session, recording)
             while not recorder.begin():
@@ -144,11 +144,11 @@ class FleetRecorder:
                 self._tell(f"recording rig {rig}")
                 recorder.record(self._ended)
         except (RuntimeError, OSError) as err:
-            outcome = f"the recorder ended: {err}"
-            self._fail(recorded, err)
+            outcome, error = f"the recorder ended: {err}", err
         try:
             recording.finish(outcome)
         except (RuntimeError, OSError) as err:
-            if outcome == _COMPLETE:  # else it was told above
-                self._fail(recorded, err)
+            error = error or err  # a full disk refuses the end of the file, too
         recorded.files += recording.done
+        if error is not None:
+            self._fail(recorded, error)

@@ -1,0 +1,104 @@
+"""When one recorder of many rigs reports an error, and when it records a rig again."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from armrig.rig import fleet_recorder
+from armrig.rig.fleet_recorder import FleetRecorder
+from armrig.rig.remote_recording import DiskError
+from armrig.rig.session import RigError
+
+
+class _Rigs:
+    """Rigs whose recordings end as each test says; counts how many began."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+        self.began = 0
+        self.errors: list[str] = []
+        self.of_samples: Exception | None = None
+        self.of_end: Exception | None = None
+        monkeypatch.setattr(fleet_recorder, "RemoteRecording", self._recording)
+        monkeypatch.setattr(fleet_recorder, "RemoteRecorder", self._recorder)
+        session: Any = None
+        self._fleet = FleetRecorder(
+            session,
+            "a router",
+            lambda rig: folder / f"{rig}.mcap",
+            lambda _: None,
+            self.errors.append,
+        )
+
+    def record(self) -> fleet_recorder.RigRecorded:
+        """Record rig 1 to the end of its recording; return what became of it."""
+        (recorded,) = self._fleet.record(threading.Event(), 0.001, ["1"])
+        return recorded
+
+    def _recording(self, **_: object) -> Any:
+        return SimpleNamespace(finish=lambda _: self._end(self.of_end), done=[])
+
+    def _recorder(self, *_: object) -> Any:
+        self.began += 1
+        return SimpleNamespace(begin=lambda: True, record=lambda _: self._end(self.of_samples))
+
+    @staticmethod
+    def _end(error: Exception | None) -> None:
+        if error is not None:
+            raise error
+
+
+@pytest.fixture
+def rigs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> _Rigs:
+    """Give rigs whose recordings have no error."""
+    return _Rigs(monkeypatch, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("of_samples", "of_end", "why"),
+    [(None, None, ""), (None, "full", "full"), ("full", None, "full"), ("full", "again", "full")],
+)
+def test_a_recording_that_ends_early_is_one_error(
+    rigs: _Rigs, of_samples: str | None, of_end: str | None, why: str
+) -> None:
+    """Of its samples or of its end; the second error of one file is not reported."""
+    rigs.of_samples = DiskError(of_samples) if of_samples else None
+    rigs.of_end = DiskError(of_end) if of_end else None
+
+    recorded = rigs.record()
+
+    assert recorded.why == why
+    assert rigs.errors == ([f"rig 1: its recording ended: {why}"] if why else [])
+
+
+@pytest.mark.parametrize(
+    ("error", "pause_s", "missing_bytes", "times"),
+    [
+        (DiskError("full"), 0.0, 0, 2),
+        (DiskError("full"), 0.0, 1, 1),
+        (DiskError("full"), 60.0, 0, 1),
+        (RigError("nonsense"), 0.0, 0, 1),
+    ],
+)
+def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
+    rigs: _Rigs,
+    monkeypatch: pytest.MonkeyPatch,
+    error: Exception,
+    pause_s: float,
+    missing_bytes: int,
+    times: int,
+) -> None:
+    """A rig that sends nonsense is recorded once."""
+    free = SimpleNamespace(free=fleet_recorder._ROOM - missing_bytes)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
+    monkeypatch.setattr(fleet_recorder, "_AGAIN_S", pause_s)
+    rigs.of_samples = error
+
+    rigs.record()
+    rigs.record()
+
+    assert rigs.began == times
