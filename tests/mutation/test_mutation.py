@@ -20,7 +20,7 @@ from armrig_daemon.loop.process import Settings
 from armrig_daemon.service import child
 
 from mutation import __main__ as mutation
-from mutation import outcomes, python_sites, text_sites
+from mutation import by_hand, outcomes, python_sites, text_sites
 from mutation.__main__ import ROOT, Room, Trials, drawn, rooms, sources_of
 from mutation.mutant import Mutant, planted
 from mutation.outcomes import Outcomes
@@ -429,3 +429,23 @@ def test_a_draw_goes_on_where_it_was_left(monkeypatch: pytest.MonkeyPatch, tmp_p
     assert known.verdict(MUTANT._replace(new="4"), ["tests/a.py::x"]) is None
     monkeypatch.setattr(outcomes, "digest", lambda _: "another")
     assert Outcomes(path).verdict(MUTANT, []) is None
+
+
+def test_each_bug_of_the_table_fits_the_code() -> None:
+    """A bug that is found nowhere, or twice, would not be planted again."""
+    table = by_hand.bugs()
+
+    astray = [bug.name for bug in table if bug.source.count(bug.old) != 1]
+    lost = [name for bug in table for name in bug.tests if not _is_there(name)]
+
+    assert astray == []
+    assert lost == []
+    assert len({bug.name for bug in table}) == len(table)
+
+
+def _is_there(name: str) -> bool:
+    """Return whether a test, or a folder of tests, is in the tree."""
+    path, _, function = name.partition("::")
+    if not function:
+        return (ROOT / path).exists()
+    return f"def {function.partition('[')[0]}(" in (ROOT / path).read_text(encoding="utf-8")
