@@ -32,8 +32,9 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_itemcollected(item: pytest.Item) -> None:
     """Refuse a timed test that `make test` would not find, which looks for it in one folder."""
     if item.get_closest_marker("timed") and "integration" not in item.path.parts:
-        msg = f"{item.nodeid}: is marked as timed and does not stand in tests/integration"
-        raise pytest.UsageError(msg)
+        raise pytest.UsageError(
+            f"{item.nodeid}: is marked as timed and does not stand in tests/integration"
+        )
 
 
 @pytest.hookimpl(wrapper=True)

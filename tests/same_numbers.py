@@ -223,9 +223,10 @@ def _arguments(
     variadic = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
     required = [p.name for p in parameters if p.default is p.empty and p.kind not in variadic]
     if not all(p in table.ARGUMENTS for p in required):
-        msg = f"{type(value).__name__}.{member}({', '.join(required)}) is public and has no "
-        msg += "argument: add it to ARGUMENTS, METHODS or NO_MEMBERS of same_numbers_calls.py"
-        raise LookupError(msg)
+        raise LookupError(
+            f"{type(value).__name__}.{member}({', '.join(required)}) is public and has no "
+            "argument: add it to ARGUMENTS, METHODS or NO_MEMBERS of same_numbers_calls.py"
+        )
     yield "", {p: table.ARGUMENTS[p](value) for p in required}
 
 

@@ -44,8 +44,7 @@ class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         seen: set[str] = set()
         for name in (*self.operators, *self.observers, *self.rigs, *self.revoked):
             if check_name(name) in seen:
-                msg = f"{name!r} stands there twice: once is allowed"
-                raise ValueError(msg)
+                raise ValueError(f"{name!r} stands there twice: once is allowed")
             seen.add(name)
         for name in self.rigs:
             if not name.startswith(RIG_PREFIX):
@@ -81,10 +80,10 @@ def read_access_list(path: Path) -> AccessList:
     try:
         return msgspec.convert(read_toml(path, LIMIT), AccessList)
     except FileNotFoundError as err:
-        msg = f"{path}: there is no such file; `armrig pki ca` writes one"
-        raise AccessListError(msg) from err
+        raise AccessListError(f"{path}: there is no such file; `armrig pki ca` writes one") from err
     except OSError as err:
-        msg = f"{path}: {err.strerror}; it must be a file that this user may read"
-        raise AccessListError(msg) from err
+        raise AccessListError(
+            f"{path}: {err.strerror}; it must be a file that this user may read"
+        ) from err
     except ValueError as err:
         raise AccessListError(f"{path}: {err}") from err

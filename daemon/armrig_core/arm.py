@@ -48,12 +48,10 @@ class ArmParameters:
         for field in fields(self):
             value = getattr(self, field.name)
             if not isinstance(value, Real):
-                msg = f"{field.name}={value!r} must be a number, in SI units"
-                raise TypeError(msg)
+                raise TypeError(f"{field.name}={value!r} must be a number, in SI units")
             if not isfinite(value) or value < 0 or (value == 0 and field.name != "b_1"):
                 bound = ">= 0" if field.name == "b_1" else "> 0"
-                msg = f"{field.name}={value!r} must be finite and {bound}"
-                raise ValueError(msg)
+                raise ValueError(f"{field.name}={value!r} must be finite and {bound}")
 
     @property
     def torque_per_volt(self) -> float:
@@ -69,9 +67,10 @@ class ArmParameters:
 def require_parameters(p: object) -> None:
     """Refuse what is no `ArmParameters`."""
     if not isinstance(p, ArmParameters):
-        msg = f"p is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), or "
-        msg += "with others in SI units, armrig.ArmParameters(J_1=0.0017)"
-        raise TypeError(msg)
+        raise TypeError(
+            f"p is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), or "
+            "with others in SI units, armrig.ArmParameters(J_1=0.0017)"
+        )
 
 
 def arm_matrices(p: ArmParameters) -> tuple[Matrix, Matrix, Matrix]:

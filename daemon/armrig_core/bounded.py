@@ -69,11 +69,9 @@ def decoded(data: bytes) -> str:
         They are in another encoding than UTF-8.
     """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        msg = "it is saved as UTF-16: save it as UTF-8"
-        raise TextError(msg)
+        raise TextError("it is saved as UTF-16: save it as UTF-8")
     try:
         return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as err:
         line = err.object.count(b"\n", 0, err.start) + 1
-        msg = f"line {line} is not UTF-8: save it as UTF-8"
-        raise TextError(msg) from err
+        raise TextError(f"line {line} is not UTF-8: save it as UTF-8") from err

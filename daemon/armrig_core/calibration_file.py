@@ -59,11 +59,9 @@ def tables_of(path: Path) -> dict[str, Any]:
     try:
         tables = read_toml(path, _TOML_LIMIT)
     except OSError as err:
-        msg = f"{path}: {err.strerror}"
-        raise CalibrationFileError(msg) from err
+        raise CalibrationFileError(f"{path}: {err.strerror}") from err
     except TomlError as err:
-        msg = f"{path}: {err}"
-        raise CalibrationFileError(msg) from err
+        raise CalibrationFileError(f"{path}: {err}") from err
     made = tables.get("made")
     if isinstance(made, dict):
         if made.get("raw_sha256"):
@@ -78,8 +76,7 @@ def read_calibration(path: Path) -> Calibration:
     try:
         return msgspec.convert(tables, Calibration)
     except msgspec.ValidationError as err:
-        msg = f"{path}: {err}; `armrig calibrate` writes such files"
-        raise CalibrationFileError(msg) from err
+        raise CalibrationFileError(f"{path}: {err}; `armrig calibrate` writes such files") from err
 
 
 def check_measured(calibration: Calibration, raw: bytes) -> Made:
@@ -97,8 +94,9 @@ def check_measured(calibration: Calibration, raw: bytes) -> Made:
     """
     made, error = calibration.made, ""
     if made is None:
-        msg = "the calibration does not say how it was made; `armrig calibrate` makes one"
-        raise CalibrationFileError(msg)
+        raise CalibrationFileError(
+            "the calibration does not say how it was made; `armrig calibrate` makes one"
+        )
     if len(toml_of(calibration).encode()) > _TOML_LIMIT:
         error = f"the calibration takes more than the {_TOML_LIMIT} B allowed"
     elif len(raw) > RAW_LIMIT:
@@ -106,8 +104,7 @@ def check_measured(calibration: Calibration, raw: bytes) -> Made:
     elif (hashlib.sha256(raw).hexdigest() if raw else "") != made.raw_sha256:
         error = "the samples beside it are not those that it was estimated from"
     if error:
-        msg = f"{error}; calibrate anew with `armrig calibrate`"
-        raise CalibrationFileError(msg)
+        raise CalibrationFileError(f"{error}; calibrate anew with `armrig calibrate`")
     return made
 
 
@@ -131,11 +128,11 @@ def _raw(path: Path, sha256: str) -> bytes:
     try:
         data = read_bounded(beside, RAW_LIMIT)
     except OSError as err:
-        msg = f"{beside}: {err.strerror}; {way_out}"
-        raise CalibrationFileError(msg) from err
+        raise CalibrationFileError(f"{beside}: {err.strerror}; {way_out}") from err
     if hashlib.sha256(data).hexdigest() != sha256:
-        msg = f"{beside}: not the samples that {path.name} was estimated from; {way_out}"
-        raise CalibrationFileError(msg)
+        raise CalibrationFileError(
+            f"{beside}: not the samples that {path.name} was estimated from; {way_out}"
+        )
     return data
 
 

@@ -59,11 +59,9 @@ def _table(path: Path) -> Any:
     except PermissionError:
         return {}
     except OSError as err:
-        msg = f"{path}: {err.strerror}"
-        raise ValueError(msg) from err
+        raise ValueError(f"{path}: {err.strerror}") from err
     except TomlError as err:
-        msg = f"{path}: {err}"
-        raise ValueError(msg) from err
+        raise ValueError(f"{path}: {err}") from err
     return _anchored(tables.get("client", {}), path.absolute().parent)
 
 
@@ -74,13 +72,12 @@ def _anchored(table: Any, directory: Path) -> Any:
 def _checked(table: Any, where: str) -> dict[str, str]:
     known = [field.name for field in fields(ClientSettings)]
     if not isinstance(table, Mapping):
-        msg = f"{where}: client must be a table, [client]"
-        raise ValueError(msg)
+        raise ValueError(f"{where}: client must be a table, [client]")
     for key, value in table.items():
         if key not in known:
-            msg = f"{where}: client.{key} = {value!r}: no such key; allowed are {', '.join(known)}"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{where}: client.{key} = {value!r}: no such key; allowed are {', '.join(known)}"
+            )
         if not isinstance(value, str):
-            msg = f"{where}: client.{key} = {value!r}: must be text"
-            raise ValueError(msg)
+            raise ValueError(f"{where}: client.{key} = {value!r}: must be text")
     return dict(table)

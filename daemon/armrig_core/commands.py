@@ -253,37 +253,35 @@ def parse(name: str, payload: bytes) -> Requests:
     """
     kind = REQUESTS.get(name)
     if kind is None:
-        msg = f"command {name!r}: allowed are {', '.join(REQUESTS)}"
-        raise ValueError(msg)
+        raise ValueError(f"command {name!r}: allowed are {', '.join(REQUESTS)}")
     try:
         request = msgspec.json.decode(payload or b"{}", type=kind)
     except msgspec.DecodeError as err:  # ValidationError is one of them
-        msg = f"{name}: {err}"
-        raise ValueError(msg) from err
+        raise ValueError(f"{name}: {err}") from err
     except RecursionError as err:
-        msg = f"{name}: nested too deeply"
-        raise ValueError(msg) from err
+        raise ValueError(f"{name}: nested too deeply") from err
     if isinstance(request, Arm) and not _is_name(request.owner):
         # It is shown to all who ask for the state: an escape sequence would reach their terminals.
-        msg = (
+        raise ValueError(
             f"arm: owner '{printable(request.owner)}': allowed are 1 to 80 characters that print, "
+            "one of them a letter or a digit"
         )
-        msg += "one of them a letter or a digit"
-        raise ValueError(msg)
     if isinstance(request, Note):
         check_note(request.text)
     if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS:
-        msg = f"run: details take more than the {MOST_DETAILS} B of JSON that are allowed"
-        raise ValueError(msg)
+        raise ValueError(
+            f"run: details take more than the {MOST_DETAILS} B of JSON that are allowed"
+        )
     return request
 
 
 def check_note(text: str) -> None:
     """Raise ValueError if a text is not allowed as a note."""
     if len(text) > MOST_NOTE or not text.isprintable() or not text.strip(f" {_FILLERS}"):
-        msg = f"note: text '{printable(text)}': allowed are 1 to {MOST_NOTE} characters that "
-        msg += "print, on one line, and not blanks alone"
-        raise ValueError(msg)
+        raise ValueError(
+            f"note: text '{printable(text)}': allowed are 1 to {MOST_NOTE} characters that "
+            "print, on one line, and not blanks alone"
+        )
 
 
 def _is_name(owner: str) -> bool:

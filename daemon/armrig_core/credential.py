@@ -78,8 +78,7 @@ def check_name(name: str) -> str:
     The daemon's access list names him so, and so do the keys of his commands.
     """
     if not _NAME.fullmatch(name):
-        msg = f"name '{printable(name)}': 1 to 40 of a-z, 0-9 and - are allowed"
-        raise ValueError(msg)
+        raise ValueError(f"name '{printable(name)}': 1 to 40 of a-z, 0-9 and - are allowed")
     return name
 
 
@@ -128,14 +127,12 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
     keys = [text for label, text in blocks if label.endswith(b"PRIVATE KEY")]
     certificates = [text for label, text in blocks if label == b"CERTIFICATE"]
     if len(keys) != 1 or len(certificates) < 2:
-        msg = (
+        raise CredentialError(
             f"{path}: {len(keys)} private keys and {len(certificates)} certificates: one key, its "
             f"certificate and that of its authority are needed, as `{_MADE_BY[purpose]}` writes it"
         )
-        raise CredentialError(msg)
     if b"ENCRYPTED" in keys[0]:
-        msg = f"{path}: the key is encrypted: a key without a passphrase is needed"
-        raise CredentialError(msg)
+        raise CredentialError(f"{path}: the key is encrypted: a key without a passphrase is needed")
     authority = certificates[-1]
     try:
         shown = _shown(path, authority, purpose)
@@ -163,11 +160,13 @@ def _read(path: Path, purpose: Purpose) -> bytes:
     try:
         return read_bounded(path, CONFIGURATION_LIMIT, check)
     except FileNotFoundError as err:
-        msg = f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one"
-        raise CredentialError(msg) from err
+        raise CredentialError(
+            f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one"
+        ) from err
     except OSError as err:
-        msg = f"{path}: {err.strerror}; it must be a file that this user may read"
-        raise CredentialError(msg) from err
+        raise CredentialError(
+            f"{path}: {err.strerror}; it must be a file that this user may read"
+        ) from err
 
 
 def _shown(path: Path, authority: bytes, purpose: Purpose) -> dict[str, Any]:
@@ -213,8 +212,7 @@ def _common_name(path: Path, certificate: dict[str, Any]) -> str:
     try:
         return check_name(names[0] if names else "")
     except ValueError as err:
-        msg = f"{path}: common name in the certificate: {err}"
-        raise CredentialError(msg) from err
+        raise CredentialError(f"{path}: common name in the certificate: {err}") from err
 
 
 def _what_is_wrong(err: ssl.SSLError | ValueError, purpose: Purpose) -> str:

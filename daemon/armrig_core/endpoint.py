@@ -82,9 +82,10 @@ def endpoint(rig: str, directory: PurePosixPath) -> str:
     path = directory / f"{check_rig_id(rig)}.sock"
     length = len(bytes(str(path), "utf-8", "surrogateescape"))
     if length > SOCKET_PATH_MAX:
-        msg = f"{path}: {length} B, a socket's path has at most {SOCKET_PATH_MAX}; "
-        msg += "set XDG_RUNTIME_DIR to a shorter directory"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{path}: {length} B, a socket's path has at most {SOCKET_PATH_MAX}; "
+            "set XDG_RUNTIME_DIR to a shorter directory"
+        )
     return f"unixsock-stream/{path}"
 
 
@@ -98,17 +99,19 @@ def check_listen(where: str) -> str:
     """
     found = _NETWORK.fullmatch(where)
     if found is None or not 0 < int(found[4]) < 1 << 16:
-        msg = f"listen = {where!r} must be tls/HOST:PORT or tcp/127.0.0.1:PORT, such as "
-        msg += "tls/0.0.0.0:7447"
-        raise ValueError(msg)
+        raise ValueError(
+            f"listen = {where!r} must be tls/HOST:PORT or tcp/127.0.0.1:PORT, such as "
+            "tls/0.0.0.0:7447"
+        )
     host = found[2] or found[3]
     loopback = False
     with suppress(ValueError):  # a name may lead anywhere
         loopback = ipaddress.ip_address(host).is_loopback
     if found[1] == "tcp" and not loopback:
-        msg = f"listen = {where!r}: tcp is not encrypted: allowed is tcp/127.0.0.1:{found[4]}; "
-        msg += f"for a network take tls/{host}:{found[4]} with certificates"
-        raise ValueError(msg)
+        raise ValueError(
+            f"listen = {where!r}: tcp is not encrypted: allowed is tcp/127.0.0.1:{found[4]}; "
+            f"for a network take tls/{host}:{found[4]} with certificates"
+        )
     return found[1]
 
 

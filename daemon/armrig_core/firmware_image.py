@@ -62,8 +62,7 @@ def read_image(path: Path) -> FirmwareImage:
     try:
         data = _flash(text.decode("ascii").split())
     except ValueError as err:
-        msg = f"{path}: no firmware in Intel HEX: {err}"
-        raise ImageError(msg) from err
+        raise ImageError(f"{path}: no firmware in Intel HEX: {err}") from err
     return FirmwareImage(path=path, data=data, sha256=sha256(text).hexdigest())
 
 
@@ -79,10 +78,8 @@ def _flash(lines: list[str]) -> bytes:
         elif kind == _END:
             return _joined(memory)
         elif kind not in _STARTS:
-            msg = f"line {number} is of the unknown kind {kind}"
-            raise ValueError(msg)
-    msg = "it has no end; maybe it was cut off"
-    raise ValueError(msg)
+            raise ValueError(f"line {number} is of the unknown kind {kind}")
+    raise ValueError("it has no end; maybe it was cut off")
 
 
 def _record(line: str, number: int) -> tuple[int, int, bytes]:
@@ -92,22 +89,18 @@ def _record(line: str, number: int) -> tuple[int, int, bytes]:
     except ValueError:
         text = b""
     if not line.startswith(":") or len(text) < 5 or len(text) != text[0] + 5:
-        msg = f"line {number} is no record"
-        raise ValueError(msg)
+        raise ValueError(f"line {number} is no record")
     if sum(text) & 0xFF:
-        msg = f"the checksum of line {number} is wrong"
-        raise ValueError(msg)
+        raise ValueError(f"the checksum of line {number} is wrong")
     return text[3], int.from_bytes(text[1:3], "big"), text[4:-1]
 
 
 def _joined(memory: dict[int, bytes]) -> bytes:
     if 0 not in memory:
-        msg = "nothing stands at address 0, where the processor begins"
-        raise ValueError(msg)
+        raise ValueError("nothing stands at address 0, where the processor begins")
     end = max(address + len(data) for address, data in memory.items())
     if end > _LONGEST_FILE:
-        msg = f"it goes up to address {end:#x}"
-        raise ValueError(msg)
+        raise ValueError(f"it goes up to address {end:#x}")
     flash = bytearray([_ERASED]) * end
     for address, data in memory.items():
         flash[address : address + len(data)] = data

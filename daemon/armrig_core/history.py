@@ -70,8 +70,7 @@ def decode_past(data: bytes) -> Past:
         They are none.
     """
     if len(data) > ANSWER_LIMIT:
-        msg = f"{len(data)} B are no history, which has at most {ANSWER_LIMIT}"
-        raise HistoryError(msg)
+        raise HistoryError(f"{len(data)} B are no history, which has at most {ANSWER_LIMIT}")
     try:
         life, first, offset_ns = _HEAD.unpack_from(data)
         at = _HEAD.size
@@ -80,14 +79,11 @@ def decode_past(data: bytes) -> Past:
             stream, length = _MESSAGE.unpack_from(data, at)
             at += _MESSAGE.size
             if stream >= len(STREAMS) or length > len(data) - at:
-                msg = f"a message of stream {stream} and {length} B is none"
-                raise HistoryError(msg)
+                raise HistoryError(f"a message of stream {stream} and {length} B is none")
             messages.append((STREAMS[stream], data[at : at + length]))
             at += length
     except error as err:
-        msg = f"{len(data)} B are no history"
-        raise HistoryError(msg) from err
+        raise HistoryError(f"{len(data)} B are no history") from err
     if first + len(messages) > NUMBER_LIMIT:
-        msg = f"there is no message of number {first}"
-        raise HistoryError(msg)
+        raise HistoryError(f"there is no message of number {first}")
     return Past(life, first, offset_ns, tuple(messages))

@@ -162,14 +162,12 @@ def check_whole_numbers(record: Manifest | Outcome | Recovered) -> None:
     for name in record.__struct_fields__:
         value = getattr(record, name)
         if isinstance(value, int) and not -(2**63) <= value < 2**63:
-            msg = f"{name} does not fit into 64 bit"
-            raise ValueError(msg)
+            raise ValueError(f"{name} does not fit into 64 bit")
         depth, layer = 0, [value]
         while layer := [v for outer in layer for v in _within(outer)]:
             depth += 1
             if depth > _DEPTH_LIMIT:
-                msg = f"{name} is nested more than {_DEPTH_LIMIT} deep"
-                raise ValueError(msg)
+                raise ValueError(f"{name} is nested more than {_DEPTH_LIMIT} deep")
 
 
 def _within(value: Any) -> Iterable[Any]:

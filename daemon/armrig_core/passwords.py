@@ -36,8 +36,9 @@ def read_users(path: Path) -> dict[str, str]:
     try:
         lines = decoded(read_bounded(path, CONFIGURATION_LIMIT, check)).splitlines()
     except OSError as err:
-        msg = f"{path}: {err.strerror}; a line user:password for each user is needed there"
-        raise PasswordError(msg) from err
+        raise PasswordError(
+            f"{path}: {err.strerror}; a line user:password for each user is needed there"
+        ) from err
     except TextError as err:
         raise PasswordError(f"{path}: {err}") from err
     users: dict[str, str] = {}
@@ -47,12 +48,12 @@ def read_users(path: Path) -> dict[str, str]:
         name, _, password = (part.strip() for part in line.partition(":"))
         wrong = _wrong(name, password, users)
         if wrong:
-            msg = f"{path}: line {number}: {wrong}"
-            raise PasswordError(msg)
+            raise PasswordError(f"{path}: line {number}: {wrong}")
         users[name] = password
     if not users:
-        msg = f"{path}: nobody is in it; a line user:password for each user is needed"
-        raise PasswordError(msg)
+        raise PasswordError(
+            f"{path}: nobody is in it; a line user:password for each user is needed"
+        )
     return users
 
 

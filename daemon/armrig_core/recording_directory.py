@@ -51,8 +51,7 @@ def directory_of(given: str) -> Path:
     try:
         return Path(given).expanduser().absolute()
     except RuntimeError as err:
-        msg = f"recording.directory = {given!r}: there is no such user"
-        raise ValueError(msg) from err
+        raise ValueError(f"recording.directory = {given!r}: there is no such user") from err
 
 
 def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
@@ -100,13 +99,10 @@ def _named_in(path: Path, otherwise: str) -> str:
     try:
         table: Any = read_toml(path, CONFIGURATION_LIMIT).get("recording", {})
     except OSError as err:
-        msg = f"{path}: {err.strerror}"
-        raise ValueError(msg) from err
+        raise ValueError(f"{path}: {err.strerror}") from err
     except TomlError as err:
-        msg = f"{path}: {err}"
-        raise ValueError(msg) from err
+        raise ValueError(f"{path}: {err}") from err
     given = table.get("directory", otherwise) if isinstance(table, dict) else None
     if not isinstance(given, str):
-        msg = f"{path}: [recording] directory must be the path of a directory"
-        raise ValueError(msg)
+        raise ValueError(f"{path}: [recording] directory must be the path of a directory")
     return given

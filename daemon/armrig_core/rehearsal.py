@@ -113,12 +113,11 @@ def _check(key: str, values: _Array, limit: float, does: str, unit: str, Ts: flo
     if not limit or not reached.any():
         return
     i = int(np.argmax(reached))
-    msg = (
+    raise RehearsalError(
         f"the rehearsal {does} up to {values.max():.3g} {unit}: limits.{key} = {limit:g} is "
         f"reached at u[{i}], {i * Ts:.3g} s; shorten the input or lower its voltages, "
         f"or raise limits.{key}"
     )
-    raise RehearsalError(msg)
 
 
 def _steps(

@@ -25,8 +25,7 @@ def check_rig_id(rig: str) -> str:
     """Return `rig`, or raise ValueError where it cannot be part of a key."""
     _require_text(rig)
     if not is_rig_id(rig):
-        msg = f"rig id {rig!r}: 1 to {_LONGEST} of a-z, 0-9 and - are allowed"
-        raise ValueError(msg)
+        raise ValueError(f"rig id {rig!r}: 1 to {_LONGEST} of a-z, 0-9 and - are allowed")
     return rig
 
 
@@ -45,8 +44,7 @@ def played_id(rig: str) -> str:
 
 def _require_text(rig: object) -> None:
     if not isinstance(rig, str):
-        msg = f"rig id {rig!r} is no text: give its name in quotes, such as '{rig}'"
-        raise TypeError(msg)
+        raise TypeError(f"rig id {rig!r} is no text: give its name in quotes, such as '{rig}'")
 
 
 def stream_key(rig: str, stream: str) -> str:

@@ -17,8 +17,7 @@ def code_of(volts: float) -> int:
         The voltage is not a number in [0, 5]; it is never clamped.
     """
     if not 0.0 <= volts <= U_MAX_V:  # NaN fails this, too
-        msg = f"{volts!r} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed"
-        raise ValueError(msg)
+        raise ValueError(f"{volts!r} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed")
     return round(volts / U_MAX_V * CODE_FULL_SCALE)
 
 

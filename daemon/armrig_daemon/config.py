@@ -82,8 +82,7 @@ class Device(Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Refuse a port that would act on terminals that show it, and a path of no socket."""
         if not self.port.isprintable():
-            msg = f"port = '{printable(self.port)}' must be of characters that print"
-            raise ValueError(msg)
+            raise ValueError(f"port = '{printable(self.port)}' must be of characters that print")
         socket_path(self.port)
 
 
@@ -104,8 +103,7 @@ class Timing(Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Refuse what the wire cannot say."""
         if round(self.Ts * 1e6, 3) % 1:
-            msg = f"Ts = {self.Ts} must be a whole number of microseconds"
-            raise ValueError(msg)
+            raise ValueError(f"Ts = {self.Ts} must be a whole number of microseconds")
 
 
 class Limits(Table, frozen=True, kw_only=True):
@@ -125,11 +123,11 @@ class Limits(Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Refuse an empty range, and turns that the wire would round."""
         if round(self.revolutions * 100, 6) % 1:
-            msg = f"revolutions = {self.revolutions} must be a whole number of hundredths"
-            raise ValueError(msg)
+            raise ValueError(
+                f"revolutions = {self.revolutions} must be a whole number of hundredths"
+            )
         if self.u_min_v > self.u_max_v:
-            msg = f"u_min_v = {self.u_min_v} must not be above u_max_v = {self.u_max_v}"
-            raise ValueError(msg)
+            raise ValueError(f"u_min_v = {self.u_min_v} must not be above u_max_v = {self.u_max_v}")
 
 
 class Motor(Table, frozen=True, kw_only=True):
@@ -141,11 +139,10 @@ class Motor(Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Refuse what a stop of ours would not be."""
         if self.rest_v != 0:
-            msg = (
+            raise ValueError(
                 f"rest_v = {self.rest_v} must be 0: every stop of this daemon is 0 V; it cannot "
                 "drive a rig whose driver stands still at another voltage"
             )
-            raise ValueError(msg)
 
 
 _Parameter = Annotated[float, Meta(gt=0, le=1e6)] | None
@@ -223,8 +220,9 @@ class Access(Table, frozen=True, kw_only=True):
         if self.listen:
             check_listen(self.listen)
         if self.router and not (self.router.startswith("tls/") and network_address(self.router)):
-            msg = f"router = {self.router!r} must be tls/HOST:PORT, such as tls/lab.local:7447"
-            raise ValueError(msg)
+            raise ValueError(
+                f"router = {self.router!r} must be tls/HOST:PORT, such as tls/lab.local:7447"
+            )
 
 
 class Client(Table, frozen=True, kw_only=True):
@@ -345,8 +343,7 @@ def load(
     try:
         check(config.ts_us, config.device.baud)
     except ValueError as err:
-        msg = f"[timing] {err}"
-        raise ConfigError(msg) from err
+        raise ConfigError(f"[timing] {err}") from err
     return config
 
 
@@ -375,14 +372,14 @@ def load_installed(
     own = of_rig(first.rig.id)
     if own == SYSTEM or not own.exists():
         if system:
-            msg = f"{own}: there is no such file; write one, `armrigd config --example` prints all "
-            msg += "keys; at least [device] port"
-            raise ConfigError(msg)
+            raise ConfigError(
+                f"{own}: there is no such file; write one, `armrigd config --example` prints all "
+                "keys; at least [device] port"
+            )
         return first
     named = load([own], {}, {}, below={"rig": {"id": first.rig.id}}).rig.id
     if named != first.rig.id:
-        msg = f"{own}: rig.id = {named!r}: this is the file of rig {first.rig.id!r}"
-        raise ConfigError(msg)
+        raise ConfigError(f"{own}: rig.id = {named!r}: this is the file of rig {first.rig.id!r}")
     return load(installed(first.rig.id, system=system), environ, overrides, below=below)
 
 
@@ -393,18 +390,19 @@ def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str,
         return layer
     file, beside = given["file"], [key for key in given if key != "file"]
     if not isinstance(file, str) or not file:
-        msg = f"{where}: calibration.file = {file!r}: must be the path of a calibration's TOML"
-        raise ConfigError(msg)
+        raise ConfigError(
+            f"{where}: calibration.file = {file!r}: must be the path of a calibration's TOML"
+        )
     if beside:
-        msg = f"{where}: calibration.{beside[0]} is given beside calibration.file: give one of them"
-        raise ConfigError(msg)
+        raise ConfigError(
+            f"{where}: calibration.{beside[0]} is given beside calibration.file: give one of them"
+        )
     try:
         path = directory / Path(file).expanduser()
         calibration = tables_of(path)
         _check({"calibration": calibration}, str(path))
     except (CalibrationFileError, RuntimeError) as err:
-        msg = f"{where}: calibration.file = {file!r}: {err}"
-        raise ConfigError(msg) from err
+        raise ConfigError(f"{where}: calibration.file = {file!r}: {err}") from err
     return {**layer, "calibration": calibration}
 
 
@@ -414,20 +412,15 @@ def _read(path: Path) -> dict[str, Any]:
         text = read_text(path, CONFIGURATION_LIMIT)
         return toml_tables(text + "\n")  # so that an error at the end has a line, too
     except FileNotFoundError as err:
-        msg = f"{path}: there is no such file"
-        raise ConfigError(msg) from err
+        raise ConfigError(f"{path}: there is no such file") from err
     except PermissionError as err:
-        msg = f"{path}: {err.strerror}; let the daemon's user read it"
-        raise ConfigError(msg) from err
+        raise ConfigError(f"{path}: {err.strerror}; let the daemon's user read it") from err
     except OSError as err:
-        msg = f"{path}: {err.strerror}"
-        raise ConfigError(msg) from err
+        raise ConfigError(f"{path}: {err.strerror}") from err
     except TextError as err:
-        msg = f"{path}: {err}"
-        raise ConfigError(msg) from err
+        raise ConfigError(f"{path}: {err}") from err
     except TomlError as err:
-        msg = f"{path}: {_duplicate(text, err.why) or err}"
-        raise ConfigError(msg) from err
+        raise ConfigError(f"{path}: {_duplicate(text, err.why) or err}") from err
 
 
 def _duplicate(text: str, error: str) -> str:
@@ -445,8 +438,7 @@ def _check(tables: Mapping[str, Any], where: str) -> Config:
     try:
         return convert(dict(tables), Config)
     except TableError as err:
-        msg = f"{where}: {err}"
-        raise ConfigError(msg) from err
+        raise ConfigError(f"{where}: {err}") from err
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -472,14 +464,14 @@ def _from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
         known = {field.lower(): field for field in fields}
         if not key or not known:
             allowed = ", ".join(Config.__struct_fields__)
-            msg = f"environment: {name}={text!r}: must be ARMRIG_<TABLE>_<KEY>; tables: {allowed}"
-            raise ConfigError(msg)
+            raise ConfigError(
+                f"environment: {name}={text!r}: must be ARMRIG_<TABLE>_<KEY>; tables: {allowed}"
+            )
         variable, name = name, known.get(key, key)
         if name in tables.get(table, {}):
-            msg = (
+            raise ConfigError(
                 f"environment: {variable}={text!r}: {table}.{name} is given twice; once is allowed"
             )
-            raise ConfigError(msg)
         tables.setdefault(table, {})[name] = text if fields.get(name) is str else _value(text)
     return tables
 

@@ -18,8 +18,9 @@ def experiments() -> Any:
     """Return the script that records experiments."""
     found = importlib.util.spec_from_file_location("experiments", FOLDER / "experiments.py")
     if found is None or found.loader is None:
-        msg = f"{FOLDER / 'experiments.py'} is not there; it records what this page shows"
-        raise FileNotFoundError(msg)
+        raise FileNotFoundError(
+            f"{FOLDER / 'experiments.py'} is not there; it records what this page shows"
+        )
     script = importlib.util.module_from_spec(found)
     found.loader.exec_module(script)
     return script

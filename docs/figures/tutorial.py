@@ -65,8 +65,7 @@ def main() -> None:
         done = [run(["identify", "@monday", *model])]
         done += [run([*command, "-o", str(FOLDER / file)]) for file, command in DRAWN.items()]
         if any(done):
-            msg = f"a command of the page was refused: exit codes {done}"
-            raise RuntimeError(msg)
+            raise RuntimeError(f"a command of the page was refused: exit codes {done}")
 
 
 if __name__ == "__main__":

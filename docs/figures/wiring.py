@@ -98,8 +98,7 @@ def points(line: Line, pitch: int) -> set[Point]:
     for (x0, y0), (x1, y1) in pairwise(line):
         n = max(abs(x1 - x0), abs(y1 - y0)) // pitch
         if min(abs(x1 - x0), abs(y1 - y0)) or n * pitch != abs(x1 - x0) + abs(y1 - y0):
-            msg = f"the line {line} must run along the grid of {pitch}"
-            raise ValueError(msg)
+            raise ValueError(f"the line {line} must run along the grid of {pitch}")
         found |= {(x0 + (x1 - x0) * k // n, y0 + (y1 - y0) * k // n) for k in range(n + 1)}
     return found
 

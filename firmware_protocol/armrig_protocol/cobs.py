@@ -15,8 +15,7 @@ LONGEST = 253
 def stuff(text: bytes) -> bytes:
     """Return `text` without any 00, one byte longer; `text` is at most `LONGEST` bytes."""
     if len(text) > LONGEST:
-        msg = f"{len(text)} bytes are too many to stuff: at most {LONGEST}"
-        raise ValueError(msg)
+        raise ValueError(f"{len(text)} bytes are too many to stuff: at most {LONGEST}")
     stuffed = bytearray(b"\0" + text)
     at = 0
     for run in text.split(b"\0"):

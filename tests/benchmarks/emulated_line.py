@@ -86,8 +86,7 @@ def block(results: Path, load: str, rights: str, runs: range, seconds: float) ->
                 stand.make_ready()
                 policy = os.sched_getscheduler(stand.loop_pid)
                 if (policy == os.SCHED_FIFO) != has_rights:
-                    msg = f"the loop has the policy {policy}: start this as root"
-                    raise SystemExit(msg)
+                    raise SystemExit(f"the loop has the policy {policy}: start this as root")
                 with LOADS_HERE[load](stand.endpoint):
                     reason = played(stand, pacing, seconds)
                 result = Result(

@@ -97,8 +97,7 @@ def tried(stand: Stand, name: str, machine: Machine, phase: float) -> Result:
                 return once(stand, ROWS[name], machine.control, phase)
         say(f"{name}: not driven until then, once more")
         machine.again.append(name)
-    msg = f"{name}: the motor was never driven for long enough in {_TRIES} tries"
-    raise RuntimeError(msg)
+    raise RuntimeError(f"{name}: the motor was never driven for long enough in {_TRIES} tries")
 
 
 def measured(names: list[str], n: int, machine: Machine) -> dict[str, list[Result]]:

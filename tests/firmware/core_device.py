@@ -189,8 +189,7 @@ class CoreDevice(Device):
         bits = self._hardware.pwm_bits
         wanted = duty(code, bits) if bits < 16 else code
         if steps != wanted or not self.is_running:
-            msg = f"{steps} steps for code {code} in state {self._fw.state.name}"
-            raise VoltageError(msg)
+            raise VoltageError(f"{steps} steps for code {code} in state {self._fw.state.name}")
         self._board.latch(t_ns, code, Cause.REQUEST)
 
     def release(self, t_ns: int) -> None:

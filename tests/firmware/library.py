@@ -118,8 +118,7 @@ def build(target: str, *constants: str) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)  # a second process waits for the first one's build
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        msg = f"the C core is not built:\n{done.stderr}"
-        raise RuntimeError(msg)
+        raise RuntimeError(f"the C core is not built:\n{done.stderr}")
     return out / target
 
 

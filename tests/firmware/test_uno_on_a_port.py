@@ -94,8 +94,7 @@ def _greet(port: Path) -> HelloReply:
             for one in received:
                 if isinstance(one, HelloReply):
                     return one
-    msg = "no answer"
-    raise AssertionError(msg)
+    raise AssertionError("no answer")
 
 
 def test_without_the_harness_it_ends_with_one_line(tmp_path: Path) -> None:

@@ -63,8 +63,7 @@ def plant(module: str, source: str) -> None:
         It was imported before: nobody would see the bug.
     """
     if module in sys.modules:
-        msg = f"{module} is imported already"
-        raise RuntimeError(msg)
+        raise RuntimeError(f"{module} is imported already")
     sys.meta_path.insert(0, Planted(module, source))  # type: ignore[arg-type]
 
 

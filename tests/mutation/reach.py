@@ -154,8 +154,9 @@ def measured(paths: list[str], packages: list[str]) -> dict[str, dict[str, Any]]
 
     status, told = in_child(run, LIMIT_S, LIMIT_S)
     if told is None or told[0] not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
-        msg = f"{' '.join(paths)} did not come to an end without a bug: {told or status}"
-        raise RuntimeError(msg)
+        raise RuntimeError(
+            f"{' '.join(paths)} did not come to an end without a bug: {told or status}"
+        )
     for name in told[2]:
         print(f"left out, for it does not pass without a bug: {name}", flush=True)
     return {path: _of_file(path, told[1], told[3]) for path in paths}

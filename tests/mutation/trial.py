@@ -100,8 +100,7 @@ def tried(
     if code == pytest.ExitCode.OK:
         return Verdict(Outcome.SURVIVED, "", took_s)
     if not failed:
-        msg = f"pytest ended with {code}, and no test failed: do they exist?"
-        raise RuntimeError(msg)
+        raise RuntimeError(f"pytest ended with {code}, and no test failed: do they exist?")
     return Verdict(Outcome.CAUGHT, failed, took_s)
 
 
@@ -138,8 +137,7 @@ def tried_in(copy: Path, tests: list[str], markers: str, clock_s: float) -> Verd
     if child.returncode in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
         return Verdict(Outcome.SURVIVED, "", took_s)
     if child.returncode == pytest.ExitCode.USAGE_ERROR:
-        msg = f"pytest did not run: {shlex.join(words)}"
-        raise RuntimeError(msg)
+        raise RuntimeError(f"pytest did not run: {shlex.join(words)}")
     failed = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
     by = failed[1] if failed else f"the process ended with status {child.returncode}"
     return Verdict(Outcome.CAUGHT, by, took_s)

@@ -79,8 +79,9 @@ def batch(
     check_writable()
     items = items_in(folder, rigs=rigs, kinds=kinds)
     if not items:
-        msg = f"{folder}: no recording in it is asked for; `armrig ls {folder}` lists what is there"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{folder}: no recording in it is asked for; `armrig ls {folder}` lists what is there"
+        )
     header = header_of(task, folder, rigs, kinds)
     before = [] if anew else read_rows(table, header)
     with Progress(table, header, anew=anew) as progress:

@@ -46,15 +46,17 @@ class Progress:
         """
         self.path = table.with_name(table.name + SUFFIX)
         if self.path.exists() and not self.path.is_file():  # such as a link to what never ends
-            msg = f"{self.path} is there and is no file; remove it, or give another -o"
-            raise ProgressError(msg)
+            raise ProgressError(
+                f"{self.path} is there and is no file; remove it, or give another -o"
+            )
         self._file = self.path.open("a+b")
         try:
             lock(self._file)
         except BlockingIOError as err:
             self._file.close()
-            msg = f"{self.path}: another armrig batch is at it; wait for it, or give another -o"
-            raise ProgressError(msg) from err
+            raise ProgressError(
+                f"{self.path}: another armrig batch is at it; wait for it, or give another -o"
+            ) from err
         self._file.seek(0)
         content = self._file.read()
         whole, _, torn = content.rpartition(b"\n")
@@ -99,8 +101,9 @@ class Progress:
             self._file.write(msgspec.json.encode(value) + b"\n")
             self._file.flush()
         except OSError as err:
-            msg = f"{self.path}: {err.strerror}; what is done is kept, and the same command goes on"
-            raise ProgressError(msg) from err
+            raise ProgressError(
+                f"{self.path}: {err.strerror}; what is done is kept, and the same command goes on"
+            ) from err
 
 
 def still_right(

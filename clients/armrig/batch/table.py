@@ -77,8 +77,9 @@ def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
             table = parquet.read_table(file)
         found = msgspec.json.decode((table.schema.metadata or {})[KEY], type=dict[str, str])
     except (pyarrow.ArrowException, KeyError, msgspec.DecodeError, OSError) as err:
-        msg = f"{path} is there and is no table of armrig batch; give another -o"
-        raise ProgressError(msg) from err
+        raise ProgressError(
+            f"{path} is there and is no table of armrig batch; give another -o"
+        ) from err
     if found != header:
         raise ProgressError(f"{path} {OTHER}")
     rows: list[Row] = table.to_pylist()
@@ -105,11 +106,13 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
             parquet.write_table(pyarrow.Table.from_pylist(ordered, schema=schema), file)
         made.replace(path)
     except OSError as err:
-        msg = f"{path}: {err.strerror or err}; all results are kept, and the same command writes it"
-        raise ProgressError(msg) from err
+        raise ProgressError(
+            f"{path}: {err.strerror or err}; all results are kept, and the same command writes it"
+        ) from err
     except (pyarrow.ArrowException, TypeError) as err:
-        msg = f"{path}{SUFFIX}: a row in it was changed by somebody; --force begins anew"
-        raise ProgressError(msg) from err
+        raise ProgressError(
+            f"{path}{SUFFIX}: a row in it was changed by somebody; --force begins anew"
+        ) from err
     finally:
         made.unlink(missing_ok=True)
 

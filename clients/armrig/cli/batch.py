@@ -215,14 +215,11 @@ def _do(
     from armrig.cli.spinner import spinner
 
     if output.suffix != ".parquet":
-        msg = f"-o {output}: a table's name ends in .parquet"
-        raise ValueError(msg)
+        raise ValueError(f"-o {output}: a table's name ends in .parquet")
     if not output.absolute().parent.is_dir():
-        msg = f"-o {output}: there is no directory {output.parent}; make it first"
-        raise ValueError(msg)
+        raise ValueError(f"-o {output}: there is no directory {output.parent}; make it first")
     if scheduler is not None and workers is not None:
-        msg = "--workers goes with processes here; a Dask cluster has its own"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter("--workers goes with processes here; a Dask cluster has its own")
     many = workers or os.cpu_count() or 1
     with spinner("at work on") as count:
         done = batch(

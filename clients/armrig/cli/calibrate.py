@@ -209,11 +209,11 @@ def _estimated(measured: _Measured, meter_std_v: float, base: Calibration) -> Es
 def _check_figure(plot: Path | None, wanted: _Wanted) -> None:
     """Refuse, before any work, a figure that cannot be written or has nothing to show."""
     if plot is not None and plot.suffix == ".toml":
-        msg = f"-o {plot}: a figure goes there; the calibration's file is --save {plot}"
-        raise ValueError(msg)
+        raise ValueError(f"-o {plot}: a figure goes there; the calibration's file is --save {plot}")
     if plot is not None and wanted.by_hand and wanted.turns_file is None:
-        msg = f"-o {plot}: the figure shows turns, and --by-hand makes none; leave one of them out"
-        raise ValueError(msg)
+        raise ValueError(
+            f"-o {plot}: the figure shows turns, and --by-hand makes none; leave one of them out"
+        )
     check_plot(plot, [file for file in (wanted.rest_file, wanted.turns_file) if file])
 
 
@@ -228,19 +228,20 @@ def _checked(path: Path) -> Path:
     from armrig_core.calibration_file import CalibrationFileError, read_calibration
 
     if path.suffix != ".toml":
-        msg = f"--save {path}: a calibration is a TOML; give a name that ends in .toml"
-        raise ValueError(msg)
+        raise ValueError(f"--save {path}: a calibration is a TOML; give a name that ends in .toml")
     if path.exists():
         try:
             made = read_calibration(path).made
         except CalibrationFileError as err:
             if "csv.gz" not in str(err):  # a calibration that has lost its samples may be replaced
-                msg = f"--save {path}: is there already, and no calibration; give another name"
-                raise ValueError(msg) from err
+                raise ValueError(
+                    f"--save {path}: is there already, and no calibration; give another name"
+                ) from err
         else:
             if made is None:
-                msg = f"--save {path}: is there already, and was not made by `armrig calibrate`"
-                raise ValueError(msg)
+                raise ValueError(
+                    f"--save {path}: is there already, and was not made by `armrig calibrate`"
+                )
     return path
 
 
@@ -248,8 +249,9 @@ def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
     """Refuse to begin where there are questions and nobody to answer them."""
     asks = wanted.by_hand or wanted.rest_file is None or wanted.turns_file is None
     if asks and not yes and not sys.stdin.isatty():
-        msg = "there is no terminal to ask at: give --yes when the rig is ready, see --help"
-        raise ValueError(msg)
+        raise ValueError(
+            "there is no terminal to ask at: give --yes when the rig is ready, see --help"
+        )
 
 
 def _applied(code: int, rest: Recording) -> float:
@@ -289,8 +291,9 @@ def _write(
     first = recordings["rest"].manifest
     uids = {str(r.manifest.device.get("uid", "")) for r in recordings.values()}
     if len(uids) > 1 or len({r.manifest.rig for r in recordings.values()}) > 1:
-        msg = f"the recordings are of several devices or rigs: {', '.join(sorted(uids))}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the recordings are of several devices or rigs: {', '.join(sorted(uids))}"
+        )
     raw = compressed(recordings)
     made = Made(
         date=first.started,

@@ -106,12 +106,12 @@ def check_turns(levels: Sequence[float], level_seconds: float) -> None:
 
     for u in levels:
         if not 0 < u <= U_MAX_V:
-            msg = f"--volts {u:g}: must be more than 0 and at most {U_MAX_V:g} V"
-            raise ValueError(msg)
+            raise ValueError(f"--volts {u:g}: must be more than 0 and at most {U_MAX_V:g} V")
     if not SETTLE_S + LEAST_S < level_seconds <= _LONGEST_LEVEL_S:
-        msg = f"--level-seconds {level_seconds:g}: must be more than {SETTLE_S + LEAST_S:g} s, "
-        msg += f"of which the first {SETTLE_S:g} s are not used, and at most {_LONGEST_LEVEL_S:g}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--level-seconds {level_seconds:g}: must be more than {SETTLE_S + LEAST_S:g} s, "
+            f"of which the first {SETTLE_S:g} s are not used, and at most {_LONGEST_LEVEL_S:g}"
+        )
 
 
 def meter_reading(text: str) -> tuple[int, float]:
@@ -124,7 +124,8 @@ def meter_reading(text: str) -> tuple[int, float]:
     except ValueError:
         reading = 0, 0.0
     if not 0 < reading[0] <= CODE_FULL_SCALE or not 0 < reading[1] <= 10:
-        msg = f"--meter {text}: must be CODE=VOLTS, a code of 1 to {CODE_FULL_SCALE} and what the "
-        msg += "meter shows, such as 32768=2.49"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--meter {text}: must be CODE=VOLTS, a code of 1 to {CODE_FULL_SCALE} and what the "
+            "meter shows, such as 32768=2.49"
+        )
     return reading

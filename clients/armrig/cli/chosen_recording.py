@@ -91,9 +91,10 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
     if len(found) > 1:
         listed = "; ".join(described(s) for s in found[:_LISTED])
         rest = f"; and {len(found) - _LISTED} older ones" if len(found) > _LISTED else ""
-        msg = f"{text} may be any of {len(found)} recordings, newest first: {listed}{rest}; take "
-        msg += "one of these, and give the next a --name of its own"
-        raise NoSuchRecordingError(msg)
+        raise NoSuchRecordingError(
+            f"{text} may be any of {len(found)} recordings, newest first: {listed}{rest}; take "
+            "one of these, and give the next a --name of its own"
+        )
     return found[0]
 
 

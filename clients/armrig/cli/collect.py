@@ -240,12 +240,12 @@ def bla(
 
     realisations(3, 1, low, high, seed, periods=1)
     if seconds is not None and period is not None:
-        msg = f"--seconds {seconds:g} with --period {period:g}: a recording is {periods} periods "
-        msg += "long (--periods); give one of the two"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--seconds {seconds:g} with --period {period:g}: a recording is {periods} periods "
+            "long (--periods); give one of the two"
+        )
     if period is not None and not period > 0:  # NaN neither
-        msg = f"--period {period:g}: must be a number of seconds, more than 0"
-        raise ValueError(msg)
+        raise ValueError(f"--period {period:g}: must be a number of seconds, more than 0")
     if seconds is None:
         seconds = periods * (PERIOD_S if period is None else period)
     details = {"input": "multisine", "low": low, "high": high, "periods": periods}

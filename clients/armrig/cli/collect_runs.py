@@ -63,9 +63,10 @@ def chosen_inputs(
         msg += "a file is played with --file CSV, and with no other --input than csv"
         raise ValueError(msg)
     if validation and name not in SEEDED:
-        msg = f"--validation: {name} would be the same again; take an input with a seed "
-        msg += f"({', '.join(SEEDED)}), or collect twice"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--validation: {name} would be the same again; take an input with a seed "
+            f"({', '.join(SEEDED)}), or collect twice"
+        )
     if file is not None:
         return [_from_file(experiment, file, seconds, Ts)]
     figures = {"a": a, "low": low, "high": high}
@@ -89,8 +90,7 @@ def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | N
     from armrig.excitation import from_csv
 
     if seconds is not None:
-        msg = f"--seconds {seconds:g}: a file has its own length; leave it out"
-        raise ValueError(msg)
+        raise ValueError(f"--seconds {seconds:g}: a file has its own length; leave it out")
     file.stat()  # a file that is not there is told here
     if Ts is not None:
         from_csv(file, Ts)
@@ -103,12 +103,10 @@ def _experiment_name(experiment: str, name: str) -> str:
     whole = f"{experiment}-{name}" if name else experiment
     if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _LONGEST_NAME:
         most = _LONGEST_NAME - len(experiment) - 1
-        msg = f"--name {name}: at most {most} of a-z, 0-9 and - are allowed"
-        raise ValueError(msg)
+        raise ValueError(f"--name {name}: at most {most} of a-z, 0-9 and - are allowed")
     if name == "last" or re.match(r"validation\b", name):
         meant = "@last is the newest recording" if name == "last" else "--validation adds that"
-        msg = f"--name {name}: {meant}; give another name"
-        raise ValueError(msg)
+        raise ValueError(f"--name {name}: {meant}; give another name")
     return whole
 
 

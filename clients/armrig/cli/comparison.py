@@ -82,9 +82,10 @@ def compare(
     """
     changed = physics_beside(given) if given else {}
     if other is None and not model:
-        msg = "give a second recording to validate with, or the models to compare, --model FILE "
-        msg += "(from `armrig identify --save FILE`)"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            "give a second recording to validate with, or the models to compare, --model FILE "
+            "(from `armrig identify --save FILE`)"
+        )
     files = [file] if other is None else [file, other]
     check_plot(plot, [*files, *(model or [])])
     saved = _saved_models(model or [])

@@ -113,8 +113,7 @@ def wait_until_safe(rig: Rig) -> None:
     while (status := rig.status()).phase != "safe":
         if time.monotonic() > until:
             why = status.reason or status.line or status.phase
-            msg = f"the emulated rig is not ready after {_SAFE_S:g} s: {why}"
-            raise RigError(msg)
+            raise RigError(f"the emulated rig is not ready after {_SAFE_S:g} s: {why}")
         if status.phase == "fault":
             rig.reset()
         time.sleep(0.05)

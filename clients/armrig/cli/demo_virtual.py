@@ -64,6 +64,7 @@ def record_in_virtual_time(
         raise
     if player.returncode:
         lines = complaint.decode(errors="replace").strip().splitlines()
-        msg = lines[-1] if lines else f"armrigd virtual ended with exit code {player.returncode}"
-        raise VirtualTimeError(msg)
+        raise VirtualTimeError(
+            lines[-1] if lines else f"armrigd virtual ended with exit code {player.returncode}"
+        )
     return [Path(line) for line in said.decode().splitlines()]

@@ -129,11 +129,11 @@ def _whole(out: Path) -> Iterator[None]:
 def _kind(out: Path, asked: dict[str, bool]) -> str:
     kinds = [kind for kind, wanted in asked.items() if wanted]
     if len(kinds) > 1:
-        msg = f"--{kinds[0]} and --{kinds[1]}: one file has one kind"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(f"--{kinds[0]} and --{kinds[1]}: one file has one kind")
     ending = out.suffix.lower().removeprefix(".")
     if kinds or ending in asked:
         return kinds[0] if kinds else ending
-    msg = f"{out}: give --csv, --mat, --parquet or --transforms, or a name that ends in "
-    msg += ".csv, .mat or .parquet"
-    raise typer.BadParameter(msg)
+    raise typer.BadParameter(
+        f"{out}: give --csv, --mat, --parquet or --transforms, or a name that ends in "
+        ".csv, .mat or .parquet"
+    )

@@ -80,8 +80,7 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
     if path.stem != _EACH:
         check_output(path, inputs)
     elif folder.exists() and not folder.is_dir():
-        msg = f"{folder}/: is a file; give a folder, or leave the / out"
-        raise ValueError(msg)
+        raise ValueError(f"{folder}/: is a file; give a folder, or leave the / out")
     elif not folder.is_dir():
         check_output(folder, ())
     check_figure(path)

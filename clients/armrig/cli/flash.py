@@ -138,8 +138,7 @@ def _check_size(firmware: FirmwareImage) -> None:
 
     size = len(firmware.data)
     if size > FLASH_BYTES:
-        msg = f"{firmware.path}: {size} B, and an {CHIP} has room for {FLASH_BYTES}"
-        raise ValueError(msg)
+        raise ValueError(f"{firmware.path}: {size} B, and an {CHIP} has room for {FLASH_BYTES}")
 
 
 def _facts(board: Board, firmware: FirmwareImage, call: list[str]) -> dict[str, Any]:
@@ -184,9 +183,10 @@ def _written(
     with spinner("waiting for the board"):
         device = greeting(board.port, baud)
     if device is None:
-        msg = f"{board.port}: the firmware was written, and does not answer at {baud} baud; was it "
-        msg += "built for another speed (--baud), or is another board there?"
-        raise avrdude.FlashError(msg)
+        raise avrdude.FlashError(
+            f"{board.port}: the firmware was written, and does not answer at {baud} baud; was it "
+            "built for another speed (--baud), or is another board there?"
+        )
     _check_firmware(device, firmware)
     volts = "it drives the motor" if device.state == State.RUN else "0 V"
     if not json:
@@ -206,6 +206,7 @@ def _check_firmware(device: HelloReply, firmware: FirmwareImage) -> None:
     from armrig.rig.flash.avrdude import FlashError
 
     if device.firmware != firmware.crc:
-        msg = f"the board says that it runs the firmware {device.firmware:08x}, and not "
-        msg += f"{firmware.crc:08x}, which was written; flash it again"
-        raise FlashError(msg)
+        raise FlashError(
+            f"the board says that it runs the firmware {device.firmware:08x}, and not "
+            f"{firmware.crc:08x}, which was written; flash it again"
+        )

@@ -35,8 +35,9 @@ def record_many(
 
     where = source or configured_connect()
     if not where:
-        msg = "--from is missing: where are the rigs? Give a router, such as tls/lab.local:7447"
-        raise ValueError(msg)
+        raise ValueError(
+            "--from is missing: where are the rigs? Give a router, such as tls/lab.local:7447"
+        )
     folder = out or Path()
     folder.mkdir(parents=True, exist_ok=True)
     with open_endpoint(where).session as session:
@@ -80,8 +81,9 @@ def _say(recorded: list[RigRecorded], where: str, *, json: bool) -> None:
             echo(f"{file.path}: {file.samples} samples, {file.missing} missing, {file.outcome}")
     if failed:
         names = ", ".join(one.rig for one in failed)
-        msg = f"of {len(recorded)} rigs the recording of {names} ended early; see above"
-        raise RuntimeError(msg)
+        raise RuntimeError(
+            f"of {len(recorded)} rigs the recording of {names} ended early; see above"
+        )
     if not files:
         msg = f"no rig at {where} published a sample: there is nothing to record; "
         raise RuntimeError(msg + "`armrig ls --live` shows which rigs are there")

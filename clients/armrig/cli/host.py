@@ -43,11 +43,11 @@ def demo(
     from armrig.cli.demo import from_here
 
     if directory.exists() and not directory.is_dir():
-        msg = f"--directory {directory}: is a file; give a directory, which is made where none is"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--directory {directory}: is a file; give a directory, which is made where none is"
+        )
     if not seconds <= _LONGEST_DEMO_S:  # NaN neither
-        msg = f"--seconds {seconds:g}: 5 to {_LONGEST_DEMO_S:g} s"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {_LONGEST_DEMO_S:g} s")
     console = Console(stderr=json)
     how = {"virtual": virtual or firmware, "firmware": firmware}
     done = run_demo(directory, seconds=seconds, seed=seed, console=console, **how)
@@ -127,8 +127,9 @@ def _rates(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(rate) for rate in text.split(","))
     except ValueError as err:
-        msg = f"--rates {text!r}: whole numbers of Hz with commas are wanted, such as 100,1000"
-        raise typer.BadParameter(msg) from err
+        raise typer.BadParameter(
+            f"--rates {text!r}: whole numbers of Hz with commas are wanted, such as 100,1000"
+        ) from err
 
 
 def conformance(

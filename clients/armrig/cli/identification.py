@@ -236,8 +236,9 @@ def _checked_orders(
         _check_nothing_fixed(given, weights=weights)
         return {}
     if structure is None:
-        msg = "give --structure, such as --structure oe --integrator, or --search"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            "give --structure, such as --structure oe --integrator, or --search"
+        )
     return chosen_orders(structure, given)
 
 
@@ -245,15 +246,15 @@ def _check_nothing_fixed(given: dict[str, int | None], *, weights: str | None) -
     """Refuse orders beside a search for them."""
     fixed = {name: value for name, value in (given | {"weights": weights}).items() if value}
     for name, value in fixed.items():
-        msg = f"--{name} {value} does not go with --search, which tries orders up to --max-order"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            f"--{name} {value} does not go with --search, which tries orders up to --max-order"
+        )
 
 
 def _checked_weights(structure: Structure | None, weights: Weights | None) -> Weights | None:
     """Refuse weights of a projection where there is none."""
     if weights is not None and structure != "n4sid":
-        msg = f"--weights {weights} goes with --structure n4sid"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(f"--weights {weights} goes with --structure n4sid")
     return weights
 
 

@@ -148,12 +148,14 @@ def _recommended(problem: Sinusoid, methods: Sequence[str], tolerance: float) ->
 def _check_step(h: float, problem: Sinusoid) -> None:
     """Refuse a step that is not positive, longer than the span, or that would take for ever."""
     if not (isfinite(h) and 0 < h <= problem.span):
-        msg = f"--h {h:g}: a step is > 0 and at most the span, {problem.span:.4g} s"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            f"--h {h:g}: a step is > 0 and at most the span, {problem.span:.4g} s"
+        )
     if problem.span / h > _MOST_STEPS:
-        msg = f"--h {h:g}: {problem.span / h:.0f} steps; at most {_MOST_STEPS}: "
-        msg += "take a larger step, or a shorter --span"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            f"--h {h:g}: {problem.span / h:.0f} steps; at most {_MOST_STEPS}: "
+            "take a larger step, or a shorter --span"
+        )
 
 
 def _plot_solutions(solved: _Solved, plot: Path | None) -> None:

@@ -60,11 +60,11 @@ def ls(
     daemon; without one all of this machine.
     """
     if live and (where is not None or every):
-        msg = "--live lists rigs: a folder or --all of recordings does not go with it"
-        raise ValueError(msg)
+        raise ValueError("--live lists rigs: a folder or --all of recordings does not go with it")
     if connect and not live:
-        msg = f"--connect {connect}: recordings lie on a disk; --live lists the rigs there"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--connect {connect}: recordings lie on a disk; --live lists the rigs there"
+        )
     if live:
         _list_rigs(connect, json=json)
         return

@@ -47,9 +47,10 @@ def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[st
     for name, value in given.items():
         if value is not None and name not in own:
             users = " or ".join(s for s, kind in _KINDS.items() if name in kind.orders)
-            msg = f"--{name} {value} goes with --structure {users}; "
-            msg += f"{with_article(structure.upper())} model has {listed([*own, 'nk'])}"
-            raise typer.BadParameter(msg)
+            raise typer.BadParameter(
+                f"--{name} {value} goes with --structure {users}; "
+                f"{with_article(structure.upper())} model has {listed([*own, 'nk'])}"
+            )
     return {**own, **{name: value for name, value in given.items() if value is not None}}
 
 
@@ -57,9 +58,10 @@ def check_integrator(structure: Structure) -> None:
     """Refuse an integrator where there is none by construction."""
     if not _KINDS[structure].may_integrate:
         able = " or ".join(name for name, kind in _KINDS.items() if kind.may_integrate)
-        msg = f"--integrator goes with --structure {able}; "
-        msg += f"{with_article(structure.upper())} model finds its own"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            f"--integrator goes with --structure {able}; "
+            f"{with_article(structure.upper())} model finds its own"
+        )
 
 
 def check_single_estimate(
@@ -67,8 +69,7 @@ def check_single_estimate(
 ) -> None:
     """Refuse options that a search, or another structure, would do nothing with."""
     if search and stable:
-        msg = "--stable does not go with --search, whose models always are"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter("--stable does not go with --search, whose models always are")
     if offset and structure is not None and structure not in _WITH_OFFSET:
         msg = f"--offset goes with --structure {' or '.join(_WITH_OFFSET)}; take the means off, "
         raise typer.BadParameter(msg + "--detrend")

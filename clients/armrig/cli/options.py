@@ -85,8 +85,9 @@ Hampel = Annotated[
 
 def _refuse_output(given: str | None) -> None:
     if given is not None:
-        msg = f"the signal is chosen by --signal {given}; a figure's file is -o, a model's --save"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            f"the signal is chosen by --signal {given}; a figure's file is -o, a model's --save"
+        )
 
 
 NoOutput = Annotated[str | None, typer.Option("--output", hidden=True, callback=_refuse_output)]
@@ -155,11 +156,11 @@ def agree(text: str, *, yes: bool) -> None:
     if yes:
         return
     if not sys.stdin.isatty():
-        msg = "nobody is there to agree to this: --yes does it, --dry-run only shows it"
-        raise RuntimeError(msg)
+        raise RuntimeError(
+            "nobody is there to agree to this: --yes does it, --dry-run only shows it"
+        )
     if not typer.confirm(question(text), err=True):
-        msg = "nothing was done"
-        raise RuntimeError(msg)
+        raise RuntimeError("nothing was done")
 
 
 def folded(text: str, columns: int, indent: int | None = None) -> str:

@@ -13,19 +13,17 @@ def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
     name = f"-o {path}" if suffix else str(path)
     if path.is_dir():
         example = path / ("report.pdf" if suffix else "timing.png")
-        msg = f"{name}: is a directory; give a file, such as {example}"
-        raise ValueError(msg)
+        raise ValueError(f"{name}: is a directory; give a file, such as {example}")
     if path.exists() and any(f.exists() and path.samefile(f) for f in inputs):
-        msg = f"{name}: is one of the files to read, which would be lost; give another name"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{name}: is one of the files to read, which would be lost; give another name"
+        )
     if path.is_file():
         with path.open("rb") as file:
             if file.read(len(_MCAP)) == _MCAP:
-                msg = f"{name}: is a recording, which would be lost; give another name"
-                raise ValueError(msg)
+                raise ValueError(f"{name}: is a recording, which would be lost; give another name")
     if suffix and path.suffix.lower() != suffix:
-        msg = f"{name}: a report is a PDF; give a name that ends in {suffix}"
-        raise ValueError(msg)
+        raise ValueError(f"{name}: a report is a PDF; give a name that ends in {suffix}")
     if not path.absolute().parent.is_dir():
         if path.parent.exists():
             msg = f"{name}: {path.parent} is a file; give a directory that is there"

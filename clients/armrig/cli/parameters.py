@@ -111,7 +111,8 @@ def _values(given: list[str] | None) -> dict[str, float]:
             msg = f"--set {text}: give the number alone{unit}, such as "
             raise typer.BadParameter(f"{msg}--set {name}={getattr(ArmParameters(), name):g}")
         if name not in names or value is None:
-            msg = f"--set {text}: give NAME=VALUE, such as J_1=0.0017; names are {', '.join(names)}"
-            raise typer.BadParameter(msg)
+            raise typer.BadParameter(
+                f"--set {text}: give NAME=VALUE, such as J_1=0.0017; names are {', '.join(names)}"
+            )
         values[name] = value
     return values

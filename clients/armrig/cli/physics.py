@@ -219,8 +219,9 @@ def simulate(
         given_for_file: dict[str, Any] = {"--model": model, "--calibration": calibration}
         given_for_file |= {"--from": start, "--to": stop}
         for option in (name for name, value in given_for_file.items() if value not in (None, [])):
-            msg = f"{option} needs a recording, whose input is simulated with: armrig simulate F"
-            raise typer.BadParameter(msg)
+            raise typer.BadParameter(
+                f"{option} needs a recording, whose input is simulated with: armrig simulate F"
+            )
         _step(cases(given), json=json, plot=plot)
         return
     from armrig.cli.spinner import spinner
@@ -275,9 +276,10 @@ def _rig(
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"
     if model is not None and model != seen:
         what = "alpha moves: the arm was on" if seen == "arm" else "alpha rests: the arm was off"
-        msg = f"{recording.path}: --model {model}, but {what}; leave --model out, or record the "
-        msg += f"{model} (`armrig collect greybox` is for the chassis alone)"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{recording.path}: --model {model}, but {what}; leave --model out, or record the "
+            f"{model} (`armrig collect greybox` is for the chassis alone)"
+        )
     return seen
 
 
@@ -291,5 +293,6 @@ def _cuts(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(k) for k in text.split(","))
     except ValueError as err:
-        msg = f"--parts {text!r}: whole numbers with commas are wanted, such as 1,2,4"
-        raise typer.BadParameter(msg) from err
+        raise typer.BadParameter(
+            f"--parts {text!r}: whole numbers with commas are wanted, such as 1,2,4"
+        ) from err

@@ -57,8 +57,7 @@ def play(
     from armrig.rig.session import own_endpoint
 
     if not 0 < speed < inf:
-        msg = f"--speed {speed:g}: a number above 0 is needed, such as 1 or 10"
-        raise ValueError(msg)
+        raise ValueError(f"--speed {speed:g}: a number above 0 is needed, such as 1 or 10")
     run = published(file, start, stop)
     rig = played_id(check_rig_id(run.manifest.rig))
     if run.damage:

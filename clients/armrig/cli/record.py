@@ -65,13 +65,13 @@ def record(
     from armrig_core.topics import check_own_id
 
     if seconds is not None and not seconds > 0:
-        msg = f"--seconds {seconds:g}: a number above 0 is needed"
-        raise ValueError(msg)
+        raise ValueError(f"--seconds {seconds:g}: a number above 0 is needed")
     for name in rigs or ():
         check_own_id(name)
     if every and rigs:
-        msg = f"--all and --rig {rigs[0]}: one of both; --all takes every rig that is there"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--all and --rig {rigs[0]}: one of both; --all takes every rig that is there"
+        )
     with until_signal() as ended:
         if every or len(rigs or ()) > 1:
             record_many(source, rigs, out, seconds, ended, json=json)
@@ -112,8 +112,7 @@ def _record_one(
         finally:
             _finish(recording, outcome)
     if not recording.done:
-        msg = f"rig {rig} at {where} published no sample: there is nothing to record"
-        raise RuntimeError(msg)
+        raise RuntimeError(f"rig {rig} at {where} published no sample: there is nothing to record")
     _say(recording, json=json)
 
 
@@ -133,12 +132,10 @@ def _checked(path: Path) -> Path:
     from armrig_core.recording_file.part_names import ACTIVE
 
     if path.suffix != ".mcap":
-        msg = f"-o {path}: a recording's name ends in .mcap"
-        raise ValueError(msg)
+        raise ValueError(f"-o {path}: a recording's name ends in .mcap")
     for taken in (path, path.with_name(f"{path.name}{ACTIVE}")):
         if os.path.lexists(taken):
-            msg = f"-o {path}: {taken.name} is there already; give another name"
-            raise ValueError(msg)
+            raise ValueError(f"-o {path}: {taken.name} is there already; give another name")
     return path
 
 

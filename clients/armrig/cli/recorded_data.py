@@ -118,8 +118,9 @@ class Signals:
 
     def _other(self, file: Path, model: Model | None) -> Dataset:
         if self.calibration is not None:
-            msg = f"--calibration goes with recordings; {file} has no readings of the rig's sensors"
-            raise typer.BadParameter(msg)
+            raise typer.BadParameter(
+                f"--calibration goes with recordings; {file} has no readings of the rig's sensors"
+            )
         from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_data
         from armrig.estimation.data_faults import swapped
@@ -150,9 +151,9 @@ class Signals:
         given = {"--input": self.input, "--time": self.time, "--Ts": self.Ts}
         for name, value in given.items():
             if value is not None:
-                msg = f"{name} {value} goes with {OTHER_DATA}; the "
-                msg += f"recording {file} says it itself"
-                raise typer.BadParameter(msg)
+                raise typer.BadParameter(
+                    f"{name} {value} goes with {OTHER_DATA}; the recording {file} says it itself"
+                )
         recording = loaded([file], self.calibration, self.start, self.stop)[0]
         self._tell_of_pair(recording)
         if self.signal is None and model is not None and model.output not in _UNNAMED:
@@ -162,8 +163,9 @@ class Signals:
         for output in get_args(OutputName):
             if output == self.signal:
                 return recording.dataset(output)
-        msg = f"--signal {self.signal}: a recording has {', '.join(get_args(OutputName))}"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            f"--signal {self.signal}: a recording has {', '.join(get_args(OutputName))}"
+        )
 
     def _tell_of_pair(self, recording: Recording) -> None:
         from armrig.recordings.doubts import doubts_of_pair
@@ -279,6 +281,7 @@ def dataset_of(recording: Recording, model: Model) -> Dataset:
     for output in get_args(OutputName):
         if output == model.output:
             return recording.dataset(output)
-    msg = f"the model is of {model.output!r}, a recording has {', '.join(get_args(OutputName))}; "
-    msg += "validate it on data of what it is of"
-    raise ValueError(msg)
+    raise ValueError(
+        f"the model is of {model.output!r}, a recording has {', '.join(get_args(OutputName))}; "
+        "validate it on data of what it is of"
+    )

@@ -83,24 +83,24 @@ def replay(path: str | Path) -> Replay:
         paths = files_of(path)
         content = read(path) if paths == [path] else run_content(paths, digest=False).content
     except DamageError as err:
-        msg = f"{path}: {err}"
-        raise RecordingError(msg) from err
+        raise RecordingError(f"{path}: {err}") from err
     if content is None:
-        msg = f"{path}: is no MCAP file; replay reads what armrigd has recorded (*.mcap)"
-        raise RecordingError(msg)
+        raise RecordingError(
+            f"{path}: is no MCAP file; replay reads what armrigd has recorded (*.mcap)"
+        )
     first = next(_chunks_of(paths), None)
     if first is None or not first.state:
         why = "recorded before replay was built?"
         if content.damage:
             why = f"{content.damage}, and they would stand behind it"
-        msg = f"{path}: holds no steps of the daemon's core: {why}"
-        raise RecordingError(msg)
+        raise RecordingError(f"{path}: holds no steps of the daemon's core: {why}")
     try:
         return _replayed(paths, content, first.state)
     except Exception as err:  # the core runs on what somebody wrote there: anything may be raised
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
-        msg = f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
-        raise RecordingError(msg) from err
+        raise RecordingError(
+            f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
+        ) from err
 
 
 def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
@@ -191,9 +191,10 @@ class _Chunks:
             if chunk.number != self._count - 1:
                 return
             if len(chunk.steps) > MOST_CHUNK:
-                msg = f"a chunk of steps has {len(chunk.steps)} B; "
-                msg += f"the daemon writes {MOST_CHUNK} at most"
-                raise ValueError(msg)
+                raise ValueError(
+                    f"a chunk of steps has {len(chunk.steps)} B; "
+                    f"the daemon writes {MOST_CHUNK} at most"
+                )
             yield from trace.steps_of(chunk.steps)
 
     def holes(self) -> int:
@@ -221,8 +222,7 @@ def _same_rows(ours: Any, theirs: Any) -> int:
 def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
     """Return the codes of the attached input, as the daemon made them of it."""
     if content.input is None:
-        msg = "no input is attached"
-        raise ValueError(msg)
+        raise ValueError("no input is attached")
     u = recorded_input(path, content.input, manifest.samples)
     return np.asarray([code_of(volts) for volts in u.tolist()], dtype="<u2").tobytes()
 

@@ -105,8 +105,9 @@ def report(
     )
     check_output(output, files, suffix=".pdf")
     if output.exists() and not force:
-        msg = f"-o {output}: is there already; --force overwrites it, or give another name"
-        raise ValueError(msg)
+        raise ValueError(
+            f"-o {output}: is there already; --force overwrites it, or give another name"
+        )
     recordings: list[Recording] = []
     if edited is not None:
         _typeset_source(edited, output)
@@ -142,17 +143,18 @@ def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object
     """Refuse options that do not go together."""
     edited = given["edited"]
     if edited and (files or handout or any(given[x] for x in ("source", "answers", "set"))):
-        msg = f"--from {edited}: takes no recordings and no option but -o and --force; the folder "
-        msg += f"contains all that the report is made of, the answers in {edited}/data.json"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            f"--from {edited}: takes no recordings and no option but -o and --force; the folder "
+            f"contains all that the report is made of, the answers in {edited}/data.json"
+        )
     for name in ("answers", "set"):
         if given[name] and not handout:
-            msg = f"--{name} is for the handout's report: add --handout"
-            raise typer.BadParameter(msg)
+            raise typer.BadParameter(f"--{name} is for the handout's report: add --handout")
     if not (files or handout or given["edited"]):
-        msg = "give recordings to report on, such as those of `armrig collect blackbox "
-        msg += "--validation`; --handout needs none"
-        raise typer.BadParameter(msg)
+        raise typer.BadParameter(
+            "give recordings to report on, such as those of `armrig collect blackbox "
+            "--validation`; --handout needs none"
+        )
 
 
 def _write_questions(path: Path) -> None:
@@ -164,8 +166,9 @@ def _write_questions(path: Path) -> None:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        msg = f"--questions {path}: is there already, and may contain answers; give another name"
-        raise ValueError(msg) from None
+        raise ValueError(
+            f"--questions {path}: is there already, and may contain answers; give another name"
+        ) from None
     echo(str(path))
 
 
@@ -177,9 +180,10 @@ def _typeset_source(folder: Path, output: Path) -> None:
 
     sources = sorted(folder.glob("*.typ"))
     if len(sources) != 1:
-        msg = f"--from {folder}: has {len(sources)} files *.typ: give a folder that `armrig report "
-        msg += "--source FOLDER` wrote"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--from {folder}: has {len(sources)} files *.typ: give a folder that `armrig report "
+            "--source FOLDER` wrote"
+        )
     with spinner("typesetting"):
         pdf, places = compiled(sources[0])
     if sources[0].name == TEMPLATE:

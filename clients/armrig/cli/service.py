@@ -120,8 +120,9 @@ def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
     if dry_run:
         return False
     if root == _SYSTEM and os.geteuid() != 0:
-        msg = "only root may do this: the same with sudo, and the whole path of armrig"
-        raise RuntimeError(msg)
+        raise RuntimeError(
+            "only root may do this: the same with sudo, and the whole path of armrig"
+        )
     agree("Do this?", yes=yes)
     plan.carry_out(run_command)
     return True

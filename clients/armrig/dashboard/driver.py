@@ -181,8 +181,7 @@ class Driver:
         # It is armed by now, at 0 V: the daemon refuses the run after a stop from here on.
         stopped_s, by = self._stopped
         if stopped_s >= asked_s:
-            msg = f"not begun: stopped by {by or 'somebody'}"
-            raise RigError(msg)
+            raise RigError(f"not begun: stopped by {by or 'somebody'}")
         yield lambda done, total: self._note(done=done, total=total)
 
     def _tell(self, text: str) -> None:

@@ -66,8 +66,7 @@ def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str
             name=f"armrig, rig {rig}", host=HOST, port=port, capabilities=[], context=context
         )
     except Exception as err:  # of the SDK's own kind
-        msg = f"foxglove: port {port} of {HOST} cannot be had: {err}"
-        raise RigError(msg) from err
+        raise RigError(f"foxglove: port {port} of {HOST} cannot be had: {err}") from err
     ends = threading.Event()
     thread = threading.Thread(target=_send, args=(channels, rig, connect, ends), daemon=True)
     thread.start()

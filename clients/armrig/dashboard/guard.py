@@ -123,8 +123,10 @@ class Guard:
         # As bytes: a token that is no ASCII is wrong, and no error.
         is_his = kind == "Bearer" and self._opens(scope["path"], given.encode("latin-1"))
         if not is_his:
-            msg = "the token is missing or wrong: open the address that `armrig dashboard` printed"
-            raise Refusal(403, msg)
+            raise Refusal(
+                403,
+                "the token is missing or wrong: open the address that `armrig dashboard` printed",
+            )
 
     def _opens(self, path: str, given: bytes) -> bool:
         if path == Pass.PATH:

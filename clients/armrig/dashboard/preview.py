@@ -56,9 +56,10 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
     outside = (u < status.u_min) | (u > status.u_max)
     if outside.any():
         k = int(np.argmax(outside))
-        msg = f"u[{k}] = {u[k]:g} V is outside {status.u_min:g} … {status.u_max:g} V, what rig "
-        msg += f"{status.rig} allows"
-        raise ValueError(msg)
+        raise ValueError(
+            f"u[{k}] = {u[k]:g} V is outside {status.u_min:g} … {status.u_max:g} V, what rig "
+            f"{status.rig} allows"
+        )
     alone = status.arm_removed or plan.without_arm
     found = rehearse(u, Ts, arm_removed=alone)
     t, shown = _drawn(u, Ts)

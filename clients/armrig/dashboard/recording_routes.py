@@ -150,8 +150,7 @@ class RecordingRoutes:
         path = self._folder() / file
         is_name = Path(file).name == file and file.endswith(".mcap")
         if not is_name or path.is_symlink() or not path.is_file():
-            msg = f"{file!r}: there is no such recording in {path.parent}"
-            raise ValueError(msg)
+            raise ValueError(f"{file!r}: there is no such recording in {path.parent}")
         return path
 
     def _validation_of(self, path: Path) -> Path | None:
@@ -183,8 +182,7 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
     size = os.fstat(file.fileno()).st_size
     if file.read(len(MAGIC)) != MAGIC:
         file.close()
-        msg = f"{path.name}: not an MCAP file"
-        raise DamageError(msg)
+        raise DamageError(f"{path.name}: not an MCAP file")
 
     def pieces() -> Iterator[bytes]:
         with file:

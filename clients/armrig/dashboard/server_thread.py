@@ -74,8 +74,7 @@ class ServerThread:
             if self._server.started:
                 return
             pause.wait(0.01)
-        msg = "the server does not start"
-        raise RigError(msg)
+        raise RigError("the server does not start")
 
     def end(self) -> None:
         """End, and wait for it."""

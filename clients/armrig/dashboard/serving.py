@@ -174,7 +174,6 @@ def _listening(host: str, usual: int, port: int | None) -> socket.socket:
             listening.close()
             if port is None and tried:
                 continue
-            msg = f"port {tried} of {host}: {err.strerror}; take another --port"
-            raise RigError(msg) from err
+            raise RigError(f"port {tried} of {host}: {err.strerror}; take another --port") from err
         return listening
     raise AssertionError

@@ -41,8 +41,9 @@ def own_address() -> str:
         try:
             probe.connect(_NOBODY)
         except OSError as err:
-            msg = f"--share: this machine is on no network ({err.strerror}); join one first"
-            raise RigError(msg) from err
+            raise RigError(
+                f"--share: this machine is on no network ({err.strerror}); join one first"
+            ) from err
         return str(probe.getsockname()[0])
 
 

@@ -66,8 +66,7 @@ class Viewers:
             As many as are allowed watch already.
         """
         if len(self) >= MOST_VIEWERS:
-            msg = f"{MOST_VIEWERS} watch already: close a page"
-            raise TooManyViewersError(msg)
+            raise TooManyViewersError(f"{MOST_VIEWERS} watch already: close a page")
         self._viewers.add(viewer)
 
     def remove(self, viewer: Viewer) -> None:

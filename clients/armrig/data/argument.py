@@ -39,9 +39,10 @@ def as_dataset(data: Dataset | HasDataset) -> Dataset:
         require_visible(data)
         return data
     if not callable(getattr(data, "dataset", None)):
-        msg = f"data is a {type(data).__name__}: give a Dataset, armrig.Dataset(u=u, y=y, Ts=Ts), "
-        msg += 'or a recording, armrig.load("F.mcap")'
-        raise TypeError(msg)
+        raise TypeError(
+            f"data is a {type(data).__name__}: give a Dataset, armrig.Dataset(u=u, y=y, Ts=Ts), "
+            'or a recording, armrig.load("F.mcap")'
+        )
     return data.dataset()
 
 

@@ -105,12 +105,14 @@ class Dataset:
         u_, y_ = column("u", u), column("y", y)
         N = u_.size
         if y_.size != N:
-            msg = f"u has {N} samples and y has {y_.size}; both need one value for each instant"
-            raise ValueError(msg)
+            raise ValueError(
+                f"u has {N} samples and y has {y_.size}; both need one value for each instant"
+            )
         valid_ = np.ones(N, dtype=np.bool_) if valid is None else _mask(valid)
         if valid_.shape != (N,):
-            msg = f"valid has shape {valid_.shape}, u and y have ({N},); give one bool a sample"
-            raise ValueError(msg)
+            raise ValueError(
+                f"valid has shape {valid_.shape}, u and y have ({N},); give one bool a sample"
+            )
         valid_ &= ~np.ma.getmaskarray(np.ma.asanyarray(y))
         _require_finite("u", u_, "an input that was not applied cannot be identified from: cut it")
         _require_finite("y", y_, "mark them missing, valid=numpy.isfinite(y)", where=valid_)
@@ -118,15 +120,14 @@ class Dataset:
             require_size(name, x)
         _require_one_number(Ts)
         if not (isfinite(Ts) and Ts > 0):
-            msg = f"Ts={Ts!r} must be finite and > 0, in s"
-            raise ValueError(msg)
+            raise ValueError(f"Ts={Ts!r} must be finite and > 0, in s")
         starts_ = tuple(int(s) for s in starts)
         if starts_[:1] != (0,) or not all(a < b for a, b in pairwise((*starts_, N))):
-            msg = f"starts={starts_} must begin with 0 and rise strictly, below N={N}"
-            raise ValueError(msg)
+            raise ValueError(f"starts={starts_} must begin with 0 and rise strictly, below N={N}")
         if len(trends) not in (0, len(starts_)):
-            msg = f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
+            )
         y_[~valid_] = np.nan
         for array in (u_, y_, valid_):
             array.flags.writeable = False
@@ -188,8 +189,7 @@ class Dataset:
 
         kinds = {"time": plot_data, "spectrum": plot_spectrum, "values": plot_values}
         if kind not in kinds:
-            msg = f"kind={kind!r} must be one of {', '.join(kinds)}"
-            raise ValueError(msg)
+            raise ValueError(f"kind={kind!r} must be one of {', '.join(kinds)}")
         return figure_of(kinds[kind](self, ax=ax))
 
     def __len__(self) -> int:
@@ -199,16 +199,17 @@ class Dataset:
     def __getitem__(self, part: slice) -> Dataset:
         """Return the samples of a slice; boundaries inside it stay boundaries."""
         if not isinstance(part, slice) or part.step not in (None, 1):
-            msg = f"a Dataset is cut with data[a:b], got {part!r}; to thin it out, resample first"
-            raise TypeError(msg)
+            raise TypeError(
+                f"a Dataset is cut with data[a:b], got {part!r}; to thin it out, resample first"
+            )
         if not all(x is None or isinstance(x, Integral) for x in (part.start, part.stop)):
-            msg = f"data[{part.start}:{part.stop}] counts samples, in integers; the one at t s is "
-            msg += "number round(t / data.Ts)"
-            raise TypeError(msg)
+            raise TypeError(
+                f"data[{part.start}:{part.stop}] counts samples, in integers; the one at t s is "
+                "number round(t / data.Ts)"
+            )
         a, b, _ = part.indices(self.N)
         if b <= a:
-            msg = f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples"
-            raise ValueError(msg)
+            raise ValueError(f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples")
         if (a, b) == (0, self.N):
             return self  # it cannot be changed
         return self.replaced(
@@ -238,8 +239,9 @@ class Dataset:
         """
         require_integers(k=(k, 1))
         if not 1 <= k <= self.N:
-            msg = f"{self.N} samples cannot be split into {k} parts: 1 to {self.N} are possible"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{self.N} samples cannot be split into {k} parts: 1 to {self.N} are possible"
+            )
         edges = [round(i * self.N / k) for i in range(k + 1)]
         return tuple(self[a:b] for a, b in pairwise(edges))
 
@@ -258,9 +260,10 @@ class Dataset:
         """
         parts = list(self.experiments())
         if not which or not all(0 <= i < len(parts) for i in which):
-            msg = f"select{which} needs numbers from 0 to {len(parts) - 1}: there are "
-            msg += f"{len(parts)} experiments"
-            raise ValueError(msg)
+            raise ValueError(
+                f"select{which} needs numbers from 0 to {len(parts) - 1}: there are "
+                f"{len(parts)} experiments"
+            )
         chosen = [parts[i].replaced(step=None, history=self.history) for i in which]
         step = f"selected experiments {', '.join(map(str, which))} of {len(parts)}"
         return merge(chosen).replaced(step=step, history=self.history)
@@ -335,13 +338,13 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
     """
     _require_datasets(parts)
     if not parts:
-        msg = "merge needs at least one Dataset, got none"
-        raise ValueError(msg)
+        raise ValueError("merge needs at least one Dataset, got none")
     for name in ("Ts", "output", "unit", "input_unit"):
         values = sorted({getattr(d, name) for d in parts})
         if len(values) > 1:
-            msg = f"merge needs one {name}, got {values}; treat the data alike before merging"
-            raise ValueError(msg)
+            raise ValueError(
+                f"merge needs one {name}, got {values}; treat the data alike before merging"
+            )
     offsets = np.cumsum([0, *(d.N for d in parts[:-1])])
     trends: list[Trend] = []
     if any(d.trends for d in parts):
@@ -378,15 +381,15 @@ def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
 
 def _require_one_number(Ts: Any) -> None:
     if Ts is None or isinstance(Ts, str) or np.ndim(Ts):
-        msg = f"Ts is a {type(Ts).__name__}; give one number of seconds, such as Ts=0.01"
-        raise TypeError(msg)
+        raise TypeError(f"Ts is a {type(Ts).__name__}; give one number of seconds, such as Ts=0.01")
 
 
 def _require_datasets(parts: Any) -> None:
     if isinstance(parts, Dataset) or not all(isinstance(d, Dataset) for d in parts):
-        msg = "merge takes one list of Datasets, merge([d1, d2]); of a recording it is "
-        msg += "recording.dataset()"
-        raise TypeError(msg)
+        raise TypeError(
+            "merge takes one list of Datasets, merge([d1, d2]); of a recording it is "
+            "recording.dataset()"
+        )
 
 
 def _mask(valid: ArrayLike) -> Mask:
@@ -398,10 +401,9 @@ def require_size(name: str, x: Vector) -> None:
     """Refuse numbers whose powers have no place among those of a computer, by a ValueError."""
     largest = float(np.max(np.abs(x), initial=0.0))
     if largest > _LARGEST:
-        msg = (
+        raise ValueError(
             f"the largest |{name}| is {largest:.3g}; take a unit in which it is below {_LARGEST:g}"
         )
-        raise ValueError(msg)
 
 
 def require_visible(data: Dataset) -> None:
@@ -412,14 +414,16 @@ def require_visible(data: Dataset) -> None:
     for name, x in (("u", data.u), ("y", data.y[data.valid])):
         largest = float(np.max(np.abs(x), initial=0.0))
         if 0 < largest < _SMALLEST:
-            msg = f"the largest |{name}| is {largest:.3g}; take a unit in which it is from "
-            msg += f"{_SMALLEST:g} to {_LARGEST:g}"
-            raise ValueError(msg)
+            raise ValueError(
+                f"the largest |{name}| is {largest:.3g}; take a unit in which it is from "
+                f"{_SMALLEST:g} to {_LARGEST:g}"
+            )
 
 
 def _require_finite(name: str, x: Vector, way_out: str, where: Mask | None = None) -> None:
     bad = ~np.isfinite(x) if where is None else ~np.isfinite(x) & where
     if bad.any():
         first = int(np.argmax(bad))
-        msg = f"{name} is not finite at {bad.sum()} samples, first {x[first]} at {first}; {way_out}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{name} is not finite at {bad.sum()} samples, first {x[first]} at {first}; {way_out}"
+        )

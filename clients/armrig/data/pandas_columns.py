@@ -18,17 +18,17 @@ def plain(name: str, values: Any) -> Any:
     if not is_pandas(values):
         return values
     if getattr(values, "ndim", 1) != 1:
-        msg = (
+        raise ValueError(
             f"{name} is a table of pandas with shape {values.shape}; give one column, df[{name!r}]"
         )
-        raise ValueError(msg)
     if getattr(values.dtype, "kind", "") == "c":
         return values.to_numpy()
     try:
         return values.to_numpy(dtype=np.float64, na_value=np.nan)
     except (TypeError, ValueError) as err:
-        msg = f"{name} is a column of {values.dtype}: {err}; give numbers, see pandas.to_numeric"
-        raise ValueError(msg) from err
+        raise ValueError(
+            f"{name} is a column of {values.dtype}: {err}; give numbers, see pandas.to_numeric"
+        ) from err
 
 
 def is_pandas(values: Any) -> bool:

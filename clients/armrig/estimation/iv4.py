@@ -115,9 +115,10 @@ def _by_least_squares(parts: Sequence[ArxRows], orders: str) -> tuple[Array, Arr
     require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=y.size)
     basis = orthonormal(Phi)
     if basis.rank < d:
-        msg = f"{orders}: the data determine only {basis.rank} of {d} parameters; "
-        msg += "lower the orders or excite with a richer input"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{orders}: the data determine only {basis.rank} of {d} parameters; "
+            "lower the orders or excite with a richer input"
+        )
     return y, basis.coefficients(y)
 
 
@@ -172,9 +173,10 @@ def _solved(
     projected = basis.Q.T @ known
     scale = np.maximum(column_norms(projected[:, :-1]), np.finfo(float).tiny)
     if basis.rank < d or np.linalg.matrix_rank(projected[:, :-1] / scale) < d:
-        msg = f"{orders}: the instruments determine fewer than {d} parameters; "
-        msg += "lower the orders or excite with a richer input"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{orders}: the instruments determine fewer than {d} parameters; "
+            "lower the orders or excite with a richer input"
+        )
     inverse = np.linalg.inv(projected[:, :-1])
     theta = inverse @ projected[:, -1]
     e = [

@@ -130,18 +130,15 @@ def n4sid(
 def _require_known(weights: str, focus: str) -> None:
     if weights not in get_args(Weights):
         allowed = ", ".join(f'"{x}"' for x in get_args(Weights))
-        msg = f"weights={weights!r} must be one of {allowed}"
-        raise ValueError(msg)
+        raise ValueError(f"weights={weights!r} must be one of {allowed}")
     if focus not in get_args(Focus):
-        msg = f'focus={focus!r} must be one of "prediction", "simulation"'
-        raise ValueError(msg)
+        raise ValueError(f'focus={focus!r} must be one of "prediction", "simulation"')
 
 
 def _visible(w: Windows, order: int) -> int:
     """Return the order, or refuse one that the data do not show."""
     if order > (states := visible_states(w)):
-        msg = f"order={order}: the data show {states} states; lower the order"
-        raise ValueError(msg)
+        raise ValueError(f"order={order}: the data show {states} states; lower the order")
     return order
 
 
@@ -205,9 +202,10 @@ def _fit(
     if B is None:
         basis = orthonormal(whole[:, n.na : -1])
         if basis.rank < n.nb:
-            msg = f"u determines only {basis.rank} of {n.nb} numerator coefficients; lower the "
-            msg += "order or excite with a richer input"
-            raise ValueError(msg)
+            raise ValueError(
+                f"u determines only {basis.rank} of {n.nb} numerator coefficients; lower the "
+                "order or excite with a richer input"
+            )
         b = basis.coefficients(whole[:, -1] - whole[:, : n.na] @ free[1:])
         B = np.append(np.zeros(n.nk), b)
     parts = [

@@ -334,8 +334,7 @@ def _asked(**orders: Iterable[int]) -> list[Integers]:
     wanted = [np.unique([*values]) for values in orders.values()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
         if values.size == 0:
-            msg = f"{name} is empty; give the orders to try, such as {name}=range(1, 5)"
-            raise ValueError(msg)
+            raise ValueError(f"{name} is empty; give the orders to try, such as {name}=range(1, 5)")
         for value in values.tolist():
             require_integers(**{name: (value, lowest)})
     return wanted
@@ -343,9 +342,10 @@ def _asked(**orders: Iterable[int]) -> list[Integers]:
 
 def _require_same_rate(data: Dataset, validation: Dataset) -> None:
     if not np.isclose(validation.Ts, data.Ts, rtol=1e-9, atol=0.0):
-        msg = f"the data have Ts={data.Ts:g} s and the validation data {validation.Ts:g} s; "
-        msg += "resample one of them"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the data have Ts={data.Ts:g} s and the validation data {validation.Ts:g} s; "
+            "resample one of them"
+        )
 
 
 def _regressors(data: Dataset, na: int, lags: range) -> tuple[list[Array], int, float]:

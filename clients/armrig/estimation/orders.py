@@ -6,8 +6,7 @@ from __future__ import annotations
 def require_samples(orders: str, *, needed: int, got: int) -> None:
     """Refuse orders too high for the data."""
     if got < needed:
-        msg = f"{orders} needs at least {needed} samples, got {got}"
-        raise ValueError(msg)
+        raise ValueError(f"{orders} needs at least {needed} samples, got {got}")
 
 
 SAMPLES_PER_PARAMETER = 10
@@ -20,14 +19,17 @@ def require_sensible(*, samples: int, nk: int, integrator: bool = False, **order
     parameters, most = sum(orders.values()) - int(integrator), samples // SAMPLES_PER_PARAMETER
     if not most:
         needed = SAMPLES_PER_PARAMETER * max(parameters, nk, 1)
-        msg = f"{samples} samples are too few for a model: record longer, {needed} at least for "
-        msg += f"{asked or f'nk={nk}'}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{samples} samples are too few for a model: record longer, {needed} at least for "
+            f"{asked or f'nk={nk}'}"
+        )
     if parameters > most:
-        msg = f"{asked}: {parameters} parameters from {samples} samples; at most {most}, one for "
-        msg += f"each {SAMPLES_PER_PARAMETER} samples: lower {' or '.join(orders)}, or record "
-        msg += "longer"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{asked}: {parameters} parameters from {samples} samples; at most {most}, one for "
+            f"each {SAMPLES_PER_PARAMETER} samples: lower {' or '.join(orders)}, or record "
+            "longer"
+        )
     if nk > most:
-        msg = f"nk={nk}: at most {most} of {samples} samples; lower nk, or record longer"
-        raise ValueError(msg)
+        raise ValueError(
+            f"nk={nk}: at most {most} of {samples} samples; lower nk, or record longer"
+        )

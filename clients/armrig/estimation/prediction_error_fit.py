@@ -75,16 +75,15 @@ def searched(
     """
     if initial not in get_args(Initial):
         allowed = ", ".join(f'"{x}"' for x in get_args(Initial))
-        msg = f"initial={initial!r} must be one of {allowed}"
-        raise ValueError(msg)
+        raise ValueError(f"initial={initial!r} must be one of {allowed}")
     if starts not in get_args(Starts):
-        msg = f'starts={starts!r} must be "many" or "few"'
-        raise ValueError(msg)
+        raise ValueError(f'starts={starts!r} must be "many" or "few"')
     if initial == "backcast":
         initial = "estimate"
     if structure.offset and initial != "estimate":
-        msg = f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has none'
-        raise ValueError(msg)
+        raise ValueError(
+            f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has none'
+        )
     if initial == "auto":
         either = partial(
             searched, data, structure, name=name, orders=orders, stable=stable, starts=starts
@@ -103,9 +102,10 @@ def searched(
     solution = problem.solve(best.theta)
     if solution.rank < n.na + n.nb:
         what = "numerator coefficients" if n.na == 0 else "coefficients of A and B"
-        msg = f"{orders}: u determines only {solution.rank} of {n.na + n.nb} {what}; "
-        msg += f"lower {'nb' if n.na == 0 else 'the orders'} or excite with a richer input"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{orders}: u determines only {solution.rank} of {n.na + n.nb} {what}; "
+            f"lower {'nb' if n.na == 0 else 'the orders'} or excite with a richer input"
+        )
     notes: tuple[str, ...] = ()
     theta = best.theta
     if stable:

@@ -122,8 +122,7 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
     """
     require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
     if not 0 < forgetting <= 1:
-        msg = f"forgetting={forgetting!r} must be above 0 and at most 1, such as 0.99"
-        raise ValueError(msg)
+        raise ValueError(f"forgetting={forgetting!r} must be above 0 and at most 1, such as 0.99")
     d = na + nb
     return RarxState(
         na=na,

@@ -41,8 +41,9 @@ def usable_windows(
     got = w.N + 2 * i - 1 if w.N else min(measured, 2 * i - 1)
     require_samples(asked, needed=4 * i + 2 + 2 * i, got=got)
     if not w.R[:, w.columns("yf")].any():
-        msg = f"{data.output} is constant and shows no state; record an experiment that moves it"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{data.output} is constant and shows no state; record an experiment that moves it"
+        )
     return w
 
 

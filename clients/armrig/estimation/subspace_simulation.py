@@ -38,9 +38,10 @@ def simulating(
     found = problem.minimise(start[1:])
     solution = problem.solve(found.theta)
     if solution.rank < n.nb:
-        msg = f"{orders}: u determines only {solution.rank} of {n.nb} numerator coefficients; "
-        msg += "lower the order or excite with a richer input"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{orders}: u determines only {solution.rank} of {n.nb} numerator coefficients; "
+            "lower the order or excite with a richer input"
+        )
     free = stabilised(np.append(1.0, found.theta))
     B = np.append(np.zeros(n.nk), solution.ab)
     whole = np.convolve([1.0, -1.0], free) if n.integrator else free

@@ -56,8 +56,7 @@ def telegraph(
     require_numbers(a=a)
     rng = generator(seed)
     if not 0 <= a <= 1:
-        msg = f"a={a!r} is a probability, 0 <= a <= 1"
-        raise ValueError(msg)
+        raise ValueError(f"a={a!r} is a probability, 0 <= a <= 1")
     x = rng.random(N)
     switch = x < a
     switch[0] = x[0] < 0.5
@@ -116,8 +115,9 @@ def prbs(
     n = max(2, clocks.bit_length()) if register is None else register
     require_integers(register=(n, 2))
     if n > _LONGEST_REGISTER:
-        msg = f"register={n} is more than {_LONGEST_REGISTER} bits; lower N or lengthen the clock"
-        raise ValueError(msg)
+        raise ValueError(
+            f"register={n} is more than {_LONGEST_REGISTER} bits; lower N or lengthen the clock"
+        )
     period = 2**n - 1
     sequence, _ = max_len_seq(n)
     begin = int(generator(seed).integers(period))

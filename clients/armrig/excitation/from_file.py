@@ -56,8 +56,7 @@ def from_csv(
     try:
         text = read_text(path, MOST_BYTES)
     except TextError as err:
-        msg = f"{path}: {err}, as a CSV"
-        raise ValueError(msg) from err
+        raise ValueError(f"{path}: {err}, as a CSV") from err
     return from_text(text, Ts, name=path, low=low, high=high)
 
 
@@ -73,9 +72,10 @@ def from_text(
     outside = ~((u >= low) & (u <= high))
     if outside.any():
         k = int(np.argmax(outside))
-        msg = f"{name}, row {rows[k]}: u={u[k]:g} V (sample {k}) is outside {low:g} to {high:g} V, "
-        msg += f"as are {np.count_nonzero(outside)} of {u.size} values; scale or shift the signal"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{name}, row {rows[k]}: u={u[k]:g} V (sample {k}) is outside {low:g} to {high:g} V, "
+            f"as are {np.count_nonzero(outside)} of {u.size} values; scale or shift the signal"
+        )
     return u
 
 
@@ -83,8 +83,7 @@ def _require_figures(Ts: float, low: float, high: float) -> None:
     require_levels(low=low, high=high)
     require_numbers(Ts=Ts)
     if not 0 < Ts < np.inf:
-        msg = f"Ts={Ts!r} must be finite and > 0, in s"
-        raise ValueError(msg)
+        raise ValueError(f"Ts={Ts!r} must be finite and > 0, in s")
 
 
 def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> None:
@@ -92,10 +91,11 @@ def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> N
     wrong = ~(np.abs(t - due) <= _TIME_TOLERANCE * Ts)  # also finds NaN
     if wrong.any():
         k = int(np.argmax(wrong))
-        msg = f"{path}, row {rows[k]}: t={t[k]:.9g} s where Ts={Ts:g} s gives {due[k]:.9g} s; "
-        msg += "the time vector must agree with the step size: sample u anew, or play it with "
-        msg += f"another Ts (the file's times are {np.median(np.diff(t)):.6g} s apart)"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{path}, row {rows[k]}: t={t[k]:.9g} s where Ts={Ts:g} s gives {due[k]:.9g} s; "
+            "the time vector must agree with the step size: sample u anew, or play it with "
+            f"another Ts (the file's times are {np.median(np.diff(t)):.6g} s apart)"
+        )
 
 
 def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], list[int]]:
@@ -109,8 +109,9 @@ def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], l
     names = lines[0].split() if lines and not _is_number(lines[0].split()[0]) else []
     lines, rows = (lines[1:], rows[1:]) if names else (lines, rows)
     if not lines:
-        msg = f"{path}: no row of numbers; give u in V, or t in s and u, a row for each sample"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{path}: no row of numbers; give u in V, or t in s and u, a row for each sample"
+        )
     try:
         numbers = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
     except ValueError:
@@ -119,18 +120,16 @@ def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], l
         raise ValueError(_unreadable(path, lines, rows))
     if numbers.shape[1] == 1:
         if [name.strip("\"'").lower() for name in names] not in ([], ["u"]):
-            msg = (
+            raise ValueError(
                 f"{path}: column {', '.join(names)}; name it u, or leave the name out: what stands "
+                "in it drives the motor"
             )
-            msg += "in it drives the motor"
-            raise ValueError(msg)
         return (None, numbers[:, 0]), rows
     if not names and _may_be_decimals(text):
-        msg = (
+        raise ValueError(
             f"{path}: a comma parts what may be one number (0,5); name the columns t and u in the "
+            "first row, or part them by a semicolon and write 0.5"
         )
-        msg += "first row, or part them by a semicolon and write 0.5"
-        raise ValueError(msg)
     order = _order(path, names)
     return (numbers[:, order[0]], numbers[:, order[1]].copy()), rows
 
@@ -163,8 +162,9 @@ def _order(path: str | Path, names: list[str]) -> tuple[int, int]:
     lower = [name.strip("\"'").lower() for name in names]
     if sorted(lower) == ["t", "u"]:
         return lower.index("t"), lower.index("u")
-    msg = f"{path}: columns {', '.join(names)}; name them t and u, or leave the names out"
-    raise ValueError(msg)
+    raise ValueError(
+        f"{path}: columns {', '.join(names)}; name them t and u, or leave the names out"
+    )
 
 
 def _is_number(word: str) -> bool:

@@ -36,8 +36,7 @@ def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
     require_integers(N=(N, 1), at=(at, 0))
     require_levels(low=low, high=high)
     if at > N:
-        msg = f"at={at!r} must be a sample number, 0 <= at <= N={N}"
-        raise ValueError(msg)
+        raise ValueError(f"at={at!r} must be a sample number, 0 <= at <= N={N}")
     return np.where(np.arange(N) < at, low, high).astype(np.float64)
 
 
@@ -76,6 +75,5 @@ def staircase(
     else:
         stairs = within(levels, low=low, high=high)
     if stairs.size > N:
-        msg = f"{stairs.size} levels need as many samples at least, N={N}"
-        raise ValueError(msg)
+        raise ValueError(f"{stairs.size} levels need as many samples at least, N={N}")
     return stairs[np.arange(N) * stairs.size // N]

@@ -26,9 +26,10 @@ def within(u: ArrayLike, *, low: float = LOWEST_V, high: float = HIGHEST_V) -> V
     outside = ~((taken >= low) & (taken <= high))  # also finds NaN
     if outside.any():
         first = int(np.argmax(outside))
-        msg = f"u[{first}]={taken[first]:g} V is outside {low:g} to {high:g} V, as are "
-        msg += f"{np.count_nonzero(outside)} of {taken.size} values; scale or shift the signal"
-        raise ValueError(msg)
+        raise ValueError(
+            f"u[{first}]={taken[first]:g} V is outside {low:g} to {high:g} V, as are "
+            f"{np.count_nonzero(outside)} of {taken.size} values; scale or shift the signal"
+        )
     return taken
 
 
@@ -37,11 +38,11 @@ def require_levels(*, low: float, high: float) -> None:
     require_numbers(low=low, high=high)
     for name, level in (("low", low), ("high", high)):
         if not LOWEST_V <= level <= HIGHEST_V:  # also refuses NaN
-            msg = f"{name}={level!r} V is outside the rig's {LOWEST_V:g} to {HIGHEST_V:g} V"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{name}={level!r} V is outside the rig's {LOWEST_V:g} to {HIGHEST_V:g} V"
+            )
     if not low < high:
-        msg = f"low={low!r} V must lie below high={high!r} V"
-        raise ValueError(msg)
+        raise ValueError(f"low={low!r} V must lie below high={high!r} V")
 
 
 def generator(seed: int | np.random.Generator) -> np.random.Generator:

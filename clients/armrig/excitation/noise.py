@@ -45,8 +45,7 @@ def white_noise(
     require_integers(N=(N, 1))
     require_levels(low=low, high=high)
     if distribution not in ("uniform", "normal"):
-        msg = f'distribution={distribution!r} must be "uniform" or "normal"'
-        raise ValueError(msg)
+        raise ValueError(f'distribution={distribution!r} must be "uniform" or "normal"')
     x = generator(seed).random(N)
     if distribution == "normal":
         tail = ndtr(-_HALF_WIDTH_IN_STD)

@@ -63,12 +63,12 @@ def multisine(
     require_levels(low=low, high=high)
     if N % periods:
         nearest = max(N - N % periods, periods)
-        msg = f"N={N} is no whole number of periods={periods}; take N={nearest}"
-        raise ValueError(msg)
+        raise ValueError(f"N={N} is no whole number of periods={periods}; take N={nearest}")
     P = N // periods
     if P < 3:
-        msg = f"a period of N/periods={P} samples has no line; it needs 3 samples at least"
-        raise ValueError(msg)
+        raise ValueError(
+            f"a period of N/periods={P} samples has no line; it needs 3 samples at least"
+        )
     l = _lines(lines, P)  # noqa: E741 - the textbook's letter
     X = np.zeros(P // 2 + 1, dtype=np.complex128)
     X[l] = np.exp(2j * np.pi * generator(seed).random(l.size))
@@ -80,8 +80,7 @@ def multisine(
     else:
         require_numbers(rms=rms)
         if not rms > 0:
-            msg = f"rms={rms!r} V must be > 0"
-            raise ValueError(msg)
+            raise ValueError(f"rms={rms!r} V must be > 0")
         u = within(middle + s * rms / np.sqrt(l.size / 2), low=low, high=high)
     return np.tile(u, periods)
 
@@ -90,14 +89,14 @@ def _lines(lines: Iterable[int] | None, P: int) -> np.ndarray[tuple[int], np.dty
     highest = (P - 1) // 2
     chosen = range(1, highest + 1) if lines is None else sorted(set(lines))
     if not len(chosen):
-        msg = "lines is empty; give harmonics, for example range(1, 50)"
-        raise ValueError(msg)
+        raise ValueError("lines is empty; give harmonics, for example range(1, 50)")
     for line in () if lines is None else chosen:
         require_integers(line=(line, 1))
         if line > highest:
-            msg = f"line {line} is above {highest}, the highest below half of the period P={P}; "
-            msg += "lower it or lengthen the period"
-            raise ValueError(msg)
+            raise ValueError(
+                f"line {line} is above {highest}, the highest below half of the period P={P}; "
+                "lower it or lengthen the period"
+            )
     return np.fromiter(chosen, dtype=np.intp, count=len(chosen))
 
 
@@ -139,15 +138,14 @@ def chirp(
     require_levels(low=low, high=high)
     require_numbers(Ts=Ts, from_hz=from_hz, to_hz=to_hz)
     if sweep not in ("linear", "logarithmic"):
-        msg = f'sweep={sweep!r} must be "linear" or "logarithmic"'
-        raise ValueError(msg)
+        raise ValueError(f'sweep={sweep!r} must be "linear" or "logarithmic"')
     if not 0 < Ts < np.inf:
-        msg = f"Ts={Ts!r} must be finite and > 0, in s"
-        raise ValueError(msg)
+        raise ValueError(f"Ts={Ts!r} must be finite and > 0, in s")
     for name, f in (("from_hz", from_hz), ("to_hz", to_hz)):
         if not 0 < f < 0.5 / Ts:
-            msg = f"{name}={f!r} must be > 0 and below {0.5 / Ts:g} Hz, half the sampling frequency"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{name}={f!r} must be > 0 and below {0.5 / Ts:g} Hz, half the sampling frequency"
+            )
     t, T, ratio = Ts * np.arange(N), N * Ts, to_hz / from_hz
     if sweep == "linear":
         cycles = from_hz * t + (to_hz - from_hz) * t**2 / (2 * T)

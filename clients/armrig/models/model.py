@@ -131,8 +131,7 @@ class Model:
             if name == letter:
                 return slice(begin, begin + p.size)
             begin += p.size
-        msg = f"{letter!r} is none of a, b, c, d, f"
-        raise ValueError(msg)
+        raise ValueError(f"{letter!r} is none of a, b, c, d, f")
 
     def to_control(self) -> control.TransferFunction:
         """Return the model from u to y as a python-control transfer function with dt=Ts."""
@@ -210,9 +209,10 @@ class Model:
         omega_ = np.atleast_1d(np.asarray(omega, dtype=np.float64))
         nyquist = np.pi / self.Ts
         if omega_.size and not (omega_.min() >= 0 and omega_.max() <= nyquist * (1 + 1e-9)):
-            msg = f"omega from {omega_.min():g} to {omega_.max():g} rad/s is outside 0 to "
-            msg += f"{nyquist:g} rad/s (pi/Ts); a sampled model has no response beyond"
-            raise ValueError(msg)
+            raise ValueError(
+                f"omega from {omega_.min():g} to {omega_.max():g} rad/s is outside 0 to "
+                f"{nyquist:g} rad/s (pi/Ts); a sampled model has no response beyond"
+            )
         return omega_
 
     def _ratio(self, omega: Vector, above: str, below: str) -> tuple[Complex, Complex]:

@@ -43,8 +43,9 @@ def load_fit(path: str | PathLike[str]) -> Fit:
     try:
         text = read_text(path, MOST_BYTES)
     except TextError as err:
-        msg = f"{path}: {err}; a model is what `armrig identify --save` and fit.save(path) write"
-        raise ModelFileError(msg) from err
+        raise ModelFileError(
+            f"{path}: {err}; a model is what `armrig identify --save` and fit.save(path) write"
+        ) from err
     return fit_of(text, str(path))
 
 
@@ -64,24 +65,28 @@ def fit_of(text: str, path: str) -> Fit:
     try:
         content = json.loads(text) if text.lstrip().startswith("{") else None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
-            msg = f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
-            raise ModelFileError(msg)
+            raise ModelFileError(
+                f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
+            )
         if content.get("version") != VERSION:
-            msg = f"{path} has format version {content.get('version')!r}, this armrig reads "
-            msg += f"{VERSION}; it was written by armrig {content.get('armrig')}"
-            raise ModelFileError(msg)
+            raise ModelFileError(
+                f"{path} has format version {content.get('version')!r}, this armrig reads "
+                f"{VERSION}; it was written by armrig {content.get('armrig')}"
+            )
         fit = _restored(content)
         d = fit.theta.size
         if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
-            msg = f"{path} is a damaged model: {d} parameters and covariances of another size; "
-            msg += "save it again"
-            raise ModelFileError(msg)
+            raise ModelFileError(
+                f"{path} is a damaged model: {d} parameters and covariances of another size; "
+                "save it again"
+            )
         repr(fit), fit.poles()  # what is no model shows when it is used
     except ModelFileError:
         raise
     except Exception as err:
-        msg = f"{path} is a damaged model: {type(err).__name__}: {err}; save it again"
-        raise ModelFileError(msg) from err
+        raise ModelFileError(
+            f"{path} is a damaged model: {type(err).__name__}: {err}; save it again"
+        ) from err
     return fit
 
 

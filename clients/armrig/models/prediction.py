@@ -172,14 +172,14 @@ def _none(N: int, parameters: int) -> Residuals:
 
 def _require_dataset(data: object) -> None:
     if not isinstance(data, Dataset):
-        msg = f"data is a {type(data).__name__}: give a Dataset; of an input alone, fit.simulate(u)"
-        raise TypeError(msg)
+        raise TypeError(
+            f"data is a {type(data).__name__}: give a Dataset; of an input alone, fit.simulate(u)"
+        )
 
 
 def _require_horizon(horizon: object) -> None:
     if horizon is not None and not (isinstance(horizon, Integral) and int(horizon) >= 1):
-        msg = f"horizon={horizon!r} must be an integer >= 1, or None for simulation"
-        raise ValueError(msg)
+        raise ValueError(f"horizon={horizon!r} must be an integer >= 1, or None for simulation")
 
 
 def require_same_signals(model: Model, data: Dataset) -> None:
@@ -188,13 +188,15 @@ def require_same_signals(model: Model, data: Dataset) -> None:
     Nothing is refused for a name or a unit that is not given; an output named y is not.
     """
     if not np.isclose(model.Ts, data.Ts, rtol=1e-9, atol=0.0):
-        msg = f"the model has Ts={model.Ts:g} s and the data have Ts={data.Ts:g} s; "
-        msg += "identify at the rate that you validate at"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the model has Ts={model.Ts:g} s and the data have Ts={data.Ts:g} s; "
+            "identify at the rate that you validate at"
+        )
     names = {model.output, data.output} - {"", "y"}
     units = {model.unit, data.unit} - {""}
     if len(names) > 1 or len(units) > 1:
         of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (model, data))
-        msg = f"the model is of {of_model} and the data show {of_data}; validate with the output "
-        msg += f"that was identified from, recording.dataset(output={model.output!r})"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the model is of {of_model} and the data show {of_data}; validate with the output "
+            f"that was identified from, recording.dataset(output={model.output!r})"
+        )

@@ -126,8 +126,9 @@ def _common_lines(pairs: Sequence[Transforms]) -> NDArray[np.int_]:
     lit[0] = False
     at = np.flatnonzero(lit)
     if at.size == 0:
-        msg = "no line is excited in all realisations: use the same lines, with other phases"
-        raise ValueError(msg)
+        raise ValueError(
+            "no line is excited in all realisations: use the same lines, with other phases"
+        )
     return at
 
 
@@ -135,9 +136,10 @@ def _common_period(parts: Sequence[Dataset]) -> int:
     found = {period(part.u) for part in parts}
     if len(found) > 1 or None in found:
         shown = ", ".join(str(P or "none") for P in sorted(found, key=lambda P: P or 0))
-        msg = f"bla needs one period in all realisations, two whole periods at least; got {shown}. "
-        msg += "Repeat one multisine in each experiment, or give period_length"
-        raise ValueError(msg)
+        raise ValueError(
+            f"bla needs one period in all realisations, two whole periods at least; got {shown}. "
+            "Repeat one multisine in each experiment, or give period_length"
+        )
     (P,) = found
     return P or 0
 
@@ -152,14 +154,16 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
     most = np.count_nonzero(seen, axis=1) >= P / 2
     y, seen = y[most], seen[most]
     if y.shape[0] == 0:
-        msg = f"a realisation of {part.N} samples has no period of {P}, known by half, left after "
-        msg += f"{transient} of transient: record more periods"
-        raise ValueError(msg)
+        raise ValueError(
+            f"a realisation of {part.N} samples has no period of {P}, known by half, left after "
+            f"{transient} of transient: record more periods"
+        )
     n_k = np.count_nonzero(seen, axis=0)
     if never := int(np.count_nonzero(n_k == 0)):
-        msg = f"a realisation of {part.N} samples shows {never} of the {P} places in its period in "
-        msg += f"no period after {transient} of transient: record more periods"
-        raise ValueError(msg)
+        raise ValueError(
+            f"a realisation of {part.N} samples shows {never} of the {P} places in its period in "
+            f"no period after {transient} of transient: record more periods"
+        )
     bridged = np.where(seen, y, np.nanmean(y, axis=0))
     U = np.fft.rfft(part.u[cut][:P])
     return U, np.asarray(np.fft.rfft(bridged, axis=1)), n_k

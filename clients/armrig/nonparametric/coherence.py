@@ -22,9 +22,10 @@ def explained(estimate: SpectralEstimate) -> NDArray[np.int_]:
     good = np.flatnonzero(coherence > COHERENT)
     if good.size < FEWEST_FREQUENCIES:
         at = ("no frequency", "one frequency", "two frequencies")[good.size]
-        msg = f"u explains y at {at} (coherence above {COHERENT:g}), and {FEWEST_FREQUENCIES} are "
-        msg += "needed: record longer, or with a "
-        msg += "larger or richer input"
-        raise ValueError(msg)
+        raise ValueError(
+            f"u explains y at {at} (coherence above {COHERENT:g}), and {FEWEST_FREQUENCIES} are "
+            "needed: record longer, or with a "
+            "larger or richer input"
+        )
     known = np.flatnonzero(np.isfinite(estimate.G))
     return np.asarray(known[(known >= good[0]) & (known <= good[-1])])

@@ -128,8 +128,9 @@ def correlation(
     """
     require_integers(lags=(lags, 1))
     if np.ptp(data.u) == 0:
-        msg = "u is constant: nothing can be correlated with it; record an input that varies"
-        raise ValueError(msg)
+        raise ValueError(
+            "u is constant: nothing can be correlated with it; record an input that varies"
+        )
     decided = integration(data, integrator)
     integrates = decided.integrates
     treated = difference(data) if integrates else data
@@ -142,9 +143,10 @@ def correlation(
     R_uu, _ = _crossed(u, u, gap)
     R_yy, _ = _crossed(y, y, gap)
     if pairs.min() < 10:
-        msg = f"lags={lags} leaves {int(pairs.min())} pairs of samples at a lag, 10 are needed: "
-        msg += "ask for fewer lags"
-        raise ValueError(msg)
+        raise ValueError(
+            f"lags={lags} leaves {int(pairs.min())} pairs of samples at a lag, 10 are needed: "
+            "ask for fewer lags"
+        )
     N = int(np.count_nonzero(np.isfinite(y)))
     # Bartlett's window keeps the sum from being negative.
     P = float(np.sum(R_yy * R_uu * (1 - np.abs(np.arange(-gap, gap + 1)) / (gap + 1)) ** 2))

@@ -59,18 +59,21 @@ def etfe(
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 6.3.
     """
     if len(data.starts) > 1:
-        msg = f"etfe takes one experiment, got {len(data.starts)}: call it for each of "
-        msg += "data.experiments(), or use spa, or bla for realisations of a multisine"
-        raise ValueError(msg)
+        raise ValueError(
+            f"etfe takes one experiment, got {len(data.starts)}: call it for each of "
+            "data.experiments(), or use spa, or bla for realisations of a multisine"
+        )
     if np.ptp(data.u) == 0:
-        msg = "u is constant: it has no frequency to answer at; record an input that varies"
-        raise ValueError(msg)
+        raise ValueError(
+            "u is constant: it has no frequency to answer at; record an input that varies"
+        )
     decided = integration(data, integrator)
     integrates = decided.integrates
     P = period(data.u) if period_length is None else period_length
     if P is not None and not 2 <= P <= data.N // 2:
-        msg = f"period_length={P} must be 2 to {data.N // 2}, two whole periods of {data.N} samples"
-        raise ValueError(msg)
+        raise ValueError(
+            f"period_length={P} must be 2 to {data.N // 2}, two whole periods of {data.N} samples"
+        )
     if P is None:
         omega, G, variance, words = _aperiodic(data, integrates=integrates)
     else:
@@ -101,9 +104,10 @@ Lines = tuple[Vector, NDArray[np.complex128], Vector, str]
 
 def _aperiodic(data: Dataset, *, integrates: bool) -> Lines:
     if data.missing:
-        msg = f"etfe needs every output of an input without a period, {data.missing} of {data.N} "
-        msg += "are missing: use spa, or cut the longest stretch without a hole, data[a:b]"
-        raise ValueError(msg)
+        raise ValueError(
+            f"etfe needs every output of an input without a period, {data.missing} of {data.N} "
+            "are missing: use spa, or cut the longest stretch without a hole, data[a:b]"
+        )
     # The rate has no first sample; u keeps step with it.
     treated = difference(data)[1:] if integrates else data
     U = np.fft.rfft(treated.u - np.mean(treated.u))
@@ -123,9 +127,10 @@ def _periodic(data: Dataset, P: int, *, integrates: bool) -> Lines:
     there = np.isfinite(y)
     if not there.any(axis=0).all():
         holes = int(np.count_nonzero(~there.any(axis=0)))
-        msg = f"{holes} of the {P} instants of the period were never measured (the first period, "
-        msg += "a transient, does not count): record more periods, or use spa"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{holes} of the {P} instants of the period were never measured (the first period, "
+            "a transient, does not count): record more periods, or use spa"
+        )
     U = np.fft.rfft(data.u[cut].reshape(periods - 1, P)[0])
     Y = np.fft.rfft(np.nanmean(y, axis=0))
     at = np.flatnonzero(excited(U))

@@ -274,19 +274,20 @@ def impulse_response(
 
 def _require_input(data: Dataset, kernel: Kernel | None) -> None:
     if kernel is not None and kernel not in KERNELS:
-        msg = f"kernel={kernel!r} must be one of {', '.join(map(repr, KERNELS))}, or None"
-        raise ValueError(msg)
+        raise ValueError(
+            f"kernel={kernel!r} must be one of {', '.join(map(repr, KERNELS))}, or None"
+        )
     if np.ptp(data.u) == 0:
-        msg = "u is constant: it determines no response; record an input that varies"
-        raise ValueError(msg)
+        raise ValueError("u is constant: it determines no response; record an input that varies")
 
 
 def _require_rows(rows: FirRegression, free: int, asked: str, samples: int) -> None:
     needed = max(free + rows.nuisance + 2, 3)
     if needed > rows.N:
-        msg = f"{asked} needs at least {needed} rows with all of "
-        msg += f"their inputs known, got {rows.N} of {samples} samples; ask for fewer lags"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{asked} needs at least {needed} rows with all of "
+            f"their inputs known, got {rows.N} of {samples} samples; ask for fewer lags"
+        )
 
 
 def _response(
@@ -397,9 +398,10 @@ def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
 
 def _require_rank(basis: Basis, d: int, what: str) -> None:
     if basis.rank < d:
-        msg = f"u determines only {basis.rank} of {d} {what}: it has too few frequencies; "
-        msg += "excite with a richer input (telegraph, PRBS), or ask for fewer with a kernel"
-        raise ValueError(msg)
+        raise ValueError(
+            f"u determines only {basis.rank} of {d} {what}: it has too few frequencies; "
+            "excite with a richer input (telegraph, PRBS), or ask for fewer with a kernel"
+        )
 
 
 def _default(N: int, *, plain: bool) -> int:

@@ -187,9 +187,10 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     gain = float(np.mean(tail)) if tail.size else float("nan")
     gain_std = float(np.std(tail) / np.sqrt(max(tail.size, 1)))
     if not np.isfinite(gain) or abs(gain) <= 4 * gain_std:
-        msg = f"{treated.output} does not answer to the step: final value {gain:.3g} ± "
-        msg += f"{gain_std:.2g}; make it larger, or hold it longer"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{treated.output} does not answer to the step: final value {gain:.3g} ± "
+            f"{gain_std:.2g}; make it larger, or hold it longer"
+        )
     answer = _answer(own, k, weight, data, gain, integrates=integrates)
     crossing, L = answer.crossing, answer.dead_time
     low, high = answer.dead_time_interval
@@ -249,9 +250,10 @@ def _steps(data: Dataset) -> _Steps:
             if min(known, post) >= SHORTEST_HOLD:
                 found.append((i, after.start, pre, post))
     if not found:
-        msg = f"u has no step with {SHORTEST_HOLD} constant samples before and after; record "
-        msg += "armrig.step(N, at=50), or use impulse_response(data).step_response()"
-        raise ValueError(msg)
+        raise ValueError(
+            f"u has no step with {SHORTEST_HOLD} constant samples before and after; record "
+            "armrig.step(N, at=50), or use impulse_response(data).step_response()"
+        )
     longest = max(min(pre, post) for _, _, pre, post in found)
     kept = [f for f in found if min(f[2], f[3]) >= longest // 2]
     return _Steps([f[:2] for f in kept], min(f[2] for f in kept), min(f[3] for f in kept))

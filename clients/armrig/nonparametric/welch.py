@@ -44,9 +44,10 @@ def welch(data: Dataset, length: int, omega: Vector) -> Spectra:
     U, Y = _transforms(data, length, turn)
     K = U.shape[0]
     if K == 0:
-        msg = f"no {length} samples in a row have an output; take shorter segments (window), "
-        msg += 'or method="blackman-tukey", which needs no whole segments'
-        raise ValueError(msg)
+        raise ValueError(
+            f"no {length} samples in a row have an output; take shorter segments (window), "
+            'or method="blackman-tukey", which needs no whole segments'
+        )
     scale = data.Ts / float(np.sum(taper**2))
     energy = taper**2
     own = energy @ np.exp(-2j * np.outer(np.arange(length), omega) * data.Ts)

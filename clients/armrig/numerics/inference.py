@@ -121,9 +121,10 @@ def infer(
     others = nuisance + sum(span.shape[1] for span in spans)
     degrees = N - d - others
     if degrees < 1:
-        msg = f"{N} samples leave nothing to estimate the noise from: {d} parameters and {others} "
-        msg += "initial conditions were fitted to them; lower the orders, or record longer"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{N} samples leave nothing to estimate the noise from: {d} parameters and {others} "
+            "initial conditions were fitted to them; lower the orders, or record longer"
+        )
     sse = sum(float(np.nansum(e**2)) for e in residuals)
     if basis is None:
         basis = orthonormal(blocks[0] if len(blocks) == 1 else np.vstack(blocks))

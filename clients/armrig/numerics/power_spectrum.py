@@ -44,9 +44,10 @@ def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector
     whole = [signal[s] for signal in signals for s in stretches(np.isfinite(signal))]
     longest = max((x.size for x in whole), default=0)
     if longest < _SHORTEST:
-        msg = f"the longest stretch without a hole has {longest} samples; a spectrum needs "
-        msg += f"{_SHORTEST}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the longest stretch without a hole has {longest} samples; a spectrum needs "
+            f"{_SHORTEST}"
+        )
     total = sum(x.size for x in whole)
     L = min(max(total // _SEGMENTS, _SHORTEST), _LONGEST, longest)
     omega, density, weight = np.zeros(0), np.zeros(L // 2 + 1), 0

@@ -14,8 +14,7 @@ def two_sided(level: float) -> float:
     from scipy.special import erfinv
 
     if not 0 < level < 1:
-        msg = f"level={level!r} must lie between 0 and 1, for example 0.95"
-        raise ValueError(msg)
+        raise ValueError(f"level={level!r} must lie between 0 and 1, for example 0.95")
     return sqrt(2) * float(erfinv(level))
 
 

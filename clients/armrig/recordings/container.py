@@ -263,15 +263,13 @@ class _Reader:
         while at < end:
             if end - at < _MESSAGE.size:
                 _check_opcode(chunk[at])
-                msg = "a chunk ends within a record"
-                raise DamageError(msg)
+                raise DamageError("a chunk ends within a record")
             opcode, length, channel = unpack_head(chunk, at)
             after = at + head_size + length
             if opcode != _MESSAGE_CODE:
                 _check_opcode(opcode)
             if after > end:
-                msg = "a record runs over the end of its chunk"
-                raise DamageError(msg)
+                raise DamageError("a record runs over the end of its chunk")
             if opcode == _MESSAGE_CODE:
                 stream = streams.get(channel)
                 if stream is None:
@@ -302,8 +300,7 @@ class _Reader:
 
 def _check_opcode(opcode: int) -> None:
     if opcode not in _IN_CHUNKS:
-        msg = f"a chunk holds a record (opcode {opcode}) that must not lie in one"
-        raise DamageError(msg)
+        raise DamageError(f"a chunk holds a record (opcode {opcode}) that must not lie in one")
 
 
 def _text(body: bytes, at: int) -> str:

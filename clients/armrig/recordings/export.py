@@ -180,8 +180,10 @@ def imported(module: str, extra: str) -> Any:
         return import_module(module)
     except ImportError as err:
         name = module.partition(".")[0]
-        msg = f"{name} is not installed: pip install {name}, or pip install 'armrig[{extra}]'"
-        raise MissingPackageError(msg, name=name) from err
+        raise MissingPackageError(
+            f"{name} is not installed: pip install {name}, or pip install 'armrig[{extra}]'",
+            name=name,
+        ) from err
 
 
 class MissingPackageError(ImportError, ValueError):

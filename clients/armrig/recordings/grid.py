@@ -95,9 +95,10 @@ def grid(
     if manifest.k_first >= 0:
         first, last = first_of(manifest), manifest.k_first + max(manifest.samples, 0)
         if k.size and not (first <= begin and end <= last):
-            msg = f"its samples run from k={begin} to {end - 1}, those of the run from {first} to "
-            msg += f"{last - 1}"
-            raise ValueError(msg)
+            raise ValueError(
+                f"its samples run from k={begin} to {end - 1}, those of the run from {first} to "
+                f"{last - 1}"
+            )
         ends = [end, *(k_gap + count for k_gap, count in gaps), first]
         if outcome is not None:
             whole = outcome.outcome == "complete"
@@ -109,9 +110,10 @@ def grid(
     k = k[taken]
     missing_limit = MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size
     if end - begin - k.size > missing_limit or end - begin > SAMPLES_LIMIT:
-        msg = f"of the samples from k={begin} to {end - 1} {end - begin - k.size} are missing: too "
-        msg += "many for a recording"
-        raise ValueError(msg)
+        raise ValueError(
+            f"of the samples from k={begin} to {end - 1} {end - begin - k.size} are missing: too "
+            "many for a recording"
+        )
     present = np.ones(end - begin, np.bool_)
     if k.size < present.size:
         present[:] = False

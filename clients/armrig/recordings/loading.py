@@ -88,12 +88,12 @@ def load(
         msg = f'path is a {type(path).__name__}: give the name of a file, armrig.load("F.mcap"), '
         raise TypeError(msg + "or a list of the parts of a run, in their order")
     if str(given[0] if given else "").startswith("@") and not Path(given[0]).exists():
-        msg = f"{given[0]}: such names are the command line's; `armrig ls --json` says the paths"
-        raise RecordingError(msg)
+        raise RecordingError(
+            f"{given[0]}: such names are the command line's; `armrig ls --json` says the paths"
+        )
     paths = [part for one in given for part in files_of(Path(one))]
     if not paths:
-        msg = "no file to load"
-        raise RecordingError(msg)
+        raise RecordingError("no file to load")
     name = Path(given[0]) if len(given) == 1 else paths[0]
     try:
         if isinstance(calibration, (str, Path)):
@@ -161,8 +161,7 @@ def run_content(
         try:
             content = joined([f[0] for f in files], [f[1] for f in files])
         except ValueError as err:
-            msg = f"{paths[0]}: {err}"
-            raise RecordingError(msg) from err
+            raise RecordingError(f"{paths[0]}: {err}") from err
         ended = files[-1][2]
     return RunContent(content, manifest, ended, attached, between)
 
@@ -194,8 +193,7 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
     entries = content.metadata.get(records.RUN)
     if entries is None:
         why = content.damage or "it holds no metadata named armrig.run"
-        msg = f"{path}: not a recording of a run: {why}"
-        raise RecordingError(msg)
+        raise RecordingError(f"{path}: not a recording of a run: {why}")
     try:
         manifest = records.manifest_of(entries)
         outcome = content.metadata.get(records.OUTCOME)
@@ -207,8 +205,9 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
         if recovered is not None:
             records.check_whole_numbers(recovered)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
-        msg = f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
-        raise RecordingError(msg) from err
+        raise RecordingError(
+            f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
+        ) from err
     try:
         check_sampling_time(manifest)
     except DamageError as err:
@@ -225,8 +224,7 @@ def beginning(path: Path) -> tuple[Path, Content]:
 def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]:
     """Return the indices of the samples in a range of time, and what to read for them."""
     if not 0 <= start < stop:
-        msg = f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed"
-        raise RecordingError(msg)
+        raise RecordingError(f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed")
     content, manifest, _, _ = _read(path, _BEGINNING, digest=False)
     k_first = origin_of(content, manifest)
     first, end = (k_first + ceil(min(t / manifest.Ts, _LATEST) - _ROUNDING) for t in (start, stop))
@@ -267,8 +265,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         ended = None if content.damage else outcome
         rows = grid(content.samples["k"], manifest, ended, spots, between)
     except ValueError as err:
-        msg = f"{path}: {err}"
-        raise RecordingError(msg) from err
+        raise RecordingError(f"{path}: {err}") from err
     origin = origin_of(content, manifest)
     origin = rows.k_first if origin < 0 else origin
     clock = clock_of(content, manifest, origin)

@@ -37,13 +37,11 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
     """
     with regular_file(path) as stream:
         if stream.read(len(MAGIC)) != MAGIC:
-            msg = "not an MCAP file"
-            raise DamageError(msg)
+            raise DamageError("not an MCAP file")
         try:
             return _records(stream, os.fstat(stream.fileno()).st_size)
         except (McapError, error, ValueError, OverflowError) as err:
-            msg = f"its index cannot be read ({err or type(err).__name__})"
-            raise DamageError(msg) from err
+            raise DamageError(f"its index cannot be read ({err or type(err).__name__})") from err
 
 
 def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
@@ -54,8 +52,7 @@ def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
         if index.name in (RUN, OUTCOME) and index.name not in found:
             opcode, body = _record(stream, index.offset)
             if opcode != Opcode.METADATA:
-                msg = "its index points to something else than metadata"
-                raise DamageError(msg)
+                raise DamageError("its index points to something else than metadata")
             found[index.name] = Metadata.read(_bytes(body)).metadata
     return found
 
@@ -71,8 +68,7 @@ def _indexes(stream: IO[bytes], size: int) -> Iterator[MetadataIndex]:
     if (opcode, length, tail[_FOOTER.size :]) != (Opcode.FOOTER, _FOOTER_BODY, MAGIC):
         raise CutOffError("without its footer")
     if not len(MAGIC) <= start <= end or end - start > RECORD_LIMIT:
-        msg = "its footer says of no summary"
-        raise DamageError(msg)
+        raise DamageError("its footer says of no summary")
     stream.seek(start)
     summary, at = stream.read(end - start), 0
     while at + RECORD_HEAD.size <= len(summary):
@@ -88,8 +84,7 @@ def _record(stream: IO[bytes], offset: int) -> tuple[int, bytes]:
     head = stream.read(RECORD_HEAD.size)
     opcode, length = RECORD_HEAD.unpack(head) if len(head) == RECORD_HEAD.size else (0, 0)
     if length > RECORD_LIMIT:
-        msg = f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed"
-        raise DamageError(msg)
+        raise DamageError(f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed")
     return opcode, stream.read(length)
 
 

@@ -36,8 +36,9 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
     """
     rec = found.recording
     if not rec.N:
-        msg = f"{rec.path}: it has no samples, so there is nothing to draw; record again"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{rec.path}: it has no samples, so there is nothing to draw; record again"
+        )
     every = rows(ax, 4)
     ax, first, last = every[0], float(rec.t[0]), float(rec.t[-1])
     rate = np.diff(rec.theta_1, prepend=np.nan) / rec.Ts

@@ -22,13 +22,15 @@ def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Conten
     """
     for before, after in pairwise(manifests):
         if (before.rig, before.run_id) != (after.rig, after.run_id):
-            msg = f"run {after.run_id} of rig {after.rig} is not run {before.run_id} of rig "
-            msg += f"{before.rig}: only the parts of one run are joined"
-            raise ValueError(msg)
+            raise ValueError(
+                f"run {after.run_id} of rig {after.rig} is not run {before.run_id} of rig "
+                f"{before.rig}: only the parts of one run are joined"
+            )
         if after.part != before.part + 1:
-            msg = f"part {after.part} does not follow part {before.part}: give the parts of a run "
-            msg += "in their order, with none left out"
-            raise ValueError(msg)
+            raise ValueError(
+                f"part {after.part} does not follow part {before.part}: give the parts of a run "
+                "in their order, with none left out"
+            )
     whole = Content(
         sha256=hashlib.sha256("".join(c.sha256 for c in contents).encode()).hexdigest(),
         size=sum(c.size for c in contents),
@@ -53,6 +55,5 @@ def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Conten
         whole.metadata[OUTCOME] = contents[-1].metadata[OUTCOME]
     k = whole.samples["k"]
     if k.size and not (k[1:] > k[:-1]).all():
-        msg = "the samples of one part do not stand behind those of the part before"
-        raise ValueError(msg)
+        raise ValueError("the samples of one part do not stand behind those of the part before")
     return whole

@@ -100,8 +100,7 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
         low, high = start or 0.0, np.inf if stop is None else stop
         others = [message for message in others if low <= message.t < high]
     if not (samples.size or others):
-        msg = f"{path}: there is nothing in it to publish"
-        raise RecordingError(msg)
+        raise RecordingError(f"{path}: there is nothing in it to publish")
     return PublishedRun(
         manifest=manifest,
         damage=content.damage,

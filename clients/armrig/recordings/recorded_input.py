@@ -35,8 +35,7 @@ def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
         file.seek(place.at)
         head, size = _head(file.read(min(place.length, _TIMES + 2 * 128)))
         if head + size + 4 != place.length:
-            msg = "the attached input has not the form of one"
-            raise DamageError(msg)
+            raise DamageError("the attached input has not the form of one")
         file.seek(place.at)
         crc, rest = zlib.crc32(file.read(head)), b""
         while size > 0:
@@ -48,12 +47,12 @@ def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
             parts.append(_voltages(lines, first=not parts))
             found += parts[-1].size
             if found > most or len(rest) > _LINE_LIMIT:
-                msg = f"the attached input is longer than the {most} samples of the run"
-                raise DamageError(msg)
+                raise DamageError(
+                    f"the attached input is longer than the {most} samples of the run"
+                )
         expected = int.from_bytes(file.read(4), "little")
     if expected and expected != crc:
-        msg = "the checksum of the attached input is wrong"
-        raise DamageError(msg)
+        raise DamageError("the checksum of the attached input is wrong")
     return np.concatenate(parts) if parts else np.zeros(0)
 
 
@@ -71,5 +70,4 @@ def _voltages(lines: list[bytes], *, first: bool) -> NDArray[np.float64]:
     try:
         return np.array([float(line) for line in lines if line], np.float64)
     except ValueError as err:
-        msg = f"the attached input is no list of voltages ({err})"
-        raise DamageError(msg) from err
+        raise DamageError(f"the attached input is no list of voltages ({err})") from err

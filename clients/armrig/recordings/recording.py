@@ -146,15 +146,15 @@ class Recording:
             There is no valid sample, or no such output.
         """
         if output not in OUTPUTS:
-            msg = f"output={output!r}: a recording has {', '.join(OUTPUTS)}"
-            raise RecordingError(msg)
+            raise RecordingError(f"output={output!r}: a recording has {', '.join(OUTPUTS)}")
         y, valid = (
             (self.alpha, self.valid_alpha) if output == "alpha" else (self.theta_1, self.valid)
         )
         known = np.isfinite(self.u)
         if not (valid & known).any():
-            msg = f"{self.path}: none of its {self.N} samples shows {output}; record again"
-            raise RecordingError(msg)
+            raise RecordingError(
+                f"{self.path}: none of its {self.N} samples shows {output}; record again"
+            )
         begins = ~known
         begins[1:] = ~known[:-1]
         begins[:1] = True

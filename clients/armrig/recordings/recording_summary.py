@@ -131,15 +131,13 @@ def summary_of(path: Path) -> RecordingSummary:
     metadata = read_metadata(path)
     for name in (RUN, OUTCOME):
         if name not in metadata:
-            msg = f"it holds no metadata named {name}"
-            raise DamageError(msg)
+            raise DamageError(f"it holds no metadata named {name}")
     try:
         manifest, outcome = manifest_of(metadata[RUN]), outcome_of(metadata[OUTCOME])
         check_whole_numbers(manifest)
         check_whole_numbers(outcome)
     except (msgspec.DecodeError, ValueError, RecursionError) as err:
-        msg = "its metadata are not armrig's"
-        raise DamageError(msg) from err
+        raise DamageError("its metadata are not armrig's") from err
     return _summary(path, manifest, outcome)
 
 
@@ -158,8 +156,9 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
     }
     for name, text in texts.items():
         if len(text) > TEXT_LIMIT:
-            msg = f"its {name} has {len(text)} characters, at most {TEXT_LIMIT} are allowed"
-            raise DamageError(msg)
+            raise DamageError(
+                f"its {name} has {len(text)} characters, at most {TEXT_LIMIT} are allowed"
+            )
     check_sampling_time(manifest)
     return RecordingSummary(
         folder=path.parent,

@@ -118,8 +118,7 @@ class SampleRows:
                 raise
         self._keep(samples)
         if n < came:
-            msg = f"more than {SAMPLES_LIMIT} samples"
-            raise DamageError(msg)
+            raise DamageError(f"more than {SAMPLES_LIMIT} samples")
 
     def _room(self, n: int) -> NDArray[np.void]:
         """Return room for n samples behind those that are kept."""
@@ -146,8 +145,9 @@ class SampleRows:
             self.last_k = int(k[good - 1])
             self.size += good
         if good < k.size:
-            msg = f"sample {k[good]} follows sample {self.last_k}: k must rise, and end before 2^62"
-            raise DamageError(msg)
+            raise DamageError(
+                f"sample {k[good]} follows sample {self.last_k}: k must rise, and end before 2^62"
+            )
 
 
 def _values(message: bytes) -> tuple[Any, ...]:

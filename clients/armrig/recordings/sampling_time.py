@@ -12,5 +12,6 @@ TS_LEAST_S, TS_LIMIT_S = 1e-6, 86_400.0
 def check_sampling_time(manifest: Manifest) -> None:
     """Raise DamageError where a recording says of a sampling time that none has."""
     if not TS_LEAST_S <= manifest.Ts < TS_LIMIT_S:
-        msg = f"its manifest says Ts={manifest.Ts!r} s, which must be from 1 µs to below a day"
-        raise DamageError(msg)
+        raise DamageError(
+            f"its manifest says Ts={manifest.Ts!r} s, which must be from 1 µs to below a day"
+        )

@@ -15,8 +15,7 @@ __all__ = ["ReportError", "report", "treatment"]
 def __getattr__(name: str) -> Any:
     """Return a public name; only now typst is loaded, which a study does without."""
     if name not in __all__:
-        msg = f"module {__name__!r} has no attribute {name!r}"
-        raise AttributeError(msg)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from armrig.report import data_facts, document, typesetting
 
     homes = {"treatment": data_facts, "ReportError": typesetting}

@@ -70,8 +70,9 @@ def _answers(tables: dict[str, Any]) -> Answers:
     if not isinstance(students, list) or not all(isinstance(s, dict) for s in students):
         raise AnswersError("students: give a table [[students]] for each student")
     if len(students) > MAX_STUDENTS:
-        msg = f"{len(students)} students: the handout's cover has room for {MAX_STUDENTS}"
-        raise AnswersError(msg)
+        raise AnswersError(
+            f"{len(students)} students: the handout's cover has room for {MAX_STUDENTS}"
+        )
     if not isinstance(reasons, dict):
         raise AnswersError('reasons: give a table [reasons] with a text for each, such as "2.1"')
     for student in students:
@@ -90,8 +91,9 @@ def _answers(tables: dict[str, Any]) -> Answers:
 def _check_keys(table: dict[str, Any], known: tuple[str, ...], where: str) -> None:
     for key in table:
         if key not in known:
-            msg = f'{where}unknown key "{printable(key)}"; known are {", ".join(known)}'
-            raise AnswersError(msg)
+            raise AnswersError(
+                f'{where}unknown key "{printable(key)}"; known are {", ".join(known)}'
+            )
 
 
 def _text(table: dict[str, Any], key: str, most: int) -> str:

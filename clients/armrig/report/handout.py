@@ -132,16 +132,16 @@ def check_length(places: Sequence[tuple[str, float]]) -> None:
         it that is above.
     """
     if not places:
-        msg = f"{TEMPLATE}: has no #mark of a section, which tells how long it is: leave them in"
-        raise ReportError(msg)
+        raise ReportError(
+            f"{TEMPLATE}: has no #mark of a section, which tells how long it is: leave them in"
+        )
     pages = int(places[-1][1])
     if pages <= MOST_PAGES:
         return
     lengths = {name: end - begin for (name, begin), (_, end) in pairwise(places)}
     longest = sorted(lengths, key=lambda name: -lengths[name])[:_NAMED]
     named = ", ".join(f"{name} ({lengths[name]:.1f})" for name in longest)
-    msg = (
+    raise TooLongError(
         f"the report has {pages} pages, and the handout allows {MOST_PAGES}; the longest sections "
+        f"are {named}: shorten your reasons, or give models of lower order (--na, --nb, --nf)"
     )
-    msg += f"are {named}: shorten your reasons, or give models of lower order (--na, --nb, --nf)"
-    raise TooLongError(msg)

@@ -163,9 +163,10 @@ def study(
     orders = orders or Orders()
     excited = [r for r in recordings if kind_of(r) not in (STEP, STAIRCASE)]
     if not excited:
-        msg = "nothing to identify from: give a recording whose input is no single step, such as "
-        msg += "one of `armrig collect blackbox`"
-        raise RecordingError(msg)
+        raise RecordingError(
+            "nothing to identify from: give a recording whose input is no single step, such as "
+            "one of `armrig collect blackbox`"
+        )
     data = [r.dataset() if treat is None else treat(r.dataset()) for r in excited[:2]]
     estimation, validation = data if len(data) > 1 else data[0].split(2)
     samples, nk = estimation.N - estimation.missing, orders.nk

@@ -88,11 +88,11 @@ def source_folder(folder: Path | None) -> Iterator[Path]:
     try:
         folder.mkdir(exist_ok=True)
         if any(folder.iterdir()):
-            msg = f"{folder}: contains files already; name a new folder"
-            raise ReportError(msg)
+            raise ReportError(f"{folder}: contains files already; name a new folder")
     except OSError as err:
-        msg = f"{folder}: {err.strerror}; name a new folder in a folder that you can write to"
-        raise ReportError(msg) from err
+        raise ReportError(
+            f"{folder}: {err.strerror}; name a new folder in a folder that you can write to"
+        ) from err
     yield folder
 
 
@@ -112,8 +112,9 @@ def compiled(source: Path) -> tuple[bytes, Places]:
     try:
         return pdf, [(str(name), float(page)) for name, page in json.loads(told)]
     except (TypeError, ValueError) as err:
-        msg = f"{source}: a <place> there is not the template's: leave #mark as it was written"
-        raise ReportError(msg) from err
+        raise ReportError(
+            f"{source}: a <place> there is not the template's: leave #mark as it was written"
+        ) from err
 
 
 def _check_links(folder: Path) -> None:
@@ -121,8 +122,9 @@ def _check_links(folder: Path) -> None:
     inside = folder.resolve()
     for path in folder.rglob("*"):
         if path.is_symlink() and not path.resolve().is_relative_to(inside):
-            msg = f"{path}: a link that leads out of the folder: give a copy of its file"
-            raise ReportError(msg)
+            raise ReportError(
+                f"{path}: a link that leads out of the folder: give a copy of its file"
+            )
 
 
 def _interruptible(work: Callable[[], tuple[bytes, str]]) -> tuple[bytes, str]:
@@ -156,5 +158,4 @@ def _compiled(source: Path) -> tuple[bytes, str]:
     except RuntimeError as err:
         place = re.search(r"([^/\s]+):(\d+):\d+\n", str(getattr(err, "diagnostic", "")))
         at = f"{source.with_name(place[1])}, line {place[2]}" if place else str(source)
-        msg = f"{at}: the report cannot be typeset: {err}"
-        raise ReportError(msg) from err
+        raise ReportError(f"{at}: the report cannot be typeset: {err}") from err

@@ -14,8 +14,7 @@ __all__ = ["BusyError", "NoReplyError", "RefusedError", "Rig", "RigError", "RunE
 def __getattr__(name: str) -> Any:
     """Return a public name; zenoh is loaded only now."""
     if name not in __all__:
-        msg = f"module {__name__!r} has no attribute {name!r}"
-        raise AttributeError(msg)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from armrig.rig import client, session
 
     return getattr(session if name in ("NoReplyError", "RigError") else client, name)

@@ -249,9 +249,10 @@ class Rig:
                 if last is None or last.run_id != run.run_id:
                     if stopped := service_has_stopped(self.rig, self.endpoint):
                         raise RigError(stopped)
-                    msg = f"the daemon does not know the run {run.run_id} any more: it was "
-                    msg += "started anew meanwhile; `armrig ls` shows what it had recorded"
-                    raise RigError(msg)
+                    raise RigError(
+                        f"the daemon does not know the run {run.run_id} any more: it was "
+                        "started anew meanwhile; `armrig ls` shows what it had recorded"
+                    )
                 # A complete run may lack samples that are missing; it has ended all the same.
                 total = len(request.u)
                 progress(total if last.outcome == "complete" else last.samples, total)
@@ -341,8 +342,9 @@ class Rig:
         except RefusedError as err:
             if self._has_command(request.name):
                 raise
-            msg = f"the daemon of rig {self.rig} takes no notes: update armrig on its machine"
-            raise RefusedError(msg) from err
+            raise RefusedError(
+                f"the daemon of rig {self.rig} takes no notes: update armrig on its machine"
+            ) from err
 
     def reset(self) -> bool:
         """Leave a latched fault, disarmed; return whether there was one."""
@@ -388,21 +390,22 @@ class Rig:
         """Return the voltages (N,), or refuse them: they are never clamped."""
         volts = np.asarray(u, dtype=np.float64)
         if volts.ndim != 1 or volts.size == 0:
-            msg = f"u has shape {volts.shape}, it must be (N,) with N >= 1: one voltage a sample"
-            raise ValueError(msg)
+            raise ValueError(
+                f"u has shape {volts.shape}, it must be (N,) with N >= 1: one voltage a sample"
+            )
         lowest, highest = self._limits_v
         outside = ~((volts >= lowest) & (volts <= highest))  # NaN is outside, too
         if outside.any():
             k = int(np.argmax(outside))
-            msg = f"u[{k}] = {volts[k]:g} V is outside {lowest:g} … {highest:g} V, what rig "
-            msg += f"{self.rig} allows; beyond 0 … {U_MAX_V:g} V it is destroyed"
-            raise ValueError(msg)
+            raise ValueError(
+                f"u[{k}] = {volts[k]:g} V is outside {lowest:g} … {highest:g} V, what rig "
+                f"{self.rig} allows; beyond 0 … {U_MAX_V:g} V it is destroyed"
+            )
         return volts
 
     def _stamp(self) -> dict[str, Any]:
         if not self._lease:
-            msg = f"rig {self.rig} is not ours: call arm(owner) first"
-            raise RefusedError(msg)
+            raise RefusedError(f"rig {self.rig} is not ours: call arm(owner) first")
         self._n += 1
         return {"lease": self._lease, "n": self._n}
 
@@ -413,8 +416,7 @@ class Rig:
 
     def _connected(self) -> zenoh.Session:
         if self._session is None:
-            msg = 'a Rig is used in a with block: with armrig.Rig("1") as rig: …'
-            raise RigError(msg)
+            raise RigError('a Rig is used in a with block: with armrig.Rig("1") as rig: …')
         return self._session
 
     def _ask_again(self, request: commands.Request, answer: type[_R]) -> _R:
@@ -432,10 +434,11 @@ class Rig:
         key = topics.command_key(self.rig, request.name, self._name)
         payload = msgspec.json.encode(request)
         if self._name and len(payload) > commands.MOST_REMOTE_BYTES:
-            msg = f"{request.name}: {len(payload)} B, over a network at most "
-            msg += f"{commands.MOST_REMOTE_BYTES} B are allowed: play it in parts, or on the rig's "
-            msg += "own machine"
-            raise RigError(msg)
+            raise RigError(
+                f"{request.name}: {len(payload)} B, over a network at most "
+                f"{commands.MOST_REMOTE_BYTES} B are allowed: play it in parts, or on the rig's "
+                "own machine"
+            )
         replies = self._connected().get(
             key, payload=payload, encoding="application/json", timeout=longest_reply_s(request)
         )

@@ -85,18 +85,20 @@ class Plan:
         """Refuse, before the daemon is asked, what is possible at no sampling time."""
         for name, value in (("--seconds", self.seconds), ("--Ts", self.Ts)):
             if value is not None and not (isfinite(value) and value > 0):
-                msg = f"{name} {value:g}: must be a number of seconds, more than 0"
-                raise ValueError(msg)
+                raise ValueError(f"{name} {value:g}: must be a number of seconds, more than 0")
         low, high = DEAD_MAN_S
         if self.dead_man is not None and not low <= self.dead_man <= high:
-            msg = f"--dead-man {self.dead_man:g}: must be {low:g} to {high:g} s, or 0 for none"
-            raise ValueError(msg)
+            raise ValueError(
+                f"--dead-man {self.dead_man:g}: must be {low:g} to {high:g} s, or 0 for none"
+            )
         if self.Ts is not None and self.Ts > LONGEST_TS:
-            msg = f"--Ts {self.Ts:g}: at most {LONGEST_TS:g}, in seconds; of 10 ms it is --Ts 0.01"
-            raise ValueError(msg)
+            raise ValueError(
+                f"--Ts {self.Ts:g}: at most {LONGEST_TS:g}, in seconds; of 10 ms it is --Ts 0.01"
+            )
         if not 1 <= len(self.owner) <= LONGEST_OWNER:
-            msg = f"--owner has {len(self.owner)} characters: 1 to {LONGEST_OWNER} are allowed"
-            raise ValueError(msg)
+            raise ValueError(
+                f"--owner has {len(self.owner)} characters: 1 to {LONGEST_OWNER} are allowed"
+            )
         if self.seconds is None:
             return
         if self.Ts is not None or self.seconds > MOST_SAMPLES * LONGEST_TS:
@@ -113,12 +115,14 @@ def number_of_samples(seconds: float, Ts: float) -> int:
     """
     N = floor(seconds / Ts + 0.5)
     if N < 1:
-        msg = f"--seconds {seconds:g}: too short for one sample of {Ts:g} s; at least {Ts:g}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--seconds {seconds:g}: too short for one sample of {Ts:g} s; at least {Ts:g}"
+        )
     if N > MOST_SAMPLES:
-        msg = f"--seconds {seconds:g}: at most {MOST_SAMPLES} samples, that is "
-        msg += f"{MOST_SAMPLES * Ts:g} s at Ts = {Ts:g} s"
-        raise ValueError(msg)
+        raise ValueError(
+            f"--seconds {seconds:g}: at most {MOST_SAMPLES} samples, that is "
+            f"{MOST_SAMPLES * Ts:g} s at Ts = {Ts:g} s"
+        )
     return N
 
 
@@ -230,8 +234,9 @@ ARM_OFF = (
 def _require_arm_off(status: StatusReport) -> None:
     """Refuse a rig whose daemon was not told that the arm is off."""
     if not status.arm_removed:
-        msg = f"this is for the chassis alone, and rig {status.rig} has its arm on: {ARM_OFF}"
-        raise RigError(msg)
+        raise RigError(
+            f"this is for the chassis alone, and rig {status.rig} has its arm on: {ARM_OFF}"
+        )
 
 
 def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:

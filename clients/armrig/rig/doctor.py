@@ -114,8 +114,9 @@ def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]
     where = connect or configured_endpoint(rig)
     if not where.startswith(_SOCKET):
         if connect:
-            msg = f"--connect {connect}: the doctor examines this machine: {_SOCKET}PATH is needed"
-            raise ValueError(msg)
+            raise ValueError(
+                f"--connect {connect}: the doctor examines this machine: {_SOCKET}PATH is needed"
+            )
         return None, ""  # `[client]` names another machine
     is_expected = bool(connect) or is_served(rig)
     if not is_expected and rig not in local_rigs():

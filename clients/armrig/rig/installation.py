@@ -236,11 +236,11 @@ def run_command(command: Sequence[str]) -> None:
     try:
         code = subprocess.run(command, check=False).returncode
     except FileNotFoundError as err:
-        msg = f"{command[0]}: not found; the service needs systemd (`apt install systemd`)"
-        raise RuntimeError(msg) from err
+        raise RuntimeError(
+            f"{command[0]}: not found; the service needs systemd (`apt install systemd`)"
+        ) from err
     if code != 0:
-        msg = f"{' '.join(command)}: ended with {code}"
-        raise RuntimeError(msg)
+        raise RuntimeError(f"{' '.join(command)}: ended with {code}")
 
 
 def _deploy() -> Path:
@@ -255,9 +255,10 @@ def _program() -> str:
     for needed in (program, Path(sys.base_prefix)):
         hidden = next((top for top in _UNSEEN if needed.is_relative_to(top)), "")
         if hidden:
-            msg = f"{needed}: the service sees nothing of {hidden}; install armrig into "
-            msg += "/opt/armrig with /usr/bin/python3, and run its armrig service install"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{needed}: the service sees nothing of {hidden}; install armrig into "
+                "/opt/armrig with /usr/bin/python3, and run its armrig service install"
+            )
     return str(program)
 
 

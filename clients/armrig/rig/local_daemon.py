@@ -70,8 +70,7 @@ def _require_none(rig: str) -> None:
             opened.status()
     except NoReplyError:
         return
-    msg = f"a daemon of rig {rig} already runs; end it, or choose another --rig"
-    raise RigError(msg)
+    raise RigError(f"a daemon of rig {rig} already runs; end it, or choose another --rig")
 
 
 def stop(daemon: subprocess.Popen[bytes]) -> None:

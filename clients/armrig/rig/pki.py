@@ -53,9 +53,10 @@ def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool =
     """
     x509, ec, _, hashes = _library()
     if not force and (directory / _KEY).exists():
-        msg = f"{directory / _KEY}: there is an authority already; --force makes another, and all "
-        msg += "certificates of the first count no more"
-        raise PkiError(msg)
+        raise PkiError(
+            f"{directory / _KEY}: there is an authority already; --force makes another, and all "
+            "certificates of the first count no more"
+        )
     key = ec.generate_private_key(ec.SECP256R1())
     name = _name("armrig authority")
     certificate = (
@@ -103,8 +104,7 @@ def issue_to_router(
         There is no authority, or there is such a credential already; or a host is no name.
     """
     if not hosts:
-        msg = "name the hosts under which the router is reached, such as --host lab.local"
-        raise PkiError(msg)
+        raise PkiError("name the hosts under which the router is reached, such as --host lab.local")
     return _issue(directory, ROUTER, ROUTER, [_host(host) for host in hosts], days, force=force)
 
 
@@ -120,8 +120,7 @@ def issue_to_person(
     """
     _refuse_revoked(directory, name)
     if name.startswith(RIG_PREFIX) or name in ("authority", ROUTER):
-        msg = f"{name!r} would be taken for a rig's or a router's: take another name"
-        raise PkiError(msg)
+        raise PkiError(f"{name!r} would be taken for a rig's or a router's: take another name")
     issued = _issue(directory, name, role, [], days, force=force)
     _put_on_list(directory, name, role)
     return issued
@@ -138,14 +137,12 @@ def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
     x509, *_ = _library()
     path = directory / f"{check_name(name)}.pem"
     if not path.exists():
-        msg = f"{path}: there is nothing to renew; `armrig pki list` shows what there is"
-        raise PkiError(msg)
+        raise PkiError(f"{path}: there is nothing to renew; `armrig pki list` shows what there is")
     role = read_access_list(directory / ACCESS_LIST).role(name)
     if role in ("operators", "observers"):
         return issue_to_person(directory, name, role, days=days, force=True)  # type: ignore[arg-type]
     if role == "revoked" or not (name.startswith(RIG_PREFIX) or name == ROUTER):
-        msg = f"{name!r} was revoked, or is not on the access list: nothing is renewed"
-        raise PkiError(msg)
+        raise PkiError(f"{name!r} was revoked, or is not on the access list: nothing is renewed")
     hosts: list[Any] = []
     with suppress(x509.ExtensionNotFound):
         old = _read_certificates(path)[0].extensions
@@ -166,9 +163,10 @@ def revoke(directory: Path, name: str) -> None:
     """
     people = read_access_list(directory / ACCESS_LIST)
     if people.role(check_name(name)) not in ("operators", "observers", "rigs"):
-        msg = f"{name!r} is neither an operator nor an observer nor a rig, such as rig-1; "
-        msg += "`armrig pki list` shows who is"
-        raise PkiError(msg)
+        raise PkiError(
+            f"{name!r} is neither an operator nor an observer nor a rig, such as rig-1; "
+            "`armrig pki list` shows who is"
+        )
     _write(directory / ACCESS_LIST, people.with_name(name, "revoked").toml().encode(), 0o644)
 
 
@@ -191,9 +189,10 @@ def issued(directory: Path) -> list[Issued]:
 
 def _refuse_revoked(directory: Path, name: str) -> None:
     if read_access_list(directory / ACCESS_LIST).role(check_name(name)) == "revoked":
-        msg = f"{name!r} was revoked: the stolen certificate would count again; take another "
-        msg += f"name, such as {name[:38]}-2"
-        raise PkiError(msg)
+        raise PkiError(
+            f"{name!r} was revoked: the stolen certificate would count again; take another "
+            f"name, such as {name[:38]}-2"
+        )
 
 
 def _put_on_list(directory: Path, name: str, role: str) -> None:
@@ -207,14 +206,16 @@ def _issue(
     x509, ec, serialization, hashes = _library()
     path = directory / f"{name}.pem"
     if path.exists() and not force:
-        msg = f"{path}: is there already; `armrig pki renew {name}` gives it a new key, --force too"
-        raise PkiError(msg)
+        raise PkiError(
+            f"{path}: is there already; `armrig pki renew {name}` gives it a new key, --force too"
+        )
     try:
         signing = serialization.load_pem_private_key((directory / _KEY).read_bytes(), None)
         authority = _read_certificates(directory / _CERTIFICATE)[0]
     except FileNotFoundError as err:
-        msg = f"{err.filename}: there is no authority here; `armrig pki ca` makes one"
-        raise PkiError(msg) from err
+        raise PkiError(
+            f"{err.filename}: there is no authority here; `armrig pki ca` makes one"
+        ) from err
     key = ec.generate_private_key(ec.SECP256R1())
     serves, connects = x509.ExtendedKeyUsageOID.SERVER_AUTH, x509.ExtendedKeyUsageOID.CLIENT_AUTH
     purposes = ([serves] if hosts else []) + ([connects] if role != ROUTER else [])
@@ -242,8 +243,9 @@ def _library() -> Any:
         from cryptography.hazmat.primitives import hashes, serialization
         from cryptography.hazmat.primitives.asymmetric import ec
     except ModuleNotFoundError as err:
-        msg = "certificates are made with cryptography: pip install 'armrig[pki]'"
-        raise PkiError(msg) from err
+        raise PkiError(
+            "certificates are made with cryptography: pip install 'armrig[pki]'"
+        ) from err
     return x509, ec, serialization, hashes
 
 
@@ -287,8 +289,7 @@ def _host(host: str) -> Any:
     with suppress(ValueError):
         return x509.IPAddress(ipaddress.ip_address(host))
     if len(host) > 253 or not _HOST.fullmatch(host):
-        msg = f"--host {host!r}: a name such as lab-1.example.edu or an address is needed"
-        raise PkiError(msg)
+        raise PkiError(f"--host {host!r}: a name such as lab-1.example.edu or an address is needed")
     return x509.DNSName(host)
 
 
@@ -314,8 +315,7 @@ def _read_certificates(path: Path) -> list[Any]:
     try:
         found: list[Any] = x509.load_pem_x509_certificates(data)
     except ValueError as err:
-        msg = f"{path}: holds no certificate"
-        raise PkiError(msg) from err
+        raise PkiError(f"{path}: holds no certificate") from err
     return found
 
 

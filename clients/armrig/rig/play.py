@@ -78,9 +78,10 @@ def staged(where: str, rig: str) -> Iterator[Stage]:
         with group_may_open():
             session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as err:
-        msg = f"{where} cannot be listened at: {rig} may be played there already, then end it; "
-        msg += "or it is no zenoh endpoint, such as tcp/127.0.0.1:7447: give another with --listen"
-        raise RigError(msg) from err
+        raise RigError(
+            f"{where} cannot be listened at: {rig} may be played there already, then end it; "
+            "or it is no zenoh endpoint, such as tcp/127.0.0.1:7447: give another with --listen"
+        ) from err
     with session:
         yield Stage(session, rig)
 

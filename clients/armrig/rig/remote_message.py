@@ -48,13 +48,13 @@ def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMess
     """
     try:
         if not 0 <= clock_offset_ns < _LIMIT:
-            msg = f"a clock offset of {clock_offset_ns} ns"
-            raise ValueError(msg)
+            raise ValueError(f"a clock offset of {clock_offset_ns} ns")
         value = decoded(stream, data)
         _check(stream, value)
     except (ValueError, DecodeError) as err:
-        msg = f"{len(data)} B of the stream {stream!r} are no message of armrigd's ({err})"
-        raise RigError(msg) from err
+        raise RigError(
+            f"{len(data)} B of the stream {stream!r} are no message of armrigd's ({err})"
+        ) from err
     return RemoteMessage(stream, data, value, _host_ns(stream, value, clock_offset_ns))
 
 
@@ -69,12 +69,10 @@ def _check(stream: str, value: Any) -> None:
         times = [value.t_host_ns]
     for time in times:
         if not 0 <= time < _LIMIT:
-            msg = f"a time or an index of {time}"
-            raise ValueError(msg)
+            raise ValueError(f"a time or an index of {time}")
     # Until a rig is there it has no sampling time.
     if stream == "state" and value.Ts_s != 0 and not TS_LEAST_S <= value.Ts_s < TS_LIMIT_S:
-        msg = f"a sampling time of {value.Ts_s:g} s"
-        raise ValueError(msg)
+        raise ValueError(f"a sampling time of {value.Ts_s:g} s")
 
 
 def _host_ns(stream: str, value: Any, clock_offset_ns: int) -> int:

@@ -104,9 +104,10 @@ class RemoteRecording:
         file = self._file
         if file is None:
             if self._waiting_size > _MOST_WAITING:
-                msg = f"rig {self.rig}: no state came with {len(self._waiting)} messages, so its "
-                msg += "sampling time is not known; what answers there is no armrigd"
-                raise RigError(msg)
+                raise RigError(
+                    f"rig {self.rig}: no state came with {len(self._waiting)} messages, so its "
+                    "sampling time is not known; what answers there is no armrigd"
+                )
             return
         file.add(self._taken())
         # What waits meanwhile is kept by the daemon; nothing is dropped, as it is by a full queue.

@@ -88,8 +88,7 @@ class RemoteSource:
             try:
                 past = decode_past(reply.ok.payload.to_bytes())
             except HistoryError as err:
-                msg = f"{self._key}: {err}; {_NO_DAEMON} of this version"
-                raise RigError(msg) from err
+                raise RigError(f"{self._key}: {err}; {_NO_DAEMON} of this version") from err
             if past.life == life:
                 return past
             others[past.life] = past

@@ -31,11 +31,11 @@ def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
     try:
         return msgspec.json.decode(payload, type=answer)
     except (msgspec.DecodeError, UnicodeDecodeError) as err:  # ValidationError is one of the first
-        msg = f"the answer to {name!r} cannot be read: {err}"
-        raise MalformedReplyError(msg) from err
+        raise MalformedReplyError(f"the answer to {name!r} cannot be read: {err}") from err
     except RecursionError as err:
-        msg = f"the answer to {name!r} cannot be read: nested too deeply"
-        raise MalformedReplyError(msg) from err
+        raise MalformedReplyError(
+            f"the answer to {name!r} cannot be read: nested too deeply"
+        ) from err
 
 
 def refusal_of(name: str, payload: bytes) -> str:
@@ -52,5 +52,6 @@ def refusal_of(name: str, payload: bytes) -> str:
 
 def _check_length(name: str, payload: bytes) -> None:
     if len(payload) > MOST_BYTES:
-        msg = f"the answer to {name!r} has {len(payload)} B, at most {MOST_BYTES} B are read"
-        raise MalformedReplyError(msg)
+        raise MalformedReplyError(
+            f"the answer to {name!r} has {len(payload)} B, at most {MOST_BYTES} B are read"
+        )

@@ -84,5 +84,6 @@ def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Se
     except zenoh.ZError as err:
         found = _OS_ERROR.search(str(err))
         why = os.strerror(int(found[1])) if found else str(err).splitlines()[0][:200]
-        msg = f"{endpoint}: {why}; see that host and port are this machine's, and free"
-        raise RouterError(msg) from err
+        raise RouterError(
+            f"{endpoint}: {why}; see that host and port are this machine's, and free"
+        ) from err

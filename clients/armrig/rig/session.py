@@ -84,8 +84,9 @@ def own_endpoint(rig: str) -> str:
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as err:
-        msg = f"{directory}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours"
-        raise RigError(msg) from err
+        raise RigError(
+            f"{directory}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours"
+        ) from err
     where = default_endpoint(rig)
     _check_directory(directory, {os.getuid()})
     return where
@@ -182,9 +183,9 @@ def _config(way: _Way) -> zenoh.Config:
         try:
             config.insert_json5(key, json.dumps(value))
         except zenoh.ZError as err:
-            msg = f"{way.endpoint!r} is no zenoh endpoint, such as "
-            msg += "unixsock-stream/run/armrig/1.sock"
-            raise RigError(msg) from err
+            raise RigError(
+                f"{way.endpoint!r} is no zenoh endpoint, such as unixsock-stream/run/armrig/1.sock"
+            ) from err
     return config
 
 
@@ -205,8 +206,9 @@ def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -
         if where.startswith("tcp/") and settings.password:
             ((user, password), *others) = read_users(Path(settings.password)).items()
             if others:
-                msg = f"{settings.password}: {1 + len(others)} users: your own line alone is needed"
-                raise RigError(msg)
+                raise RigError(
+                    f"{settings.password}: {1 + len(others)} users: your own line alone is needed"
+                )
             proof = ("transport/auth/usrpwd", {"user": user, "password": password})
             return _Way(where, user, (proof,))
     except (CredentialError, PasswordError) as err:
@@ -216,16 +218,18 @@ def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -
 
 def _way_by_certificate(where: str, certificate: str | Path) -> _Way:
     if not certificate:
-        msg = f"{where}: needs your certificate: name its file in [client] certificate of "
-        msg += "~/.config/armrig/armrig.toml, or in ARMRIG_CLIENT_CERTIFICATE"
-        raise RigError(msg)
+        raise RigError(
+            f"{where}: needs your certificate: name its file in [client] certificate of "
+            "~/.config/armrig/armrig.toml, or in ARMRIG_CLIENT_CERTIFICATE"
+        )
     path = Path(certificate)
     credential = read_credential(path, "client")
     proof = ("transport/link/tls", credential.tls("connect"))
     address = network_address(where)
     if address is None:
-        msg = f"{where!r} is no endpoint: it must be tls/HOST:PORT, such as tls/lab-1.local:7447"
-        raise RigError(msg)
+        raise RigError(
+            f"{where!r} is no endpoint: it must be tls/HOST:PORT, such as tls/lab-1.local:7447"
+        )
     return _Way(
         where, credential.name, (proof,), partial(why_not_connected, *address, credential, path)
     )
@@ -247,9 +251,10 @@ def _local_ways(rig: str) -> list[_Way]:
             for checked in filter(None, (above, directory)):
                 _check_directory(checked, owners)
             if directory != own and not os.access(directory, os.X_OK):
-                msg = f"{directory}: only the group {SERVICE_USER} may operate rig {rig}: "
-                msg += f"`sudo usermod -aG {SERVICE_USER} $USER`, then log in anew"
-                raise RigError(msg)
+                raise RigError(
+                    f"{directory}: only the group {SERVICE_USER} may operate rig {rig}: "
+                    f"`sudo usermod -aG {SERVICE_USER} $USER`, then log in anew"
+                )
             if (directory / f"{rig}.sock").exists():
                 ways.append(_Way(where))
     return ways or [_Way(_service_endpoint(rig) if is_served(rig) else default_endpoint(rig))]
@@ -275,9 +280,9 @@ def _service_owners() -> set[int]:
 
 def _socket_directory() -> PurePosixPath:
     if not hasattr(os, "getuid"):  # Windows
-        msg = "there is no daemon here: a rig is driven from Linux; name its endpoint with "
-        msg += "--connect"
-        raise RigError(msg)
+        raise RigError(
+            "there is no daemon here: a rig is driven from Linux; name its endpoint with --connect"
+        )
     return socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir())
 
 
@@ -285,10 +290,11 @@ def _check_directory(directory: Path, owners: Collection[int]) -> None:
     """Refuse a directory that others may have made, as anybody could in a temporary one."""
     wrong = distrust(directory.lstat(), owners=owners)
     if wrong:
-        msg = f"{directory}: {wrong}, so what listens there may be a stranger's; set "
-        msg += "XDG_RUNTIME_DIR to a directory of yours, for armrigd too, or name the endpoint "
-        msg += "with --connect"
-        raise RigError(msg)
+        raise RigError(
+            f"{directory}: {wrong}, so what listens there may be a stranger's; set "
+            "XDG_RUNTIME_DIR to a directory of yours, for armrigd too, or name the endpoint "
+            "with --connect"
+        )
 
 
 def not_permitted(rig: str, where: str, name: str, command: str) -> NoReplyError:

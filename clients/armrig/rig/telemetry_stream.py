@@ -163,9 +163,10 @@ def _read(rig: str, name: str, payload: bytes) -> Any:
     try:
         return decoded(name, payload)
     except DecodeError as err:
-        msg = f"rig {rig}: {len(payload)} B of its stream {name!r} cannot be read ({err}); who "
-        msg += "published them is no armrigd, or one of another version"
-        raise RigError(msg) from err
+        raise RigError(
+            f"rig {rig}: {len(payload)} B of its stream {name!r} cannot be read ({err}); who "
+            "published them is no armrigd, or one of another version"
+        ) from err
 
 
 def _is_alive(session: zenoh.Session, rig: str) -> bool:
@@ -183,6 +184,7 @@ def _gone(rig: str, where: str) -> NoReplyError:
 def _stream_of(key: str) -> tuple[str, str]:
     parts = key.split("/")
     if len(parts) != 3 or parts[0] != "rig" or parts[2] not in topics.STREAMS:
-        msg = f"key {key!r}: a stream is rig/<id>/ and one of {', '.join(topics.STREAMS)}"
-        raise ValueError(msg)
+        raise ValueError(
+            f"key {key!r}: a stream is rig/<id>/ and one of {', '.join(topics.STREAMS)}"
+        )
     return topics.check_rig_id(parts[1]), parts[2]

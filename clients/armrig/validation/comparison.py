@@ -158,20 +158,20 @@ def compare(
         sampling time.
     """
     if not models:
-        msg = "compare needs at least one model: compare(data, fit)"
-        raise ValueError(msg)
+        raise ValueError("compare needs at least one model: compare(data, fit)")
     for model in models:
         if not hasattr(model, "label"):
-            msg = f"a {type(model).__name__} is no model: give each by itself, "
-            msg += "compare(data, fit1, fit2); names are labels=(…)"
-            raise TypeError(msg)
+            raise TypeError(
+                f"a {type(model).__name__} is no model: give each by itself, "
+                "compare(data, fit1, fit2); names are labels=(…)"
+            )
     if isinstance(labels, str):
-        msg = f"labels={labels!r} must be several names, one a model, such as labels=({labels!r},)"
-        raise TypeError(msg)
+        raise TypeError(
+            f"labels={labels!r} must be several names, one a model, such as labels=({labels!r},)"
+        )
     names = [model.label for model in models] if labels is None else list(labels)
     if len(names) != len(models):
-        msg = f"{len(names)} labels for {len(models)} models; give one each"
-        raise ValueError(msg)
+        raise ValueError(f"{len(names)} labels for {len(models)} models; give one each")
     integrating = data.output in INTEGRATING_OUTPUTS or any(m.integrator for m in models)
     note = "initial state" + (" and input offset" if any(m.integrator for m in models) else "")
     return ComparisonTable(

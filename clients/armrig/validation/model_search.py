@@ -188,8 +188,7 @@ def _candidates(
 ) -> Iterator[Candidate]:
     for family in families:
         if family not in FAMILIES:
-            msg = f"families has {family!r}; each must be one of {', '.join(FAMILIES)}"
-            raise ValueError(msg)
+            raise ValueError(f"families has {family!r}; each must be one of {', '.join(FAMILIES)}")
     for n in orders:
         require_integers(orders=(n, 1))
     for nk in delays:
@@ -264,8 +263,7 @@ def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
     # The same samples for all: one model's transient is not another's.
     both = np.all([np.isfinite(j.error) for j in usable], axis=0)
     if not both.any():
-        msg = "no validation sample is predicted by all models; validate on longer data"
-        raise ValueError(msg)
+        raise ValueError("no validation sample is predicted by all models; validate on longer data")
     squared = np.array([j.error[both] ** 2 for j in usable])
     order = np.argsort(squared.mean(axis=1), kind="stable")
     squared, usable = squared[order], [usable[i] for i in order]

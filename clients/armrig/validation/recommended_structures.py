@@ -147,8 +147,9 @@ def recommended(
     kinds = (False, True) if decide else (integrates,)
     first = [m for i in kinds for n in _FIRST for m in _fits(parts, n, nks, integrates=i)]
     if not first:
-        msg = "u excites no model of third order: record with a richer input (telegraph, PRBS)"
-        raise ValueError(msg)
+        raise ValueError(
+            "u excites no model of third order: record with a richer input (telegraph, PRBS)"
+        )
     D, _ = autoregression(np.concatenate(min(first, key=_bits).residuals()))
     parts, orders = _filtered(data, D), range(1, HIGHEST + 1)
     scans = [s for i in kinds if (s := _scanned(parts, nks, orders, integrates=i))]

@@ -177,8 +177,9 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
     .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
     """
     if not hasattr(fit, "noise_variance"):
-        msg = f"the model stands first, and a {type(fit).__name__} came: residuals(fit, data)"
-        raise TypeError(msg)
+        raise TypeError(
+            f"the model stands first, and a {type(fit).__name__} came: residuals(fit, data)"
+        )
     data = as_dataset(data)
     require_same_signals(fit, data)
     known = [prediction_errors(fit, part) for part in data.experiments()]
@@ -221,8 +222,7 @@ def _possible(L: int, N: int) -> int:
     """Return the number of lags, or refuse one that N residuals do not allow."""
     longest = max(N // 2, 1)
     if not 1 <= L <= longest:
-        msg = f"lags={L} must be 1 to {longest}, half of the {N} residuals"
-        raise ValueError(msg)
+        raise ValueError(f"lags={L} must be 1 to {longest}, half of the {N} residuals")
     return L
 
 

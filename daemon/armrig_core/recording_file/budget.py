@@ -39,8 +39,7 @@ class Budget:
         """Count a cost; raise DamageError where there is no more left for it."""
         self.spent[what] += cost
         if self.spent[what] > self.limits[what]:
-            msg = f"more than {self.limits[what]} {what}"
-            raise DamageError(msg)
+            raise DamageError(f"more than {self.limits[what]} {what}")
 
     def regain(self, what: str) -> None:
         """Forget what was spent: it has been given back."""

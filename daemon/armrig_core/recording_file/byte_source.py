@@ -57,7 +57,6 @@ class ByteSource:
     def sha256(self) -> str:
         """Read the rest; return the hash of the file, as large as it was when it was opened."""
         if self._hash is None:
-            msg = "is_hashed=True was not asked for"
-            raise ValueError(msg)
+            raise ValueError("is_hashed=True was not asked for")
         self.skip(self.left)
         return self._hash.hexdigest()

@@ -36,19 +36,16 @@ class Unpacker:
         compression, at = body[at : at + n].decode(), at + n
         packed = memoryview(body)[at + 8 :]
         if size > CHUNK_LIMIT:
-            msg = f"a chunk of {size} B is larger than the {CHUNK_LIMIT} B allowed"
-            raise DamageError(msg)
+            raise DamageError(f"a chunk of {size} B is larger than the {CHUNK_LIMIT} B allowed")
         self._budget.spend(UNPACKED, size)
         if compression == "zstd":
             data = self._unpacked(packed, size)
         elif compression:
-            msg = f"compression {compression!r} is not known; known are zstd and none"
-            raise DamageError(msg)
+            raise DamageError(f"compression {compression!r} is not known; known are zstd and none")
         else:
             data = bytes(packed)
         if len(data) != size or (crc and zlib.crc32(data) != crc):
-            msg = "the checksum or the size of a chunk is wrong"
-            raise DamageError(msg)
+            raise DamageError("the checksum or the size of a chunk is wrong")
         return data
 
     def _unpacked(self, packed: memoryview, size: int) -> bytes:
@@ -60,5 +57,4 @@ class Unpacker:
             with self._zstd.stream_reader(packed) as stream:
                 return stream.read(size + 1)
         except zstandard.ZstdError as err:
-            msg = f"a chunk cannot be unpacked ({err})"
-            raise DamageError(msg) from err
+            raise DamageError(f"a chunk cannot be unpacked ({err})") from err

@@ -115,8 +115,7 @@ def file_records(
             raise CutOffError("without its footer")
         opcode, length = RECORD_HEAD.unpack(head)
         if not ended and opcode not in _DATA:
-            msg = f"a record of opcode {opcode} stands among the data"
-            raise DamageError(msg)
+            raise DamageError(f"a record of opcode {opcode} stands among the data")
         if length > source.left:
             raise CutOffError(f"{length - source.left} B before the end of its last record")
         spend(1)
@@ -138,8 +137,7 @@ def file_records(
                 source.skip(length - len(begin))
                 continue
         elif length > RECORD_LIMIT:
-            msg = f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed"
-            raise DamageError(msg)
+            raise DamageError(f"a record of {length} B is longer than the {RECORD_LIMIT} B allowed")
         if opcode == Opcode.CHUNK and wanted.chunk is not None:
             begin = source.read(min(length, _CHUNK_TIMES.size))
             if len(begin) == _CHUNK_TIMES.size and not wanted.chunk(*_CHUNK_TIMES.unpack(begin)):
@@ -179,14 +177,12 @@ def _check_data(source: ByteSource, body: bytes) -> None:
     """Check all data before its end; where chunks were passed over there is nothing to check by."""
     expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
     if expected and not source.passed and expected != source.crc:
-        msg = "the checksum over all data is wrong: something in the file was changed"
-        raise DamageError(msg)
+        raise DamageError("the checksum over all data is wrong: something in the file was changed")
 
 
 def _pass_index(source: ByteSource, length: int) -> None:
     """Pass over an index of messages, which must have the form of one: a chunk has not."""
     head = source.read(min(_INDEX_HEAD.size, length))
     if len(head) < _INDEX_HEAD.size or _INDEX_HEAD.unpack(head)[1] != length - len(head):
-        msg = "an index of messages has not the form of one"
-        raise DamageError(msg)
+        raise DamageError("an index of messages has not the form of one")
     source.skip(length - len(head))

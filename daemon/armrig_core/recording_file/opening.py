@@ -59,13 +59,13 @@ def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
             raise
         if not may_be_link or not _is_own(path):
             made = "a link" if not may_be_link else "a link that another user made"
-            msg = f"{made}: it is not followed; copy the file that it leads to"
-            raise DamageError(msg) from None
+            raise DamageError(
+                f"{made}: it is not followed; copy the file that it leads to"
+            ) from None
         stream = open(path, "rb", opener=opened)  # noqa: SIM115 - the caller's
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
-        msg = "not a regular file"
-        raise DamageError(msg)
+        raise DamageError("not a regular file")
     return stream
 
 

@@ -100,8 +100,7 @@ class Recording:
             where, way_out = f"{path}{ACTIVE}", "free the disk, or set [recording] directory"
             if isinstance(err, FileExistsError):
                 where, way_out = err.filename, "set [recording] directory to another"
-            msg = f"{where}: {err.strerror}; {way_out}"
-            raise RecordingError(msg) from err
+            raise RecordingError(f"{where}: {err.strerror}; {way_out}") from err
         self._thread = threading.Thread(target=self._write, name="recording", daemon=True)
         self._thread.start()
 

@@ -83,15 +83,17 @@ class Recovery:
             It cannot be recovered, and stays as it is.
         """
         if not path.name.endswith(f".mcap{ACTIVE}"):
-            msg = f"{path}: what a daemon left ends in .mcap{ACTIVE}; any other file stays as it is"
-            raise RecoveryError(msg)
+            raise RecoveryError(
+                f"{path}: what a daemon left ends in .mcap{ACTIVE}; any other file stays as it is"
+            )
         final = path.with_name(path.name.removesuffix(ACTIVE))
         copy = path.with_name(final.name + COPY)
         try:
             with held(path, self.owner) as stream:
                 if os.path.lexists(final):
-                    msg = f"{path}: {final.name} is there already; move one of them away"
-                    raise RecoveryError(msg)
+                    raise RecoveryError(
+                        f"{path}: {final.name} is there already; move one of them away"
+                    )
                 # Left by who died while he wrote it: the lock is ours.
                 copy.unlink(missing_ok=True)
                 try:
@@ -131,17 +133,19 @@ class Recovery:
             manifest = _manifest(path, rewriter, self.rig)
             if manifest is None:
                 why = damage or "it holds no metadata named armrig.run"
-                msg = f"{path}: no manifest of a run: {why}; nothing was recorded; delete it"
-                raise RecoveryError(msg)
+                raise RecoveryError(
+                    f"{path}: no manifest of a run: {why}; nothing was recorded; delete it"
+                )
             outcome = Outcome(
                 outcome=CUT_OFF, samples=tally.samples, missing=tally.missing(manifest)
             )
             if OUTCOME in rewriter.metadata:
                 outcome = _told(path, outcome_of, rewriter.metadata[OUTCOME])
                 if tally.samples < outcome.samples:
-                    msg = f"{path}: {tally.samples} of its {outcome.samples} samples are whole, "
-                    msg += "and its run was recorded to the end; it stays as it is: copy it again"
-                    raise RecoveryError(msg)
+                    raise RecoveryError(
+                        f"{path}: {tally.samples} of its {outcome.samples} samples are whole, "
+                        "and its run was recorded to the end; it stays as it is: copy it again"
+                    )
             else:
                 rewriter.add_metadata(OUTCOME, outcome.metadata())
             recovered = Recovered(

@@ -64,8 +64,7 @@ class Rewriter:
             opcode, length = RECORD_HEAD.unpack_from(data, at)
             begin, at = at + RECORD_HEAD.size, at + RECORD_HEAD.size + length
             if at > len(data):
-                msg = "a record runs over the end of its chunk"
-                raise DamageError(msg)
+                raise DamageError("a record runs over the end of its chunk")
             yield from self._add(opcode, data[begin:at])
 
     def add_metadata(self, name: str, metadata: dict[str, str]) -> None:
@@ -138,8 +137,7 @@ def compact(source: Path, target: Path) -> None:
     """
     with byte_source(source) as read, target.open("xb") as written:
         if read is None:
-            msg = "not an MCAP file"
-            raise DamageError(msg)
+            raise DamageError("not an MCAP file")
         lock(written)  # ours while we write
         rewriter = Rewriter(written, read.at + read.left)
         try:
@@ -147,8 +145,7 @@ def compact(source: Path, target: Path) -> None:
                 for _ in rewriter.add(record):
                     pass
         except UNREADABLE as err:
-            msg = f"a record cannot be read ({err or type(err).__name__})"
-            raise DamageError(msg) from err
+            raise DamageError(f"a record cannot be read ({err or type(err).__name__})") from err
         if rewriter.left_out:
             raise DamageError(rewriter.left_out[0])
         rewriter.finish()

@@ -122,8 +122,7 @@ def next_status(host: Host) -> Status:
         status: Status | None = host.status  # listening has set it
         if status is not None:
             return status
-    msg = f"no STATUS in {_STATUS_MS / 1000:g} s"
-    raise Broken(msg)
+    raise Broken(f"no STATUS in {_STATUS_MS / 1000:g} s")
 
 
 RULES = (

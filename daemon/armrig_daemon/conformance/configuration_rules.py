@@ -141,8 +141,7 @@ def _unsupported(host: Host) -> None:
         reply = host.configure(oversampling=m, ts_us=least - 1)
         expect(reply.code == Code.BAD_VALUE, f"m={m}, 1 us less: {Code(reply.code).name}")
     if none == Code.UNSUPPORTED:
-        msg = "the device offers no oversampling"
-        raise NotTried(msg)
+        raise NotTried("the device offers no oversampling")
 
 
 @rule(4, "Scheduled mode is accepted where it is offered, else UNSUPPORTED")

@@ -131,8 +131,7 @@ class Conversation:
             left_ms = (end_ns - self.line.now_ns()) / 1e6
             if left_ms <= 0:
                 names = ", ".join(type(m).__name__ for m in self._taken()[-5:])
-                msg = f"no {what}; what came: {names or 'nothing'}"
-                raise Broken(msg)
+                raise Broken(f"no {what}; what came: {names or 'nothing'}")
             self._read(left_ms)
 
     def fence(self) -> list[Message]:
@@ -156,11 +155,11 @@ class Conversation:
     def _read(self, within_ms: float) -> None:
         end_ns, most = self._limits
         if self.line.now_ns() > end_ns:
-            msg = "the device has taken longer than the whole suite may"
-            raise EndlessError(msg)
+            raise EndlessError("the device has taken longer than the whole suite may")
         if self._received > most:
-            msg = "the device has sent more than the whole suite may take: it floods the line"
-            raise EndlessError(msg)
+            raise EndlessError(
+                "the device has sent more than the whole suite may take: it floods the line"
+            )
         data = self.line.receive(within_ms)
         self._received += len(data)
         self._pending, received = decoder.feed(self._pending, data)
@@ -201,6 +200,5 @@ def only(kind: type[M], came: list[Message]) -> M:
     """
     found = [m for m in came if isinstance(m, kind)]
     if len(found) != 1:
-        msg = f"{len(found)} of {kind.__name__} among {len(came)} frames, not one"
-        raise Broken(msg)
+        raise Broken(f"{len(found)} of {kind.__name__} among {len(came)} frames, not one")
     return found[0]

@@ -42,8 +42,7 @@ def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") ->
         if any(isinstance(m, Event) for m in came):
             break
     else:
-        msg = f"no FAULT(WATCHDOG) in the silence of {watchdog_ms} ms and more"
-        raise Broken(msg)
+        raise Broken(f"no FAULT(WATCHDOG) in the silence of {watchdog_ms} ms and more")
     expect_watchdog(only(Event, came), fed_us, watchdog_ms)
     sample = host.sample(0)
     told = bool(sample.flags & Flag.WATCHDOG)
@@ -147,8 +146,7 @@ def _rails(host: Host) -> None:
         if tripped:
             expect(tripped[0].cause == Cause.ADC_RAIL and sample.state == State.FAULT, came)
             return
-    msg = "no potentiometer is at a rail: turn theta_1 into its dead band, or unplug one"
-    raise NotTried(msg)
+    raise NotTried("no potentiometer is at a rail: turn theta_1 into its dead band, or unplug one")
 
 
 @rule(7, "With `rail_ticks` and `turns` 0 no reading is a fault")

@@ -77,16 +77,14 @@ class Host(Conversation):
     def known(self) -> HelloReply:
         """What the device said of itself last."""
         if self.facts is None:
-            msg = "no HELLO_R yet"
-            raise Broken(msg)
+            raise Broken("no HELLO_R yet")
         return self.facts
 
     @property
     def rx_us(self) -> int:
         """When the last PING had come, by the device's clock."""
         if self.pong is None:
-            msg = "no PONG yet"
-            raise Broken(msg)
+            raise Broken("no PONG yet")
         return self.pong.rx_us
 
     def hello(self, within_ms: float = PATIENCE_MS) -> HelloReply:
@@ -122,8 +120,7 @@ class Host(Conversation):
         """Return the SAMPLE of an EXCHANGE."""
         came = self.exchange(u, k=k)
         if not isinstance(came, Sample):
-            msg = f"{type(came).__name__} in answer to EXCHANGE"
-            raise Broken(msg)
+            raise Broken(f"{type(came).__name__} in answer to EXCHANGE")
         return came
 
     def to_idle(self) -> None:
@@ -135,8 +132,7 @@ class Host(Conversation):
         if self.state in (State.FAULT, State.ESTOP):
             self.ask(ClearFault, token=self.known.token)
         if self.state != State.IDLE:
-            msg = f"state {self.state} behind STOP and CLEAR_FAULT, not IDLE"
-            raise Broken(msg)
+            raise Broken(f"state {self.state} behind STOP and CLEAR_FAULT, not IDLE")
 
     def reach(self, state: State, **config: int) -> None:
         """Go from IDLE to `state` by the shortest way, with `CONFIG` but for what is given."""
@@ -153,8 +149,7 @@ class Host(Conversation):
                 self.ask(Start)
         self.fence()
         if self.state != state:
-            msg = f"state {self.state} on the way to {state.name}"
-            raise Broken(msg)
+            raise Broken(f"state {self.state} on the way to {state.name}")
 
     def alive(self, ms: float, until: Callable[[Message], bool] | None = None) -> list[Message]:
         """Return what comes within `ms`, or until one is found, with a KEEPALIVE now and then."""

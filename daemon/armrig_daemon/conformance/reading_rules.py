@@ -39,8 +39,7 @@ def _oversample(host: Host) -> int:
     for m in (_MANY, 8, 4, 2):
         if host.configure(oversampling=m, ts_us=ts_min_us(host, m) + 10_000).code == Code.OK:
             return m
-    msg = "the device offers no oversampling"
-    raise NotTried(msg)
+    raise NotTried("the device offers no oversampling")
 
 
 @rule(5, "With oversampling m, t_us is (2 m - 1) `skew_us` behind the EXCHANGE")
@@ -103,8 +102,7 @@ def _need_cal(host: Host) -> None:
             host.reach(state)
             came = host.ask(Cal, channel=0, zero=0, n=1)
             expect(codes(came) == [Code.UNSUPPORTED], came)
-        msg = "the device offers no CAL"
-        raise NotTried(msg)
+        raise NotTried("the device offers no CAL")
 
 
 def _cal_reply(host: Host, channel: int, n: int) -> CalReply:
@@ -143,8 +141,7 @@ def _cal_meanwhile(host: Host) -> None:
     busy: list[Message] = host.ask(Cal, channel=1, zero=0, n=1)
     busy += host.ask(Exchange, k=1, u=0) + host.ask(Arm)
     if any(isinstance(m, CalReply) for m in busy):
-        msg = "CAL_R came before the host had asked for more: it was held up"
-        raise Broken(msg)
+        raise Broken("CAL_R came before the host had asked for more: it was held up")
     expect(codes(busy) == [Code.WRONG_STATE] * 3 and len(busy) == 3, busy)
     host.reach(State.ESTOP)
     came = host.until(lambda m: isinstance(m, CalReply), "CAL_R", 4 * PATIENCE_MS)

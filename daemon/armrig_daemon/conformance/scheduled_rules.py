@@ -48,8 +48,7 @@ class Took(NamedTuple):
 def armed(host: Host, **config: int) -> None:
     """Go to ARMED in scheduled mode."""
     if not host.known.capabilities & Capability.SCHEDULED:
-        msg = "the device offers no scheduled mode"
-        raise NotTried(msg)
+        raise NotTried("the device offers no scheduled mode")
     host.reach(State.ARMED, **{"mode": Mode.SCHEDULED, "ts_us": TS_US, **config})
 
 
@@ -86,8 +85,7 @@ def run_to_end(host: Host, k_stop: int, ts_us: int = TS_US) -> Took:
     came += host.alive(limit_ms, ends)
     events = [m for m in came if isinstance(m, Event) and m.was == State.RUN]
     if not events:
-        msg = f"the run did not end: {len(came)} frames came"
-        raise Broken(msg)
+        raise Broken(f"the run did not end: {len(came)} frames came")
     return Took([m for m in came if isinstance(m, Sample)], events[0], started)
 
 

@@ -128,8 +128,7 @@ def _reset(host: Host) -> None:
     came = host.fence()
     if after.boot_id == before:
         expect(host.state == State.READY, f"state {host.state} in the same boot, not READY")
-        msg = "opening the port does not reset this device"
-        raise NotTried(msg)
+        raise NotTried("opening the port does not reset this device")
     expect(after.state == State.IDLE, f"state {after.state} behind a boot")
     halves = before & _U16, after.boot_id & _U16
     expect(halves[0] != halves[1], f"boot_id {before:08x} and then {after.boot_id:08x}")

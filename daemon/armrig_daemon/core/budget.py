@@ -45,8 +45,7 @@ def check(
     least = (scheduled_us if scheduled else exchange_us)(baud, conversion_us)
     if ts_us < least:
         mode = "scheduled" if scheduled else "exchange"
-        msg = (
+        raise ValueError(
             f"Ts={ts_us / 1e6:g} s cannot be carried at {baud} baud in {mode} mode: "
             f"at least {least / 1e6:g} s, or a higher baud rate"
         )
-        raise ValueError(msg)

@@ -126,8 +126,7 @@ class Board:
     def latch(self, now_ns: int, code: int, cause: Cause) -> None:
         """Give the motor the voltage of `code` from now on; only RUN does this."""
         if not 0 <= code <= CODE_FULL_SCALE:
-            msg = f"code {code} at the pin; it must be from 0 to {CODE_FULL_SCALE}"
-            raise VoltageError(msg)
+            raise VoltageError(f"code {code} at the pin; it must be from 0 to {CODE_FULL_SCALE}")
         self.code = reported(code, self._pwm_bits)
         terminal_v = driven(volts(code, self._pwm_bits), *self._driver)
         self._apply(now_ns, terminal_v, _RUN, cause)
@@ -164,8 +163,7 @@ class Board:
 
     def _apply(self, now_ns: int, terminal_v: float, state: State, cause: Cause) -> None:
         if not 0.0 <= terminal_v <= FULL_SCALE_V:
-            msg = f"{terminal_v} V at the motor; it must be from 0 to {FULL_SCALE_V}"
-            raise VoltageError(msg)
+            raise VoltageError(f"{terminal_v} V at the motor; it must be from 0 to {FULL_SCALE_V}")
         if terminal_v == self._volts:
             return
         self.motion(now_ns)

@@ -48,7 +48,6 @@ def cal(fw: Firmware, now_ns: int, m: Cal) -> list[Message]:
 def answer(fw: Firmware, codes: list[int]) -> Message:
     """Return CAL_R, and give the converter back."""
     if fw.cal is None:
-        msg = "the readings of a CAL that nobody asked for"
-        raise RuntimeError(msg)
+        raise RuntimeError("the readings of a CAL that nobody asked for")
     channel, fw.cal = fw.cal.channel, None
     return CalReply(fw.state, UNNUMBERED, channel, 0, len(codes), *statistics(codes))

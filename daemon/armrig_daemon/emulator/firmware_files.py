@@ -23,11 +23,10 @@ def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> P
     """
     program = Path(environ.get(VARIABLE) or checkout / "fil" / "fil")
     if not program.is_file():
-        msg = (
+        raise HarnessError(
             f"{program}: no such program; build it in a checkout by `make fil` (Debian's "
             f"libsimavr-dev), or say by {VARIABLE} where it is"
         )
-        raise HarnessError(msg)
     return program
 
 
@@ -41,8 +40,7 @@ def firmware_image(image: Path | None) -> Path:
     """
     found = image or shipped_image()
     if not found.is_file():
-        msg = f"{found}: no such firmware; `make firmware` builds it in a checkout"
-        raise HarnessError(msg)
+        raise HarnessError(f"{found}: no such firmware; `make firmware` builds it in a checkout")
     try:
         read_image(found)  # simavr runs a file that was cut off, up to the cut
     except ImageError as err:

@@ -116,8 +116,7 @@ class Harness:
                 start_new_session=True,  # Ctrl-C is for us, who end it
             )
         except OSError as err:
-            msg = f"{program}: {err.strerror}"
-            raise HarnessError(msg) from err
+            raise HarnessError(f"{program}: {err.strerror}") from err
         self.cycle = 0
 
     def advance(
@@ -193,8 +192,7 @@ class Harness:
     @property
     def _in(self) -> IO[bytes]:
         if self._process.stdin is None:
-            msg = "the harness has no input"
-            raise HarnessError(msg)
+            raise HarnessError("the harness has no input")
         return self._process.stdin
 
     def _order(self, order: bytes, cycle: int, n: int, data: bytes = b"") -> None:
@@ -202,15 +200,13 @@ class Harness:
             self._in.write(_ORDER.pack(order, cycle, n) + data)
             self._in.flush()
         except BrokenPipeError as err:
-            msg = f"the harness ended with exit code {self._process.wait()}"
-            raise HarnessError(msg) from err
+            raise HarnessError(f"the harness ended with exit code {self._process.wait()}") from err
 
     def _read(self, n: int) -> bytes:
         pipe = self._process.stdout
         data = pipe.read(n) if pipe is not None else b""
         if len(data) < n:
-            msg = f"the harness ended with exit code {self._process.wait()}"
-            raise HarnessError(msg)
+            raise HarnessError(f"the harness ended with exit code {self._process.wait()}")
         return data
 
     def _data(self) -> bytes:

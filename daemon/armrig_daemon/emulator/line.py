@@ -141,8 +141,7 @@ class Terminal(Line):
     def offer(self, port: Path, stack: ExitStack) -> None:
         """Make the link in one step, over one that an emulator left behind."""
         if port.exists() and not port.is_symlink():
-            msg = f"{port}: is there and no link; choose another --port"
-            raise PortError(msg)
+            raise PortError(f"{port}: is there and no link; choose another --port")
         fresh = port.with_name(f"{port.name}.{os.getpid()}")
         fresh.symlink_to(self.slave)
         fresh.replace(port)

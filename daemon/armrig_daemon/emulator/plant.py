@@ -81,11 +81,9 @@ def build(
     """
     for name, value in (("coulomb_nm", coulomb_nm), ("stiffening", stiffening)):
         if not isfinite(value) or value < 0:
-            msg = f"{name}={value!r} must be finite and >= 0"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={value!r} must be finite and >= 0")
     if substep_ns < 1:
-        msg = f"substep_ns={substep_ns} must be at least 1"
-        raise ValueError(msg)
+        raise ValueError(f"substep_ns={substep_ns} must be at least 1")
     free, locked = _tables(arm, arm_removed)
     return Plant(
         free=free,
@@ -115,8 +113,7 @@ def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
        SIAM J. Numerical Analysis 5 (1968) 506-517.
     """
     if dt_ns < 0:
-        msg = f"dt_ns={dt_ns} must be >= 0"
-        raise ValueError(msg)
+        raise ValueError(f"dt_ns={dt_ns} must be >= 0")
     if plant.coulomb_nm or plant.stiffening:
         return _split(plant, x, u, dt_ns)
     return _flow(plant.free, x, u, dt_ns)

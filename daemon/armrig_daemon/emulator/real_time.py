@@ -217,8 +217,7 @@ def _naming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        msg = f"{path}: {err.strerror}"
-        raise PortError(msg) from err
+        raise PortError(f"{path}: {err.strerror}") from err
 
 
 def _line(port: Path, stack: ExitStack) -> Line:

@@ -41,8 +41,7 @@ def latch(fw: Firmware, now_ns: int) -> None:
 def _next_setpoint(fw: Firmware) -> Setpoint:
     """Return what is to be latched now, from the queue or by the policy for a dry one."""
     if fw.queue is None:
-        msg = "a sample of scheduled mode is to be latched without a queue"
-        raise RuntimeError(msg)
+        raise RuntimeError("a sample of scheduled mode is to be latched without a queue")
     if not fw.queue.advance():
         fw.new_flags |= _UNDERRUN
         fw.counters.underruns += 1

@@ -124,19 +124,16 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         for key, (least, greatest) in RANGES.items():
             value = getattr(self, key)
             if not least <= value <= greatest:
-                msg = f"{key}={value!r} must be from {least} to {greatest}"
-                raise SettingsError(msg)
+                raise SettingsError(f"{key}={value!r} must be from {least} to {greatest}")
         for key, choices in CHOICES.items():
             if getattr(self, key) not in choices:
                 allowed = ", ".join(map(str, choices))
-                msg = f"{key}={getattr(self, key)!r} must be one of {allowed}"
-                raise SettingsError(msg)
+                raise SettingsError(f"{key}={getattr(self, key)!r} must be one of {allowed}")
         if self.alpha_zero_deg > self.alpha_range_deg:
-            msg = (
+            raise SettingsError(
                 f"alpha_zero_deg={self.alpha_zero_deg!r} must lie on the track, "
                 f"from 0 to alpha_range_deg={self.alpha_range_deg!r}"
             )
-            raise SettingsError(msg)
         if self.arm:
             self.arm_parameters()
 
@@ -149,13 +146,13 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         allowed = ArmParameters.__dataclass_fields__
         for key in self.arm:
             if key not in allowed:
-                msg = f"arm.{key}={self.arm[key]!r}: no such key; allowed are {', '.join(allowed)}"
-                raise SettingsError(msg)
+                raise SettingsError(
+                    f"arm.{key}={self.arm[key]!r}: no such key; allowed are {', '.join(allowed)}"
+                )
         try:
             return ArmParameters(**self.arm)
         except ValueError as err:
-            msg = f"arm.{err}"
-            raise SettingsError(msg) from err
+            raise SettingsError(f"arm.{err}") from err
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True):
@@ -176,8 +173,6 @@ def load(path: Path) -> EmulatorSettings:
         tables = read_toml(path, CONFIGURATION_LIMIT)
         return convert({"emulator": tables.get("emulator", {})}, _File).emulator
     except OSError as err:
-        msg = f"{path}: {err.strerror}"
-        raise SettingsError(msg) from err
+        raise SettingsError(f"{path}: {err.strerror}") from err
     except ValueError as err:
-        msg = f"{path}: {err}"
-        raise SettingsError(msg) from err
+        raise SettingsError(f"{path}: {err}") from err

@@ -34,11 +34,9 @@ class SocketLine(Line):
         """Make the socket in one step, in place of one at which no emulator answers."""
         path = self._path
         if fault := folder_fault(path):
-            msg = f"{port}: {fault}"
-            raise PortError(msg)
+            raise PortError(f"{port}: {fault}")
         if fault := _occupied(path):
-            msg = f"{port}: {fault}; choose another --port"
-            raise PortError(msg)
+            raise PortError(f"{port}: {fault}; choose another --port")
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         os.close(os.open(lock_path(path), flags, 0o600))
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)

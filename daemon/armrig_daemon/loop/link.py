@@ -82,8 +82,7 @@ class Link:
             _tell_nothing_from_the_end(self._serial.fileno())
         except (OSError, ValueError, termios.error) as err:
             kind, reason = _reason(port, err)
-            msg = f"{port} cannot be opened: {reason}"
-            raise kind(msg) from err
+            raise kind(f"{port} cannot be opened: {reason}") from err
         self._begin(port, self._serial.fileno())
         with contextlib.suppress(OSError, ValueError, termios.error, NotImplementedError):
             # Best effort: a pseudo-terminal has no such mode, and needs none.
@@ -115,11 +114,9 @@ class Link:
         except BlockingIOError:
             return b""
         except OSError as err:
-            msg = f"{self.port} is gone: {err.strerror}"
-            raise LinkError(msg) from err
+            raise LinkError(f"{self.port} is gone: {err.strerror}") from err
         if not data:
-            msg = f"{self.port} is gone: end of file"
-            raise LinkError(msg)
+            raise LinkError(f"{self.port} is gone: end of file")
         return data
 
     def write(self, data: bytes) -> None:
@@ -129,11 +126,9 @@ class Link:
         except BlockingIOError:
             sent = 0
         except OSError as err:
-            msg = f"{self.port} is gone: {err.strerror}"
-            raise LinkError(msg) from err
+            raise LinkError(f"{self.port} is gone: {err.strerror}") from err
         if sent < len(data):
-            msg = f"{self.port} takes no more bytes: the device does not read"
-            raise LinkError(msg)
+            raise LinkError(f"{self.port} takes no more bytes: the device does not read")
 
     def close(self) -> None:
         """Give the port back."""
@@ -154,8 +149,7 @@ class SocketLink(Link):
                 connection = _connected(path, stack)
             except OSError as err:
                 kind, reason = _socket_reason(port, err)
-                msg = f"{port} cannot be opened: {reason}"
-                raise kind(msg) from err
+                raise kind(f"{port} cannot be opened: {reason}") from err
             self._held = stack.pop_all()
         self._begin(port, connection.fileno())
 
@@ -173,8 +167,7 @@ def _connected(path: Path, stack: contextlib.ExitStack) -> socket.socket:
     if fault := folder_fault(path):
         raise LinkError(fault)
     if not is_socket(path):
-        msg = "it is no socket; give that of an emulator"
-        raise LinkError(msg)
+        raise LinkError("it is no socket; give that of an emulator")
     lock = os.open(lock_path(path), os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     stack.callback(os.close, lock)
     try:

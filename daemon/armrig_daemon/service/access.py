@@ -112,8 +112,7 @@ def network_of(config: Config) -> Network | None:
             return _by_certificate(config, people, read_credential(Path(access.certificate), "rig"))
         users = read_passwords(Path(access.passwords))
     except (AccessListError, CredentialError, PasswordError, TextError) as err:
-        msg = f"[access] {err}"
-        raise AccessError(msg) from err
+        raise AccessError(f"[access] {err}") from err
     return _by_password(config, people, users)
 
 
@@ -123,9 +122,10 @@ def _check_keys(access: Access) -> None:
         if access.router:
             given = [key for key in given if key != "certificate"]
         if given:
-            msg = f"[access] {given[0]} is given and listen is not: nobody could connect; give "
-            msg += "listen, such as tls/0.0.0.0:7447"
-            raise AccessError(msg)
+            raise AccessError(
+                f"[access] {given[0]} is given and listen is not: nobody could connect; give "
+                "listen, such as tls/0.0.0.0:7447"
+            )
         return
     protocol = check_listen(access.listen)
     needed = ["certificate", "names"] if protocol == "tls" else ["names", "passwords"]
@@ -133,12 +133,12 @@ def _check_keys(access: Access) -> None:
     for key in needed:
         if key not in given:
             made = f"; `{makes[key]}` makes one" if key in makes else ": a line user:password each"
-            msg = f"[access] listen = {access.listen!r}: needs {key}, too{made}"
-            raise AccessError(msg)
+            raise AccessError(f"[access] listen = {access.listen!r}: needs {key}, too{made}")
     for key in given:
         if key not in needed:
-            msg = f"[access] {key} does not go with listen = {access.listen!r}: take it away"
-            raise AccessError(msg)
+            raise AccessError(
+                f"[access] {key} does not go with listen = {access.listen!r}: take it away"
+            )
 
 
 def _by_certificate(config: Config, people: AccessList, rig: Credential) -> Network:

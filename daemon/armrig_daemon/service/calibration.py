@@ -37,19 +37,20 @@ def checked_calibration(
     uid = str(device.get("uid", made.device_uid))  # without a device the core refuses
     if (made.rig, made.device_uid) != (config.rig.id, uid):
         whose = f"rig {made.rig[:_LONGEST]}, device {made.device_uid[:_LONGEST]}"
-        msg = f"the calibration is of {whose}, and this is rig {config.rig.id}, device {uid}: "
-        msg += "calibrate this one with `armrig calibrate`"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the calibration is of {whose}, and this is rig {config.rig.id}, device {uid}: "
+            "calibrate this one with `armrig calibrate`"
+        )
     if len(made.date) > _LONGEST or not made.date.isprintable():
-        msg = f"made.date: at most {_LONGEST} characters that print are allowed"
-        raise ValueError(msg)
+        raise ValueError(f"made.date: at most {_LONGEST} characters that print are allowed")
     for name in ("theta_1", "alpha"):
         now, wraps = getattr(config.calibration, name).wraps, getattr(calibration, name).wraps
         if wraps != now:
             # Where alpha wraps, arming does not look for it at the end of its range.
-            msg = f"{name}.wraps = {str(wraps).lower()}: must be {str(now).lower()}, as the "
-            msg += "configuration of this rig says"
-            raise ValueError(msg)
+            raise ValueError(
+                f"{name}.wraps = {str(wraps).lower()}: must be {str(now).lower()}, as the "
+                "configuration of this rig says"
+            )
     # The daemon has read no file.
     return replace(calibration, made=replace(made, file=""))
 

@@ -245,8 +245,9 @@ class Commands:
         """Publish and record a note. The loop, and so the motor, never hears of it."""
         left = take_at(_NOTES_PER_S, _MOST_NOTES, self._notes, time.monotonic())
         if left is None:
-            msg = f"too many notes came, {_NOTES_PER_S:g} a second are taken{commands.TRY_AGAIN}"
-            raise ValueError(msg)
+            raise ValueError(
+                f"too many notes came, {_NOTES_PER_S:g} a second are taken{commands.TRY_AGAIN}"
+            )
         self._notes = left
         who = signed(request.owner, command.by) or _SOMEBODY
         self._note(round(command.came_s * 1e9), request.text, who)
@@ -255,8 +256,7 @@ class Commands:
     def _calibrate(self, command: Command, request: commands.Calibrate) -> None:
         """Hand a calibration to the loop, which needs its figures only."""
         if self._calibration is not None:
-            msg = "another calibration is on its way: try again"
-            raise ValueError(msg)
+            raise ValueError("another calibration is on its way: try again")
         device = self._rig.state.device
         checked = checked_calibration(request.calibration, request.raw, self._config, device)
         self._order(command, Calibrate(calibration=replace(checked, made=None)))
@@ -290,8 +290,7 @@ class Commands:
         if Ts is None:
             return 0
         if round(Ts * 1e6, 3) % 1:
-            msg = f"Ts={Ts} must be a whole number of microseconds"
-            raise ValueError(msg)
+            raise ValueError(f"Ts={Ts} must be a whole number of microseconds")
         check(round(Ts * 1e6), self._config.device.baud, scheduled=True)
         return round(Ts * 1e6)
 
@@ -302,8 +301,7 @@ class Commands:
         if who is None:
             who = self._holder.owner if isinstance(order, Leased) else signed("", command.by)
         if len(self._waiting) >= _MOST_ASKED and isinstance(order, Acquire | Reset | Calibrate):
-            msg = "too many commands are waiting: try again"
-            raise ValueError(msg)
+            raise ValueError("too many commands are waiting: try again")
         self._numbers += 1
         order = replace(order, order=self._numbers)
         until = time.monotonic() + ANSWER_S

@@ -59,8 +59,7 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
         until = time.monotonic() + _START_S
         while not path.exists():
             if child.poll() is not None or time.monotonic() > until:
-                msg = f"the emulator did not start behind {path}"
-                raise EmulatorError(msg)
+                raise EmulatorError(f"the emulator did not start behind {path}")
             time.sleep(0.01)
         device = msgspec.structs.replace(config.device, port=port_of(path))
         yield msgspec.structs.replace(config, device=device), stalls_out

@@ -43,9 +43,7 @@ def renewed(presence: Presence | None, sign: Renew, now_s: float) -> Presence:
         There is no run in hand, it is somebody else's, or the sign is an old one.
     """
     if presence is None or sign.lease != presence.lease:
-        msg = "no run of this lease is in hand"
-        raise ValueError(msg)
+        raise ValueError("no run of this lease is in hand")
     if sign.n <= presence.n:
-        msg = f"n={sign.n} must be greater than the last, {presence.n}"
-        raise ValueError(msg)
+        raise ValueError(f"n={sign.n} must be greater than the last, {presence.n}")
     return presence._replace(n=sign.n, heard_s=now_s)

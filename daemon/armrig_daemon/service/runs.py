@@ -130,8 +130,7 @@ class Runs:
             rehearsal is outside the limits.
         """
         if not self.is_idle:
-            msg = "an experiment is running: stop it first, or wait for its end"
-            raise ValueError(msg)
+            raise ValueError("an experiment is running: stop it first, or wait for its end")
         error = check_directory(self._directory, _ROOM_PER_SAMPLE * len(request.u) + _ROOM)
         if error:
             raise ValueError(error)
@@ -199,8 +198,7 @@ class Runs:
         """
         planned, self._planned = self._planned, None
         if planned is None or planned.run_id != started.run_id:
-            msg = f"run {started.run_id} was not asked for"
-            raise LookupError(msg)
+            raise LookupError(f"run {started.run_id} was not asked for")
         manifest = self._manifest(planned, started, state, host, clock_offset_ns)
         attachments = {
             CONFIG: msgspec.json.encode(self._config),

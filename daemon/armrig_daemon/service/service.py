@@ -421,8 +421,7 @@ def _open_network(session: Session, endpoint: str) -> str:
 def _decoded(data: bytes) -> Sample:
     sample = decode_sample(data)
     if sample is None:
-        msg = "the loop sent a sample of another layout"
-        raise RuntimeError(msg)
+        raise RuntimeError("the loop sent a sample of another layout")
     return sample
 
 

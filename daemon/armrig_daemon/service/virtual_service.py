@@ -108,8 +108,7 @@ class VirtualService:
         level, text = self._runs.finished(_FINISH_S)
         last = self._runs.last
         if level != "info" or last is None or last.outcome != "complete":
-            msg = text or f"the recording is not complete after {_FINISH_S:g} s"
-            raise VirtualRunError(msg)
+            raise VirtualRunError(text or f"the recording is not complete after {_FINISH_S:g} s")
         return Path(last.recording)
 
     def _ask(self, order: Orders) -> Answer:
@@ -129,8 +128,7 @@ class VirtualService:
         end_ns = ports.now + round(seconds * 1e9) + _SETTLE_NS
         while not what():
             if ports.now >= end_ns or self._rig.loop.ended:
-                msg = f"the emulated rig {failing}: {self._state}"
-                raise VirtualRunError(msg)
+                raise VirtualRunError(f"the emulated rig {failing}: {self._state}")
             self._take(self._rig.run_until(min(end_ns, ports.now + _STEP_NS)))
             self._rig.records.clear()
 
@@ -166,8 +164,7 @@ class VirtualService:
 
     def _begin(self, started: RunStarted) -> None:
         if self._state is None:
-            msg = "a run started on a rig that has told no state"
-            raise VirtualRunError(msg)
+            raise VirtualRunError("a run started on a rig that has told no state")
         self._runs.begin(started, self._state, {}, self._offset_ns)
 
 
@@ -190,6 +187,5 @@ def requests_of(text: bytes) -> list[Run]:
             fields: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
             runs.append(msgspec.convert({"lease": LEASE, "n": 0, **fields}, Run))
         except msgspec.MsgspecError as err:
-            msg = f"line {number} is no run: {err}"
-            raise ValueError(msg) from err
+            raise ValueError(f"line {number} is no run: {err}") from err
     return runs

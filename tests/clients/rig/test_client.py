@@ -209,8 +209,7 @@ def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
 
     def earlier(request: commands.Request) -> Any:
         if isinstance(request, commands.Stop) and request.by:
-            msg = "stop: Object contains unknown field `by`"
-            raise ValueError(msg)
+            raise ValueError("stop: Object contains unknown field `by`")
         return carry_out(request)
 
     monkeypatch.setattr(daemon, "_carry_out", earlier)

@@ -42,10 +42,8 @@ def table_of(data: bytes, suffix: str) -> Table:
     if data.startswith(b"MATLAB 5.0") or (suffix == ".mat" and b"\0" in data[:128]):
         return matlab.read(data)
     if b"\0" in data:
-        msg = f"is no text, and no other kind of file that is known; {_READ}"
-        raise DataFileError(msg)
+        raise DataFileError(f"is no text, and no other kind of file that is known; {_READ}")
     try:
         return text.table_of(decoded(data))
     except TextError as err:
-        msg = f'{err} (in Excel: "CSV UTF-8")'
-        raise DataFileError(msg) from err
+        raise DataFileError(f'{err} (in Excel: "CSV UTF-8")') from err

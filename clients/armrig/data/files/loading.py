@@ -82,13 +82,13 @@ def load_data(
         table = table_of(data, path.suffix.lower())
         return _dataset(table, {"input": input, "signal": signal}, time, Ts, source)
     except DataFileError as err:
-        msg = f"{path}: {err}"
-        raise DataFileError(msg) from err
+        raise DataFileError(f"{path}: {err}") from err
     except OSError as err:
         if err.errno != errno.EFBIG:
             raise
-        msg = f"{path}: has more than {MOST_BYTES >> 20} MiB; cut it into several files"
-        raise DataFileError(msg) from err
+        raise DataFileError(
+            f"{path}: has more than {MOST_BYTES >> 20} MiB; cut it into several files"
+        ) from err
 
 
 def _dataset(
@@ -101,8 +101,9 @@ def _dataset(
     has_times = time is not None or Ts is not None or table.Ts is not None or _named_times(table)
     at = _chosen(table, columns, has_times=bool(has_times))
     if at["input"] == at["signal"]:
-        msg = f"input and signal are both column {at['input'] + 1}; {listed(table, 'signal')}"
-        raise DataFileError(msg)
+        raise DataFileError(
+            f"input and signal are both column {at['input'] + 1}; {listed(table, 'signal')}"
+        )
     notes = list(table.notes)
     if Ts is None:
         Ts = _sampling_time(table, time, set(at.values()))
@@ -110,8 +111,9 @@ def _dataset(
         notes += _other_times(table, time, set(at.values()), Ts)
     u, y = (_values(table, i, what) for what, i in at.items())
     if u.size != y.size:
-        msg = f"the input has {u.size} samples and the signal {y.size}; both need one an instant"
-        raise DataFileError(msg)
+        raise DataFileError(
+            f"the input has {u.size} samples and the signal {y.size}; both need one an instant"
+        )
     for name, x in (("input", u), ("signal", y)):
         try:
             require_size(name, x[~np.isnan(x)])
@@ -196,9 +198,10 @@ def _values(table: Table, i: int, what: str) -> Vector:
     infinite = np.isinf(values)
     if infinite.any():
         k = int(np.argmax(infinite))
-        msg = f"{table.place(k)}: the {what} is {values[k]} there, and in {infinite.sum()} samples "
-        msg += "in all; leave a value that is not known empty, or write NaN"
-        raise DataFileError(msg)
+        raise DataFileError(
+            f"{table.place(k)}: the {what} is {values[k]} there, and in {infinite.sum()} samples "
+            "in all; leave a value that is not known empty, or write NaN"
+        )
     if np.isnan(values).all():
         msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "
         raise DataFileError(msg + listed(table, what))

@@ -96,14 +96,12 @@ def _elements(
         if kind >> 16:  # a short one: its length above its kind, its bytes where a length stands
             kind, length, begin = kind & 0xFFFF, kind >> 16, at - 4
             if length > 4:
-                msg = "a short element of more than 4 B"
-                raise DamageError(msg)
+                raise DamageError("a short element of more than 4 B")
         else:
             begin = at
             at += -(-length // 8) * 8 if padded else length
         if begin + length > len(data):
-            msg = "it ends too early"
-            raise DamageError(msg)
+            raise DamageError("it ends too early")
         yield kind, data[begin : begin + length]
 
 
@@ -112,8 +110,7 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
     parts = _elements(body, order)
     flags = _numbers(parts, order)
     if flags.size < 1 or depth > _DEEPEST:
-        msg = "an array without a class, or too many inside each other"
-        raise DamageError(msg)
+        raise DamageError("an array without a class, or too many inside each other")
     kind = int(flags[0]) & 0xFF
     if kind > _LAST_NUMBER:
         return _name(parts), Unread(_OPAQUE)
@@ -141,8 +138,7 @@ def _structure(
     width = _numbers(parts, order)
     _, names = next(parts, (0, memoryview(b"")))
     if width.size != 1 or not 0 < int(width[0]) <= _MOST_NAME:
-        msg = "a structure without names"
-        raise DamageError(msg)
+        raise DamageError("a structure without names")
     size = int(width[0])
     fields = [_text(names[i : i + size]) for i in range(0, len(names), size)]
     if prod(shape) != 1:
@@ -159,8 +155,7 @@ def _numbers(parts: Iterator[tuple[int, memoryview]], order: str) -> Any:
     """Return the next element as a vector of its own type."""
     kind, body = next(parts, (0, memoryview(b"")))
     if kind not in _NUMBERS or len(body) % int(_NUMBERS[kind][1]):
-        msg = f"an element of kind {kind} where numbers are due"
-        raise DamageError(msg)
+        raise DamageError(f"an element of kind {kind} where numbers are due")
     return np.frombuffer(body, dtype=order + _NUMBERS[kind])
 
 
@@ -175,8 +170,7 @@ def _text(data: memoryview) -> str:
 def _shaped(values: Any, shape: tuple[int, ...]) -> Any:
     """Return values, column by column, in their shape."""
     if len(shape) < 2 or any(n < 0 for n in shape) or prod(shape) != values.size:
-        msg = f"{values.size} numbers in a shape of {shape}"
-        raise DamageError(msg)
+        raise DamageError(f"{values.size} numbers in a shape of {shape}")
     return values.reshape(shape, order="F")
 
 
@@ -189,20 +183,17 @@ def _old_variables(data: memoryview) -> Iterator[tuple[str, Value]]:
         form, number, what = kind // 100, kind // 10 % 10, kind % 10
         known = form in (0, 10) and number < len(_OLD_NUMBERS) and what < 3
         if not known or min(rows, columns) < 0 or not 0 < length <= _MOST_NAME:
-            msg = "no header of version 4"
-            raise DamageError(msg)
+            raise DamageError("no header of version 4")
         at += 20 + length
         type_ = np.dtype(order + _OLD_NUMBERS[number])
         size = rows * columns * type_.itemsize
         name, body = _text(data[at - length : at]), data[at : at + size]
         at += size * (2 if imaginary else 1)
         if at > len(data):
-            msg = "it ends too early"
-            raise DamageError(msg)
+            raise DamageError("it ends too early")
         if what or imaginary:
             yield name, Unread("is no full matrix of real numbers; save it as one")
         else:
             yield name, _shaped(np.frombuffer(body, dtype=type_), (rows, columns))
     if at == 0:
-        msg = "it has no header"
-        raise DamageError(msg)
+        raise DamageError("it has no header")

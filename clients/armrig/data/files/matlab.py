@@ -27,11 +27,9 @@ def read(data: bytes) -> ArrayTable:
         for name, value in variables(data, most):
             _sort(name, value, arrays, refused)
     except DamageError as err:
-        msg = f"is a damaged MAT-file ({err}); {_AGAIN}"
-        raise DataFileError(msg) from err
+        raise DataFileError(f"is a damaged MAT-file ({err}); {_AGAIN}") from err
     except TooLongError as err:
-        msg = f"unpacked it has more than {most >> 20} MiB; {_AGAIN}"
-        raise DataFileError(msg) from err
+        raise DataFileError(f"unpacked it has more than {most >> 20} MiB; {_AGAIN}") from err
     return table_of(arrays, refused)
 
 

@@ -43,11 +43,13 @@ def read(data: bytes) -> ArrayTable:
     except DataFileError:
         raise
     except Exception as err:  # whatever a damaged archive makes of its reader
-        msg = f"is a damaged .npz: {type(err).__name__}; save it again with numpy.savez"
-        raise DataFileError(msg) from err
+        raise DataFileError(
+            f"is a damaged .npz: {type(err).__name__}; save it again with numpy.savez"
+        ) from err
     if not (arrays or refused):
-        msg = "is a ZIP archive without arrays, such as an Excel workbook; save its sheet as CSV"
-        raise DataFileError(msg)
+        raise DataFileError(
+            "is a ZIP archive without arrays, such as an Excel workbook; save its sheet as CSV"
+        )
     return table_of(arrays, refused)
 
 

@@ -102,15 +102,14 @@ def chosen(table: Table, wanted: str, what: str) -> int:
             return found[0]
         if found:
             numbers = " and ".join(str(i + 1) for i in found[:_LISTED])
-            msg = f"{what} {shown(asked)}: columns {numbers} are named so; give the number"
-            raise DataFileError(msg)
+            raise DataFileError(
+                f"{what} {shown(asked)}: columns {numbers} are named so; give the number"
+            )
     if asked.isdecimal() and len(asked) <= _MOST_DIGITS and 1 <= int(asked) <= len(table.columns):
         return int(asked) - 1
     if asked in table.refused:
-        msg = f"{what} {shown(asked)}: {table.refused[asked]}"
-        raise DataFileError(msg)
-    msg = f"{what} {shown(asked)}: there is no such column; {listed(table, what)}"
-    raise NoColumnError(msg)
+        raise DataFileError(f"{what} {shown(asked)}: {table.refused[asked]}")
+    raise NoColumnError(f"{what} {shown(asked)}: there is no such column; {listed(table, what)}")
 
 
 def listed(table: Table, what: str) -> str:

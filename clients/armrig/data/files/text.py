@@ -100,8 +100,7 @@ def table_of(text: str) -> TextTable:
         notes = [f"read line {numbered.pop(0)[0]} as units"]
     if not numbered:
         names = f" below its names, {shown(', '.join(header))}" if header else ""
-        msg = f"there is no row of numbers{names}; a row for each sample is needed"
-        raise DataFileError(msg)
+        raise DataFileError(f"there is no row of numbers{names}; a row for each sample is needed")
     lines, rows = [number for number, _ in numbered], [line for _, line in numbered]
     if header and not header[-1]:
         del header[-1]
@@ -140,8 +139,7 @@ def _cells(line: str, separator: str) -> list[str]:
     try:
         return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
     except csv.Error as err:
-        msg = f"'{shown(line)}' cannot be parted into cells: {err}"
-        raise DataFileError(msg) from err
+        raise DataFileError(f"'{shown(line)}' cannot be parted into cells: {err}") from err
 
 
 def _are_names(cells: Sequence[str]) -> bool:

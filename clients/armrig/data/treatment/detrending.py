@@ -49,8 +49,9 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
         order is neither 0 nor 1.
     """
     if order not in (0, 1):
-        msg = f"order={order!r} must be 0 (remove the mean) or 1 (remove a straight line)"
-        raise ValueError(msg)
+        raise ValueError(
+            f"order={order!r} must be 0 (remove the mean) or 1 (remove a straight line)"
+        )
     reason = integrating(data) if order == 1 else ""
     if reason:
         warnings.warn(
@@ -107,9 +108,10 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
     """
     if not data.trends:
         done = "; ".join(data.history) or "no step"
-        msg = "there is no trend to put back: detrend was not applied to these data, or they were "
-        msg += f"filtered after it (history: {done}); keep the data from before that step"
-        raise ValueError(msg)
+        raise ValueError(
+            "there is no trend to put back: detrend was not applied to these data, or they were "
+            f"filtered after it (history: {done}); keep the data from before that step"
+        )
     u_trend, y_trend = np.zeros(data.N), np.zeros(data.N)
     for trend, part, start in zip(data.trends, data.experiments(), data.starts, strict=True):
         u_trend[start : start + part.N] = trend.u(part.t)
@@ -123,8 +125,9 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
         )
     taken = column("y", y)
     if taken.size != data.N:
-        msg = f"y has {taken.size} samples and the data have {data.N}; give one for each instant"
-        raise ValueError(msg)
+        raise ValueError(
+            f"y has {taken.size} samples and the data have {data.N}; give one for each instant"
+        )
     return taken + y_trend
 
 

@@ -76,23 +76,26 @@ def drift(
     else:
         reason = f"{data.output} was said to integrate" if integrator else ""
     if reason:
-        msg = f"{reason}: its line is the answer to the mean of u, not a drift; estimate the "
-        msg += "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{reason}: its line is the answer to the mean of u, not a drift; estimate the "
+            "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
+        )
     return tuple(_drift_of(part, order) for part in data.experiments())
 
 
 def _drift_of(part: Dataset, n: int) -> Drift:
     needed = 4 * n + 10
     if part.N - part.missing < needed:
-        msg = f"an experiment has {part.N - part.missing} samples; a drift by a model of order {n} "
-        msg += f"needs {needed}: lower the order"
-        raise ValueError(msg)
+        raise ValueError(
+            f"an experiment has {part.N - part.missing} samples; a drift by a model of order {n} "
+            f"needs {needed}: lower the order"
+        )
     model = whitening([(part.u, part.y)], n, slope=True)
     if model.rows < needed - n:
-        msg = f"{model.rows} samples of an experiment come after {n} others without a gap; a drift "
-        msg += f"by a model of order {n} needs {needed - n}: lower the order"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{model.rows} samples of an experiment come after {n} others without a gap; a drift "
+            f"by a model of order {n} needs {needed - n}: lower the order"
+        )
     gain = float(np.sum(model.A))
     rate = model.d / gain / part.Ts
     by_theta = np.zeros(2 * n + 3)

@@ -62,8 +62,9 @@ def prefilter(
         inside 0 to pi/Ts, or no sample would be left.
     """
     if (numerator is None) == (band is None):
-        msg = "give either numerator (and denominator) of the filter, or band=(low, high) in rad/s"
-        raise ValueError(msg)
+        raise ValueError(
+            "give either numerator (and denominator) of the filter, or band=(low, high) in rad/s"
+        )
     if band is not None:
         L = _butterworth(band, order, data.Ts)
     else:
@@ -77,11 +78,10 @@ def prefilter(
         y[rows] = _from_steady(L, _held(part.y, part.valid))
         valid[rows] = _known_for(part.valid, memory)
     if not valid.any():
-        msg = (
+        raise ValueError(
             f"{L.name} remembers {memory} samples, and no stretch of y without a gap is that long; "
+            "take a shorter filter (a wider band, a lower order, or a numerator alone)"
         )
-        msg += "take a shorter filter (a wider band, a lower order, or a numerator alone)"
-        raise ValueError(msg)
     lost = int(np.count_nonzero(data.valid & ~valid))
     step = f"filtered u and y with {L.name}; {lost} more samples are missing, where the filter "
     step += f"(memory {memory} samples) had not forgotten the start or a gap"
@@ -121,9 +121,10 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     require_numbers(Ts=Ts)
     factor = round(Ts / data.Ts) if 0 < Ts < np.inf else 0
     if factor < 1 or not isclose(factor * data.Ts, Ts, rel_tol=1e-6):
-        msg = f"Ts={Ts!r} s must be a whole multiple of the data's {data.Ts:g} s, for example "
-        msg += f"{2 * data.Ts:g} s; a faster rate would invent samples"
-        raise ValueError(msg)
+        raise ValueError(
+            f"Ts={Ts!r} s must be a whole multiple of the data's {data.Ts:g} s, for example "
+            f"{2 * data.Ts:g} s; a faster rate would invent samples"
+        )
     if factor == 1:
         return data
     half = _SIDE * factor
@@ -131,18 +132,20 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     us, ys, masks = [], [], []
     for i, part in enumerate(data.experiments()):
         if 2 * half + 1 > part.N:
-            msg = f"experiment {i} has {part.N} samples; resampling to {Ts:g} s needs "
-            msg += f"{2 * half + 1}: leave it out with select, or take a shorter Ts"
-            raise ValueError(msg)
+            raise ValueError(
+                f"experiment {i} has {part.N} samples; resampling to {Ts:g} s needs "
+                f"{2 * half + 1}: leave it out with select, or take a shorter Ts"
+            )
         u, y, valid = _decimated(part, h, factor)
         us.append(u)
         ys.append(y)
         masks.append(valid)
     valid = np.concatenate(masks)
     if not valid.any():
-        msg = f"no stretch of y without a gap has {2 * half + 1} samples, as the anti-alias filter "
-        msg += f"for {Ts:g} s needs: record at that rate instead, or difference and average"
-        raise ValueError(msg)
+        raise ValueError(
+            f"no stretch of y without a gap has {2 * half + 1} samples, as the anti-alias filter "
+            f"for {Ts:g} s needs: record at that rate instead, or difference and average"
+        )
     step = f"resampled from {data.Ts:g} s to {factor * data.Ts:g} s behind a low-pass filter of "
     step += f"{2 * half + 1} coefficients; {np.count_nonzero(~valid)} of {valid.size} samples "
     step += "are missing"
@@ -187,9 +190,10 @@ def _rational(numerator: ArrayLike | None, denominator: ArrayLike) -> _Filter:
     b = column("numerator", () if numerator is None else numerator)
     a = column("denominator", denominator)
     if a[0] == 0 or not stable(a):
-        msg = f"the filter's denominator {a.tolist()} must begin with a number that is not 0 and "
-        msg += "have its roots inside the unit circle; differences are made with difference(data)"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the filter's denominator {a.tolist()} must begin with a number that is not 0 and "
+            "have its roots inside the unit circle; differences are made with difference(data)"
+        )
     name = f"L = {_listed(b)}" + (f" / {_listed(a)}" if a.size > 1 or a[0] != 1 else "")
     return _Filter(apply=lambda x: filtered(b, a, x), gain=float(np.sum(b) / np.sum(a)), name=name)
 
@@ -206,9 +210,10 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
     require_integers(order=(order, 1))
     nyquist = np.pi / Ts
     if not (0 <= low < high and low < nyquist) or (low == 0 and high >= nyquist):
-        msg = f"band=({low:g}, {high:g}) rad/s must lie inside 0 to {nyquist:g} rad/s (pi/Ts), "
-        msg += "with low < high and not all of it"
-        raise ValueError(msg)
+        raise ValueError(
+            f"band=({low:g}, {high:g}) rad/s must lie inside 0 to {nyquist:g} rad/s (pi/Ts), "
+            "with low < high and not all of it"
+        )
     edges: float | tuple[float, float]
     if low == 0:
         kind, edges, name = "lowpass", high / nyquist, f"low-pass to {high:g}"
@@ -240,8 +245,9 @@ def _memory(L: _Filter) -> int:
             return max(int(short[0]), 1)
         length *= 4
         if length > _LONGEST_MEMORY:
-            msg = f"the filter remembers more than {length // 8} samples; widen its band"
-            raise ValueError(msg)
+            raise ValueError(
+                f"the filter remembers more than {length // 8} samples; widen its band"
+            )
 
 
 def _from_steady(L: _Filter, x: Vector) -> Vector:

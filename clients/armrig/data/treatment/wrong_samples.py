@@ -133,9 +133,9 @@ def _robust_std(x: Vector, parts: Sequence[tuple[Vector, Vector]]) -> float:
     # The spread of x, not of e: where noise is no ARX model's, e is coloured and x is larger.
     known = x[np.isfinite(x)]
     if known.size == 0:
-        msg = "no stretch of y is long enough for the model: there are too many gaps; "
-        msg += "lower the order"
-        raise ValueError(msg)
+        raise ValueError(
+            "no stretch of y is long enough for the model: there are too many gaps; lower the order"
+        )
     mad = float(np.median(np.abs(known)))
     # A least size: without noise, rounding errors would be outliers.
     largest = max(float(np.nanmax(np.abs(y), initial=0.0)) for _, y in parts)

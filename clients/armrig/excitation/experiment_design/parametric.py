@@ -65,18 +65,19 @@ def predicted_std(
     """
     variance = model.noise_variance if noise_variance is None else noise_variance
     if not (np.isfinite(variance) and variance > 0):
-        msg = f"noise_variance={variance!r} must be > 0; give the variance of e, for example of an "
-        msg += "earlier fit"
-        raise ValueError(msg)
+        raise ValueError(
+            f"noise_variance={variance!r} must be > 0; give the variance of e, for example of an "
+            "earlier fit"
+        )
     if initial not in ("estimate", "zero"):
-        msg = f'initial={initial!r} must be "estimate" or "zero"'
-        raise ValueError(msg)
+        raise ValueError(f'initial={initial!r} must be "estimate" or "zero"')
     planned = planned_data(u, model.Ts)
     output_error = model.A.size == model.C.size == model.D.size == 1
     if planned.missing and not output_error:
-        msg = f"{planned.missing} samples are missing; gaps are planned for with an output-error "
-        msg += "model only: plan with the complete input"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{planned.missing} samples are missing; gaps are planned for with an output-error "
+            "model only: plan with the complete input"
+        )
     rows = [
         block
         for part in planned.experiments()

@@ -68,17 +68,16 @@ class PlannedModel:
             p = column(name, getattr(self, name))
             object.__setattr__(self, name, p)
             if name != "B" and p[0] != 1:
-                msg = f"{name}={p.tolist()} must begin with 1"
-                raise ValueError(msg)
+                raise ValueError(f"{name}={p.tolist()} must begin with 1")
         if not self.B.any():
-            msg = "B has no coefficient but 0; give the numerator in q^-1, delay first"
-            raise ValueError(msg)
+            raise ValueError("B has no coefficient but 0; give the numerator in q^-1, delay first")
         name = integrating_polynomial(self)
         p = getattr(self, name or "F")
         if name and abs(np.sum(p)) > 1e-8 * np.sum(np.abs(p)):
-            msg = f"integrator=True, but {name}(1)={np.sum(p):.3g} is not 0; multiply {name} with "
-            msg += "1 - q^-1"
-            raise ValueError(msg)
+            raise ValueError(
+                f"integrator=True, but {name}(1)={np.sum(p):.3g} is not 0; multiply {name} with "
+                "1 - q^-1"
+            )
         F = without_integrator(self.F) if name == "F" else self.F
         for name, p in (("C", self.C), ("F", F)):
             if not stable(p):

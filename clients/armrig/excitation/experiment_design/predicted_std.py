@@ -68,15 +68,13 @@ class PredictedStd:
 
     def _index(self, name: str) -> int:
         if name not in self.names:
-            msg = f"{name!r} is none of the parameters {', '.join(self.names)}"
-            raise ValueError(msg)
+            raise ValueError(f"{name!r} is none of the parameters {', '.join(self.names)}")
         return self.names.index(name)
 
     def _times_longer(self, name: str, std: float) -> float:
         require_numbers(**{name: std})
         if not std > 0:
-            msg = f"{name}={std!r}: a standard deviation wanted must be > 0"
-            raise ValueError(msg)
+            raise ValueError(f"{name}={std!r}: a standard deviation wanted must be > 0")
         return float(self.std[self._index(name)] / std) ** 2
 
     def __repr__(self) -> str:
@@ -94,8 +92,9 @@ def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
         taken = column("u", u)
         return Dataset(u=taken, y=np.zeros(taken.size), Ts=Ts)
     if not np.isclose(u.Ts, Ts, rtol=1e-9, atol=0.0):
-        msg = f"the model has Ts={Ts:g} s and the data have Ts={u.Ts:g} s; plan at one rate"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the model has Ts={Ts:g} s and the data have Ts={u.Ts:g} s; plan at one rate"
+        )
     return u
 
 
@@ -108,9 +107,10 @@ def inverted(
     """
     basis = orthonormal(Psi)
     if basis.rank < Psi.shape[1]:
-        msg = f"the planned input determines only {basis.rank} of {Psi.shape[1]} parameters; "
-        msg += "excite with a richer input (describe_input tells its order), or lower the orders"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the planned input determines only {basis.rank} of {Psi.shape[1]} parameters; "
+            "excite with a richer input (describe_input tells its order), or lower the orders"
+        )
     return PredictedStd(
         names=names,
         theta=theta,

@@ -136,9 +136,10 @@ def _require_samples(
     needed = len(names) + (states + 1) * len(experiments) + 1
     if samples < needed or min(part.N for part in experiments) < 2:
         where = f" in {len(experiments)} experiments, two in each" if len(experiments) > 1 else ""
-        msg = f"{samples} samples came, to estimate {', '.join(names)} at least {needed} are "
-        msg += f"needed{where}: record longer, or cut into fewer parts"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{samples} samples came, to estimate {', '.join(names)} at least {needed} are "
+            f"needed{where}: record longer, or cut into fewer parts"
+        )
 
 
 def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:
@@ -157,8 +158,7 @@ def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:
 def _speed(physics: Physics) -> int:
     states = physics.labels()[1]
     if RATE not in states:
-        msg = f"Coulomb friction needs a state {RATE!r}, the model has {states}"
-        raise ValueError(msg)
+        raise ValueError(f"Coulomb friction needs a state {RATE!r}, the model has {states}")
     return states.index(RATE)
 
 
@@ -246,5 +246,6 @@ def _fit(
 def _require_seen(names: tuple[str, ...], seen: NDArray[np.bool_]) -> None:
     lost = [name for name, there in zip(names, seen, strict=True) if not there]
     if lost:
-        msg = f"the data do not show {', '.join(lost)}: hold it fixed, or excite the rig more"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the data do not show {', '.join(lost)}: hold it fixed, or excite the rig more"
+        )

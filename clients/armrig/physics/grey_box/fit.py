@@ -138,13 +138,15 @@ class GreyFit:
             With what to do.
         """
         if lost := self.undetermined:
-            msg = f"{', '.join(map(self._figure, lost))}: not identifiable from these {self.N} "
-            msg += f"samples, 2 standard deviations reach 0; {_WAY_OUT}"
-            raise NoResultError(msg)
+            raise NoResultError(
+                f"{', '.join(map(self._figure, lost))}: not identifiable from these {self.N} "
+                f"samples, 2 standard deviations reach 0; {_WAY_OUT}"
+            )
         if not self.converged:
-            msg = f"the search for {', '.join(self.names)} did not converge, so there is no "
-            msg += f"result; {_WAY_OUT}"
-            raise NoResultError(msg)
+            raise NoResultError(
+                f"the search for {', '.join(self.names)} did not converge, so there is no "
+                f"result; {_WAY_OUT}"
+            )
 
     def _figure(self, name: str) -> str:
         unit = f" {UNITS.get(name, '')}".rstrip()

@@ -19,8 +19,7 @@ def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...
     if isinstance(free, str):
         free = (free,)
     if friction not in (None, "viscous", "coulomb", "both"):
-        msg = f'friction={friction!r} must be None, "viscous", "coulomb" or "both"'
-        raise ValueError(msg)
+        raise ValueError(f'friction={friction!r} must be None, "viscous", "coulomb" or "both"')
     for name in free:
         if name not in NAMES:
             msg = f"free={name!r} is none of {', '.join(NAMES)}"
@@ -32,17 +31,17 @@ def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...
     if friction in ("coulomb", "both"):
         names.append(COULOMB)
     if not free or len(set(names)) < len(names):
-        msg = f"free={tuple(free)} must name at least one parameter, and none twice"
-        raise ValueError(msg)
+        raise ValueError(f"free={tuple(free)} must name at least one parameter, and none twice")
     return tuple(names)
 
 
 def require_output(data: Dataset, output: str) -> None:
     """Refuse a recording's data of another output than the model's."""
     if data.output in _RECORDED and data.output != output:
-        msg = f"the data are {data.output}, the model's output is {output}; take "
-        msg += f"recording.dataset(output={output!r})"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the data are {data.output}, the model's output is {output}; take "
+            f"recording.dataset(output={output!r})"
+        )
 
 
 def checked_fixed_std(fixed_std: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
@@ -53,6 +52,5 @@ def checked_fixed_std(fixed_std: Mapping[str, float], names: tuple[str, ...]) ->
             msg += ", ".join(x for x in NAMES if x not in names)
             raise ValueError(msg)
         if not (np.isfinite(std) and std >= 0):
-            msg = f"fixed_std[{name!r}]={std!r} must be finite and >= 0"
-            raise ValueError(msg)
+            raise ValueError(f"fixed_std[{name!r}]={std!r} must be finite and >= 0")
     return dict(fixed_std)

@@ -191,9 +191,10 @@ def _tried(
     if width is not None:
         s = max(width, least)
         if 2 * reach(s, data.Ts) + 1 > longest:
-            msg = f"width={width:g} s: the kernel sees {2 * reach(s, data.Ts) + 1} samples, the "
-            msg += f"longest experiment has {longest}; give {longest * data.Ts / 10:.2g} s or less"
-            raise ValueError(msg)
+            raise ValueError(
+                f"width={width:g} s: the kernel sees {2 * reach(s, data.Ts) + 1} samples, the "
+                f"longest experiment has {longest}; give {longest * data.Ts / 10:.2g} s or less"
+            )
         return [_at(data, p, names, s)]
     found: list[_Tried] = []
     s = least
@@ -322,13 +323,15 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
     X, target, moved = balance.X[kept], balance.target[kept], balance.moved[kept]
     columns = X.shape[1]
     if target.size < _ROWS * columns:
-        msg = f"smoothing over {s:.3g} s leaves {target.size} values for {columns} "
-        msg += f"unknowns, each of which needs {_ROWS}; give longer data, or another width"
-        raise ValueError(msg)
+        raise ValueError(
+            f"smoothing over {s:.3g} s leaves {target.size} values for {columns} "
+            f"unknowns, each of which needs {_ROWS}; give longer data, or another width"
+        )
     basis = orthonormal(X)
     if basis.rank < columns:
-        msg = "the data do not tell torque, friction and offset apart: excite the rig more"
-        raise ValueError(msg)
+        raise ValueError(
+            "the data do not tell torque, friction and offset apart: excite the rig more"
+        )
     beta, e = basis.coefficients(target), basis.without(target)
     residuals, blocks = _by_experiment(balance, e, kept)
     bread = basis.W @ basis.W.T

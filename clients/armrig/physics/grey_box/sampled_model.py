@@ -69,17 +69,20 @@ class Physics:
     def check(self) -> None:
         """Refuse a model that cannot be sampled here, or that lacks the output."""
         if not callable(self.model) or hasattr(self.model, "dt"):
-            msg = f"model is a {type(self.model).__name__}: give a function of the parameters, "
-            msg += "armrig.chassis or armrig.arm, without parentheses"
-            raise TypeError(msg)
+            raise TypeError(
+                f"model is a {type(self.model).__name__}: give a function of the parameters, "
+                "armrig.chassis or armrig.arm, without parentheses"
+            )
         system = self.model(self.fixed)
         if system.dt not in (0, None) or system.ninputs != 1:
-            msg = f"the model has dt={system.dt} and {system.ninputs} inputs; it must be in "
-            msg += "continuous time with one input"
-            raise ValueError(msg)
+            raise ValueError(
+                f"the model has dt={system.dt} and {system.ninputs} inputs; it must be in "
+                "continuous time with one input"
+            )
         if self.output not in system.output_labels:
-            msg = f"output={self.output!r} is none of the model's {system.output_labels}"
-            raise ValueError(msg)
+            raise ValueError(
+                f"output={self.output!r} is none of the model's {system.output_labels}"
+            )
 
     def parameters(self, values: dict[str, float]) -> ArmParameters:
         """Return all parameters; a friction below 0, which no rig has, as 0."""

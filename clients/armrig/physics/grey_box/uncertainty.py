@@ -21,9 +21,10 @@ def determined(Psi: Matrix) -> Basis:
     """Return the basis of the derivatives, or refuse parameters that stand in for each other."""
     basis = orthonormal(Psi)
     if basis.rank < Psi.shape[1]:
-        msg = f"the data determine only {basis.rank} of {Psi.shape[1]} parameters, some stand in "
-        msg += "for each other: hold more of them fixed"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the data determine only {basis.rank} of {Psi.shape[1]} parameters, some stand in "
+            "for each other: hold more of them fixed"
+        )
     return basis
 
 

@@ -79,8 +79,7 @@ def sinusoid(
     A_, B_, x0_ = system(A, B, x0)
     require_positive(omega=omega)
     if B_.shape[1] != 1:
-        msg = f"B has shape {B_.shape}; one input is allowed"
-        raise ValueError(msg)
+        raise ValueError(f"B has shape {B_.shape}; one input is allowed")
     span = 3 * 2 * np.pi / omega if span is None else span
     require_positive(span=span)
     return Sinusoid(A=A_, B=B_, amplitude=amplitude, omega=omega, x0=x0_, span=span)

@@ -121,8 +121,9 @@ def plot_stability_edge(
     A_, *_ = system(A, np.zeros(np.shape(A)[0]))
     limit = stability_limit(A_, method)
     if not 0 < limit < np.inf:
-        msg = f"the limit of {method} on this system is {limit}: there is no edge to show"
-        raise ValueError(msg)
+        raise ValueError(
+            f"the limit of {method} on this system is {limit}: there is no edge to show"
+        )
     ax, below = panels(ax, 0.5)
     x0 = np.real(np.linalg.eig(A_)[1].sum(axis=1))
     rest = np.zeros(A_.shape[0])

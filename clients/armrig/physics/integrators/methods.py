@@ -153,8 +153,7 @@ def method_named(name: str) -> Method:
         There is none of this name.
     """
     if name not in METHODS:
-        msg = f"method={name!r} is none of {', '.join(METHODS)}"
-        raise ValueError(msg)
+        raise ValueError(f"method={name!r} is none of {', '.join(METHODS)}")
     return METHODS[name]
 
 

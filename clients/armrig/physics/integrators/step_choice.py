@@ -104,8 +104,7 @@ def recommend_step(
     """
     require_positive(tolerance=tolerance)
     if not 1e-8 <= tolerance <= 0.5:
-        msg = f"tolerance={tolerance!r} must be from 1e-8 (rounding comes near) to 0.5"
-        raise ValueError(msg)
+        raise ValueError(f"tolerance={tolerance!r} must be from 1e-8 (rounding comes near) to 0.5")
     problem = sinusoid(A, B, amplitude=amplitude, omega=omega, x0=x0, span=span)
     rows = sorted(
         (_advice(problem, m, tolerance) for m in all_methods(methods)), key=lambda r: r.work
@@ -116,9 +115,10 @@ def recommend_step(
 def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
     limit = stability_limit(problem.A, method)
     if limit == 0:
-        msg = f"{method} is stable on this system at no step; "
-        msg += "take another method, or a system whose motion does not grow"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{method} is stable on this system at no step; "
+            "take another method, or a system whose motion does not grow"
+        )
     largest = min(limit, problem.span / 10)
     h, error, verified = _step_for(problem, method, tolerance, largest)
     steps = max(1, ceil(problem.span / h - 1e-9))

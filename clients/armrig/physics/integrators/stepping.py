@@ -84,16 +84,16 @@ def integrate(
 
 def _require_function(u: object) -> None:
     if not callable(u):
-        msg = f"u is a {type(u).__name__}: give a function of the time in s, such as lambda t: 2.5"
-        raise TypeError(msg)
+        raise TypeError(
+            f"u is a {type(u).__name__}: give a function of the time in s, such as lambda t: 2.5"
+        )
 
 
 def _input(u: Callable[[float], Any], t: Vector, m: int) -> Matrix:
     """Return u at each time, (len(t), m)."""
     values = np.array([np.ravel(u(float(x))) for x in t], dtype=np.float64)
     if values.shape[1] != m:
-        msg = f"u(t) gives {values.shape[1]} numbers, B takes {m}"
-        raise ValueError(msg)
+        raise ValueError(f"u(t) gives {values.shape[1]} numbers, B takes {m}")
     return values
 
 

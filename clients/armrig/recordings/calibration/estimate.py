@@ -216,19 +216,18 @@ def _at_rest(rest: Recording | Readings) -> Readings:
     """Return the readings at rest; refuse a rest that was driven, or shows no angle."""
     still = readings_of(rest)
     if (still.u != 0).any():
-        msg = "the recording at rest was driven: it must be at 0 V throughout"
-        raise CalibrationError(msg)
+        raise CalibrationError("the recording at rest was driven: it must be at 0 V throughout")
     if still.N < 2:
-        msg = f"the rest has {plural(still.N, 'sample')}: record a second or more"
-        raise CalibrationError(msg)
+        raise CalibrationError(f"the rest has {plural(still.N, 'sample')}: record a second or more")
     for name, counts, way_out in (
         ("theta_1", still.theta_1, "turn the chassis out of the dead band"),
         ("alpha", still.alpha, "see to its wires, and that the arm hangs free"),
     ):
         if at_rail(counts).any():
-            msg = f"{name} reads {counts.mean():.0f} of 65535 at rest, an end of its range: "
-            msg += f"{way_out}, then record the rest again"
-            raise CalibrationError(msg)
+            raise CalibrationError(
+                f"{name} reads {counts.mean():.0f} of 65535 at rest, an end of its range: "
+                f"{way_out}, then record the rest again"
+            )
     return still
 
 

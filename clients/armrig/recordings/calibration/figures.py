@@ -52,8 +52,9 @@ def plot_calibration(
     """
     turned, size = estimate.turned, estimate.rad_per_count
     if turned is None or size is None:
-        msg = "there is no figure of a calibration without turns: record them, --volts"
-        raise CalibrationError(msg)
+        raise CalibrationError(
+            "there is no figure of a calibration without turns: record them, --volts"
+        )
     ax, below = panels(ax, 0.45, sharex=False)
     readings = readings_of(turns)
     ax.plot(readings.t, readings.theta_1, ".", color=BLUE, ms=1.5)

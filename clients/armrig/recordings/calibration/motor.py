@@ -78,19 +78,22 @@ def terminal_voltage(
     if not meter:
         return None
     if not 0 < meter_std_v < U_MAX_V:
-        msg = f"a meter's standard deviation of {meter_std_v:g} V: must be more than 0"
-        raise CalibrationError(msg)
+        raise CalibrationError(
+            f"a meter's standard deviation of {meter_std_v:g} V: must be more than 0"
+        )
     u, y = np.array(meter, dtype=np.float64).T
     for volts, shown in meter:
         if not (0 < volts <= U_MAX_V and isfinite(shown) and 0 < shown < 2 * U_MAX_V):
-            msg = f"{shown:g} V at a code of {volts:g} V: must be more than 0 V at a code above 0"
-            raise CalibrationError(msg)
+            raise CalibrationError(
+                f"{shown:g} V at a code of {volts:g} V: must be more than 0 V at a code above 0"
+            )
     if u.size == 1:
         gain, std = y[0] / u[0], meter_std_v / u[0]
         return TerminalVoltage(line=np.array([0.0, gain]), covariance=np.diag([0.0, std**2]))
     if np.ptp(u) == 0:
-        msg = f"all readings of the meter are at {u[0]:g} V: read it at another code, too"
-        raise CalibrationError(msg)
+        raise CalibrationError(
+            f"all readings of the meter are at {u[0]:g} V: read it at another code, too"
+        )
     basis = orthonormal(np.column_stack([np.ones(u.size), u]))
     return TerminalVoltage(
         line=basis.coefficients(y), covariance=meter_std_v**2 * basis.W @ basis.W.T

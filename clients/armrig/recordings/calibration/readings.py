@@ -45,8 +45,9 @@ class Readings:
         sizes = {column.size for column in (self.t, self.u, self.theta_1, self.alpha)}
         if len(sizes) != 1 or 0 in sizes:
             found = ", ".join(map(str, sorted(sizes)))
-            msg = f"columns of {found} samples: all four must have as many, and at least one"
-            raise CalibrationError(msg)
+            raise CalibrationError(
+                f"columns of {found} samples: all four must have as many, and at least one"
+            )
 
     @property
     def N(self) -> int:
@@ -60,8 +61,7 @@ def readings_of(source: Recording | Readings) -> Readings:
         return source
     samples = source.samples
     if not samples.size:
-        msg = f"{source.path}: has no samples: record again"
-        raise CalibrationError(msg)
+        raise CalibrationError(f"{source.path}: has no samples: record again")
     return Readings(
         t=_seconds(samples["t_device_us"].astype(np.int64)),
         u=samples["u_applied_v"].astype(np.float64),
@@ -85,8 +85,9 @@ def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
         readings = readings_of(source)
         rows += readings.N
         if rows > MOST_ROWS:
-            msg = f"more than {MOST_ROWS} samples: shorten the runs, or take a longer --Ts"
-            raise CalibrationError(msg)
+            raise CalibrationError(
+                f"more than {MOST_ROWS} samples: shorten the runs, or take a longer --Ts"
+            )
         t_us = np.rint(readings.t * 1e6).astype(np.int64)
         columns = (t_us, readings.u, readings.theta_1, readings.alpha)
         for t, u, theta_1, alpha in zip(*(c.tolist() for c in columns), strict=True):
@@ -107,16 +108,16 @@ def decompressed(data: bytes) -> dict[str, Readings]:
             text = packed.read(_LONGEST).decode()
         heading, *lines = text.splitlines()
         if heading != _HEADING:
-            msg = f"begins with {heading[:80]!r}"
-            raise ValueError(msg)
+            raise ValueError(f"begins with {heading[:80]!r}")
         rows: dict[str, list[list[float]]] = {}
         for line in lines:
             name, *fields = line.split(",")
             t_us, u, theta_1, alpha = (float(field) for field in fields)
             rows.setdefault(name, []).append([t_us * 1e-6, u, theta_1, alpha])
     except (OSError, EOFError, ValueError, zlib.error) as err:
-        msg = f"no samples of a calibration: {err}; the first line must be {_HEADING}"
-        raise CalibrationError(msg) from err
+        raise CalibrationError(
+            f"no samples of a calibration: {err}; the first line must be {_HEADING}"
+        ) from err
     return {name: _readings(np.array(table)) for name, table in rows.items()}
 
 

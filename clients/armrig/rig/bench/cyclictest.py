@@ -48,8 +48,7 @@ def lateness_us(output: str) -> NDArray[np.float64]:
     greatest = _GREATEST.search(output)
     if not bins.size or not bins[:, 1].any() or greatest is None:
         end = " ".join(output.split())[-120:] or "nothing"
-        msg = f"cyclictest printed no histogram of one thread: {end}"
-        raise OutputError(msg)
+        raise OutputError(f"cyclictest printed no histogram of one thread: {end}")
     late = np.repeat(bins[:, 0], bins[:, 1]).astype(np.float64)
     overflows = _OVERFLOWS.search(output)
     over = np.full(int(overflows[1]) if overflows else 0, float(MOST_US))

@@ -83,12 +83,12 @@ def output(process: subprocess.Popen[bytes], within_s: float) -> bytes:
     try:
         printed, errors = process.communicate(timeout=within_s)
     except subprocess.TimeoutExpired as err:
-        msg = f"{name} did not end within {within_s:.0f} s; is this machine very busy?"
-        raise RigError(msg) from err
+        raise RigError(
+            f"{name} did not end within {within_s:.0f} s; is this machine very busy?"
+        ) from err
     if process.returncode:
         why = (errors or b"").decode(errors="replace").strip().splitlines()[-1:]
-        msg = f"{name} ended with exit code {process.returncode} {' '.join(why)}".strip()
-        raise RigError(msg)
+        raise RigError(f"{name} ended with exit code {process.returncode} {' '.join(why)}".strip())
     return printed
 
 
@@ -96,8 +96,7 @@ def line(process: subprocess.Popen[bytes]) -> str:
     """Return the next line that a program prints."""
     printed = process.stdout.readline().decode().strip() if process.stdout else ""
     if not printed:
-        msg = f"{_name(process)} did not start; see what it says above"
-        raise RigError(msg)
+        raise RigError(f"{_name(process)} did not start; see what it says above")
     return printed
 
 
@@ -157,8 +156,7 @@ class Daemon:
                 if rig.status().phase == "safe":
                     return
             time.sleep(0.1)
-        msg = f"the daemon is not ready after {_START_S:g} s: {self._last_line()}"
-        raise RigError(msg)
+        raise RigError(f"the daemon is not ready after {_START_S:g} s: {self._last_line()}")
 
     def rig(self) -> Rig:
         """Return a client of it."""

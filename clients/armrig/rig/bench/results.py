@@ -104,8 +104,7 @@ def check_figure(path: Path) -> None:
 
     kinds = Figure().canvas.get_supported_filetypes()
     if path.suffix.lower().removeprefix(".") not in kinds:
-        msg = f"{path}: a figure's name ends in one of {', '.join(sorted(kinds))}"
-        raise ValueError(msg)
+        raise ValueError(f"{path}: a figure's name ends in one of {', '.join(sorted(kinds))}")
 
 
 def write_figure(result: Result, path: Path) -> None:

@@ -58,14 +58,13 @@ class Plan:
         """Refuse what the daemon cannot sample."""
         for rate in self.rates_hz:
             if not 1 <= rate <= 2000 or 1_000_000 % rate:
-                msg = f"rate {rate} Hz: 1 to 2000 with a period of whole µs, such as 100 or 1000"
-                raise ValueError(msg)
+                raise ValueError(
+                    f"rate {rate} Hz: 1 to 2000 with a period of whole µs, such as 100 or 1000"
+                )
         if not self.rates_hz:
-            msg = "no rate to measure at: give some, such as --rates 100,1000"
-            raise ValueError(msg)
+            raise ValueError("no rate to measure at: give some, such as --rates 100,1000")
         if not 0.1 <= self.seconds <= MOST_S:
-            msg = f"{self.seconds:g} s for each contestant: 0.1 to {MOST_S} are allowed"
-            raise ValueError(msg)
+            raise ValueError(f"{self.seconds:g} s for each contestant: 0.1 to {MOST_S} are allowed")
 
     def ticks(self, rate_hz: int) -> int:
         """Return the ticks of one turn."""
@@ -258,8 +257,7 @@ def _ready(rig: Rig) -> None:
     until = time.monotonic() + _PHASE_S
     while (status := rig.status()).phase != "safe":
         if time.monotonic() > until:
-            msg = f"rig {rig.rig} is {status.phase} {status.reason}, not safe"
-            raise RigError(msg)
+            raise RigError(f"rig {rig.rig} is {status.phase} {status.reason}, not safe")
         if status.phase == "fault":
             rig.reset()
         time.sleep(0.05)

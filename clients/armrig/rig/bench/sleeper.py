@@ -101,8 +101,7 @@ class Line:
             elif until_ns < began_ns + ANSWER_NS:
                 until_ns = began_ns + ANSWER_NS
             else:
-                msg = f"no answer within {ANSWER_NS / 1e9:g} s"
-                raise SystemExit(msg)
+                raise SystemExit(f"no answer within {ANSWER_NS / 1e9:g} s")
         return time.monotonic_ns() - began_ns
 
 

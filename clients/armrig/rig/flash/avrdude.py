@@ -152,11 +152,9 @@ def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
             said = _read(avrdude, moved)
             code = avrdude.wait(timeout=_LONGEST_S)
         except subprocess.TimeoutExpired as err:
-            msg = f"avrdude did not end within {_LONGEST_S:.0f} s; {after}"
-            raise FlashError(msg) from err
+            raise FlashError(f"avrdude did not end within {_LONGEST_S:.0f} s; {after}") from err
         except KeyboardInterrupt as err:
-            msg = f"interrupted; {after}"
-            raise KeyboardInterrupt(msg) from err
+            raise KeyboardInterrupt(f"interrupted; {after}") from err
         finally:
             avrdude.kill()
             avrdude.wait()

@@ -89,20 +89,22 @@ def held(board: Board) -> Iterator[None]:
     try:
         fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     except PermissionError as err:
-        msg = f"{port}: not permitted; add this user to the group of the port (dialout)"
-        raise PortError(msg) from err
+        raise PortError(
+            f"{port}: not permitted; add this user to the group of the port (dialout)"
+        ) from err
     except OSError as err:
-        msg = f"{port} cannot be opened: {err.strerror}"
-        raise PortError(msg) from err
+        raise PortError(f"{port} cannot be opened: {err.strerror}") from err
     try:
         if not os.isatty(fd):
-            msg = f"{port} is no serial port; give that of the board, such as /dev/ttyACM0"
-            raise PortError(msg)
+            raise PortError(
+                f"{port} is no serial port; give that of the board, such as /dev/ttyACM0"
+            )
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as err:
-            msg = f"{port} is held by another program, such as a rig's daemon; {_FREE_PORT}"
-            raise PortError(msg) from err
+            raise PortError(
+                f"{port} is held by another program, such as a rig's daemon; {_FREE_PORT}"
+            ) from err
         yield
     finally:
         os.close(fd)
@@ -111,8 +113,7 @@ def held(board: Board) -> Iterator[None]:
 def _at(port: str, boards: Sequence[Board]) -> Board:
     if not Path(port).exists():
         there = f"; there is {_list(boards)}" if boards else ""
-        msg = f"{port} is not there{there}"
-        raise PortError(msg)
+        raise PortError(f"{port} is not there{there}")
     real = str(Path(port).resolve())  # of /dev/armrig-SERIAL
     for board in boards:
         if board.port == real:

@@ -50,5 +50,4 @@ def _opened(port: str, baud: int) -> Iterator[serial.Serial]:
         with serial.Serial(port, baudrate=baud, timeout=0.02, write_timeout=1.0) as line:
             yield line
     except (OSError, ValueError) as err:  # also SerialException, of a board that is unplugged
-        msg = f"{port}: {' '.join(str(err).split())}"
-        raise PortError(msg) from err
+        raise PortError(f"{port}: {' '.join(str(err).split())}") from err

@@ -95,9 +95,10 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         later = lag_tests(data, response, determined, first=1)
         tests = tests if zero.rig and later.none_shown else later
     if tests.none_shown:
-        msg = f"{data.output} shows no answer to u that can be told from noise: record longer, "
-        msg += "or with a larger input"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{data.output} shows no answer to u that can be told from noise: record longer, "
+            "or with a larger input"
+        )
     first, shown = tests.first, tests.shown
     onset = _onset(data, tests, integrates=decided.integrates)
     read = _readings(data, response, onset.first)
@@ -169,9 +170,9 @@ def _enough(data: Dataset) -> int:
     """Return how many samples came, or refuse too few."""
     samples = data.N - data.missing
     if samples < _FEWEST:
-        msg = f"{samples} samples came, the test for a delay needs at least {_FEWEST}: "
-        msg += "record longer"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{samples} samples came, the test for a delay needs at least {_FEWEST}: record longer"
+        )
     return samples
 
 

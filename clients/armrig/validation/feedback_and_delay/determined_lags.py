@@ -34,9 +34,10 @@ def determined_lags(data: Dataset, most: int) -> int:
     own = np.abs(np.diag(R)) > _OWN * column_norms(R)
     found = int(np.argmin(np.append(own, False)))
     if found < min(_POOREST, most):
-        msg = f"u determines {found} lags only: power in so narrow a band tells no delay; play a "
-        msg += "telegraph or a PRBS"
-        raise ValueError(msg)
+        raise ValueError(
+            f"u determines {found} lags only: power in so narrow a band tells no delay; play a "
+            "telegraph or a PRBS"
+        )
     return found
 
 

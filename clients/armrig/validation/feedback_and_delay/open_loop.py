@@ -134,8 +134,7 @@ class OpenLoop:
 def require_level(level: float) -> None:
     """Refuse a level of significance that is none."""
     if not 0 < level < 1:
-        msg = f"level={level!r} must lie between 0 and 1, such as 0.05"
-        raise ValueError(msg)
+        raise ValueError(f"level={level!r} must lie between 0 and 1, such as 0.05")
 
 
 @takes_recordings

@@ -211,15 +211,18 @@ def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
 def _require_information(R: Array, constants: int, d: int, degrees: int) -> None:
     """Refuse data of which nothing is left to test."""
     if degrees < d:
-        msg = f"{degrees + d + FUTURE} samples have their past beside them; the test for feedback "
-        msg += f"needs {2 * d + FUTURE}: record longer, or lose fewer"
-        raise ValueError(msg)
+        raise ValueError(
+            f"{degrees + d + FUTURE} samples have their past beside them; the test for feedback "
+            f"needs {2 * d + FUTURE}: record longer, or lose fewer"
+        )
     left, power = R[d, d] ** 2, float(np.sum(R[constants:, d] ** 2))
     if left <= _NOTHING * power:
-        msg = "u follows from its own past (a constant, a sine, a sum of few), so whether y has "
-        msg += "a part in it cannot be told: record with a telegraph, a PRBS or noise"
-        raise CannotTellError(msg)
+        raise CannotTellError(
+            "u follows from its own past (a constant, a sine, a sum of few), so whether y has "
+            "a part in it cannot be told: record with a telegraph, a PRBS or noise"
+        )
     left, power = float(np.sum(R[d:, -1] ** 2)), float(np.sum(R[constants:, -1] ** 2))
     if left <= _NOISELESS * power:
-        msg = "y follows from the past without any noise, and feedback shows by nothing else"
-        raise CannotTellError(msg)
+        raise CannotTellError(
+            "y follows from the past without any noise, and feedback shows by nothing else"
+        )
