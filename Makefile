@@ -6,7 +6,7 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 # Hundreds of processes are started. Each would compile armrig again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench fuzz simulate firmware fil lock lowest audit release format clean
+.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench fuzz simulate firmware simavr fil lock lowest audit release format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -86,9 +86,9 @@ fuzz: .venv/dev
 firmware:
 	$(MAKE) -C firmware_protocol/firmware/boards/uno
 
-# What runs that very binary in simavr; Debian's libsimavr-dev. It is GPL, and in no wheel.
-fil:
-	$(MAKE) -C firmware_protocol/fil
+# `make simavr`: what runs that very binary; Debian's libsimavr-dev. It is GPL, and in no wheel.
+simavr fil:
+	$(MAKE) -C firmware_protocol/simavr
 
 # The exact versions and their hashes, for all systems, that are installed here and by CI: after each
 # change of pyproject.toml's dependencies. UPGRADE=1 takes the newest.

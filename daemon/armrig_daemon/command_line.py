@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import msgspec
 import typer
+from armrig_core.emulator_stall import held_up
 from armrig_core.endpoint import distrust, endpoint, socket_directory
-from armrig_core.held_up import held_up
 from armrig_core.printable import brief, printable
 from armrig_core.signal_pipe import held_back
 from armrig_core.volts import U_MAX_V
@@ -300,7 +300,7 @@ def conformance(
 
     Exit code 0 only where no rule is broken. The device is left at 0 V.
     """
-    from armrig_daemon.conformance import told
+    from armrig_daemon.conformance import report
     from armrig_daemon.conformance.conversation import Broken
     from armrig_daemon.conformance.host import Host
     from armrig_daemon.conformance.rule import Result
@@ -319,7 +319,7 @@ def conformance(
 
     def tell(result: Result) -> None:
         if not json:
-            typer.echo(told.line_of(result, columns))
+            typer.echo(report.line_of(result, columns))
 
     try:
         with ExitStack() as stack:
@@ -333,8 +333,8 @@ def conformance(
         _refuse(f"conformance: {where if device is not None else err}")
     except KeyboardInterrupt:
         _refuse("conformance: interrupted; the device was told to stop", 130)
-    broken = told.json_of(host.facts, results)
-    typer.echo(msgspec.json.encode(broken).decode() if json else told.sum_of(results))
+    broken = report.json_of(host.facts, results)
+    typer.echo(msgspec.json.encode(broken).decode() if json else report.sum_of(results))
     raise typer.Exit(1 if broken["broken"] else 0)
 
 

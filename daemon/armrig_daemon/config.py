@@ -34,8 +34,8 @@ from armrig_protocol.messages import (
 )
 from msgspec import Meta
 
-from armrig_daemon.core.budget import check
-from armrig_daemon.core.state import Rules
+from armrig_daemon.decisions.budget import check
+from armrig_daemon.decisions.state import Rules
 from armrig_daemon.emulator.firmware_files import VARIABLE as HARNESS
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.tables import TableError, convert

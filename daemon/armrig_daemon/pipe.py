@@ -98,7 +98,7 @@ class State(Tagged, frozen=True, kw_only=True):
     ts_us: int
     device: dict[str, Any]
     fault: str = ""
-    """Id of the fault (`armrig_daemon.core.faults.Id`); empty where there is none."""
+    """Id of the fault (`armrig_daemon.decisions.faults.Id`); empty where there is none."""
     motor: str = ""
     """What is known of the motor, for a person."""
     remedy: str = ""
@@ -110,7 +110,7 @@ class State(Tagged, frozen=True, kw_only=True):
 
 
 class Trace(Tagged, frozen=True, kw_only=True):
-    """Steps of the core in a run; see `armrig_daemon.core.trace`."""
+    """Steps of the core in a run; see `armrig_daemon.decisions.trace`."""
 
     t_host_ns: int
     number: int

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Protocol
 
-from armrig_daemon.core.state import Event, LinkUp, Ordered, Received, Rules
+from armrig_daemon.decisions.state import Event, LinkUp, Ordered, Received, Rules
 from armrig_daemon.emulator.board import Board
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Protocol
 
 ROOT = Path(__file__).parents[2]
-FIL = ROOT / "firmware_protocol" / "fil"
+FIL = ROOT / "firmware_protocol" / "simavr"
 ATMEGA328P = bytes((0x1E, 0x95, 0x0F))
 _INSYNC, _OK, _END = b"\x14", b"\x10", b" "
 # Bytes of each command behind its letter, the ending blank not counted.

@@ -56,7 +56,7 @@ def test_an_installed_armrig_finds_its_own(unpacked: Path) -> None:
 
 def test_nothing_of_the_harness_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
     """It is GPL: no file of its folder, under whatever name, nor any C at all."""
-    harness = {path.read_bytes() for path in (ROOT / "firmware_protocol" / "fil").glob("*.[ch]")}
+    harness = {path.read_bytes() for path in (ROOT / "firmware_protocol" / "simavr").glob("*.[ch]")}
 
     assert len(harness) > 5
     assert not harness & set(wheel.values())

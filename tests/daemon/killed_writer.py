@@ -22,7 +22,7 @@ from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.unfinished import unfinished
 from armrig_core.telemetry import Sample, encode_sample
-from armrig_daemon.service.left_over import LeftOver
+from armrig_daemon.service.startup_recovery import StartupRecovery
 
 TS_NS = 1_000_000
 SIDE_BY_SIDE = 4
@@ -78,7 +78,7 @@ def judged(folder: Path) -> list[Killed]:
     A file of 0 B is of one that was killed before it had begun.
     """
     left = {path: _loaded(path) for path in unfinished(folder, "1") if path.stat().st_size}
-    next_start = LeftOver(folder, "1", lambda: None)
+    next_start = StartupRecovery(folder, "1", lambda: None)
     next_start.start()
     next_start.join()
     return [_judged(path, found) for path, found in left.items()]

@@ -14,7 +14,7 @@ import msgspec
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.telemetry import Sample, decode_sample
 from armrig_daemon.config import Arm, Config, Device, Limits, Recording, Rig, Timing
-from armrig_daemon.core.state import ServiceGone
+from armrig_daemon.decisions.state import ServiceGone
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import (
     Acquire,

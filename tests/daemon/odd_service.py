@@ -12,7 +12,7 @@ from armrig_core.telemetry import SAMPLE_FIELDS, Sample
 from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
-from armrig_daemon.service import presence, readings, token_bucket
+from armrig_daemon.service import client_watchdog, readings, token_bucket
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.history import History
 from armrig_daemon.service.played_input import checked, one_a_line
@@ -162,15 +162,15 @@ def odd_log() -> None:
 def odd_signs() -> None:
     """Print until when a client is there, by its signs."""
     run = Run(lease="a" * 32, n=3, u=[1.0], dead_man=2.5)
-    there = presence.begun(run, 100.0)
-    print(there.gone_s, presence.begun(replace(run, dead_man=None), 100.0).gone_s)
+    there = client_watchdog.begun(run, 100.0)
+    print(there.gone_s, client_watchdog.begun(replace(run, dead_man=None), 100.0).gone_s)
     for sign in (
         Renew(lease="a" * 32, n=4),
         Renew(lease="b" * 32, n=5),
         Renew(lease="a" * 32, n=4),
     ):
         try:
-            there = presence.renewed(there, sign, 101.25)
+            there = client_watchdog.renewed(there, sign, 101.25)
             print(there.gone_s)
         except ValueError as err:
             print(err)

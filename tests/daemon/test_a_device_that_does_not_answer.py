@@ -7,9 +7,9 @@ from random import Random
 
 import pytest
 from armrig_daemon.config import Config
-from armrig_daemon.core import step
-from armrig_daemon.core.requests import unanswered
-from armrig_daemon.core.state import (
+from armrig_daemon.decisions import step
+from armrig_daemon.decisions.requests import unanswered
+from armrig_daemon.decisions.state import (
     Action,
     Beat,
     Emit,
@@ -24,7 +24,7 @@ from armrig_daemon.pipe import Log
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Keepalive
-from core_states import Decided, heard
+from decision_states import Decided, heard
 from msgspec.structs import replace
 from virtual_bench import MS, Bench
 

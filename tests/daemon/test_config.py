@@ -14,7 +14,7 @@ from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.volts import code_of
 from armrig_daemon import config as config_module
 from armrig_daemon.config import Config, ConfigError, Limits, load, load_installed
-from armrig_daemon.core.state import Rules
+from armrig_daemon.decisions.state import Rules
 
 
 def _load(tmp_path: Path, text: str, environ: dict[str, str] | None = None) -> Config:

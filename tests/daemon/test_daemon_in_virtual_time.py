@@ -11,8 +11,8 @@ import pytest
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Device, Limits, Timing
-from armrig_daemon.core.faults import Id
-from armrig_daemon.core.state import LinkDown, LinkUp, Phase, Received
+from armrig_daemon.decisions.faults import Id
+from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase, Received
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import (
     Acquire,

@@ -25,7 +25,7 @@ from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.telemetry import Sample, decode_sample, encode_sample
 from armrig_daemon.config import Config
-from armrig_daemon.core.state import Phase
+from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Acquire, Answer, Gap, Log, Play, RunEnded, RunStarted
 from failing_disk import Disk
 from failing_world import WAYS, World

@@ -10,7 +10,7 @@ import pytest
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config, Device, Timing
-from armrig_daemon.core.state import Ordered, Phase
+from armrig_daemon.decisions.state import Ordered, Phase
 from armrig_daemon.pipe import Acquire, Clock, Gap, Halt, Log, Play, RunEnded, RunStarted, State
 from armrig_daemon.pipe import Timing as TimingRecord
 from armrig_protocol.decoder import feed

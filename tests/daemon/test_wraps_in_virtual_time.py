@@ -6,7 +6,7 @@ import time
 
 import pytest
 from armrig_core.volts import code_of, volts_of
-from armrig_daemon.core.state import Phase
+from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Gap, Play, RunEnded, RunStarted
 from virtual_bench import LEASE, MS, Bench, codes
 

@@ -7,7 +7,7 @@ from struct import pack
 from armrig_core.telemetry import Sample, decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
-from armrig_daemon.core.state import Phase
+from armrig_daemon.decisions.state import Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Acquire, Answer, SetVoltage
 from armrig_daemon.virtual import VirtualRig

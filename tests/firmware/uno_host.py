@@ -34,7 +34,7 @@ from armrig_protocol.messages import (
 )
 
 ROOT = Path(__file__).parents[2]
-FIL = ROOT / "firmware_protocol" / "fil"
+FIL = ROOT / "firmware_protocol" / "simavr"
 HEX = ROOT / "firmware_protocol" / "firmware" / "armrig-uno.hex"
 MS = 1_000_000
 BOOT_NS = 250 * MS

@@ -11,7 +11,7 @@ import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.recording import RecordingError
 from armrig.rig.client import RunEndedError
-from armrig_daemon.core import setpoints
+from armrig_daemon.decisions import setpoints
 from processes import Bench
 from sampling import sampled
 

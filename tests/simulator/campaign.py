@@ -41,7 +41,7 @@ TRIPS = (
 """How the causes of trips begin that must be among those of a campaign.
 
 Not "the device applied code": no fault here makes a device apply another one. What tripped so were
-old samples, which are none of ours now; tests/daemon/core/test_sampling.py holds the trip.
+old samples, which are none of ours now; tests/daemon/decisions/test_sampling.py holds the trip.
 """
 LEAST_TRIPS = 5
 """How often each must have tripped in a thousand schedules or more."""

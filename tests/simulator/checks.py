@@ -13,9 +13,9 @@ from __future__ import annotations
 from collections import Counter
 
 from armrig_core.telemetry import Sample
-from armrig_daemon.core.gaps import MOST_ABSENT
-from armrig_daemon.core.requests import MOST_BEATS
-from armrig_daemon.core.state import State as CoreState
+from armrig_daemon.decisions.gaps import MOST_ABSENT
+from armrig_daemon.decisions.requests import MOST_BEATS
+from armrig_daemon.decisions.state import State as CoreState
 from armrig_daemon.loop.outbox import MOST_WAITING
 from armrig_daemon.pipe import (
     Acquire,

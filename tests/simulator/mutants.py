@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 from unittest.mock import patch
 
-from armrig_daemon.core import (
+from armrig_daemon.decisions import (
     gaps,
     orders,
     replies,
@@ -23,8 +23,8 @@ from armrig_daemon.core import (
     stopping,
     transitions,
 )
-from armrig_daemon.core import requests as core_requests
-from armrig_daemon.core.state import Emit, Lease, Phase, Rules, Run
+from armrig_daemon.decisions import requests as core_requests
+from armrig_daemon.decisions.state import Emit, Lease, Phase, Rules, Run
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
 from armrig_daemon.pipe import Answer

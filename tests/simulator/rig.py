@@ -13,8 +13,8 @@ from traceback import extract_tb
 from typing import Any, NamedTuple
 
 from armrig_core.calibration import Calibration
-from armrig_daemon.core.requests import say_state
-from armrig_daemon.core.state import (
+from armrig_daemon.decisions.requests import say_state
+from armrig_daemon.decisions.state import (
     Emit,
     Event,
     LinkDown,

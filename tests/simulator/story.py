@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from armrig_daemon.core.state import Ordered, Received
+from armrig_daemon.decisions.state import Ordered, Received
 from armrig_daemon.pipe import Play, Tagged
 from armrig_protocol.decoder import feed
 

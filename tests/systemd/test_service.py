@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig_daemon.core.faults import Id
+from armrig_daemon.decisions.faults import Id
 from machine import Machine, wait_for
 from served_rig import Rig
 

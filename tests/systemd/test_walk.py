@@ -378,7 +378,7 @@ def test_the_firmware_is_built_and_runs_without_a_board(lab: Lab) -> None:
     lab.script(f"cd armrig\ncp {image} /tmp/committed.hex\nrm {image}\nmake firmware\n{make_fil}")
 
     lab.script(f"cmp /tmp/committed.hex armrig/{image}")
-    harness = "ARMRIG_FIL=/root/armrig/firmware_protocol/fil/fil"
+    harness = "ARMRIG_FIL=/root/armrig/firmware_protocol/simavr/fil"
     lab.script(f"systemd-run --unit=uno --setenv={harness} {emulate}")
     wait_for(lab.machine.path("/tmp/uno").is_symlink)
     assert "rules that were tried hold" in lab.script(tried)

@@ -13,9 +13,9 @@ from armrig_core.manifest import RUN, Manifest, manifest_of
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.telemetry import Sample
 from armrig_core.volts import code_of
-from armrig_daemon.core import step as core_step
-from armrig_daemon.core import trace
-from armrig_daemon.core.state import Action, Emit, Publish, Send
+from armrig_daemon.decisions import step as core_step
+from armrig_daemon.decisions import trace
+from armrig_daemon.decisions.state import Action, Emit, Publish, Send
 from armrig_daemon.pipe import Log
 from armrig_protocol.frame import Spoilt, Unknown, decode
 from numpy.typing import NDArray

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import isnan, nan
 from typing import TYPE_CHECKING
 
-from armrig_core.held_up import held_up_ms
+from armrig_core.emulator_stall import held_up_ms
 
 from armrig.numerics.quantities import NBSP, fixed
 from armrig.recordings.daemon_reports import DeviceClock, Timing

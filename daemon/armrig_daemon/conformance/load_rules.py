@@ -21,7 +21,7 @@ from armrig_daemon.conformance.byte_rules import next_status
 from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import expect, rule
 from armrig_daemon.conformance.scheduled_rules import NOISE, armed, put_setpoints
-from armrig_daemon.core.budget import scheduled_us
+from armrig_daemon.decisions.budget import scheduled_us
 
 _LEAST_TS_US = 1_000
 _RUN_US = 2_000_000

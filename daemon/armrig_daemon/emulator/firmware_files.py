@@ -21,7 +21,7 @@ def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> P
     HarnessError
         There is none; says how to build it.
     """
-    program = Path(environ.get(VARIABLE) or checkout / "fil" / "fil")
+    program = Path(environ.get(VARIABLE) or checkout / "simavr" / "fil")
     if not program.is_file():
         raise HarnessError(
             f"{program}: no such program; build it in a checkout by `make fil` (Debian's "

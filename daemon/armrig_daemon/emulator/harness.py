@@ -1,4 +1,4 @@
-"""The harness that runs the firmware's binary (firmware_protocol/fil), and the pipe to it.
+"""The harness that runs the firmware's binary (firmware_protocol/simavr), and the pipe to it.
 
 Virtual time, in cycles of the processor: nothing on the board happens but by an order of ours.
 """

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from armrig_protocol.messages import Flag
 
-from armrig_daemon.core import step
-from armrig_daemon.core.state import (
+from armrig_daemon.decisions import step
+from armrig_daemon.decisions.state import (
     Action,
     Beat,
     Emit,
@@ -24,7 +24,7 @@ from armrig_daemon.core.state import (
     State,
     Tick,
 )
-from armrig_daemon.core.trace import Chunk, Trace
+from armrig_daemon.decisions.trace import Chunk, Trace
 from armrig_daemon.loop.meter import Meter, clock_record
 from armrig_daemon.loop.outbox import Outbox
 from armrig_daemon.loop.pacing import Pace, change

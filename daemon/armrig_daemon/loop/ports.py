@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from armrig_daemon.core.state import Event
+from armrig_daemon.decisions.state import Event
 
 
 class Ports(Protocol):

@@ -18,7 +18,15 @@ from armrig_core.waiting import Waiter, sleep_until
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 
-from armrig_daemon.core.state import Event, LinkDown, LinkUp, Ordered, Received, Rules, ServiceGone
+from armrig_daemon.decisions.state import (
+    Event,
+    LinkDown,
+    LinkUp,
+    Ordered,
+    Received,
+    Rules,
+    ServiceGone,
+)
 from armrig_daemon.loop import realtime
 from armrig_daemon.loop.link import Link, LinkError, NoPortError, latency_timer_ms, open_link
 from armrig_daemon.loop.loop import Loop

@@ -9,7 +9,7 @@ from __future__ import annotations
 from armrig_core.access_control import MOST_BYTES, MOST_OF_CALIBRATION
 from armrig_core.commands import REQUESTS, Calibrate, Leased, Run
 
-from armrig_daemon.core.orders import NOT_HELD
+from armrig_daemon.decisions.orders import NOT_HELD
 
 LEASED = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, Leased))
 """Names of the commands that carry a lease."""

@@ -17,9 +17,9 @@ from armrig_core.volts import code_of
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config
-from armrig_daemon.core import orders
-from armrig_daemon.core.budget import check
-from armrig_daemon.core.state import Phase
+from armrig_daemon.decisions import orders
+from armrig_daemon.decisions.budget import check
+from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import (
     Acquire,
     Alive,
@@ -33,9 +33,9 @@ from armrig_daemon.pipe import (
     Reset,
     SetVoltage,
 )
-from armrig_daemon.service.askers import signed
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.child import LoopChild
+from armrig_daemon.service.identity import signed
 from armrig_daemon.service.listener import Command
 from armrig_daemon.service.played_input import checked
 from armrig_daemon.service.publish import Kind, Session

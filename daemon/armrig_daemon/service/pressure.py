@@ -10,7 +10,7 @@ from time import monotonic_ns
 
 from armrig_protocol.messages import Cause
 
-from armrig_daemon.core.faults import Id
+from armrig_daemon.decisions.faults import Id
 from armrig_daemon.pipe import State, Timing
 
 CPU = Path("/proc/pressure/cpu")

@@ -25,10 +25,10 @@ from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
 from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Gap, Play, RunStarted, State
-from armrig_daemon.service.circumstances import Circumstances, of_this_host
+from armrig_daemon.service.client_watchdog import ClientWatchdog, begun, renewed
 from armrig_daemon.service.directory import check_directory
+from armrig_daemon.service.host_facts import HostFacts, of_this_host
 from armrig_daemon.service.played_input import checked, one_a_line
-from armrig_daemon.service.presence import Presence, begun, renewed
 
 _ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
 _ROOM = 1 << 20  # and what a recording takes without any
@@ -53,7 +53,7 @@ class Runs:
         config: Config,
         directory: Path,
         changed: Callable[[], None],
-        circumstances: Circumstances | None = None,
+        circumstances: HostFacts | None = None,
     ) -> None:
         """Record into `directory`; `changed` is called, from a writer's thread, to have a look."""
         self._config = config
@@ -66,7 +66,7 @@ class Runs:
         self._finishing: Recording | None = None
         self._first = self._end = 0
         self._last: LastRun | None = None
-        self._presence: Presence | None = None
+        self._presence: ClientWatchdog | None = None
         self._told = ""
 
     @property

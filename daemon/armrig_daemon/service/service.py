@@ -19,7 +19,7 @@ from pathlib import Path
 
 import zenoh
 from armrig_core import commands, open_files
-from armrig_core.held_up import held_up
+from armrig_core.emulator_stall import held_up
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import RecordingError
 from armrig_core.signal_pipe import SignalPipe
@@ -48,7 +48,6 @@ from armrig_daemon.pipe import (
 from armrig_daemon.service import child, pressure
 from armrig_daemon.service.access import AccessError, networks_of
 from armrig_daemon.service.commands import Commands
-from armrig_daemon.service.left_over import LeftOver
 from armrig_daemon.service.network_guard import NetworkGuard
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.publish import NetworkError, Session
@@ -64,6 +63,7 @@ from armrig_daemon.service.sentences import (
     state_sentence,
     unreachable,
 )
+from armrig_daemon.service.startup_recovery import StartupRecovery
 from armrig_daemon.service.systemd import Notifier
 from armrig_daemon.service.thinning import Thinning
 
@@ -114,7 +114,7 @@ class Service:
         self._signals = SignalPipe()
         wake = self._signals.wake
         self._runs = Runs(config, directory, wake)
-        self._left_over = LeftOver(directory, config.rig.id, wake, config.recording)
+        self._left_over = StartupRecovery(directory, config.rig.id, wake, config.recording)
         self._thinning = Thinning()
         self._quitting = False
         self._kill_at = float("inf")

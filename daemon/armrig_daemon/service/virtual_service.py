@@ -35,7 +35,7 @@ from armrig_daemon.pipe import (
     Timing,
     Trace,
 )
-from armrig_daemon.service.circumstances import Circumstances
+from armrig_daemon.service.host_facts import HostFacts
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.thinning import Thinning
@@ -69,7 +69,7 @@ class VirtualService:
         self._began = BEGINNING + timedelta(seconds=seed % _SEEDS)
         self._offset_ns = int(self._began.timestamp()) * 1_000_000_000
         self._rig = VirtualRig(self._config.rules(), emulator, switch_on=switch_on)
-        circumstances = Circumstances(
+        circumstances = HostFacts(
             run_id=lambda codes: _name(seed, codes),
             now=lambda: self._began + timedelta(microseconds=self._rig.ports.now // 1000),
             host={"time": "virtual", "seed": seed},

@@ -141,7 +141,7 @@ def test_ticks_that_the_host_slept_over_are_not_hidden() -> None:
 
 def test_the_daemon_says_of_a_gap_what_the_benchmark_looks_for() -> None:
     """The reason is matched by its words; the daemon must not change them alone."""
-    source = Path(__file__).parents[3] / "daemon/armrig_daemon/core/step.py"
+    source = Path(__file__).parents[3] / "daemon/armrig_daemon/decisions/step.py"
 
     assert f'"{targets.HOST_LATE}"' in source.read_text()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import msgspec
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
-from armrig_daemon.core.state import Event, Ordered, Phase, Received, Want
+from armrig_daemon.decisions.state import Event, Ordered, Phase, Received, Want
 from armrig_daemon.pipe import Answer, Halt, Play, SetVoltage, Timing
 from virtual_bench import LEASE, MS, Bench, codes
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample
-from armrig_daemon.core.clockmap import Link, start
+from armrig_daemon.decisions.clockmap import Link, start
 from armrig_daemon.loop.meter import Meter, clock_record
 
 S, MS, US = 1_000_000_000, 1_000_000, 1_000

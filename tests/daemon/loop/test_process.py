@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from armrig_core.emulator_socket import lock_path
 from armrig_daemon.config import Config
-from armrig_daemon.core.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
+from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, ServiceGone
 from armrig_daemon.loop import realtime
 from armrig_daemon.loop.link import READ, Link
 from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings

@@ -26,7 +26,7 @@ from armrig_core.manifest import RUN as OF_RUN
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import command_key
 from armrig_daemon.config import Config
-from armrig_daemon.core.orders import BY_HAND, not_newer
+from armrig_daemon.decisions.orders import BY_HAND, not_newer
 from armrig_daemon.pipe import (
     Acquire,
     Alive,
@@ -48,7 +48,7 @@ from armrig_daemon.pipe import (
     Timing,
 )
 from armrig_daemon.service import publish
-from armrig_daemon.service.presence import begun
+from armrig_daemon.service.client_watchdog import begun
 from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.service import Service
 from loop_ends import LoopEnds

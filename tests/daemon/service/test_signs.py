@@ -11,8 +11,8 @@ from armrig.rig.session import open_session
 from armrig_core.commands import Renew, Run
 from armrig_core.topics import command_key
 from armrig_daemon.config import Config
+from armrig_daemon.service.client_watchdog import begun
 from armrig_daemon.service.commands import Commands
-from armrig_daemon.service.presence import begun
 from armrig_daemon.service.publish import Session
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs

@@ -1,0 +1,49 @@
+"""The device's clock compared with ours, from every exchange that has four stamps."""
+
+from __future__ import annotations
+
+from armrig_protocol.frame import wire_length
+from armrig_protocol.messages import Exchange, Message, Ping, Pong
+from armrig_protocol.messages import Sample as DeviceSample
+from msgspec.structs import replace
+
+from armrig_daemon.decisions import clockmap
+from armrig_daemon.decisions.budget import BITS_PER_BYTE, PING_US
+from armrig_daemon.decisions.state import Sent, State
+
+
+def by_pong(state: State, now_ns: int, pong: Pong) -> State:
+    """Return the state after a PONG, which carries the device's two stamps."""
+    ways = (Ping, Pong)
+    return _compared(state, ways, pong.host_ns, pong.rx_us, pong.tx_us, now_ns)
+
+
+def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
+    """Return the state after a SAMPLE that answers an EXCHANGE.
+
+    The request had come `skew_us` before theta_1's trigger, where alpha was triggered; the answer
+    began to leave one conversion after it.
+    """
+    device = state.device
+    if device is None or now_ns - state.compared_ns < PING_US * 1000:
+        return state
+    rx_us, tx_us = (m.t_us - device.skew_us) & 0xFFFFFFFF, (m.t_us + device.skew_us) & 0xFFFFFFFF
+    return _compared(state, (Exchange, DeviceSample), sent.sent_ns, rx_us, tx_us, now_ns)
+
+
+def _compared(
+    state: State,
+    ways: tuple[type[Message], type[Message]],
+    h1_ns: int,
+    rx_us: int,
+    tx_us: int,
+    h4_ns: int,
+) -> State:
+    request_ns, answer_ns = (
+        wire_length(way) * BITS_PER_BYTE * 1_000_000_000 // state.rules.baud for way in ways
+    )
+    rx = clockmap.extend(state.device_us or rx_us, rx_us)
+    tx = clockmap.extend(rx, tx_us)
+    # The time on the wire is known, and different for each pair of frames: it is taken off here.
+    clock = clockmap.update(state.clock, h1_ns + request_ns, rx, tx, h4_ns - answer_ns)
+    return replace(state, clock=clock, device_us=tx, compared_ns=h4_ns)

@@ -1,0 +1,209 @@
+"""What the service asks of the core; anything that is not allowed is refused and told."""
+
+from __future__ import annotations
+
+from armrig_core.volts import volts_of
+from armrig_protocol.messages import Capability
+from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
+
+from armrig_daemon.decisions.requests import NO_DEVICE, Step, answer, ask, refuse
+from armrig_daemon.decisions.state import Phase, Rules, State, Want
+from armrig_daemon.decisions.stopping import end_run, leave, stop
+from armrig_daemon.decisions.transitions import begin_arming, state_name
+from armrig_daemon.pipe import (
+    Acquire,
+    Alive,
+    Calibrate,
+    Halt,
+    Leased,
+    Order,
+    Play,
+    Quit,
+    Release,
+    Reset,
+    SetVoltage,
+)
+
+NOT_HELD = "not the lease in force: arm first"
+"""What is said to who commands without holding the rig."""
+BY_HAND = "the motor is driven by hand: disarm first"
+_AT_REST = (DeviceState.IDLE, DeviceState.READY)
+
+
+def handle(state: State, now_ns: int, order: Order) -> Step:
+    """Carry out one order, or refuse it."""
+    state = replace(state, service_ns=now_ns)
+    match order:
+        case Alive():
+            return state, []
+        case Halt():
+            return _halt(state, now_ns, order)
+        case Quit():
+            return quit_(state, now_ns)
+        case Reset():
+            return _reset(state, now_ns, order)
+        case Calibrate():
+            return _calibrate(state, order)
+        case Acquire():
+            return _acquire(state, now_ns, order)
+        case Leased():
+            return _leased(state, now_ns, order)
+    return state, refuse(order, "not an order that this daemon knows")
+
+
+def not_newer(n: int, last: int) -> str:
+    """Return what is said of a command whose number does not exceed the last."""
+    return f"n={n} must be greater than the last, {last}"
+
+
+def held_by(owner: str) -> str:
+    """Return what is said to who arms a rig that somebody holds."""
+    return f"{owner} has the rig: wait until it is free, or end it with `armrig stop`"
+
+
+def quit_(state: State, now_ns: int) -> Step:
+    """Stop and exit; the exit waits until the device is seen stopped, or cannot be."""
+    if state.quitting:
+        return state, []
+    state = replace(state, quitting=True)
+    if not state.link_up or state.device is None:
+        state, done = end_run(state, now_ns)
+        state, actions = leave(state)
+        return state, done + actions
+    return stop(state, now_ns, "the daemon was ended")
+
+
+def _halt(state: State, now_ns: int, order: Halt) -> Step:
+    may_turn = state.phase in (Phase.ARMED, Phase.ACTIVE) or state.asked is not None
+    if state.device is None or state.phase is Phase.FAULT or not may_turn:
+        return state, answer(order, {"done": True})  # at 0 V, or out of our reach
+    return stop(state, now_ns, order.reason, order)
+
+
+def _reset(state: State, now_ns: int, order: Reset) -> Step:
+    if state.phase is not Phase.FAULT:
+        return state, answer(order, {"done": False})  # nothing is latched
+    if state.device is None:
+        return state, refuse(order, NO_DEVICE)
+    if state.asked is not None:
+        return state, refuse(order, f"busy with {state.asked.want}: try again")
+    latched = state.device_state in (DeviceState.FAULT, DeviceState.ESTOP)
+    return ask(state, now_ns, Want.CLEAR if latched else Want.HELLO, order)
+
+
+def _calibrate(state: State, order: Calibrate) -> Step:
+    """Take another calibration at rest, so that a run has one from its first sample to its last.
+
+    Only the conversion of samples reads it: it leads to no frame, and changes no limit.
+    """
+    error = ""
+    if state.phase is Phase.FAULT:
+        error = f"in fault ({state.reason}): mend it, then reset"
+    elif state.lease is not None:
+        error = held_by(state.lease.owner)
+    elif state.phase is Phase.INIT:
+        error = NO_DEVICE
+    elif state.phase is not Phase.SAFE or state.asked is not None:
+        error = "the rig is not at rest yet: try again"
+    if error:
+        return state, refuse(order, error)
+    rules = replace(state.rules, calibration=order.calibration)
+    return replace(state, rules=rules), answer(order, {"done": True})
+
+
+def _acquire(state: State, now_ns: int, order: Acquire) -> Step:
+    if state.quitting:
+        return state, refuse(order, "the daemon is ending")
+    if state.phase is Phase.FAULT:
+        return state, refuse(order, f"in fault ({state.reason}): mend it, then reset")
+    if state.lease is not None:
+        return state, refuse(order, held_by(state.lease.owner))
+    if state.phase is not Phase.SAFE or state.device is None:
+        return state, refuse(order, NO_DEVICE)
+    if state.asked is not None:
+        return state, refuse(order, f"busy with {state.asked.want}: try again")
+    age_ns, limit_ns = now_ns - state.fresh_ns, state.rules.age_ns(state.ts_us)
+    if age_ns > limit_ns:
+        text = f"no answer from the device for {age_ns / 1e6:.0f} ms: try again"
+        return state, refuse(order, text)
+    if not state.sampled_ns or now_ns - state.sampled_ns > limit_ns:
+        text = f"no sample of the device in the last {limit_ns / 1e6:.0f} ms: try again"
+        return state, refuse(order, text)
+    if state.device_state not in _AT_REST:
+        # HELLO finds out what it is at, and leads back to rest.
+        error = f"the device is in {state_name(state.device_state)}, not at rest: try again"
+        state, actions = ask(state, now_ns, Want.HELLO)
+        return state, [*refuse(order, error), *actions]
+    return begin_arming(state, now_ns, order)
+
+
+def _leased(state: State, now_ns: int, order: Leased) -> Step:
+    lease = state.lease
+    held = lease is not None and state.phase in (Phase.ARMED, Phase.ACTIVE)
+    if lease is None or not held or order.lease != lease.lease:
+        return state, refuse(order, NOT_HELD)
+    if order.n <= lease.n:
+        return state, refuse(order, not_newer(order.n, lease.n))
+    if state.asked is not None and not isinstance(order, Release):
+        return state, refuse(order, f"busy with {state.asked.want}: try again")
+    error = _error(state, order)
+    if error:
+        return state, refuse(order, error)
+    state = replace(state, lease=replace(lease, n=order.n, renewed_ns=now_ns))
+    if isinstance(order, Release):
+        return stop(state, now_ns, "disarmed", order)
+    if isinstance(order, SetVoltage) and state.phase is Phase.ACTIVE:
+        return replace(state, code=order.code), answer(order, {"done": True})
+    if isinstance(order, Play) and order.scheduled:
+        # By way of a stop: a device takes another mode in IDLE and READY only.
+        return ask(state, now_ns, Want.STOP, order)
+    return ask(state, now_ns, Want.START, order)
+
+
+def _error(state: State, order: Leased) -> str:
+    """Return why the order is not allowed, or nothing."""
+    match order:
+        case SetVoltage():
+            if state.run is not None:
+                return f"the experiment {state.run.run_id} is running: stop it first"
+            if state.lease is not None and state.ts_us != state.lease.ts_us:
+                return _too_short_for_exchange(state)
+            return _out_of_range(state.code, order.code, state.rules)
+        case Play():
+            if state.phase is not Phase.ARMED:
+                return BY_HAND
+            if state.run is not None:
+                return f"the experiment {state.run.run_id} is about to start: stop it first"
+            error = _cannot_pace(state, order)
+            if error:
+                return error
+            # Each code is checked when it is sent: a million at once would hold up the tick.
+            return "" if order.codes else "the experiment is empty"
+    return ""
+
+
+def _cannot_pace(state: State, order: Play) -> str:
+    if order.scheduled:
+        able = state.device is not None and state.device.capabilities & Capability.SCHEDULED
+        return "" if able else "this device has no scheduled mode: ask for exchange"
+    if state.lease is not None and state.ts_us != state.lease.ts_us:
+        return _too_short_for_exchange(state)
+    return ""
+
+
+def _too_short_for_exchange(state: State) -> str:
+    ts_s = state.lease.ts_us / 1e6 if state.lease else 0
+    return (
+        f"Ts={ts_s:g} s cannot be carried in exchange mode: run scheduled, or arm with a longer Ts"
+    )
+
+
+def _out_of_range(before: int, code: int, rules: Rules) -> str:
+    low, high = volts_of(rules.u_min), volts_of(rules.u_max)
+    if not rules.u_min <= code <= rules.u_max:
+        return f"u={volts_of(code):.4g} V is outside {low:.4g} … {high:.4g} V"
+    if not rules.allows(before, code):
+        step = volts_of(abs(code - before))
+        return f"u steps by {step:.4g} V: at most {volts_of(rules.slew):.4g} V in a sample"
+    return ""

@@ -1,0 +1,124 @@
+"""What a device says, and what the core makes of it."""
+
+from __future__ import annotations
+
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import (
+    TYPES,
+    Ack,
+    Arm,
+    Cause,
+    ClearFault,
+    Code,
+    Config,
+    ConfigReply,
+    Hello,
+    HelloReply,
+    Message,
+    Pong,
+    Start,
+    Stop,
+)
+from armrig_protocol.messages import Event as DeviceEvent
+from armrig_protocol.messages import Sample as DeviceSample
+from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
+
+from armrig_daemon.decisions import clock_comparison, sampling, transitions
+from armrig_daemon.decisions.faults import Fault, Id, of_device
+from armrig_daemon.decisions.requests import Step, ask, log, say_state, send
+from armrig_daemon.decisions.state import Action, Phase, RoundTrip, State, Want
+from armrig_daemon.decisions.stopping import end_run, trip
+
+_TYPES = {
+    Want.HELLO: TYPES[Hello],
+    Want.CONFIGURE: TYPES[Config],
+    Want.ARM: TYPES[Arm],
+    Want.START: TYPES[Start],
+    Want.STOP: TYPES[Stop],
+    Want.CLEAR: TYPES[ClearFault],
+}
+
+
+def handle(state: State, now_ns: int, message: Message) -> Step:
+    """Return the state after one message of the device."""
+    match message:
+        case DeviceSample():
+            if _is_other_boot(state, message.boot):
+                return _rebooted(state, now_ns)
+            return sampling.handle(state, now_ns, message)
+        case HelloReply():
+            return transitions.handle_hello(state, now_ns, message)
+        case ConfigReply():
+            return transitions.handle_config(state, now_ns, message)
+        case Ack():
+            return _ack(state, now_ns, message)
+        case DeviceEvent():
+            return _event(state, now_ns, message)
+        case Pong():
+            return _pong(state, now_ns, message)
+    return state, []
+
+
+def _pong(state: State, now_ns: int, pong: Pong) -> Step:
+    if pong.host_ns != state.ping_ns:
+        return state, []  # an old one: it says nothing of now
+    round_trip = RoundTrip(now_ns - pong.host_ns)
+    state = replace(state, fresh_ns=max(state.fresh_ns, pong.host_ns))
+    state = clock_comparison.by_pong(state, now_ns, pong)
+    state, done = transitions.note_state(state, now_ns, pong.state)
+    return state, [round_trip, *done]
+
+
+def _is_other_boot(state: State, boot: int) -> bool:
+    return state.device is not None and boot != state.device.boot_id & 0xFFFF
+
+
+def _rebooted(state: State, now_ns: int) -> Step:
+    """Meet a device that has started anew: it is at 0 V and knows nothing of us."""
+    was_driving = state.phase in (Phase.ARMED, Phase.ACTIVE)
+    state = replace(state, device=None, sent=(), device_state=0)
+    done: list[Action] = []
+    if was_driving:
+        state, done = trip(state, now_ns, Fault(Id.RESET, "the device was reset"))
+    elif state.phase is not Phase.FAULT:
+        state = replace(state, phase=Phase.INIT)
+        done = [log(now_ns, "warning", "the device was reset"), say_state(state, now_ns)]
+    # Whatever was played is over, and no STOP will be confirmed: HELLO takes its place.
+    state, ended = end_run(state, now_ns)
+    state, actions = ask(state, now_ns, Want.HELLO)
+    return state, [*done, *ended, *actions]
+
+
+def _ack(state: State, now_ns: int, ack: Ack) -> Step:
+    asked = state.asked
+    if asked is None or ack.of_seq != asked.seq:
+        return transitions.note_state(state, now_ns, ack.state)
+    if ack.code == Code.OK:
+        if ack.of_type == _TYPES[asked.want]:
+            state = replace(state, fresh_ns=max(state.fresh_ns, asked.sent_ns))
+        return transitions.note_state(state, now_ns, ack.state)
+    if ack.code == Code.STALE:
+        if asked.want is Want.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
+            # Old frames hold it there, played again, and HELLO has to wait: STOP has not.
+            return send(state, now_ns, encode(Stop(0, state.seq)))
+        return state, []  # it will be sent again, with a newer seq
+    if asked.want is Want.STOP and state.phase is Phase.FAULT and ack.code == Code.WRONG_STATE:
+        # It has stopped by itself, and its state says so; else STOP is sent again.
+        return transitions.note_state(state, now_ns, ack.state)
+    text = f"the device refuses {asked.want}: {transitions.name_of(ack.code)}"
+    return transitions.give_up(state, now_ns, text)
+
+
+def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
+    if _is_other_boot(state, event.boot):
+        return _rebooted(state, now_ns)
+    state = replace(state, token=event.token)
+    if event.token and state.phase is not Phase.FAULT:
+        unit = "{} mV" if event.cause == Cause.VCC_LOW else "code {}"
+        detail = f" ({unit.format(event.detail)})" if event.detail else ""
+        state = replace(state, device_state=event.state)
+        cause = f"the device stopped by itself: {of_device(event.cause)}{detail}"
+        fault = Fault(Id.DEVICE, cause)
+        return trip(state, now_ns, fault)
+    return transitions.note_state(state, now_ns, event.state, ended=event.cause == Cause.END)

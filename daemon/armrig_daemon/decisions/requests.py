@@ -1,0 +1,211 @@
+"""Requests to the device, and what the core says of itself."""
+
+from __future__ import annotations
+
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import (
+    SCHEMA_HASH,
+    VERSION,
+    Arm,
+    ClearFault,
+    Config,
+    Hello,
+    HelloReply,
+    Message,
+    Mode,
+    Start,
+    Stop,
+    Underrun,
+)
+from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
+
+from armrig_daemon.decisions.faults import REMEDIES
+from armrig_daemon.decisions.state import (
+    Action,
+    Asked,
+    Emit,
+    Rules,
+    Send,
+    State,
+    Traffic,
+    Unechoed,
+    Want,
+)
+from armrig_daemon.pipe import Answer, Halt, Log, Order, Release
+from armrig_daemon.pipe import State as StateRecord
+
+NO_DEVICE = "no device answers; see that it is plugged in, and that its supply is on: try again"
+"""What is said to who wants something of a device that is not there, or is silent for a moment."""
+Step = tuple[State, list[Action]]
+"""What each part of the core returns: the next state, and what is to be done."""
+
+
+MOST_BEATS = 64  # frames without an echo that are remembered; the age trips long before
+MANY_TRIES = 18
+"""HELLOs without an answer, 0.1 s apart, after which a person is told."""
+
+
+def send(state: State, now_ns: int, data: bytes) -> Step:
+    """Send the frame that carries the present seq."""
+    beats = state.beats
+    if state.scheduled:
+        beats = (*beats[1 - MOST_BEATS :], Unechoed(state.seq, now_ns))
+    seq = (state.seq + 1) & 0xFFFF
+    return replace(state, seq=seq, any_ns=now_ns, beats=beats), [Send(data)]
+
+
+def log(now_ns: int, level: str, message: str, **fields: str) -> Action:
+    """Return a line for a person, and what it is about."""
+    return Emit(Log(t_host_ns=now_ns, level=level, message=message, fields=fields))
+
+
+def answer(order: Order | None, body: dict[str, object]) -> list[Action]:
+    """Return the answer to an order, if there was one."""
+    return [] if order is None else [Emit(Answer(order=order.order, body=body))]
+
+
+def refuse(order: Order | None, error: str) -> list[Action]:
+    """Return the refusal of an order, if there was one."""
+    return [] if order is None else [Emit(Answer(order=order.order, error=error))]
+
+
+def device_facts(device: HelloReply | None) -> dict[str, object]:
+    """Return what a device said of itself, by name, large numbers in hex."""
+    if device is None:
+        return {}
+    facts: dict[str, object] = dict(device._asdict())
+    for name in ("state", "seq", "token", "cause"):
+        del facts[name]
+    for name in ("uid", "boot_id", "schema", "firmware"):
+        facts[name] = f"{facts[name]:x}"
+    return facts
+
+
+def motor(state: State) -> str:
+    """Return what is known of the motor, for a person."""
+    watchdog = f"its watchdog stops it within {state.rules.watchdog_ms} ms"
+    if state.device is None or not state.link_up:
+        return f"not known, for the device does not answer; {watchdog}"
+    if state.device_state != DeviceState.RUN:
+        return "at 0 V, says the device"
+    if state.asked is not None and state.asked.want is Want.STOP:
+        return "told to stop, not confirmed yet"
+    return f"told to stop, but not confirmed; {watchdog}" if state.fault else "driven"
+
+
+def unanswered(state: State) -> str:
+    """Return why there is no device that says who it is, and what to try, or nothing."""
+    if not state.link_up:
+        return (
+            "no rig is there, and the daemon waits for it: see that it is plugged in, and that "
+            "this is its port"
+        )
+    asked, came, baud = state.asked, state.came, state.rules.baud
+    if asked is None or asked.want is not Want.HELLO or asked.tries < MANY_TRIES:
+        return ""
+    if came.frames:
+        found = (
+            f"{came.frames} frames came, but no answer to the question who it is; see that its "
+            "firmware speaks this version of the wire, and that nothing else is on this port"
+        )
+    elif came.bytes:
+        found = (
+            f"of the {came.bytes} bytes that came at {baud} baud none was a frame; see that its "
+            "firmware has the same [device] baud, and that this is its port"
+        )
+    else:
+        found = (
+            f"it was asked {asked.tries} times at {baud} baud, and nothing came back; see that "
+            "it has power, that this is its port, and that its firmware is on it"
+        )
+    return f"the device does not answer: {found}"
+
+
+def say_state(state: State, now_ns: int) -> Action:
+    """Return the state for whoever watches, with the period of the samples that come."""
+    paces_itself = state.scheduled and state.device_state == DeviceState.RUN
+    return Emit(
+        StateRecord(
+            t_host_ns=now_ns,
+            phase=state.phase,
+            reason=state.reason,
+            owner=state.lease.owner if state.lease else "",
+            ts_us=state.ts_us if paces_itself else state.pace_us,
+            device=device_facts(state.device),
+            fault=state.fault.id if state.fault else "",
+            motor=motor(state),
+            remedy=REMEDIES[state.fault.id] if state.fault else "",
+            line=unanswered(state),
+            owner_checked=state.lease.owner_checked if state.lease else "",
+        )
+    )
+
+
+def config(rules: Rules, ts_us: int, seq: int, *, scheduled: bool) -> Config:
+    """Return the configuration that the device is asked for."""
+    return Config(
+        state=0,
+        seq=seq,
+        ts_us=ts_us,
+        # 0 V is always allowed: the host rests there between START and the first sample.
+        u_min=0,
+        u_max=rules.u_max,
+        u_rest=0,
+        slew=rules.slew,
+        watchdog_ms=rules.watchdog_ms,
+        mode=Mode.SCHEDULED if scheduled else Mode.EXCHANGE,
+        underrun=Underrun.ZERO,
+        hold=0,
+        oversampling=1,
+        rail_ticks=rules.rail_ticks,
+        turns=rules.turns,
+    )
+
+
+def ask(
+    state: State,
+    now_ns: int,
+    want: Want,
+    order: Order | None = None,
+    *,
+    ts_us: int = 0,
+    scheduled: bool = False,
+    tries: int = 1,
+) -> Step:
+    """Send the request that leads to `want`, and remember it until it has had its effect.
+
+    It takes the place of what was asked for before; whoever wished that is told.
+    """
+    before = state.asked.order if state.asked else None
+    overtaken = [] if before is order else _overtaken(before, want, state.outcome)
+    if want is Want.HELLO and tries == 1:
+        state = replace(state, came=Traffic())
+    boot_id = state.device.boot_id if state.device else 0
+    request: Message
+    match want:
+        case Want.HELLO:
+            request = Hello(0, state.seq, VERSION, SCHEMA_HASH)
+        case Want.CONFIGURE:
+            request = config(state.rules, ts_us, state.seq, scheduled=scheduled)
+        case Want.ARM:
+            request = Arm(0, state.seq, boot_id, state.config_crc, state.nonce)
+        case Want.START:
+            request = Start(0, state.seq, state.run.samples if state.run else 0, state.nonce)
+        case Want.STOP:
+            request = Stop(0, state.seq)
+        case Want.CLEAR:
+            request = ClearFault(0, state.seq, state.token)
+    asked = Asked(want, now_ns, state.seq, tries, ts_us, scheduled, order)
+    # A frame begins with a 00 of its own where the line may hold rubbish.
+    lead = b"\0" if want is Want.HELLO else b""
+    state, sending = send(replace(state, asked=asked), now_ns, lead + encode(request))
+    return state, [*overtaken, *sending]
+
+
+def _overtaken(order: Order | None, want: Want, outcome: str) -> list[Action]:
+    """Return what is said to who had wished for something else; a wish to stop is granted."""
+    if isinstance(order, Halt | Release):
+        return answer(order, {"done": True})
+    stopped = want is Want.STOP and outcome
+    return refuse(order, f"not begun: {outcome}" if stopped else f"overtaken by {want}")

@@ -1,0 +1,171 @@
+"""A sample of the device: which k it has, what it shows, and whether its input is as commanded.
+
+It comes by one of two ways. In exchange mode it answers an EXCHANGE of ours; in a scheduled run the
+device makes it by its own timer. Each way finds out which sample was due; the rest is the same.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from armrig_core.volts import applied_code, volts_of
+from armrig_protocol.messages import Flag
+from armrig_protocol.messages import Sample as DeviceSample
+from msgspec.structs import replace
+
+from armrig_daemon.decisions import clock_comparison, gaps, setpoints, transitions
+from armrig_daemon.decisions.clockmap import extend, host_ns_at
+from armrig_daemon.decisions.conversion import converted, extended, is_older
+from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.requests import Step, log
+from armrig_daemon.decisions.state import Phase, Publish, RoundTrip, Run, Sent, State
+from armrig_daemon.decisions.stopping import trip
+
+_RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # an enum's `&` makes an enum: 0.5 µs each time
+_ARMED, _ACTIVE, _FAULT = Phase.ARMED, Phase.ACTIVE, Phase.FAULT
+
+ENOUGH_EXCHANGES = 8
+"""Exchanges after which the map of the clocks is better than the time of START."""
+
+
+class _Due(NamedTuple):
+    """A sample that was due, and has come."""
+
+    k: int
+    sched_ns: int
+    asked_ns: int
+    """When it was asked for; when it came, where nobody asks."""
+    code: int
+    """Commanded for it."""
+    expected: int
+    """Code that the device must have applied."""
+
+
+def handle(state: State, now_ns: int, m: DeviceSample) -> Step:
+    """Return the state after a sample of the boot that we know."""
+    if state.scheduled and m.flags & _RUN:
+        return _handle_self_paced(state, now_ns, m)
+    return _handle_answer(state, now_ns, m)
+
+
+def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
+    """Take the answer to an EXCHANGE; what answers none of ours is ignored, its state as well."""
+    at, device = _find_exchange(state.sent, m.k), state.device
+    if at is None or device is None or is_ahead(state, m.echo):
+        return state, []  # an old burst, or an echo of another host
+    if _is_older_than_last(state, m):
+        return state, []
+    sent, behind = state.sent[at], state.sent[at + 1 :]
+    if sent.k <= state.told:
+        return replace(state, sent=behind), []  # overtaken: told as a gap already
+    for before in state.sent[:at]:
+        state = gaps.note(state, gaps.lost(before, now_ns))
+    expected = applied_code(sent.code, device.pwm_bits) if m.flags & _RUN else 0
+    due = _Due(sent.k, sent.sched_ns, sent.sent_ns, sent.code, expected)
+    state, done = _publish(replace(state, sent=behind, fresh_ns=sent.sent_ns), now_ns, m, due)
+    done.append(RoundTrip(now_ns - sent.sent_ns))
+    state = clock_comparison.by_sample(state, now_ns, sent, m)
+    # The state is looked at behind the sample: where the device has stopped, this one still counts.
+    state, actions = transitions.note_state(state, now_ns, m.state)
+    done += actions
+    state, actions = setpoints.note_queue(state, now_ns, 0, m.queued)
+    done += actions
+    if state.phase is _FAULT:
+        return state, done  # its code is 0 from here on, and the first cause stands
+    state, actions = _check_applied(state, now_ns, m, due)
+    return state, done + actions
+
+
+def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
+    """Return which EXCHANGE asked for sample `k`, a number that wraps; None where none did."""
+    for at, one in enumerate(sent):
+        if one.k & 0xFFFFFFFF == k:
+            return at
+    return None
+
+
+def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
+    """Take a sample of a device that paces itself."""
+    # First: with the sample setpoints go out, and behind them an echo ahead would look like ours.
+    state, done = _check_echo(state, now_ns, m)
+    # The state is looked at before the sample: RUN shows that START has worked, and gives it its k.
+    state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
+    done += actions
+    state, actions = _handle_of_run(state, now_ns, m)
+    return state, done + actions
+
+
+def _check_echo(state: State, now_ns: int, m: DeviceSample) -> Step:
+    """Trip where the device that we drive has heard somebody else: our own frames are stale now."""
+    if state.phase not in (_ARMED, _ACTIVE) or not is_ahead(state, m.echo):
+        return state, []
+    cause = f"the device has heard frame {m.echo}, and the next of ours is {state.seq}"
+    return trip(state, now_ns, Fault(Id.STATE, cause))
+
+
+def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
+    """Take a sample of a scheduled run; one that came before, or belongs to none, is ignored."""
+    run, device = state.run, state.device
+    if run is None or run.k_first < 0 or device is None or not run.due <= m.k < run.samples:
+        return state, []
+    if _is_older_than_last(state, m):
+        return state, []
+    code = run.code(m.k)
+    expected = applied_code(code, device.pwm_bits)
+    due = _Due(run.k_first + m.k, _sched_ns(state, run, m), now_ns, code, expected)
+    state = setpoints.note_missing(state, run, m.k, now_ns)
+    state = replace(state, run=replace(run, due=m.k + 1))
+    state, done = _publish(state, now_ns, m, due, m.queued)
+    state, actions = setpoints.note_queue(state, now_ns, m.k + 1, m.queued)
+    done += actions
+    if m.flags & _UNDERRUN:
+        text = f"no setpoint was there for sample {due.k}: the input was {volts_of(m.u_k):.3g} V"
+        return state, [*done, log(now_ns, "warning", text)]
+    # In a fault, too: it drives on by its own queue, and STOP goes out again at once.
+    state, actions = _check_applied(state, now_ns, m, due)
+    return state, done + actions
+
+
+def _sched_ns(state: State, run: Run, m: DeviceSample) -> int:
+    """Return when a sample was due on our clock: by the map of the clocks, once there is one."""
+    if state.clock.weight and len(state.clock.round_trips) >= ENOUGH_EXCHANGES:
+        return host_ns_at(state.clock, extend(state.device_us, m.t_us))
+    return run.t_zero_ns + m.k * state.ts_us * 1000
+
+
+def note_echo(state: State, echo: int) -> State:
+    """Take note that the device has heard the frame `echo`: that is what proves a round trip."""
+    if is_ahead(state, echo):
+        return state
+    newest = [b for b in state.beats if (echo - b.seq) & 0xFFFF < 0x8000]
+    if not newest:
+        return state
+    return replace(state, beats=state.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
+
+
+def is_ahead(state: State, echo: int) -> bool:
+    """Return whether `echo` is of a frame that we have not sent: another's, or an old one."""
+    return (echo - state.seq) & 0xFFFF < 0x8000
+
+
+def _is_older_than_last(state: State, m: DeviceSample) -> bool:
+    """Return whether a sample is older than the last: within a boot the clock never goes back."""
+    return bool(state.sampled_ns) and is_older(state.t_us, m.t_us)
+
+
+def _publish(state: State, now_ns: int, m: DeviceSample, due: _Due, queued: int = -1) -> Step:
+    """Publish a sample, behind the gaps that it shows."""
+    state, done = gaps.tell_missing(state, due.k, now_ns, m.u_km1)
+    t_us = extended(state.t_us, m.t_us)
+    calibration = state.rules.calibration
+    sample = converted(calibration, m, due.k, due.sched_ns, due.asked_ns, t_us, due.code)
+    done.append(Publish(sample, queued))
+    return replace(state, sampled_ns=due.asked_ns, t_us=t_us, applied=m.u_k, told=due.k), done
+
+
+def _check_applied(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:
+    """Trip where the device applied another code than the one commanded (S5)."""
+    if m.u_k == due.expected:
+        return state, []
+    text = f"the device applied code {m.u_k} where {due.code} was commanded"
+    return trip(state, now_ns, Fault(Id.APPLIED, text))

@@ -1,0 +1,130 @@
+"""Scheduled runs: setpoints kept ahead of the device.
+
+The device's timer makes the samples; what we owe it is to have u[k] there before k. Setpoints go
+back-N: a sample's `queued` says up to where the device has them, and what does not arrive in time
+is sent again from there. Nothing else acknowledges them.
+"""
+
+from __future__ import annotations
+
+from armrig_core.volts import applied_code
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import SETPOINTS_PER_FRAME, Ping, Setpoints
+from msgspec.structs import replace
+
+from armrig_daemon.decisions import gaps
+from armrig_daemon.decisions.budget import PING_US
+from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.requests import Step, ask, send
+from armrig_daemon.decisions.state import Absent, Action, Phase, Queue, Run, State, Want
+from armrig_daemon.decisions.stopping import stop, trip
+from armrig_daemon.pipe import Play
+
+_ARMED, _FAULT = Phase.ARMED, Phase.FAULT
+
+RESEND_NS = 30_000_000
+"""Setpoints that the device does not show after so long are sent again, in ns."""
+FILL_NS = 2_000_000_000
+"""How long filling the queue before the start may take, in ns."""
+MOST_FRAMES = 8
+"""Frames of setpoints sent at once: what else is on the line must not wait long behind them."""
+
+
+def begin(state: State, now_ns: int, order: Play) -> Step:
+    """Fill the queue of a device that was armed for this run, at 0 V."""
+    run = Run(order.run_id, order.codes, -1, scheduled=True)
+    queue = Queue(order, moved_ns=now_ns, asked_ns=now_ns)
+    return refill(replace(state, run=run, queue=queue), now_ns)
+
+
+def refill(state: State, now_ns: int) -> Step:
+    """Send what the device has room for."""
+    queue, run = state.queue, state.run
+    if queue is None or run is None or state.device is None or is_stopping(state):
+        return state, []
+    sent, moved_ns = queue.sent, queue.moved_ns
+    if queue.held < sent and now_ns - moved_ns > RESEND_NS:
+        sent, moved_ns = queue.held, now_ns
+    end = min(run.samples, queue.base + state.device.queue)
+    done: list[Action] = []
+    while len(done) < MOST_FRAMES and (
+        end - sent >= SETPOINTS_PER_FRAME or sent < end == run.samples
+    ):
+        codes = [run.code(i) for i in range(sent, min(sent + SETPOINTS_PER_FRAME, end))]
+        if not all(map(state.rules.allows, [run.code(sent - 1), *codes], codes)):
+            fault = Fault(Id.LIMITS, f"a voltage from u[{sent}] on is not within the limits")
+            state, actions = trip(state, now_ns, fault)
+            return state, done + actions
+        n = len(codes)
+        codes += [0] * (SETPOINTS_PER_FRAME - n)
+        frame = encode(Setpoints(0, state.seq, sent, n, 0, tuple(codes)))
+        state, sending = send(state, now_ns, frame)
+        done += sending
+        moved_ns = now_ns if sent == queue.held else moved_ns
+        sent += n
+    return replace(state, queue=replace(queue, sent=sent, moved_ns=moved_ns)), done
+
+
+def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
+    """Take note of what the device holds, start when it is enough, and send more."""
+    queue, run = state.queue, state.run
+    if queue is None or run is None:
+        return state, []
+    held = base + queued
+    moved_ns = now_ns if held > queue.held else queue.moved_ns
+    # A sample may be older than what was sent since; a start again from `held` may be behind it.
+    queue = replace(queue, base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
+    state = replace(state, queue=queue)
+    if state.phase is _ARMED and state.asked is None:
+        if _is_filled(state):
+            return ask(state, now_ns, Want.START, queue.order)
+        if now_ns - queue.asked_ns > FILL_NS:
+            return stop(state, now_ns, "the device does not take the setpoints")
+    return refill(state, now_ns)
+
+
+def _is_filled(state: State) -> bool:
+    queue, run, device = state.queue, state.run, state.device
+    if queue is None or run is None or device is None:
+        return False
+    enough = min(run.samples, device.queue - SETPOINTS_PER_FRAME)
+    return queue.held >= enough
+
+
+def is_stopping(state: State) -> bool:
+    """Return whether the device is to stop: then it gets no setpoint and nothing to live on."""
+    asked = state.asked
+    return state.phase is _FAULT or (asked is not None and asked.want is Want.STOP)
+
+
+def tick(state: State, now_ns: int) -> Step:
+    """Keep the device fed and the clock compared while it paces itself."""
+    if is_stopping(state):
+        # Given up, but it still drives: on and on, and its own watchdog beside it.
+        return (state, []) if state.asked is not None else ask(state, now_ns, Want.STOP)
+    state, done = refill(state, now_ns)
+    if now_ns - state.ping_ns >= PING_US * 1000:
+        ping = encode(Ping(0, state.seq, now_ns))
+        state, sending = send(replace(state, ping_ns=now_ns), now_ns, ping)
+        done += sending
+    return state, done
+
+
+def complete(state: State, now_ns: int) -> Step:
+    """Take note that the device has made its last sample; what has not come never will."""
+    run = state.run
+    if run is None:
+        return state, []
+    state = note_missing(state, run, run.samples, now_ns)
+    run = replace(run, due=run.samples)
+    return replace(state, run=run, outcome=state.outcome or "complete"), []
+
+
+def note_missing(state: State, run: Run, end: int, now_ns: int) -> State:
+    """Note the samples of a run before `end` that have not come; their input was the queue's."""
+    bits = state.device.pwm_bits if state.device else 16
+    for i in range(max(run.due, end - gaps.MOST_ABSENT), end):
+        code = applied_code(run.code(i), bits)
+        absent = Absent(run.k_first + i, 1, "a frame was lost", code, now_ns, now_ns)
+        state = gaps.note(state, absent)
+    return state

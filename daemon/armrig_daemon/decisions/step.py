@@ -1,0 +1,254 @@
+"""The daemon's only decision maker: `step(state, now_ns, events) -> (state', actions)`.
+
+Pure: no clock, I/O, randomness, logging or threads. What it keeps, by the invariants of
+ARCHITECTURE.md: every non-zero code it sends is that of a command of the lease's holder (S5),
+within the limits (S1), while the round trip is fresh (S4); a trip latches (S6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from armrig_protocol.decoder import feed
+from armrig_protocol.frame import Spoilt, Unknown, encode
+from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
+from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
+
+from armrig_daemon.decisions import gaps, orders, replies, setpoints, transitions
+from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.requests import Step, ask, log, refuse, say_state, send
+from armrig_daemon.decisions.state import (
+    Absent,
+    Action,
+    Beat,
+    Emit,
+    Event,
+    LinkDown,
+    LinkUp,
+    Ordered,
+    Phase,
+    Received,
+    Rules,
+    Sent,
+    ServiceGone,
+    State,
+    Tick,
+    Traffic,
+    Want,
+)
+from armrig_daemon.decisions.stopping import end_run, leave, stop, trip
+from armrig_daemon.pipe import RunStarted
+
+ARMED_NS = 10_000_000_000
+"""How long the rig may be held armed without a command, at 0 V, in ns."""
+_NOISE = (Spoilt, Unknown)
+# By names of their own: an enum's member, looked up in it, takes 0.08 µs each time.
+_RUN, _ARMED, _ACTIVE = DeviceState.RUN, Phase.ARMED, Phase.ACTIVE
+_DRIVING = (_ARMED, _ACTIVE)
+
+
+def start(rules: Rules) -> State:
+    """Return the state before anything has happened."""
+    return State(rules=rules, ts_us=rules.ts_us, pace_us=rules.ts_us)
+
+
+def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
+    """Return the state after `events`, which happened by `now_ns`, and what is to be done."""
+    done: list[Action] = []
+    for event in events:
+        state, actions = _one(state, now_ns, event)
+        done += actions
+    return state, done
+
+
+def wake_ns(state: State) -> int:
+    """Return when the core wants a `Beat`, should nothing happen before."""
+    if state.asked is not None:
+        return transitions.retry_ns(state.asked)
+    return state.any_ns + state.rules.watchdog_ms * 1_000_000 // 3
+
+
+def _one(state: State, now_ns: int, event: Event) -> Step:
+    match event:
+        case Received():
+            return _received(state, now_ns, event.data)
+        case Tick():
+            return _tick(state, now_ns, event)
+        case Beat():
+            return _beat(state, now_ns)
+        case Ordered():
+            return orders.handle(state, now_ns, event.order)
+        case LinkUp():
+            state = replace(state, link_up=True, pending=b"", sent=(), seq=0)
+            return ask(state, now_ns, Want.HELLO)
+        case LinkDown():
+            return _link_down(state, now_ns, event.reason)
+        case ServiceGone():
+            return orders.quit_(state, now_ns)
+
+
+def _link_down(state: State, now_ns: int, reason: str) -> Step:
+    done = refuse(state.asked.order if state.asked else None, f"link lost: {reason}")
+    state = replace(state, link_up=False, device=None, asked=None, sent=(), pending=b"")
+    if state.quitting:
+        state, actions = leave(state)
+        return state, done + actions
+    if state.phase in _DRIVING:
+        state, actions = trip(state, now_ns, Fault(Id.LINK, f"link lost: {reason}"))
+        return state, done + actions
+    state, ended = end_run(state, now_ns)  # its STOP will not be confirmed any more
+    phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
+    state = replace(state, phase=phase)
+    said = [log(now_ns, "warning", f"no link: {reason}"), say_state(state, now_ns)]
+    return state, [*done, *ended, *said]
+
+
+def _received(state: State, now_ns: int, data: bytes) -> Step:
+    pending, received = feed(state.pending, data)
+    if pending != state.pending:
+        state = replace(state, pending=pending)
+    if state.asked is not None and state.asked.want is Want.HELLO:
+        sound = sum(not isinstance(message, _NOISE) for message in received)
+        came = Traffic(state.came.bytes + len(data), state.came.frames + sound)
+        state = replace(state, came=came)
+    done: list[Action] = []
+    for message in received:
+        if isinstance(message, _NOISE):
+            # Noise on the line is the line's; the sample it cost is a gap of its own.
+            done.append(log(now_ns, "debug", f"line: {message}"))
+            continue
+        state, actions = replies.handle(state, now_ns, message)
+        done += actions
+    return state, done
+
+
+def _beat(state: State, now_ns: int) -> Step:
+    if state.asked is not None:
+        return transitions.retry(state, now_ns)
+    drives = state.device_state == _RUN
+    if not state.link_up or (drives and (setpoints.is_stopping(state) or _lapsed(state, now_ns))):
+        return replace(state, any_ns=now_ns), []  # nothing that would feed its watchdog
+    return send(state, now_ns, encode(Keepalive(0, state.seq)))
+
+
+def _lapsed(state: State, now_ns: int) -> bool:
+    """Tell whether the next tick will stop the motor: after a pause a beat comes before it."""
+    rules = state.rules
+    if state.k >= 0 and now_ns - state.tick_ns > rules.pause_ns(
+        state.ts_us, scheduled=_is_self_paced(state)
+    ):
+        return True
+    return state.run is None and state.phase is _ACTIVE and _has_run_out(state, now_ns)
+
+
+def _has_run_out(state: State, now_ns: int) -> bool:
+    """Tell whether the lease's holder has given no command for too long (S2)."""
+    lease = state.lease
+    return lease is not None and now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us)
+
+
+def _is_self_paced(state: State) -> bool:
+    """Tell whether the device plays a schedule by its own clock."""
+    return state.scheduled and state.device_state == _RUN
+
+
+def _tick(state: State, now_ns: int, tick: Tick) -> Step:
+    done: list[Action] = []
+    self_paced = _is_self_paced(state)
+    skipped = tick.k - state.k - 1 if state.k >= 0 else 0
+    pause_ns = now_ns - state.tick_ns if state.k >= 0 else 0
+    if skipped > 0 and not self_paced:
+        state = _skip(state, tick.k - skipped, skipped, now_ns, "the host was late")
+    state = replace(state, k=tick.k, tick_ns=now_ns)
+    if not state.link_up:
+        return state, done
+    if state.device is None:
+        if state.asked is not None:
+            return transitions.retry(state, now_ns)  # where a line is never quiet there is no beat
+        # A HELLO that a STOP has overtaken must not be the last one (T1).
+        return ask(state, now_ns, Want.HELLO)
+    rules, driving = state.rules, state.phase in _DRIVING
+    fault: Fault | None = None
+    if pause_ns > rules.pause_ns(state.ts_us, scheduled=self_paced):
+        fault = Fault(Id.PAUSE, f"the host paused for {pause_ns / 1e6:.0f} ms")
+    elif rules.stop_after and skipped >= rules.stop_after and not self_paced:
+        cause = f"{skipped} ticks in a row were missed: {rules.stop_after} are allowed"
+        fault = Fault(Id.MISSED, cause)
+    elif rules.service_ns and now_ns - state.service_ns > rules.service_ns:
+        fault = Fault(Id.SERVICE, "the service is frozen: nobody could stop the motor")
+    if driving and fault:
+        state, actions = trip(state, now_ns, fault)
+        return state, done + actions
+    if now_ns - state.fresh_ns > rules.age_ns(state.ts_us, scheduled=self_paced):
+        state, actions = _stale(state, now_ns, driving=driving)
+        return state, done + actions
+    if self_paced:
+        state, actions = setpoints.tick(state, now_ns)
+        return state, done + actions
+    if state.run is not None and state.run.scheduled and state.run.k_first >= 0:
+        return state, done  # it has stopped, but not ended: our count goes on behind its last
+    if len(state.sent) >= MAX_UNECHOED:
+        # Never more stale commands in the line than this; the age above ends it.
+        return _skip(state, tick.k, 1, now_ns, "the device was late"), done
+    state, code, actions = _decide(state, now_ns, tick.k)
+    done += actions
+    sent = Sent(state.seq, tick.k, tick.sched_ns, now_ns, code)
+    state, actions = send(state, now_ns, encode(Exchange(0, state.seq, tick.k & 0xFFFFFFFF, code)))
+    return replace(state, sent=(*state.sent, sent)), done + actions
+
+
+def _skip(state: State, k: int, count: int, now_ns: int, reason: str) -> State:
+    return gaps.note(state, Absent(k, count, reason, None, state.tick_ns, now_ns))
+
+
+def _stale(state: State, now_ns: int, *, driving: bool) -> Step:
+    age_ms = (now_ns - state.fresh_ns) / 1e6
+    if driving:
+        cause = f"no answer from the device for {age_ms:.0f} ms"
+        return trip(state, now_ns, Fault(Id.STALE, cause))
+    if state.asked is not None:
+        return state, []
+    state = replace(state, sent=(), device=None)
+    if state.phase is not Phase.FAULT:
+        state = replace(state, phase=Phase.INIT)
+    state, actions = ask(state, now_ns, Want.HELLO)
+    text = f"no answer from the device for {age_ms:.0f} ms; asking who is there"
+    return state, [log(now_ns, "warning", text), say_state(state, now_ns), *actions]
+
+
+def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]]:
+    """Return the code for tick `k`; anything but 0 only while a valid command stands behind it."""
+    lease = state.lease
+    if lease is None or (state.asked is not None and state.asked.want is Want.STOP):
+        return state, 0, []
+    if state.phase is _ARMED and now_ns - lease.renewed_ns > ARMED_NS:
+        state, actions = stop(state, now_ns, "")
+        text = "armed for 10 s without a command: disarmed"
+        return state, 0, [log(now_ns, "info", text), *actions]
+    if state.phase is not _ACTIVE:
+        return state, 0, []
+    if state.run is None:
+        if _has_run_out(state, now_ns):
+            fault = Fault(Id.LEASE, "the lease ran out: no command from its holder")
+            state, actions = trip(state, now_ns, fault)
+            return state, 0, actions
+        return state, state.code, []
+    done: list[Action] = []
+    run = state.run
+    if run.k_first < 0:
+        run = replace(run, k_first=k)
+        state = replace(state, run=run)
+        started = RunStarted(run_id=run.run_id, k_first=k, count=run.samples, t_host_ns=now_ns)
+        done.append(Emit(started))
+    i = k - run.k_first
+    if i < run.samples:
+        code = run.code(i)
+        if not state.rules.allows(run.code(i - 1), code):
+            fault = Fault(Id.LIMITS, f"u[{i}] is not within the limits")
+            state, actions = trip(state, now_ns, fault)
+            return state, 0, done + actions
+        return replace(state, run=replace(run, due=i + 1)), code, done
+    state = replace(state, run=replace(run, due=run.samples))
+    state, actions = stop(state, now_ns, "complete")
+    return state, 0, done + actions

@@ -1,0 +1,72 @@
+"""Every way in which the motor is brought to 0 V."""
+
+from __future__ import annotations
+
+from msgspec.structs import replace
+
+from armrig_daemon.decisions import gaps
+from armrig_daemon.decisions.faults import Fault, sentence
+from armrig_daemon.decisions.requests import Step, ask, log, refuse, say_state
+from armrig_daemon.decisions.state import Absent, Emit, Exit, Phase, Repace, State, Want
+from armrig_daemon.pipe import Order, RunEnded
+
+
+def end_run(state: State, now_ns: int) -> Step:
+    """Say that the run is over, once no sample of it can come any more."""
+    queue, run = state.queue, state.run
+    done = refuse(queue.order, state.outcome or "stopped") if queue else []
+    state = replace(state, queue=None, beats=())
+    if run is None:
+        return replace(state, outcome=""), done
+    if run.k_first >= 0:
+        end = run.k_first + min(run.due, run.samples)
+        for sent in (s for s in state.sent if s.k < end):
+            state = gaps.note(state, gaps.lost(sent, now_ns))
+        if run.scheduled and state.phase is Phase.FAULT:
+            # What the device would have sampled by now, had it not stopped.
+            by_now = (now_ns - run.t_zero_ns) // (state.ts_us * 1000) + 1
+            n = max(0, min(by_now, run.samples) - run.due)
+            due_ns = gaps.due_ns(state, end)
+            state = gaps.note(state, Absent(end, n, state.outcome, 0, due_ns, now_ns))
+            run, end = replace(run, due=run.due + n), end + n
+        state, actions = gaps.tell_missing(state, end, now_ns)
+        done += actions
+        state = replace(state, sent=tuple(s for s in state.sent if s.k >= end))
+    if run.scheduled and run.k_first >= 0:
+        # The device has counted on its own: our ticks go on behind its last sample.
+        k = run.k_first + run.due - 1
+        state = replace(state, k=k, pace_us=state.rules.ts_us)
+        done.append(Repace(state.rules.ts_us, k + 1))
+    done.append(Emit(RunEnded(run_id=run.run_id, outcome=state.outcome)))
+    return replace(state, run=None, outcome=""), done
+
+
+def stop(state: State, now_ns: int, outcome: str, order: Order | None = None) -> Step:
+    """Go to 0 V in good order: the run ends when the device has stopped."""
+    state = replace(state, outcome=state.outcome or outcome, code=0)
+    return ask(state, now_ns, Want.STOP, order)
+
+
+def leave(state: State) -> Step:
+    """Exit with nobody holding the rig: frames that come in the same step report no stray state."""
+    phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
+    return replace(state, phase=phase, lease=None, code=0), [Exit()]
+
+
+def trip(state: State, now_ns: int, fault: Fault) -> Step:
+    """Go to 0 V and latch: only a reset, then arm, leads out (S6)."""
+    state = replace(
+        state,
+        phase=Phase.FAULT,
+        fault=fault,
+        lease=None,
+        code=0,
+        outcome=state.outcome or fault.cause,
+    )
+    if state.link_up:
+        state, done = ask(state, now_ns, Want.STOP)
+    else:
+        # No way to tell the device: its own watchdog stops it.
+        state, done = end_run(state, now_ns)
+    text = f"stopped at 0 V: {sentence(fault)}; then `armrig reset`, then repeat"
+    return state, [*done, log(now_ns, "error", text, cause=fault.id), say_state(state, now_ns)]

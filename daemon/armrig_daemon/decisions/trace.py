@@ -1,0 +1,187 @@
+"""What the core was told and what it then sent, step by step: a run can be decided once more.
+
+A trace begins with the state in which the run started and holds the arguments of every call of
+`decisions/step.py: step` since. It is a pure function: the same arguments give the same decisions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import msgspec
+from msgspec.structs import replace
+
+from armrig_daemon.decisions.state import (
+    Action,
+    Beat,
+    Event,
+    LinkDown,
+    LinkUp,
+    Ordered,
+    Received,
+    Send,
+    ServiceGone,
+    State,
+    Tick,
+)
+from armrig_daemon.pipe import Acquire, Leased, Order, Orders, Play
+
+CHUNK = 3000
+"""Bytes of steps that are handed over together: with its state a chunk fits into 4096."""
+_HELD = "held"  # in place of the lease in force
+_STEP_BYTES, _EVENT_BYTES = 12, 24  # what a step and an event take beyond their data, at most
+_KINDS: tuple[type[Event], ...] = (
+    Tick, Beat, Received, Ordered, LinkUp, LinkDown, ServiceGone,
+)  # fmt: skip
+_NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
+
+
+class Step(NamedTuple):
+    """One call of the core, and the frames to the device that it decided."""
+
+    now_ns: int
+    events: tuple[Event, ...]
+    sent: tuple[bytes, ...]
+
+
+_Written = list[tuple[int, list[tuple[int, bytes]], list[bytes]]]
+_ENCODER, _STEPS = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Written)
+_STATE = msgspec.msgpack.Decoder(State)
+_EVENTS = [msgspec.msgpack.Decoder(kind) for kind in _KINDS]
+_ORDER = msgspec.msgpack.Decoder(Orders)
+
+
+class Chunk(NamedTuple):
+    """Some steps that follow each other."""
+
+    number: int
+    """Counted from 0 at the start of the run."""
+    state: bytes
+    """The state before the first step, in the first chunk; else empty."""
+    steps: bytes
+
+
+class Trace:
+    """The steps of a run that have not been handed over yet."""
+
+    def __init__(self, state: State) -> None:
+        """Begin with the state in which the run has just started."""
+        self._state = written_state(state)
+        self._lease = state.lease.lease if state.lease else ""
+        self._number = 0
+        self._noted: list[tuple[int, Iterable[Event], Iterable[Action]]] = []
+        self._steps: _Written = []
+        self._bytes = len(self._state)
+
+    def note(self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]) -> None:
+        """Note a step; it is written later, for what it decided must not wait."""
+        self._noted.append((now_ns, events, actions))
+
+    def full(self) -> list[Chunk]:
+        """Write what was noted; return the chunks that are full."""
+        chunks = []
+        for now_ns, events, actions in self._noted:
+            chunk = self._write(now_ns, events, actions)
+            if chunk is not None:
+                chunks.append(chunk)
+        self._noted.clear()
+        return chunks
+
+    def rest(self) -> list[Chunk]:
+        """Write what was noted; return all that was not handed over yet."""
+        return [*self.full(), self._next_chunk()]
+
+    def _write(
+        self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]
+    ) -> Chunk | None:
+        """Add a step; return those before it once they are enough for a chunk."""
+        written = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
+        sent = [a.data for a in actions if type(a) is Send]
+        size = _STEP_BYTES
+        for _, data in written:
+            size += _EVENT_BYTES + len(data)
+        for data in sent:
+            size += len(data)
+        begun = self._steps or self._state  # a state leaves no room for a long first step
+        full = self._next_chunk() if begun and self._bytes + size > CHUNK else None
+        if size > CHUNK:  # a flood of orders: the hole shows in the numbers
+            self._number += 1
+            return full
+        self._steps.append((now_ns, written, sent))
+        self._bytes += size + 4 * len(sent)
+        return full
+
+    def _next_chunk(self) -> Chunk:
+        chunk = Chunk(self._number, self._state, _ENCODER.encode(self._steps))
+        self._number, self._state, self._steps, self._bytes = self._number + 1, b"", [], 0
+        return chunk
+
+
+def written_state(state: State) -> bytes:
+    """Return a state as bytes, without the codes of its run, and without its lease.
+
+    The recording has the input; and who may read the recording must not hold the rig by it. What is
+    known of missing samples, up to 45 kB, decides neither a frame nor a sample.
+    """
+    run, lease = state.run, state.lease
+    return _ENCODER.encode(
+        replace(
+            state,
+            absent=(),
+            run=replace(run, codes=b"") if run else None,
+            lease=replace(lease, lease=_HELD) if lease else None,
+        )
+    )
+
+
+def restored(data: bytes, codes: bytes) -> State:
+    """Return the state in `written_state`'s bytes, with the codes of its run.
+
+    Raises
+    ------
+    msgspec.DecodeError
+        They are not the bytes of this release's state.
+    """
+    state = _STATE.decode(data)
+    return state if state.run is None else replace(state, run=replace(state.run, codes=codes))
+
+
+def steps_of(chunk: bytes) -> list[Step]:
+    """Return the steps of a chunk; raises as `restored`."""
+    return [
+        Step(now_ns, tuple(_event(number, data) for number, data in events), tuple(sent))
+        for now_ns, events, sent in _STEPS.decode(chunk)
+    ]
+
+
+def _written_event(event: Event, lease: str) -> bytes:
+    if isinstance(event, Received):
+        return event.data
+    if isinstance(event, Ordered):
+        return _ENCODER.encode(_without_secrets(event.order, lease))
+    return _ENCODER.encode(event)
+
+
+def _without_secrets(order: Order, lease: str) -> Order:
+    """Return an order that fits, and that says only whether its lease is the one in force.
+
+    A second experiment is refused, whatever its codes are.
+    """
+    if isinstance(order, Play):
+        order = replace(order, codes=b"")
+    if isinstance(order, Leased | Acquire):
+        order = replace(order, lease=_HELD if order.lease == lease else "")
+    return order
+
+
+def _event(number: int, data: bytes) -> Event:
+    kind = _KINDS[number] if number < len(_KINDS) else None
+    if kind is Received:
+        return Received(data)
+    if kind is Ordered:
+        return Ordered(_ORDER.decode(data))
+    if kind is None:
+        raise msgspec.DecodeError(f"event of kind {number}: 0 to {len(_KINDS) - 1} are known")
+    event: Event = _EVENTS[number].decode(data)
+    return event

@@ -1,0 +1,389 @@
+"""From state to state of the device: each request, its effect, its refusal, its retry."""
+
+from __future__ import annotations
+
+from armrig_core.volts import volts_of
+from armrig_protocol.frame import config_crc
+from armrig_protocol.messages import (
+    FULL_SCALE_MV,
+    SCHEMA_HASH,
+    VERSION,
+    Capability,
+    Code,
+    ConfigReply,
+    HelloReply,
+)
+from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
+
+from armrig_daemon.decisions import setpoints
+from armrig_daemon.decisions.budget import check, exchange_us
+from armrig_daemon.decisions.clockmap import ClockMap
+from armrig_daemon.decisions.faults import OF_DEVICE, Fault, Id, of_device, sentence
+from armrig_daemon.decisions.requests import (
+    MANY_TRIES,
+    NO_DEVICE,
+    Step,
+    answer,
+    ask,
+    config,
+    log,
+    refuse,
+    say_state,
+    unanswered,
+)
+from armrig_daemon.decisions.state import (
+    Action,
+    Asked,
+    Emit,
+    Lease,
+    Phase,
+    Repace,
+    Run,
+    State,
+    Want,
+)
+from armrig_daemon.decisions.stopping import end_run, leave, trip
+from armrig_daemon.pipe import Acquire, Order, Play, Reset, RunStarted, SetVoltage
+
+_RETRY_NS = {Want.HELLO: 100_000_000, Want.STOP: 20_000_000}
+_OTHER_RETRY_NS = 50_000_000
+_TRIES = 5
+_TRIES_A_SECOND, _TRIES_A_MINUTE = 10, 600  # of HELLO
+CARE_US = 10_000
+"""How often a device that paces itself is looked after, in µs."""
+_EXPECTED = {Phase.ARMED: DeviceState.ARMED, Phase.ACTIVE: DeviceState.RUN}
+_DRIVES = (DeviceState.ARMED, DeviceState.RUN)
+_LATCHED = (DeviceState.FAULT, DeviceState.ESTOP)
+_KNOWN = (DeviceState.IDLE, DeviceState.READY, *_DRIVES, *_LATCHED)
+
+
+def retry_ns(asked: Asked) -> int:
+    """Return when a request that had no effect is sent again."""
+    return asked.sent_ns + _RETRY_NS.get(asked.want, _OTHER_RETRY_NS)
+
+
+def retry(state: State, now_ns: int) -> Step:
+    """Send the request again, or give up: then the motor is stopped if it may turn."""
+    asked = state.asked
+    if asked is None or now_ns < retry_ns(asked):
+        return state, []
+    if not state.link_up:
+        return replace(state, asked=None), refuse(asked.order, "the link is down")
+    if asked.want is Want.HELLO or asked.tries < _TRIES:
+        state, actions = ask(
+            state,
+            now_ns,
+            asked.want,
+            asked.order,
+            ts_us=asked.ts_us,
+            scheduled=asked.scheduled,
+            tries=asked.tries + 1,
+        )
+        return state, [*actions, *_unanswered_notice(state, now_ns)]
+    return give_up(state, now_ns, f"the device does not answer {asked.want}")
+
+
+def _unanswered_notice(state: State, now_ns: int) -> list[Action]:
+    """Return what is said of a device that does not answer: in the state, and seldom in the log."""
+    text, tries = unanswered(state), state.asked.tries if state.asked else 0
+    if not text or (tries - MANY_TRIES) % _TRIES_A_SECOND:
+        return []
+    notice = [say_state(state, now_ns)]
+    if (tries - MANY_TRIES) % _TRIES_A_MINUTE == 0:
+        notice.insert(0, log(now_ns, "warning", text))
+    return notice
+
+
+def give_up(state: State, now_ns: int, error: str) -> Step:
+    """Give up what was asked for."""
+    asked = state.asked
+    state = replace(state, asked=None)
+    done = refuse(asked.order if asked else None, error)
+    if asked is not None and asked.want is Want.STOP:
+        # More cannot be done from here: the device's own watchdog is next.
+        state, actions = end_run(state, now_ns)
+        done += actions
+        if state.quitting:
+            state, actions = leave(state)
+            return state, done + actions
+        if state.phase is Phase.FAULT:
+            return state, [*done, log(now_ns, "error", error), say_state(state, now_ns)]
+        state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
+        # The run is over: this cause is of no later one.
+        return replace(state, asked=None, outcome=""), done + actions
+    if state.phase in (Phase.ARMED, Phase.ACTIVE):
+        state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
+        return state, done + actions
+    state, actions = ask(state, now_ns, Want.HELLO)
+    return state, [*done, log(now_ns, "warning", error), *actions]
+
+
+def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False) -> Step:
+    """Take note of the state in a frame of the device: it is what shows that a request worked.
+
+    Parameters
+    ----------
+    reported : int
+        The device's state, as the frame says it.
+    ended : bool, default False
+        The frame tells of the end of a run, at its k_stop.
+    """
+    before = state.device_state
+    if reported != before:
+        state = replace(state, device_state=reported)
+    if state.asked is not None:
+        reached = {
+            Want.ARM: reported == DeviceState.ARMED,
+            Want.START: reported == DeviceState.RUN,
+            Want.STOP: reported not in _DRIVES,
+            Want.CLEAR: reported == DeviceState.IDLE,
+        }
+        if reached.get(state.asked.want, False):
+            return _reached(state, now_ns, state.asked)
+    run = state.run
+    idle = reported == DeviceState.IDLE and before == DeviceState.RUN
+    if idle and run and run.scheduled and (ended or _is_over(state, run, now_ns)):
+        # The device has come to k_stop; what it sampled before has arrived before this.
+        state, done = setpoints.complete(state, now_ns)
+        state, actions = rest(state, now_ns, None)
+        return state, done + actions
+    expected = _EXPECTED.get(state.phase)
+    latched = reported in _LATCHED
+    strayed = expected is not None and state.asked is None and reported != expected
+    if strayed and not latched:
+        cause = f"the device is in {state_name(reported)}, and nobody asked it to"
+        return trip(state, now_ns, Fault(Id.STATE, cause))
+    if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
+        cause = f"the device is in {DeviceState(reported).name}"
+        return trip(state, now_ns, Fault(Id.DEVICE, cause))
+    return state, []
+
+
+def _is_over(state: State, run: Run, now_ns: int) -> bool:
+    """Return whether a scheduled run must be over by now, should its end not have been heard."""
+    return run.due >= run.samples or now_ns >= run.t_zero_ns + run.samples * state.ts_us * 1000
+
+
+def _reached(state: State, now_ns: int, asked: Asked) -> Step:
+    state = replace(state, asked=None)
+    match asked.want:
+        case Want.ARM:
+            return _armed(state, now_ns, asked)
+        case Want.START:
+            return _started(state, now_ns, asked)
+        case Want.CLEAR:
+            return ask(state, now_ns, Want.HELLO, asked.order)
+        case _:
+            return _stopped(state, now_ns, asked)
+
+
+def _armed(state: State, now_ns: int, asked: Asked) -> Step:
+    order = asked.order
+    if isinstance(order, Play):
+        return setpoints.begin(state, now_ns, order)
+    if not isinstance(order, Acquire):
+        return trip(state, now_ns, Fault(Id.INTERNAL, "armed without an owner"))
+    rules = state.rules
+    ts_us = order.ts_us or rules.ts_us
+    lease = Lease(order.lease, order.owner, ts_us, -1, now_ns, order.owner_checked)
+    state = replace(state, phase=Phase.ARMED, fault=None, lease=lease)
+    granted = {
+        "lease": order.lease,
+        "period_s": rules.lease_ns(ts_us) / 1e9,
+        "Ts": ts_us / 1e6,
+        "u_min": round(volts_of(rules.u_min), 4),
+        "u_max": round(volts_of(rules.u_max), 4),
+    }
+    return state, [say_state(state, now_ns), *answer(order, granted)]
+
+
+def _started(state: State, now_ns: int, asked: Asked) -> Step:
+    order = asked.order
+    if state.lease is None or not isinstance(order, Play | SetVoltage):
+        return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
+    # The lease counts from the command, however long its START took.
+    state = replace(state, phase=Phase.ACTIVE, outcome="", code=0, beats=())
+    done = [say_state(state, now_ns), *answer(order, {"done": True})]
+    if isinstance(order, SetVoltage):
+        return replace(state, code=order.code), done
+    if state.run is None or state.queue is None:
+        return replace(state, run=Run(order.run_id, order.codes, -1)), done
+    # The device takes its first sample one Ts after it heard START.
+    heard_ns = (asked.sent_ns + now_ns) // 2
+    run = replace(state.run, k_first=state.k + 1, t_zero_ns=heard_ns + state.ts_us * 1000)
+    started = RunStarted(
+        run_id=run.run_id, k_first=run.k_first, count=run.samples, t_host_ns=now_ns
+    )
+    queue = replace(state.queue, order=None)
+    return replace(state, run=run, queue=queue), [*done, Emit(started)]
+
+
+def _stopped(state: State, now_ns: int, asked: Asked) -> Step:
+    if isinstance(asked.order, Play):
+        # Not a stop: on the way from the owner's ARM to that of a scheduled run.
+        ts_us = state.lease.ts_us if state.lease else state.rules.ts_us
+        return ask(state, now_ns, Want.CONFIGURE, asked.order, ts_us=ts_us, scheduled=True)
+    return rest(state, now_ns, asked.order)
+
+
+def rest(state: State, now_ns: int, order: Order | None) -> Step:
+    """Go on at 0 V with nobody holding the rig, once the device has stopped."""
+    state, done = end_run(state, now_ns)
+    if state.quitting:
+        state, actions = leave(state)
+        return state, done + actions
+    state = replace(state, lease=None)
+    if state.phase is Phase.FAULT and not isinstance(order, Reset):
+        return state, [*done, say_state(state, now_ns)]
+    state, actions = ask(state, now_ns, Want.CONFIGURE, order, ts_us=state.rules.ts_us)
+    return state, done + actions
+
+
+def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
+    """Meet the device: from here on it is sampled, at 0 V."""
+    asked = state.asked
+    if asked is None or asked.want is not Want.HELLO:
+        return state, []  # nobody asked: it proves no round trip
+    if reply.state == DeviceState.BOOT:
+        return state, []  # it is still starting up: the question stands, and is asked again
+    if state.boot_id != reply.boot_id:  # its clock has begun anew
+        state = replace(state, boot_id=reply.boot_id, clock=ClockMap(), device_us=0, t_us=0)
+        state = replace(state, device=None)
+    if state.device is None:
+        state = replace(state, sampled_ns=0)  # the samples before were another link's, or boot's
+    state = replace(
+        state,
+        asked=None,
+        device=reply,
+        token=reply.token,
+        device_state=reply.state,
+        fresh_ns=asked.sent_ns,
+        sent=(),
+    )
+    if (reply.version, reply.schema) != (VERSION, SCHEMA_HASH):
+        error = (
+            f"the firmware speaks version {reply.version}, schema {reply.schema:08x}; "
+            f"this daemon {VERSION}, {SCHEMA_HASH:08x}"
+        )
+        return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
+    error = _unfit(reply)
+    if error:
+        return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
+    if reply.state in _LATCHED:
+        cause = f"the device is in {DeviceState(reply.state).name}"
+        if reply.cause in OF_DEVICE:
+            cause += f": {of_device(reply.cause)}"
+        return _latch(state, now_ns, asked, Fault(Id.DEVICE, cause))
+    if reply.state in _DRIVES:
+        # Left over from another host, or from a fault whose STOPs were lost: stop first.
+        return ask(state, now_ns, Want.STOP, asked.order)
+    if state.phase is Phase.FAULT and asked.order is None:
+        return state, [say_state(state, now_ns)]
+    return ask(state, now_ns, Want.CONFIGURE, asked.order, ts_us=state.rules.ts_us)
+
+
+def _unfit(device: HelloReply) -> str:
+    """Return why a device that speaks our language is none that we may drive."""
+    if device.state not in _KNOWN:
+        return f"the device says that it is in state {device.state}, which the wire does not know"
+    if device.full_scale_mv != FULL_SCALE_MV:
+        return (
+            f"the device's full scale is {device.full_scale_mv} mV, not {FULL_SCALE_MV} mV: "
+            "each code would mean another voltage"
+        )
+    if not device.capabilities & Capability.EXCHANGE:
+        return "the device has no exchange mode"
+    if not 1 <= device.pwm_bits <= 16:
+        return f"the device's duty has {device.pwm_bits} bits: 1 to 16 are possible"
+    return ""
+
+
+def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
+    done = refuse(asked.order, fault.cause)
+    if state.fault != fault:
+        state = replace(state, phase=Phase.FAULT, fault=fault)
+        done.append(log(now_ns, "error", sentence(fault), cause=fault.id))
+    return state, [*done, say_state(state, now_ns)]  # in any case: the device is known again
+
+
+def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
+    """Take the device's answer to CONFIG, which carries what it really accepted."""
+    asked = state.asked
+    if asked is not None and asked.want is Want.ARM and _is_renewed(state, reply):
+        # CONFIG was sent twice, for its answer was late: only the nonce of the second arms.
+        if asked.tries >= _TRIES:
+            return state, []
+        state = replace(state, nonce=reply.nonce)
+        return ask(state, now_ns, Want.ARM, asked.order, tries=asked.tries + 1)
+    if asked is None or asked.want is not Want.CONFIGURE:
+        return state, []
+    if reply.code != Code.OK:
+        error = f"the device refuses the configuration: {name_of(reply.code)}"
+        return give_up(state, now_ns, error)
+    wanted = config(state.rules, asked.ts_us, 0, scheduled=asked.scheduled)
+    if reply.config_crc != config_crc(wanted):
+        if asked.tries < _TRIES:
+            return state, []  # of an earlier CONFIG, late; ours is asked for again in time
+        return give_up(state, now_ns, "the device accepted another configuration than was sent")
+    before_us = state.pace_us
+    pace_us = CARE_US if asked.scheduled else asked.ts_us
+    arms = isinstance(asked.order, Acquire | Play)
+    # The pace begins anew here: the ticks before it say nothing of the new period. Which of our
+    # frames it answers it does not say, so that it proves no round trip to who wants to drive.
+    state = replace(
+        state,
+        asked=None,
+        config_crc=reply.config_crc,
+        nonce=reply.nonce,
+        ts_us=asked.ts_us,
+        pace_us=pace_us,
+        scheduled=asked.scheduled,
+        beats=(),
+        fresh_ns=state.fresh_ns if arms else asked.sent_ns,
+        tick_ns=now_ns,
+    )
+    done: list[Action] = [] if before_us == pace_us else [Repace(pace_us, state.k + 1)]
+    if arms:
+        if done and state.phase is Phase.ARMED:
+            done.append(say_state(state, now_ns))
+        state, actions = ask(state, now_ns, Want.ARM, asked.order)
+        return state, done + actions
+    state = replace(state, phase=Phase.SAFE, fault=None, lease=None)
+    return state, [*done, say_state(state, now_ns), *answer(asked.order, {"done": True})]
+
+
+def _is_renewed(state: State, reply: ConfigReply) -> bool:
+    """Return whether the configuration in force was accepted once more, under another nonce."""
+    same = reply.code == Code.OK and reply.config_crc == state.config_crc
+    return same and reply.nonce != state.nonce
+
+
+def begin_arming(state: State, now_ns: int, order: Acquire) -> Step:
+    """Configure the device for the owner's sampling time, then arm it."""
+    device = state.device
+    ts_us = order.ts_us or state.rules.ts_us
+    if device is None:
+        return state, refuse(order, NO_DEVICE)
+    scheduled = bool(device.capabilities & Capability.SCHEDULED)
+    try:
+        check(ts_us, state.rules.baud, device.skew_us, scheduled=scheduled)
+    except ValueError as err:
+        return state, refuse(order, str(err))
+    if ts_us < device.ts_min_us:
+        error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"
+        return state, refuse(order, f"{error} {device.ts_min_us / 1e6:g} s")
+    # Until a run begins the host paces, as fast as the wire allows it.
+    fits = ts_us >= exchange_us(state.rules.baud, device.skew_us)
+    paced_us = ts_us if fits else state.rules.ts_us
+    return ask(state, now_ns, Want.CONFIGURE, order, ts_us=paced_us)
+
+
+def name_of(code: int) -> str:
+    """Return the name of an answer's code, or its number where it has none."""
+    return Code(code).name if code in set(Code) else str(code)
+
+
+def state_name(state: int) -> str:
+    """Return the name of a state of the device, or its number where it has none."""
+    return DeviceState(state).name if state in set(DeviceState) else str(state)

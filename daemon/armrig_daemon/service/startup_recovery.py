@@ -1,0 +1,129 @@
+"""The folder of the recordings, looked after while the rig is served already.
+
+What daemons of this rig left unfinished is recovered; then what the configuration does not keep is
+removed, at the start, after each run and every hour.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import NamedTuple
+
+from armrig_core.recording_file.recovery import Recovery, sentence
+from armrig_core.recording_file.retention import Retention
+from armrig_core.recording_file.unfinished import (
+    NotOursError,
+    RecoveryError,
+    remove_copies,
+    unfinished,
+)
+
+from armrig_daemon.config import Recording
+
+_LOOK_S = 3600.0
+
+
+class Line(NamedTuple):
+    """What is said of a file."""
+
+    level: str
+    text: str
+
+
+class StartupRecovery:
+    """Recovers and removes one file after the other in a thread of its own; nobody waits for it."""
+
+    def __init__(
+        self,
+        directory: Path,
+        rig: str,
+        changed: Callable[[], None],
+        config: Recording = Recording(),  # noqa: B008 - frozen
+    ) -> None:
+        """Look at nothing yet; `changed` is called, from the thread, when something can be said."""
+        self._directory = directory
+        self._rig = rig
+        self._changed = changed
+        self._lines: queue.SimpleQueue[Line] = queue.SimpleQueue()
+        self._may_go_on = threading.Event()
+        self._may_go_on.set()
+        self._is_due = threading.Event()
+        self._retention = Retention(
+            folder=directory,
+            rig=rig,
+            keep_days=config.keep_days,
+            keep_gb=config.keep_gb,
+            owner=os.geteuid(),
+            breath=self._breath,
+        )
+        self._thread = threading.Thread(target=self._look_after, name="left over", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def rest(self) -> None:
+        """Do nothing until `go_on`, from the next record on: a run is in hand, and comes first."""
+        self._may_go_on.clear()
+        self._is_due.set()
+
+    def go_on(self) -> None:
+        """Go on."""
+        self._may_go_on.set()
+
+    def lines(self) -> Iterator[Line]:
+        """Give what has not been said yet."""
+        while not self._lines.empty():
+            yield self._lines.get()
+
+    def join(self, timeout: float | None = None) -> None:
+        """Wait until all are done, or for `timeout` s."""
+        self._thread.join(timeout)
+
+    def _breath(self) -> None:
+        self._may_go_on.wait()
+
+    def _look_after(self) -> None:
+        self._recover()
+        while self._retention.is_asked:
+            self._is_due.clear()
+            self._breath()
+            try:
+                for is_removed, text in self._retention.apply(time.time()):
+                    self._tell(Line("info" if is_removed else "warning", text))
+            except Exception as err:  # the next look may go well
+                self._tell(Line("error", f"recordings are kept longer than configured: {err!r}"))
+            self._is_due.wait(_LOOK_S)
+
+    def _recover(self) -> None:
+        recovery = Recovery(
+            armrig=version("armrig"),
+            now=lambda: datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
+            owner=os.geteuid(),
+            rig=self._rig,
+            breath=self._breath,
+        )
+        for path in unfinished(self._directory, self._rig):
+            try:
+                line = Line("info", sentence(recovery.recover(path)))
+            except NotOursError:
+                continue
+            except RecoveryError as err:
+                line = Line("warning", str(err))
+            except Exception as err:  # one file must not keep the others from being recovered
+                line = Line("error", f"{path}: {err!r}; it stays as it is")
+            self._tell(line)
+        for path in remove_copies(self._directory, self._rig, os.geteuid()):
+            self._tell(Line("info", f"{path}: half a copy of a whole recording, removed"))
+
+    def _tell(self, line: Line) -> None:
+        # A path may have any bytes, a message is UTF-8.
+        self._lines.put(Line(line.level, os.fsencode(line.text).decode(errors="replace")))
+        self._changed()

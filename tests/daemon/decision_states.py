@@ -1,0 +1,91 @@
+"""States of the core built for one test each, and what one step made of them."""
+
+from __future__ import annotations
+
+from armrig_daemon.decisions import step
+from armrig_daemon.decisions.state import Asked, Emit, Event, Ordered, Received, Send, State, Want
+from armrig_daemon.pipe import Acquire, Order, Play, SetVoltage
+from armrig_protocol.decoder import feed
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import Message
+from armrig_protocol.messages import Sample as DeviceSample
+from msgspec.structs import replace
+from virtual_bench import LEASE, Bench, codes
+
+ACQUIRE = Acquire(order=71, owner="a student", lease=LEASE, ts_us=0)
+SET_VOLTAGE = SetVoltage(order=72, lease=LEASE, n=50, code=1000)
+PLAY = Play(order=73, lease=LEASE, n=50, run_id="r", codes=codes(1.0, 2.0))
+OURS = 4711
+"""seq of the request that is awaited, where one is."""
+
+
+def rested() -> Bench:
+    """Return a bench at 0 V that nobody holds."""
+    return Bench()
+
+
+def armed() -> Bench:
+    """Return a bench that is held, at 0 V."""
+    bench = Bench()
+    assert not bench.arm().error
+    return bench
+
+
+def driven() -> Bench:
+    """Return a bench whose motor is held at 1 V by hand."""
+    bench = armed()
+    bench.order(SetVoltage(order=99, lease=LEASE, n=0, code=codes(1.0)[0] | codes(1.0)[1] << 8))
+    bench.run_for(20)
+    return bench
+
+
+def awaiting(state: State, want: Want, order: Order | None = None, **fields: int) -> State:
+    """Return the state with a request on its way, sent at 0."""
+    asked = Asked(want, fields.pop("sent_ns", 0), OURS, 1, 0, False, order)
+    return replace(state, asked=asked._replace(**fields))
+
+
+class Decided:
+    """What the core decided on one event."""
+
+    def __init__(self, state: State, now_ns: int, event: Event) -> None:
+        self.state, self.actions = step.step(state, now_ns, [event])
+
+    def of(self, kind: type) -> list:  # type: ignore[type-arg]
+        """Return the actions of a kind."""
+        return [a for a in self.actions if isinstance(a, kind)]
+
+    def told(self, kind: type) -> list:  # type: ignore[type-arg]
+        """Return the records of a kind."""
+        return [a.record for a in self.of(Emit) if isinstance(a.record, kind)]
+
+    @property
+    def sent(self) -> list[Message]:
+        """Return the frames to the device."""
+        received = [m for a in self.of(Send) for m in feed(b"", a.data)[1]]
+        assert all(isinstance(m, tuple) for m in received)
+        return received  # type: ignore[return-value]
+
+
+def ordered(bench: Bench, order: Order, state: State | None = None) -> Decided:
+    """Return what the core decides on an order."""
+    return Decided(state or bench.loop.state, bench.ports.now, Ordered(order))
+
+
+def heard(bench: Bench, message: Message, state: State | None = None) -> Decided:
+    """Return what the core makes of a message of the device."""
+    event = Received(b"\0" + encode(message))
+    state = replace(state or bench.loop.state, pending=b"")
+    return Decided(state, bench.ports.now, event)
+
+
+def device_sample(state: State, **fields: int) -> DeviceSample:
+    """Return a SAMPLE of the device that is met, of now on its clock, all else 0."""
+    assert state.device is not None
+    zero = DeviceSample._make([0] * len(DeviceSample._fields))
+    known = {
+        "state": state.device_state,
+        "boot": state.device.boot_id & 0xFFFF,
+        "t_us": state.t_us & 0xFFFFFFFF,
+    }
+    return zero._replace(**{**known, **fields})

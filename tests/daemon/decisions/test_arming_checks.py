@@ -1,0 +1,159 @@
+"""What must hold of the device before the motor is armed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from armrig_daemon.config import Config
+from armrig_daemon.decisions.requests import NO_DEVICE
+from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase
+from armrig_daemon.emulator.settings import EmulatorSettings
+from armrig_daemon.pipe import Acquire, Answer, Halt, Play, RunEnded
+from armrig_daemon.virtual import VirtualRig
+from armrig_protocol.decoder import feed
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import HelloReply
+from armrig_protocol.messages import Sample as DeviceSample
+from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
+from virtual_bench import LEASE, Bench, codes
+
+
+def _altered(of: type, alter: Callable[[], dict[str, int]]) -> Callable[[bytes], bytes]:
+    """Return a line on which messages of one kind are others."""
+
+    def other(data: bytes) -> bytes:
+        _, messages = feed(b"", data)
+        return b"".join(
+            encode(m._replace(**alter()) if isinstance(m, of) else m)  # type: ignore[arg-type]
+            for m in messages
+        )
+
+    return other
+
+
+def _is_sample(data: bytes) -> bool:
+    return any(isinstance(message, DeviceSample) for message in feed(b"", data)[1])
+
+
+def _unmet(alter: Callable[[], dict[str, int]]) -> Bench:
+    """Return a bench on which each HELLO_R is altered, from the first on."""
+    rig = Bench.__new__(Bench)
+    VirtualRig.__init__(rig, Config().rules(), EmulatorSettings(boot_ms=0.0))
+    rig._number, rig.lateness_ns = 0, 0
+    rig.ports.from_device = _altered(HelloReply, alter)
+    return rig
+
+
+@pytest.mark.parametrize("state", [DeviceState.HOST, 8, 99, 255])
+def test_a_device_in_a_state_that_there_is_not_is_never_armed(state: int) -> None:
+    """Latched, with the number; who does not know its own state may drive anything."""
+    rig = _unmet(lambda: {"state": state})
+
+    rig.run_for(500)
+
+    assert rig.phase is Phase.FAULT
+    assert f"in state {int(state)}, which the wire does not know" in rig.loop.state.reason
+    assert "in fault" in rig.arm().error
+    assert rig.ports.device.state is DeviceState.IDLE
+
+
+def test_a_device_that_is_still_starting_up_is_asked_again() -> None:
+    """Nothing else is sent to it meanwhile; it is met once it is up."""
+    booting = [True]
+    rig = _unmet(lambda: {"state": DeviceState.BOOT} if booting[0] else {})
+
+    rig.run_for(500)
+    phase, device, state = rig.phase, rig.loop.state.device, rig.ports.device.state
+    assert rig.arm().error == NO_DEVICE
+    booting[0] = False
+    rig.run_for(300)
+
+    assert (phase, device, state) == (Phase.INIT, None, DeviceState.IDLE)
+    assert rig.phase is Phase.SAFE
+    assert rig.arm().error == ""
+
+
+def test_a_device_that_is_not_at_rest_is_not_armed_but_led_back() -> None:
+    """Samples that say RUN while nobody drives: refused, asked who it is, and at rest again."""
+    rig = Bench()
+    rig.ports.from_device = _altered(DeviceSample, lambda: {"state": DeviceState.RUN})
+    rig.run_for(50)
+
+    refused = rig.arm()
+    rig.ports.from_device = lambda data: data
+    rig.run_for(300)
+
+    assert "the device is in RUN, not at rest" in refused.error
+    assert rig.arm().error == ""
+
+
+def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
+    """The age of the round trip, before the tick that would find it."""
+    rig = Bench()
+    stale_ns = rig.ports.now - 60_000_000
+    rig.loop.state = replace(rig.loop.state, fresh_ns=stale_ns)
+
+    rig.order(Acquire(order=9, owner="a student", lease=LEASE, ts_us=0))
+    rig.loop._step(rig.ports.now, rig.ports.wait(rig.ports.now))
+
+    rig.run_for(1)
+    assert rig.of(Answer)[-1].error == "no answer from the device for 60 ms: try again"
+
+
+def test_a_device_that_was_met_but_not_sampled_yet_is_not_armed() -> None:
+    """HELLO and CONFIG are round trips, too; what the rig reads is known by a sample only."""
+    rig = _unmet(dict)
+    answers = rig.ports.from_device
+    rig.ports.from_device = lambda data: b"" if _is_sample(data) else answers(data)
+    while rig.phase is not Phase.SAFE:
+        rig.run_for(1)
+    asked_ns = rig.ports.now
+
+    rig.order(Acquire(order=9, owner="a student", lease=LEASE, ts_us=0))
+    rig.run_for(1)
+
+    assert asked_ns < 50_000_000
+    assert rig.of(Answer)[-1].error == "no sample of the device in the last 50 ms: try again"
+    rig.ports.from_device = answers
+    rig.run_for(300)
+    assert rig.arm().error == ""
+
+
+def test_samples_of_an_earlier_link_arm_nothing() -> None:
+    """A cable that was out for a moment: the rig at its end may be another one."""
+    rig = Bench()
+    newest_ns = rig.loop.state.sampled_ns
+    rig.ports.send(rig.ports.now, LinkDown("pulled"))
+    rig.ports.send(rig.ports.now, LinkUp())
+    asked_ns = [rig.ports.now + n * 100_000 for n in range(1, 400)]
+    for n, at_ns in enumerate(asked_ns):
+        rig.order(Acquire(order=n, owner="a student", lease=LEASE, ts_us=0), at_ns)
+
+    rig.run_for(60)
+
+    errors = [a.error for a in rig.of(Answer)]
+    early = errors[: errors.index("")]
+    refusals = [n for n, error in enumerate(early) if "no sample of the device" in error]
+    assert refusals
+    assert asked_ns[refusals[0]] - newest_ns < 50_000_000
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_a_stop_says_why(scheduled: bool) -> None:
+    """The outcome of the run is the reason of the stop, and nothing is latched."""
+    rig = Bench()
+    rig.arm()
+    play = Play(
+        order=98, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 500), scheduled=scheduled
+    )
+    rig.order(play)
+    rig.run_for(400)
+    assert rig.volts == pytest.approx(2.0, abs=0.01)
+
+    rig.ask(Halt, reason="its client went away")
+
+    assert [ended.outcome for ended in rig.of(RunEnded)] == ["its client went away"]
+    assert rig.phase is Phase.SAFE
+    assert rig.volts == 0.0

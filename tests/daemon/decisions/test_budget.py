@@ -1,0 +1,47 @@
+"""What the wire can carry, by the figures of PROTOCOL.md."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_daemon.decisions.budget import check, exchange_us, scheduled_us
+
+
+def test_the_budget_is_that_of_request_conversions_and_answer() -> None:
+    """52 bytes of 10 bits, and two conversions of 104 µs."""
+    assert exchange_us(500_000) == 1040 + 208
+    assert exchange_us(1_000_000) == 520 + 208
+
+
+@pytest.mark.parametrize(("ts_us", "baud"), [(2000, 500_000), (1000, 1_000_000), (5000, 115_200)])
+def test_what_fits_is_taken(ts_us: int, baud: int) -> None:
+    """500 Hz at 500 kbaud, 1 kHz at 1 Mbaud, 200 Hz at 115 200."""
+    check(ts_us, baud)
+
+
+def test_scheduled_mode_counts_each_direction_by_itself() -> None:
+    """1 kHz at 500 kbaud, 2 kHz at 1 Mbaud, 200 Hz at 115 200; and no more."""
+    for ts_us, baud in ((1000, 500_000), (500, 1_000_000), (5000, 115_200)):
+        check(ts_us, baud, scheduled=True)
+        assert scheduled_us(baud) > ts_us / 2
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+@pytest.mark.parametrize("baud", [115_200, 500_000, 1_000_000])
+def test_what_is_1_us_too_short_is_refused(baud: int, scheduled: bool) -> None:
+    """The bound itself is taken: nothing is added to it, and nothing is taken off."""
+    least_us = (scheduled_us if scheduled else exchange_us)(baud)
+
+    check(least_us, baud, scheduled=scheduled)
+    with pytest.raises(ValueError, match=f"at least {least_us / 1e6:g} s"):
+        check(least_us - 1, baud, scheduled=scheduled)
+
+
+def test_no_baud_rate_outruns_the_converter() -> None:
+    """Two conversions are the least in either mode."""
+    assert scheduled_us(100_000_000) == 208
+
+
+def test_what_does_not_fit_is_refused_with_the_way_out() -> None:
+    """1 kHz at 500 kbaud does not fit."""
+    with pytest.raises(ValueError, match=r"Ts=0.001 s .* at least 0.001248 s, or a higher baud"):
+        check(1000, 500_000)

@@ -1,0 +1,115 @@
+"""The stamps of an exchange, as the map of the clocks gets them."""
+
+from __future__ import annotations
+
+from math import isnan
+
+import pytest
+from armrig_core.volts import volts_of
+from armrig_daemon.decisions import clock_comparison, clockmap
+from armrig_daemon.decisions.budget import PING_US
+from armrig_daemon.decisions.clockmap import ClockMap
+from armrig_daemon.decisions.conversion import converted, extended
+from armrig_daemon.decisions.state import Sent, State
+from armrig_protocol.frame import wire_length
+from armrig_protocol.messages import Exchange, Flag, Ping, Pong
+from armrig_protocol.messages import Sample as DeviceSample
+from decision_states import device_sample, rested
+from msgspec.structs import replace
+
+NOW = 9_000_000_000
+WRAP = 1 << 32
+
+
+def _on_the_wire_ns(kind: type) -> int:
+    return int(wire_length(kind) * 10 * 1_000_000_000 // 500_000)
+
+
+def _fresh(**fields: object) -> State:
+    """Return a state in which the clocks have not been compared, on a line of 500 kBd."""
+    state = rested().loop.state
+    assert state.rules.baud == 500_000
+    nothing = {"clock": ClockMap(), "device_us": 0, "compared_ns": 0}
+    return replace(state, **{**nothing, **fields})
+
+
+def test_a_pong_gives_its_own_two_stamps() -> None:
+    """The time of both frames on the wire is taken off."""
+    pong = Pong(3, 0, NOW - 2_000_000, 1000, 1060)
+
+    after = clock_comparison.by_pong(_fresh(), NOW, pong)
+
+    h1, h4 = pong.host_ns + _on_the_wire_ns(Ping), NOW - _on_the_wire_ns(Pong)
+    assert after.clock == clockmap.update(ClockMap(), h1, 1000, 1060, h4)
+    assert (after.device_us, after.compared_ns) == (1060, NOW)
+
+
+@pytest.mark.parametrize(("t_us", "rx", "tx"), [(5001, 4897, 5105), (51, WRAP - 53, WRAP + 155)])
+def test_a_sample_was_asked_for_one_conversion_before_its_trigger(
+    t_us: int, rx: int, tx: int
+) -> None:
+    """And answered one after it; the device's clock may wrap in between."""
+    state = _fresh()
+    assert state.device is not None
+    assert state.device.skew_us == 104
+    sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
+
+    after = clock_comparison.by_sample(state, NOW, sent, device_sample(state, t_us=t_us))
+
+    h1, h4 = sent.sent_ns + _on_the_wire_ns(Exchange), NOW - _on_the_wire_ns(DeviceSample)
+    assert after.clock == clockmap.update(ClockMap(), h1, rx, tx, h4)
+    assert after.device_us == tx
+
+
+def test_the_device_s_clock_is_followed_through_its_wraps() -> None:
+    """From the last comparison on, not from 0."""
+    state = _fresh(device_us=7 * WRAP + 100)
+
+    after = clock_comparison.by_pong(state, NOW, Pong(3, 0, NOW - 2_000_000, 200, 260))
+
+    assert after.device_us == 7 * WRAP + 260
+
+
+@pytest.mark.parametrize(("since_ns", "compares"), [(PING_US * 1000, True), (0, False)])
+def test_samples_compare_the_clocks_no_more_often_than_pings_would(
+    since_ns: int, compares: bool
+) -> None:
+    """To the ns; and not at all where there is no device."""
+    for lack in (0, 1):
+        state = _fresh(compared_ns=NOW - since_ns + lack)
+        sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
+        after = clock_comparison.by_sample(state, NOW, sent, device_sample(state, t_us=5000))
+        assert (after != state) == (compares and not lack)
+    gone = replace(state, device=None, compared_ns=0)
+    assert clock_comparison.by_sample(gone, NOW, sent, device_sample(state, t_us=5000)) == gone
+
+
+@pytest.mark.parametrize(
+    ("last", "raw", "is_"),
+    [(0, 0, 0), (0, 5, 5), (5, 5, 5), (WRAP - 1, 0, WRAP), (3 * WRAP + 9, 8, 4 * WRAP + 8)],
+)
+def test_a_32_bit_clock_goes_on_behind_its_wraps(last: int, raw: int, is_: int) -> None:
+    """It never goes back."""
+    assert extended(last, raw) == is_
+
+
+@pytest.mark.parametrize(
+    ("flags", "theta_1", "alpha"),
+    [(0, True, True), (Flag.ADC0_RAIL, False, True), (Flag.ADC1_RAIL, True, False)],
+)
+def test_a_sample_in_the_units_of_the_telemetry(flags: int, theta_1: bool, alpha: bool) -> None:
+    """Each field from its own source; an angle at a rail is not a number."""
+    state = rested().loop.state
+    calibration = state.rules.calibration
+    taken = device_sample(state, y0=20_000, y1=30_000, u_k=40_000, flags=int(flags))
+
+    sample = converted(calibration, taken, 11, 22, 33, 44, 55_000)
+
+    assert (sample.k, sample.t_sched_ns, sample.t_host_ns, sample.t_device_us) == (11, 22, 33, 44)
+    assert (sample.u_cmd_v, sample.u_applied_v) == (volts_of(55_000), volts_of(40_000))
+    assert (sample.theta_1_counts, sample.alpha_counts, sample.flags) == (20_000, 30_000, flags)
+    assert isnan(sample.theta_1_rad) != theta_1
+    assert isnan(sample.alpha_rad) != alpha
+    if theta_1 and alpha:
+        assert sample.theta_1_rad == calibration.theta_1.angle(20_000)
+        assert sample.alpha_rad == calibration.alpha.angle(30_000)

@@ -1,0 +1,380 @@
+"""The device's clock is found from PING and PONG, and the standard deviations can be believed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from random import Random
+
+import pytest
+from armrig_daemon.decisions.clockmap import (
+    ClockMap,
+    Link,
+    estimate,
+    extend,
+    host_ns_at,
+    start,
+    std_ns_at,
+    update,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+from sampling import sampled
+
+LINK = Link(request_ns=180_000, answer_ns=260_000)  # 18 and 26 bytes at 1 Mbaud
+BOOT_NS = 1_700_000_000_123_456  # 20 days of a monotonic clock
+QUEUES_US = [(20.0, 200.0), (200.0, 20.0), (100.0, 100.0), (1.0, 200.0)]
+Exchange = tuple[int, int, int, int]
+
+
+@dataclass(kw_only=True)
+class Rig:
+    """A device with its own clock behind a link that makes request and answer wait."""
+
+    seed: int
+    wait_us: tuple[float, float] = (20.0, 200.0)
+    """Means of the exponential waiting times of request and answer."""
+    drift_ppm: float = 0.0
+    """How slow the device's clock is."""
+    drift_per_s: float = 0.0
+    """How fast that grows, in ppm/s."""
+    first_us: float = 12_345_678.0
+    """What the device's clock shows at the start."""
+    resolution_us: int = 1
+    stall_ns: int = 0
+    """How long one answer, or one request, in ten stalls."""
+    gap_s: float = 0.1
+    link: Link = LINK
+
+    def __post_init__(self) -> None:
+        self.random = Random(self.seed)
+        self.t_ns = BOOT_NS + self.random.randrange(10**9)
+        self.t0_ns = self.t_ns
+
+    def device_us(self, host_ns: float) -> int:
+        """Return what the device's clock shows."""
+        t_us = (host_ns - self.t0_ns) / 1000
+        slow = self.drift_ppm * 1e-6 * t_us + self.drift_per_s * 1e-12 * t_us * t_us / 2
+        return int((self.first_us + t_us - slow) // self.resolution_us) * self.resolution_us
+
+    def exchanges(self) -> Iterator[Exchange]:
+        """Yield the four stamps, ten times a second or so, for ever."""
+        while True:
+            waits = [1000 * self.random.expovariate(1 / mean) for mean in self.wait_us]
+            if self.random.random() < 0.1:
+                waits[self.random.randrange(2)] += self.stall_ns
+            rx_ns = self.t_ns + self.link.request_ns + waits[0]
+            tx_ns = rx_ns + 1000 * self.random.uniform(5, 60)
+            h4_ns = int(tx_ns + self.link.answer_ns + waits[1])
+            yield self.t_ns, self.device_us(rx_ns), self.device_us(tx_ns), h4_ns
+            gap_ns = int(1e9 * self.random.uniform(0.9, 1.1) * self.gap_s)
+            self.t_ns = max(h4_ns, self.t_ns + gap_ns)
+
+
+def follow(rig: Rig, n: int, clock: ClockMap | None = None) -> ClockMap:
+    """Return the map after n exchanges."""
+    clock = clock or start(rig.link._replace(resolution_us=rig.resolution_us))
+    for exchange in islice(rig.exchanges(), n):
+        clock = update(clock, *exchange)
+    return clock
+
+
+def error_ns(rig: Rig, clock: ClockMap, ahead_ns: int = 0) -> tuple[float, float]:
+    """Return the map's error at the present, or later, and what it holds it for."""
+    at_ns = rig.t_ns + ahead_ns
+    device_us = rig.device_us(at_ns)
+    host_ns, std_ns = host_ns_at(clock, device_us), std_ns_at(clock, device_us)
+    return host_ns - at_ns, std_ns
+
+
+def rms(values: list[float]) -> float:
+    """Return the root mean square."""
+    return math.sqrt(sum(v * v for v in values) / len(values))
+
+
+@pytest.mark.parametrize(
+    ("wait_us", "drift_ppm"),
+    list(zip(QUEUES_US, (100.0, -100.0, -100.0, 100.0), strict=True)),
+)
+def test_drift_and_offset_lie_within_their_own_deviations(
+    wait_us: tuple[float, float], drift_ppm: float
+) -> None:
+    """One-sided waiting times, however they are shared, do not make the map lie; 50 seeds."""
+    offsets, drifts, errors_us, stds_us = [], [], [], []
+    for seed in range(50):
+        rig = Rig(seed=seed, wait_us=wait_us, drift_ppm=drift_ppm)
+        clock = follow(rig, 600)
+        error, std = error_ns(rig, clock)
+        found = estimate(clock)
+        offsets.append(abs(error) < 3 * std)
+        drifts.append(abs(found.drift_ppm - drift_ppm) < 3 * found.drift_std_ppm)
+        errors_us.append(error / 1000)
+        stds_us.append(std / 1000)
+        assert found.drift_std_ppm < 1.5
+        assert abs(found.drift_ppm - drift_ppm) < 0.4
+
+    assert sum(offsets) >= 48
+    assert sum(drifts) >= 48
+    # Believable, not only safe: a deviation of a second would cover all.
+    assert rms(errors_us) < 4
+    assert 0.15 < rms(errors_us) / rms(stds_us) < 1.5
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 12, 20, 50])
+def test_a_young_map_knows_that_it_knows_little(n: int) -> None:
+    """The first exchanges are covered too, before the least round trip has been seen."""
+    within = 0
+    for seed in range(100):
+        rig = Rig(seed=seed, drift_ppm=100)
+        error, std = error_ns(rig, follow(rig, n))
+        within += abs(error) < 3 * std
+
+    assert within >= 95
+
+
+def test_the_known_asymmetry_of_the_wire_is_corrected() -> None:
+    """A longer answer on a slow wire leaves no offset: 18 and 26 bytes at 9600 baud."""
+    link = Link(request_ns=18_750_000, answer_ns=27_083_333)
+
+    rig = Rig(seed=1, wait_us=(1.0, 1.0), link=link)
+    right, _ = error_ns(rig, follow(rig, 300))
+    wrong, _ = error_ns(rig, follow(rig, 300, start(Link())))
+
+    assert abs(right) < 1500
+    assert wrong == pytest.approx((27_083_333 - 18_750_000) / 2, abs=1500)
+
+
+def test_the_bound_holds_for_an_asymmetry_that_nobody_knows() -> None:
+    """What always waits one way stays in the offset, at most by half the least round trip."""
+    rig = Rig(seed=1, wait_us=(1.0, 1.0), link=Link(request_ns=180_000, answer_ns=1_260_000))
+
+    clock = follow(rig, 300, start(LINK))
+
+    error, std = error_ns(rig, clock)
+    assert error == pytest.approx(500_000, abs=2000)
+    assert abs(error) - 3 * std < estimate(clock).bound_ns < 502_000
+
+
+def test_a_coarse_clock_widens_the_deviation() -> None:
+    """A step of 4 µs does not average out."""
+    rig = Rig(seed=2, wait_us=(0.1, 0.1), resolution_us=4)
+
+    error, std = error_ns(rig, follow(rig, 1200))
+
+    assert std > 4000 / math.sqrt(12)
+    assert abs(error) < 3 * std
+
+
+def test_the_wrap_of_the_devices_clock_is_not_seen() -> None:
+    """2^32 µs pass in the middle of the exchanges."""
+    rig = Rig(seed=3, drift_ppm=100, first_us=2**32 - 30e6)
+    clock, last_us = start(LINK), int(rig.first_us)
+    for h1, rx, tx, h4 in islice(rig.exchanges(), 600):
+        rx_us = extend(last_us, rx % 2**32)
+        last_us = extend(rx_us, tx % 2**32)
+        clock = update(clock, h1, rx_us, last_us, h4)
+
+    error, std = error_ns(rig, clock)
+    assert rig.device_us(rig.t_ns) > 2**32
+    assert clock.restarts == 0
+    assert abs(error) < 3 * std < 30_000
+
+
+@given(st.integers(0, 2**40), st.integers(-(2**24), 2**32 - 2**24 - 1))
+def test_a_reading_extends_the_last_forth_and_a_little_back(last_us: int, step_us: int) -> None:
+    """Reordered messages go back by at most 16.8 s; all else is time that passed."""
+    assert extend(last_us, (last_us + step_us) % 2**32) == last_us + step_us
+
+
+def test_the_first_reading_extends_itself() -> None:
+    """Nothing before it says how often the clock has wrapped."""
+    assert extend(0xFFFF_FFFF, 0xFFFF_FFFF) == 0xFFFF_FFFF
+
+
+def test_stalled_exchanges_cost_nothing() -> None:
+    """One in ten waits for 300 ms, either way: the map is as good as without."""
+    for seed in range(20):
+        rig = Rig(seed=seed, drift_ppm=100, stall_ns=300_000_000)
+        clock = follow(rig, 600)
+
+        error, std = error_ns(rig, clock)
+        assert abs(error) < 3 * std < 45_000
+        assert abs(estimate(clock).drift_ppm - 100) < 0.5
+        assert clock.restarts == 0
+
+
+def test_an_exchange_that_cannot_be_is_left_out() -> None:
+    """The map stays as it was where one exchange contradicts it by 10 ms."""
+    rig = Rig(seed=4)
+    clock = follow(rig, 300)
+    h1, rx, tx, h4 = next(rig.exchanges())
+
+    after = update(clock, h1, rx + 10_000, tx + 10_000, h4)
+
+    assert after.rejected == 1
+    assert host_ns_at(after, rx) == host_ns_at(clock, rx)
+    assert std_ns_at(after, rx) == std_ns_at(clock, rx)
+
+
+def test_a_jump_between_the_devices_stamps_does_not_spoil_the_least_round_trip() -> None:
+    """An answer that would have left after it came is no round trip."""
+    rig = Rig(seed=4)
+    clock = follow(rig, 300)
+    h1, rx, tx, h4 = next(rig.exchanges())
+
+    for jumped in (tx + 50_000, rx - 50_000):
+        after = update(clock, h1, rx, jumped, h4)
+        assert after._replace(rejected=0) == clock
+
+
+@pytest.mark.parametrize("step_us", [-12_000_000, 400, -400, 30_000_000])
+@pytest.mark.parametrize("stall_ns", [0, 300_000_000])
+def test_the_map_finds_a_device_that_was_reset(step_us: int, stall_ns: int) -> None:
+    """The gate does not lock itself out; stalled exchanges, which agree with all, do not help."""
+    rig = Rig(seed=5, stall_ns=stall_ns)
+    clock = follow(rig, 300)
+    rig.first_us += step_us
+
+    clock = follow(rig, 14, clock)
+
+    error, std = error_ns(rig, clock)
+    assert clock.restarts == 1
+    assert abs(error) < 3 * std
+
+
+def test_stalls_between_them_do_not_hide_that_exchanges_do_not_fit() -> None:
+    """With every second exchange stalled the row of those that do not fit goes on."""
+    rig = Rig(seed=6, wait_us=(5.0, 5.0))
+    clock = follow(rig, 300)
+    rig.first_us += 5000
+
+    for i, (h1, rx, tx, h4) in enumerate(islice(rig.exchanges(), 20)):
+        clock = update(clock, h1, rx, tx, h4 + (i % 2) * 300_000_000)
+
+    assert clock.restarts == 1
+
+
+def test_only_differences_of_the_clocks_count() -> None:
+    """Another origin of either clock gives the same map: 1e15 ns cost no digit, nor do years."""
+    rig = Rig(seed=7, drift_ppm=100)
+    exchanges = list(islice(rig.exchanges(), 600))
+    moved_ns, moved_us = 10**18 + 7, 10**14 + 3
+    here, there = start(LINK), start(LINK)
+
+    for h1, rx, tx, h4 in exchanges:
+        here = update(here, h1, rx, tx, h4)
+        there = update(there, h1 + moved_ns, rx + moved_us, tx + moved_us, h4 + moved_ns)
+
+    at_us = exchanges[-1][1] + 1234
+    assert host_ns_at(there, at_us + moved_us) == host_ns_at(here, at_us) + moved_ns
+    assert estimate(there)[1:] == estimate(here)[1:]
+
+
+def test_days_do_not_wear_the_map_out() -> None:
+    """After ten days of one exchange a minute the deviations are those of the first hour."""
+    rig = Rig(seed=8, drift_ppm=-100, wait_us=(20.0, 20.0), gap_s=60)
+    link = LINK._replace(tau_ns=600_000_000_000)
+    clock = follow(rig, 60, start(link))
+    first = estimate(clock)
+
+    clock = follow(rig, 14_400, clock)
+
+    last = estimate(clock)
+    error, std = error_ns(rig, clock)
+    assert abs(error) < 3 * std
+    assert last.drift_std_ppm < 2 * first.drift_std_ppm
+    assert abs(last.drift_ppm + 100) < 3 * last.drift_std_ppm
+
+
+@pytest.mark.parametrize("drift_per_s", sampled([-0.3, 0.01, 0.1], 2))
+@pytest.mark.parametrize("wait_us", [(20.0, 200.0), (3.0, 3.0)])
+def test_a_drift_that_changes_slowly_is_followed(
+    drift_per_s: float, wait_us: tuple[float, float]
+) -> None:
+    """A warming resonator is followed without a restart, and the lag is in the deviations."""
+    offsets = drifts = 0
+    for seed in range(30):
+        rig = Rig(seed=seed, wait_us=wait_us, drift_per_s=drift_per_s)
+        clock = follow(rig, 1200)
+        error, std = error_ns(rig, clock)
+        found = estimate(clock)
+        drift_ppm = drift_per_s * (rig.t_ns - rig.t0_ns) / 1e9
+        offsets += abs(error) < 3 * std
+        drifts += abs(found.drift_ppm - drift_ppm) < 3 * found.drift_std_ppm
+        assert clock.restarts == 0
+        assert abs(found.drift_ppm - drift_ppm) < 0.5 + 60 * abs(drift_per_s)  # 2 tau of lag
+
+    assert offsets >= 28
+    assert drifts >= 27
+
+
+def test_the_deviation_grows_while_no_pong_comes() -> None:
+    """What lies ahead is told with less and less confidence, and rightly so."""
+    rig = Rig(seed=9, drift_ppm=100)
+    clock = follow(rig, 600)
+
+    silences_s = (0, 1, 10, 30, 60, 300)
+    found = [error_ns(rig, clock, s * 10**9) for s in silences_s]
+
+    stds = [std for _, std in found]
+    assert stds == sorted(stds)
+    assert stds[2] < 1.5 * stds[0]
+    assert stds[-1] > 500 * stds[0]  # e^5 for the fading, more for the drift
+    assert all(abs(error) < 3 * std for error, std in found)
+
+
+def test_what_lies_ahead_allows_for_a_drift_that_changes() -> None:
+    """The lag goes on growing in the silence, and the deviation with it."""
+    for seed in range(20):
+        rig = Rig(seed=seed, wait_us=(3.0, 3.0), drift_per_s=0.1)
+        clock = follow(rig, 1200)
+        for silence_s in (3, 10, 30):
+            error, std = error_ns(rig, clock, silence_s * 10**9)
+            assert abs(error) < 1.5 * std
+
+
+def test_after_a_silence_the_map_goes_on() -> None:
+    """Five minutes without PONG are no reset: nothing is rejected, and soon all is as before."""
+    rig = Rig(seed=10, drift_ppm=100)
+    clock = follow(rig, 600)
+    rig.t_ns += 300 * 10**9
+
+    clock = follow(rig, 100, clock)
+
+    error, std = error_ns(rig, clock)
+    assert (clock.restarts, clock.rejected) == (0, 0)
+    assert abs(error) < 3 * std < 60_000
+
+
+def test_a_silence_of_a_week_overflows_nothing() -> None:
+    """A host that was suspended goes on, with a deviation that is large and finite."""
+    rig = Rig(seed=12)
+    clock = follow(rig, 100)
+    rig.t_ns += 7 * 86_400 * 10**9
+
+    error, std = error_ns(rig, clock)
+    clock = follow(rig, 100, clock)
+
+    assert abs(error) < 3 * std < math.inf
+    assert error_ns(rig, clock)[1] < 60_000
+
+
+def test_a_longer_way_is_learnt() -> None:
+    """Where all round trips grow for good, the least of the window grows with them."""
+    rig = Rig(seed=11, drift_ppm=100)
+    clock = follow(rig, 300)
+    rig.link = Link(request_ns=680_000, answer_ns=760_000)
+
+    clock = follow(rig, 1800, clock)
+
+    error, std = error_ns(rig, clock)
+    assert clock.floor_ns > 1_440_000
+    assert abs(error) < 3 * std < 40_000
+
+
+def test_a_map_without_an_exchange_says_so() -> None:
+    """No number is made up."""
+    with pytest.raises(ValueError, match="PING"):
+        host_ns_at(start(LINK), 0)

@@ -1,0 +1,177 @@
+"""L2: each k is one sample or one gap, whatever overtakes what; found by the fault simulator."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from armrig_core.telemetry import Sample, decode_sample
+from armrig_daemon.config import Config, Timing
+from armrig_daemon.decisions import step
+from armrig_daemon.decisions.gaps import NO_ANSWER
+from armrig_daemon.decisions.state import (
+    LinkDown,
+    LinkUp,
+    Phase,
+    Publish,
+    Received,
+    Send,
+    State,
+    Tick,
+)
+from armrig_daemon.pipe import Gap, Play, Reset, RunEnded
+from armrig_protocol.decoder import feed
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import Exchange, Flag
+from armrig_protocol.messages import Sample as DeviceSample
+from armrig_protocol.messages import State as DeviceState
+from decision_states import device_sample
+from msgspec.structs import replace
+from virtual_bench import LEASE, MS, Bench, codes
+
+RUN = [2.0] * 400
+
+
+def playing(for_ms: float) -> Bench:
+    """Return a rig that has played a scheduled run for some time."""
+    bench = Bench()
+    assert not bench.arm(5_000).error
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=True))
+    bench.run_for(for_ms)
+    return bench
+
+
+def assert_each_k_is_told_once(bench: Bench) -> None:
+    """No k twice and none left out, from the first to the last."""
+    told = []
+    for record in bench.records:
+        sample = decode_sample(record) if isinstance(record, bytes) else None
+        if isinstance(sample, Sample):
+            told.append((sample.k, sample.k + 1))
+        elif isinstance(record, Gap):
+            told.append((record.k_first, record.k_first + record.count))
+    assert all(end == first for (_, end), (first, _) in pairwise(told))
+
+
+def test_a_reset_in_a_scheduled_run_ends_it() -> None:
+    """HELLO takes the place of STOP: nothing is left to confirm, the run is told as ended."""
+    bench = playing(600)
+    assert bench.volts > 0
+
+    bench.ports.device.reset(bench.ports.now)
+    bench.run_for(600)
+    bench.ask(Reset)
+    bench.run_for(300)
+
+    assert bench.phase is Phase.SAFE
+    assert [r.outcome for r in bench.of(RunEnded)] == ["the device was reset"]
+    assert_each_k_is_told_once(bench)
+
+
+def test_a_reset_while_the_stop_is_awaited_ends_the_run() -> None:
+    """Tripped already, and then reset."""
+    bench = playing(600)
+    bench.ports.to_device = lambda data: b""
+    bench.run_for(110)
+    assert bench.phase is Phase.FAULT
+
+    bench.ports.to_device = lambda data: data
+    bench.ports.device.reset(bench.ports.now)
+    bench.run_for(600)
+    bench.ask(Reset)
+    bench.run_for(300)
+
+    assert len(bench.of(RunEnded)) == 1
+    assert bench.phase is Phase.SAFE
+    assert_each_k_is_told_once(bench)
+
+
+def test_an_unplugged_line_while_the_stop_is_awaited_ends_the_run() -> None:
+    """The same, by the port."""
+    bench = playing(600)
+    bench.ports.from_device = lambda data: b""
+    bench.run_for(110)
+    assert bench.phase is Phase.FAULT
+    assert bench.of(RunEnded) == []
+
+    bench.ports.send(bench.ports.now, LinkDown("unplugged"))
+    bench.run_for(20)
+    assert len(bench.of(RunEnded)) == 1
+
+    bench.ports.from_device = lambda data: data
+    bench.ports.send(bench.ports.now, LinkUp())
+    bench.run_for(300)
+    bench.ask(Reset)
+    bench.run_for(300)
+    assert_each_k_is_told_once(bench)
+
+
+@pytest.mark.parametrize(("scheduled", "period"), [(False, 5 * MS), (True, 20 * MS)])
+def test_a_gap_that_no_answer_came_to_begins_when_its_first_sample_was_due(
+    scheduled: bool, period: int
+) -> None:
+    """L2: a line is silent for 0.7 s. A scheduled run is over then, and the host's ticks go on."""
+    bench = Bench(Config(timing=Timing(Ts=0.02)))
+    assert not bench.arm(5_000).error
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled))
+    bench.run_for(600)
+
+    bench.ports.from_device = lambda data: b""
+    bench.run_for(700)
+    bench.ports.from_device = lambda data: data
+    bench.run_for(300)
+
+    (gap,) = (g for g in bench.of(Gap) if g.reason == NO_ANSWER)
+    due_ns = {s.k: s.t_sched_ns for s in bench.samples}
+    assert gap.count > 20
+    assert abs(due_ns[gap.k_first + gap.count] - gap.count * period - gap.t_from_ns) < period
+    first = min(g.t_from_ns for g in bench.of(Gap))
+    assert 0 < first - max(t for t in due_ns.values() if t < first) < 10 * MS
+    assert_each_k_is_told_once(bench)
+
+
+def _take(state: State, now_ns: int, message: DeviceSample) -> list[Publish]:
+    _, actions = step.step(state, now_ns, [Received(b"\0" + encode(message))])
+    return [a for a in actions if isinstance(a, Publish)]
+
+
+def test_a_sample_that_was_told_as_a_gap_is_not_told_again() -> None:
+    """It comes late, after something newer: its k is taken."""
+    bench = Bench()
+    bench.ports.from_device = lambda data: b""
+    bench.run_for(11)
+    state, now = bench.loop.state, bench.ports.now
+    (sent, *_) = state.sent
+    late = device_sample(state, k=sent.k)
+
+    assert len(_take(state, now, late)) == 1
+    told = replace(state, told=sent.k, sent=(sent, *state.sent))
+    after, actions = step.step(told, now, [Received(b"\0" + encode(late))])
+    assert [a for a in actions if isinstance(a, Publish)] == []
+    assert after.sent == state.sent
+
+
+def test_a_sample_of_an_old_run_does_not_begin_a_new_one() -> None:
+    """Played again while the queue is filled: the run has not started, and has no k yet."""
+    bench = playing(600)
+    state = bench.loop.state
+    assert state.run is not None
+    old = device_sample(state, k=state.run.due, flags=int(Flag.RUN))
+
+    assert len(_take(state, bench.ports.now, old)) == 1
+    waiting = replace(state, run=replace(state.run, k_first=-1))
+    assert _take(waiting, bench.ports.now, old) == []
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_run_that_has_stopped_but_not_ended_is_not_sampled_by_the_host(ended: bool) -> None:
+    """Its k would be given twice: the count goes on behind the run's last sample."""
+    bench = playing(600)
+    stopped = replace(bench.loop.state, device_state=int(DeviceState.READY), phase=Phase.FAULT)
+    state = replace(stopped, run=None) if ended else stopped
+    now = bench.ports.now + 10 * MS
+
+    _, actions = step.step(state, now, [Tick(state.k + 1, now)])
+
+    frames = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
+    assert any(isinstance(m, Exchange) for m in frames) == ended

@@ -1,0 +1,87 @@
+"""Frames of an earlier session that are played again while this one drives."""
+
+from __future__ import annotations
+
+from armrig_core.calibration import Calibration
+from armrig_daemon.decisions import replies, sampling, step
+from armrig_daemon.decisions.faults import Id
+from armrig_daemon.decisions.state import Asked, Phase, Rules, Send, State, Unechoed, Want
+from armrig_protocol.decoder import feed
+from armrig_protocol.messages import Ack, Code, Flag, Sample, Stop
+from armrig_protocol.messages import State as DeviceState
+from msgspec.structs import replace
+
+RULES = Rules(
+    u_min=0,
+    u_max=65_535,
+    slew=0,
+    ts_us=2_000,
+    watchdog_ms=100,
+    baud=500_000,
+    turns=0,
+    rail_ticks=0,
+    calibration=Calibration(),
+    stop_after=0,
+)
+
+
+def _with_beats(*seqs: int) -> State:
+    """Return a state that has sent these frames, one a ms, and seen no echo of them."""
+    beats = tuple(Unechoed(seq, 1_000_000 * i) for i, seq in enumerate(seqs, 1))
+    return replace(step.start(RULES), scheduled=True, beats=beats, seq=(seqs[-1] + 1) & 0xFFFF)
+
+
+def test_the_echo_of_a_frame_of_ours_proves_a_round_trip() -> None:
+    """Also across the wrap of seq; what was sent later is not proven yet."""
+    state = sampling.note_echo(_with_beats(65_534, 65_535, 0, 1), 0)
+
+    assert state.fresh_ns == 3_000_000
+    assert [b.seq for b in state.beats] == [1]
+
+
+def test_an_echo_ahead_of_all_that_was_sent_proves_nothing() -> None:
+    """It is of an earlier session: the device may not hear us at all (S4)."""
+    before = _with_beats(60, 61, 62, 63)
+
+    assert sampling.note_echo(before, 64) == before
+    assert sampling.note_echo(before, 334) == before
+
+
+def _sample(echo: int) -> Sample:
+    """Return a sample of a device that paces itself in RUN."""
+    return Sample(
+        *(DeviceState.RUN, 0, 1, echo, 0, 5, 900, 0, 0, 0, 0, int(Flag.RUN), 9),
+    )
+
+
+def test_an_old_frame_that_the_device_has_heard_stops_the_motor() -> None:
+    """At once: later, when as many frames were sent, its echo would look like one of ours (S4)."""
+    before = replace(
+        _with_beats(60, 61, 62, 63),
+        phase=Phase.ACTIVE,
+        link_up=True,
+        device_state=DeviceState.RUN,
+    )
+
+    after, _ = replies.handle(before, 5_000_000, _sample(63))
+    assert after.phase is Phase.ACTIVE
+
+    after, actions = replies.handle(before, 5_000_000, _sample(70))
+    assert after.phase is Phase.FAULT
+    assert after.fault is not None
+    assert after.fault.id is Id.STATE
+    assert any(isinstance(a, Send) for a in actions)
+
+
+def test_a_device_that_drives_and_takes_no_hello_is_stopped() -> None:
+    """Old frames hold it in RUN and make HELLO stale: STOP takes effect whatever its seq (S2)."""
+    asked = Asked(Want.HELLO, 0, 1, 1, 0, False, None)
+    before = replace(step.start(RULES), phase=Phase.FAULT, link_up=True, asked=asked, seq=2)
+    stale = Ack(DeviceState.RUN, 9, 1, Code.STALE, 1)
+
+    after, actions = replies.handle(before, 5_000_000, stale)
+
+    sent = b"".join(a.data for a in actions if isinstance(a, Send))
+    assert [type(m) for m in feed(b"", sent)[1]] == [Stop]
+    assert after.asked == asked  # and HELLO is sent again when it is due
+    assert not replies.handle(before, 5_000_000, stale._replace(state=DeviceState.IDLE))[1]

@@ -1,0 +1,426 @@
+"""What the service asks of the core: each refusal, from the state that it is for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+from armrig_core.calibration import Calibration, Driver, Potentiometer
+from armrig_core.volts import code_of
+from armrig_daemon.config import Config, Limits
+from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.requests import NO_DEVICE
+from armrig_daemon.decisions.state import Event, Exit, Ordered, Phase, Run, State, Tick, Want
+from armrig_daemon.pipe import (
+    Acquire,
+    Answer,
+    Calibrate,
+    Halt,
+    Order,
+    Play,
+    Quit,
+    Release,
+    Reset,
+    RunEnded,
+    SetVoltage,
+)
+from armrig_protocol.messages import ClearFault, Hello, Stop
+from armrig_protocol.messages import State as DeviceState
+from decision_states import (
+    ACQUIRE,
+    PLAY,
+    SET_VOLTAGE,
+    Decided,
+    armed,
+    awaiting,
+    driven,
+    ordered,
+    rested,
+)
+from msgspec.structs import replace
+from virtual_bench import LEASE, MS, Bench, codes
+
+
+def _refusal(bench: Bench, order: Order, state: State | None = None) -> str:
+    """Return why an order is refused; it then does nothing else."""
+    decided = ordered(bench, order, state)
+    (answer,) = decided.told(Answer)
+    assert answer.order == order.order
+    assert len(decided.actions) == 1
+    before = state or bench.loop.state
+    assert decided.state == replace(before, service_ns=bench.ports.now)
+    return str(answer.error)
+
+
+def test_an_order_that_is_none_of_ours_is_refused() -> None:
+    """The loop and the service may be of two releases."""
+    assert "not an order" in _refusal(rested(), Order(order=5))
+
+
+def test_an_order_to_end_that_is_given_twice_is_followed_once() -> None:
+    """A second SIGTERM sends no second STOP."""
+    bench = driven()
+    once = ordered(bench, Quit(reason="SIGTERM"))
+    again = ordered(bench, Quit(reason="SIGTERM"), once.state)
+
+    assert [type(m) for m in once.sent] == [Stop]
+    assert again.actions == []
+    assert again.state == once.state
+
+
+@pytest.mark.parametrize("gone", [{"link_up": False}, {"device": None}])
+def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> None:
+    """A run that was on is told as ended before the exit."""
+    bench = driven()
+    state = replace(bench.loop.state, run=Run("r", codes(1.0), -1), outcome="unplugged", **gone)
+
+    decided = ordered(bench, Quit(reason="SIGTERM"), state)
+
+    assert [r.outcome for r in decided.told(RunEnded)] == ["unplugged"]
+    assert isinstance(decided.actions[-1], Exit)
+    assert decided.sent == []
+
+
+def test_a_rig_that_is_ending_is_not_armed() -> None:
+    """The exit is not put off."""
+    bench = rested()
+    assert "ending" in _refusal(bench, ACQUIRE, replace(bench.loop.state, quitting=True))
+
+
+@pytest.mark.parametrize("want", list(Want))
+@pytest.mark.parametrize("order", [ACQUIRE, SET_VOLTAGE, PLAY])
+def test_while_the_device_is_asked_something_an_order_waits(want: Want, order: Order) -> None:
+    """One request at a time: the refusal names it."""
+    bench = rested() if isinstance(order, Acquire) else armed()
+    state = awaiting(bench.loop.state, want)
+
+    assert _refusal(bench, order, state) == f"busy with {want}: try again"
+
+
+@pytest.mark.parametrize("change", [{"phase": Phase.INIT}, {"device": None}])
+def test_a_rig_is_taken_once_its_device_is_met_and_configured(change: dict[str, object]) -> None:
+    """INIT is not yet, and no device is not at all."""
+    bench = rested()
+
+    text = _refusal(bench, ACQUIRE, replace(bench.loop.state, **change))
+
+    assert text == NO_DEVICE
+
+
+def test_a_rig_that_is_held_is_not_taken() -> None:
+    """The refusal names who holds it; in fault, what is wrong."""
+    bench = armed()
+    fault = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
+
+    assert (
+        _refusal(bench, ACQUIRE)
+        == "a student has the rig: wait until it is free, or end it with `armrig stop`"
+    )
+    assert _refusal(bench, ACQUIRE, fault) == "in fault (it ran out): mend it, then reset"
+
+
+def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
+    """S4: 50 ms at Ts 10 ms, and not a nanosecond more."""
+    bench = rested()
+    old = replace(bench.loop.state, fresh_ns=bench.ports.now - 50 * MS)
+
+    assert ordered(bench, ACQUIRE, old).told(Answer) == []
+    assert "no answer" in _refusal(bench, ACQUIRE, replace(old, fresh_ns=old.fresh_ns - 1))
+
+
+def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
+    """None at all, as on a new link, and none for longer than the round trip may take."""
+    bench = rested()
+    none = replace(bench.loop.state, sampled_ns=0)
+    oldest = replace(none, sampled_ns=bench.ports.now - 50 * MS)
+    older = replace(none, sampled_ns=oldest.sampled_ns - 1)
+
+    text = "no sample of the device in the last 50 ms: try again"
+    assert _refusal(bench, ACQUIRE, none) == text
+    assert _refusal(bench, ACQUIRE, older) == text
+    assert ordered(bench, ACQUIRE, oldest).told(Answer) == []
+
+
+@pytest.mark.parametrize("state", [s for s in DeviceState if s not in (2, 3)])
+def test_a_device_that_is_not_at_rest_is_asked_who_it_is(state: DeviceState) -> None:
+    """Refused, and led back by HELLO."""
+    bench = rested()
+
+    decided = ordered(bench, ACQUIRE, replace(bench.loop.state, device_state=int(state)))
+
+    (answer,) = decided.told(Answer)
+    assert answer.error == f"the device is in {state.name}, not at rest: try again"
+    assert [type(m) for m in decided.sent] == [Hello]
+
+
+# -- the reset -----------------------------------------------------------------------------------
+
+
+def _in_fault(bench: Bench, device_state: DeviceState = DeviceState.IDLE) -> State:
+    return replace(bench.loop.state, phase=Phase.FAULT, device_state=int(device_state))
+
+
+def test_a_reset_where_nothing_is_latched_is_answered_at_once() -> None:
+    """As such; nothing is asked of the device, whoever holds it."""
+    bench = armed()
+    decided = ordered(bench, Reset(order=8))
+
+    assert [a.body for a in decided.told(Answer)] == [{"done": False}]
+    assert decided.state.phase is Phase.ARMED
+    assert decided.sent == []
+
+
+def test_a_reset_needs_a_device() -> None:
+    """Without one there is nothing to see that the cause is gone."""
+    bench = rested()
+    state = replace(_in_fault(bench), device=None)
+
+    assert _refusal(bench, Reset(order=8), state) == NO_DEVICE
+
+
+def test_a_reset_waits_for_the_stop() -> None:
+    """S6: first the motor stands, as the device says."""
+    bench = rested()
+    state = awaiting(_in_fault(bench), Want.STOP)
+
+    assert _refusal(bench, Reset(order=8), state) == "busy with STOP: try again"
+
+
+@pytest.mark.parametrize(
+    ("state", "asks"),
+    [
+        (DeviceState.FAULT, ClearFault),
+        (DeviceState.ESTOP, ClearFault),
+        (DeviceState.IDLE, Hello),
+        (DeviceState.READY, Hello),
+    ],
+)
+def test_a_reset_asks_the_device_to_leave_what_it_latched(state: DeviceState, asks: type) -> None:
+    """By its token; where only the daemon has latched, HELLO begins anew."""
+    bench = rested()
+    latched = replace(_in_fault(bench, state), token=12345)
+
+    (sent,) = ordered(bench, Reset(order=8), latched).sent
+
+    assert type(sent) is asks
+    assert not isinstance(sent, ClearFault) or sent.token == 12345
+
+
+# -- the calibration -----------------------------------------------------------------------------
+
+OTHER = Calibration(
+    theta_1=Potentiometer(zero_counts=100.0, rad_per_count=-0.0625),
+    alpha=Potentiometer(zero_counts=200.0, rad_per_count=0.03125, wraps=False),
+    driver=Driver(gain=10.0, offset_v=5.0),
+)
+CALIBRATE = Calibrate(order=74, calibration=OTHER)
+
+
+def test_a_calibration_is_taken_at_rest_and_changes_nothing_but_how_samples_are_shown() -> None:
+    """S1 to S6: no frame is sent, no code, no limit and no phase is another one."""
+    bench = rested()
+    before = bench.loop.state
+
+    decided = ordered(bench, CALIBRATE)
+
+    assert [a.body for a in decided.told(Answer)] == [{"done": True}]
+    assert len(decided.actions) == 1
+    rules = replace(before.rules, calibration=OTHER)
+    assert decided.state == replace(before, rules=rules, service_ns=bench.ports.now)
+
+
+def test_the_next_sample_is_shown_by_the_calibration_taken() -> None:
+    """Angles of the same counts; the voltage stays that of the code."""
+    bench = rested()
+    assert not bench.ask(Calibrate, calibration=OTHER).error
+    k = bench.loop.state.k
+    bench.run_for(50)
+
+    later = [s for s in bench.samples if s.k > k]
+    assert later
+    assert all(s.theta_1_rad == (100 - s.theta_1_counts) / 16 for s in later)
+    assert all(s.alpha_rad == (s.alpha_counts - 200) / 32 for s in later)
+    assert {s.u_applied_v for s in later} == {0.0}
+
+
+@pytest.mark.parametrize("make", [armed, driven])
+def test_a_rig_that_is_held_keeps_its_calibration(make: Callable[[], Bench]) -> None:
+    """A run has one from its first sample to its last; the refusal names who has the rig."""
+    assert (
+        _refusal(make(), CALIBRATE)
+        == "a student has the rig: wait until it is free, or end it with `armrig stop`"
+    )
+
+
+def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:
+    """In fault, before the device is met, on the way to an arming, and until a stop is done."""
+    bench = rested()
+    state = bench.loop.state
+    fault = replace(state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
+    not_yet = "the rig is not at rest yet: try again"
+
+    assert _refusal(bench, CALIBRATE, fault) == "in fault (it ran out): mend it, then reset"
+    assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.INIT)) == NO_DEVICE
+    arming = awaiting(state, Want.CONFIGURE, ACQUIRE)
+    assert _refusal(bench, CALIBRATE, arming) == not_yet
+    assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.ACTIVE)) == not_yet
+
+
+# -- the stop ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"phase": Phase.SAFE}, {"phase": Phase.FAULT}, {"device": None}],
+)
+def test_a_stop_where_nothing_turns_is_done_at_once(change: dict[str, object]) -> None:
+    """Nobody waits for a device that is at 0 V, or out of our reach."""
+    bench = driven()
+    decided = ordered(bench, Halt(order=6), replace(bench.loop.state, **change))
+
+    assert [a.body for a in decided.told(Answer)] == [{"done": True}]
+    assert decided.sent == []
+
+
+def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
+    """SAFE, but a CONFIG on its way may lead to an ARM: it is taken back."""
+    bench = rested()
+    decided = ordered(bench, Halt(order=6), awaiting(bench.loop.state, Want.CONFIGURE, ACQUIRE))
+
+    assert [type(m) for m in decided.sent] == [Stop]
+    assert [(a.order, a.error) for a in decided.told(Answer)] == [(71, "not begun: stopped")]
+
+
+@pytest.mark.parametrize(
+    "order", [Halt(order=8), Release(order=8, lease=LEASE, n=51)], ids=["stop", "release"]
+)
+@pytest.mark.parametrize("by", ["a trip", "another stop"])
+def test_a_stop_that_another_overtakes_is_granted(order: Halt | Release, by: str) -> None:
+    """Who wished for 0 V gets it, whatever else asks for it: that is no error."""
+    bench = driven()
+    told = ordered(bench, order)
+    event: Event = Ordered(Halt(order=9))
+    at_ns = bench.ports.now
+    if by == "a trip":
+        event, at_ns = Tick(told.state.k + 1, at_ns), at_ns + 1_000 * MS
+
+    decided = Decided(told.state, at_ns, event)
+
+    assert told.told(Answer) == []
+    assert [(a.order, a.error) for a in decided.told(Answer)] == [(8, "")]
+    assert [type(m) for m in decided.sent] == [Stop]
+
+
+# -- the lease's holder --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("phase", [Phase.INIT, Phase.SAFE, Phase.FAULT])
+def test_a_lease_holds_where_the_rig_is_armed_only(phase: Phase) -> None:
+    """S5: whatever is left of it elsewhere moves nothing."""
+    bench = armed()
+    assert "not the lease" in _refusal(bench, SET_VOLTAGE, replace(bench.loop.state, phase=phase))
+
+
+def test_numbers_grow_by_one_at_least() -> None:
+    """S5: the same number again is an old command."""
+    bench = armed()
+    state = bench.loop.state
+    assert state.lease is not None
+    at_7 = replace(state, lease=replace(state.lease, n=7))
+
+    assert "n=7 must be greater than the last, 7" in _refusal(
+        bench, replace(SET_VOLTAGE, n=7), at_7
+    )
+    assert ordered(bench, replace(SET_VOLTAGE, n=8), at_7).told(Answer) == []
+
+
+def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
+    """S2: and its number is the one to exceed."""
+    bench = driven()
+
+    lease = ordered(bench, SET_VOLTAGE).state.lease
+
+    assert lease is not None
+    assert (lease.n, lease.renewed_ns) == (50, bench.ports.now)
+
+
+def test_a_voltage_in_force_is_changed_without_another_start() -> None:
+    """Told as done at once; the next tick carries it."""
+    bench = driven()
+    decided = ordered(bench, SET_VOLTAGE)
+
+    assert decided.state.code == SET_VOLTAGE.code
+    assert [a.body for a in decided.told(Answer)] == [{"done": True}]
+    assert decided.sent == []
+
+
+def test_no_hand_on_a_running_experiment() -> None:
+    """Its input is its own."""
+    bench = driven()
+    state = replace(bench.loop.state, run=Run("r", codes(1.0), -1))
+
+    assert "experiment r is running" in _refusal(bench, SET_VOLTAGE, state)
+
+
+def test_no_experiment_while_the_motor_is_driven_by_hand() -> None:
+    """It would begin from another voltage than 0 V."""
+    assert "driven by hand" in _refusal(driven(), PLAY)
+
+
+def test_no_second_experiment_while_the_first_fills_its_queue() -> None:
+    """Armed, but not free."""
+    bench = armed()
+    state = replace(bench.loop.state, run=Run("first", codes(1.0), -1, scheduled=True))
+
+    assert "first is about to start" in _refusal(bench, PLAY, state)
+
+
+def test_an_experiment_of_no_sample_is_none() -> None:
+    """It would start the motor and never end."""
+    assert "empty" in _refusal(armed(), replace(PLAY, codes=b""))
+
+
+def test_a_device_without_scheduled_mode_is_not_asked_for_it() -> None:
+    """The refusal says what it can do."""
+    bench = armed()
+    state = bench.loop.state
+    assert state.device is not None
+    exchanging = replace(state, device=state.device._replace(capabilities=1))
+
+    assert "no scheduled mode" in _refusal(bench, replace(PLAY, scheduled=True), exchanging)
+    assert "no scheduled mode" in _refusal(
+        bench, replace(PLAY, scheduled=True), replace(state, device=None)
+    )
+
+
+@pytest.mark.parametrize("order", [SET_VOLTAGE, PLAY])
+def test_a_sampling_time_that_exchange_does_not_carry_is_not_exchanged(order: Order) -> None:
+    """Armed for 0.9 ms, at 500 kBd only scheduled: the host ticks slower than that."""
+    bench = rested()
+    assert not bench.arm(900).error
+    assert bench.loop.state.ts_us != 900
+
+    assert "Ts=0.0009 s cannot be carried in exchange mode" in _refusal(bench, order)
+
+
+@pytest.mark.parametrize(("volts", "allowed"), [(1.9, True), (2.0, True), (2.1, False)])
+def test_a_step_by_hand_of_more_than_the_slew_is_refused(volts: float, allowed: bool) -> None:
+    """S1: 1 V a sample, from the 1 V that are held; said in volts."""
+    bench = Bench(Config(limits=Limits(slew_v=1.0)))
+    bench.arm()
+    bench.order(SetVoltage(order=99, lease=LEASE, n=0, code=code_of(1.0)))
+    bench.run_for(20)
+
+    (answer,) = ordered(bench, replace(SET_VOLTAGE, code=code_of(volts))).told(Answer)
+
+    assert answer.error == ("" if allowed else "u steps by 1.1 V: at most 1 V in a sample")
+
+
+def test_an_experiment_is_played_by_its_own_way() -> None:
+    """Exchanged by START at once, scheduled by way of a STOP; each kept with its order."""
+    bench = armed()
+    for scheduled, want in ((False, Want.START), (True, Want.STOP)):
+        order: Play = replace(PLAY, scheduled=scheduled)
+        asked = ordered(bench, order).state.asked
+        assert asked is not None
+        assert (asked.want, asked.order) == (want, order)

@@ -1,0 +1,348 @@
+"""What a device says, and what the core makes of it."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_daemon.decisions import setpoints
+from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.state import (
+    Beat,
+    Exit,
+    LinkDown,
+    Phase,
+    RoundTrip,
+    Sent,
+    State,
+    Want,
+)
+from armrig_daemon.pipe import Log, RunEnded
+from armrig_daemon.pipe import State as StateRecord
+from armrig_protocol.messages import (
+    TYPES,
+    Ack,
+    Arm,
+    Cause,
+    Code,
+    Event,
+    Hello,
+    Keepalive,
+    Pong,
+    Start,
+    Status,
+    Stop,
+)
+from armrig_protocol.messages import State as DeviceState
+from decision_states import (
+    OURS,
+    PLAY,
+    Decided,
+    armed,
+    awaiting,
+    device_sample,
+    driven,
+    heard,
+    rested,
+)
+from msgspec.structs import replace
+from virtual_bench import MS
+
+
+def _event(state: State, **fields: int) -> Event:
+    """Return an EVENT of the device that is met, into the state that it is in."""
+    assert state.device is not None
+    zero = Event._make([0] * len(Event._fields))
+    known = {"state": state.device_state, "boot": state.device.boot_id & 0xFFFF}
+    return zero._replace(**{**known, **fields})
+
+
+# -- round trips ---------------------------------------------------------------------------------
+
+
+def _pong(state: State, **fields: int) -> Pong:
+    known = {"state": state.device_state, "seq": 0, "host_ns": state.ping_ns}
+    return Pong(**{**known, "rx_us": 100, "tx_us": 150, **fields})
+
+
+def test_an_ack_of_the_very_request_proves_a_round_trip() -> None:
+    """S4: one of another frame, or a refusal, does not; nor does it make younger what was older."""
+    bench = rested()
+    now = bench.ports.now
+    fresh = replace(bench.loop.state, fresh_ns=now - 40 * MS)
+    state = awaiting(fresh, Want.ARM, sent_ns=now - 3 * MS)
+    assert state.asked is not None
+    seq = state.asked.seq
+    ack = Ack(int(DeviceState.READY), 0, TYPES[Arm], int(Code.OK), seq)
+
+    assert heard(bench, ack, state).state.fresh_ns == now - 3 * MS
+    younger = replace(state, fresh_ns=now - 1 * MS)
+    assert heard(bench, ack, younger).state.fresh_ns == now - 1 * MS
+    for other in (
+        ack._replace(of_seq=seq + 1),
+        ack._replace(of_type=TYPES[Stop]),
+        ack._replace(code=int(Code.STALE)),
+    ):
+        assert heard(bench, other, state).state.fresh_ns == now - 40 * MS
+
+
+def test_the_answer_to_the_newest_ping_proves_a_round_trip() -> None:
+    """S4: as old as the question is; it never makes younger what was proved before."""
+    bench = rested()
+    now = bench.ports.now
+    state = replace(bench.loop.state, ping_ns=now - 7 * MS, fresh_ns=now - 40 * MS)
+
+    younger = heard(bench, _pong(state), state)
+    older = heard(bench, _pong(state), replace(state, fresh_ns=now - 1 * MS))
+
+    assert younger.of(RoundTrip) == [RoundTrip(7 * MS)]
+    assert younger.state.fresh_ns == now - 7 * MS
+    assert younger.state.compared_ns == now
+    assert older.state.fresh_ns == now - 1 * MS
+
+
+def test_an_answer_to_an_older_ping_says_nothing_of_now() -> None:
+    """S4: a burst after a pause must not count as fresh."""
+    bench = rested()
+    state = replace(bench.loop.state, ping_ns=bench.ports.now - 7 * MS)
+
+    decided = heard(bench, _pong(state, host_ns=state.ping_ns - 1), state)
+
+    assert decided.actions == []
+    assert decided.state == state
+
+
+def test_a_message_that_needs_no_answer_has_none() -> None:
+    """STATUS is for a person."""
+    bench = rested()
+    decided = heard(bench, Status._make([int(DeviceState.READY)] + [0] * 13))
+
+    assert decided.actions == []
+
+
+# -- a reset of the device -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("by", ["event", "sample"])
+def test_a_device_that_starts_anew_at_rest_is_met_again(by: str) -> None:
+    """T1: no fault, for nothing turned; a sample tells it where the EVENT was lost."""
+    bench = rested()
+    state = bench.loop.state
+    assert state.device is not None
+    boot = (state.device.boot_id + 1) & 0xFFFF
+    news = _event(state, boot=boot) if by == "event" else device_sample(state, boot=boot)
+
+    decided = heard(bench, news)
+
+    assert (decided.state.phase, decided.state.device) == (Phase.INIT, None)
+    assert decided.state.sent == ()
+    assert decided.state.device_state == 0
+    assert [type(m) for m in decided.sent] == [Hello]
+    assert [log.message for log in decided.told(Log)] == ["the device was reset"]
+    assert [s.phase for s in decided.told(StateRecord)] == ["init"]
+
+
+@pytest.mark.parametrize("by", ["event", "sample"])
+def test_a_device_that_starts_anew_while_it_drives_is_a_fault(by: str) -> None:
+    """S6: it knows nothing of us, and so do not we of it."""
+    bench = driven()
+    state = bench.loop.state
+    assert state.device is not None
+    boot = (state.device.boot_id + 1) & 0xFFFF
+    news = _event(state, boot=boot) if by == "event" else device_sample(state, boot=boot)
+
+    decided = heard(bench, news)
+
+    assert decided.state.fault == Fault(Id.RESET, "the device was reset")
+    assert decided.state.device is None
+    assert decided.state.asked is not None
+    assert decided.state.asked.want is Want.HELLO
+
+
+def test_a_reset_of_the_device_leaves_a_latched_fault_as_it_is() -> None:
+    """The first cause is the one that is told."""
+    bench = rested()
+    state = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
+    assert state.device is not None
+
+    decided = heard(bench, _event(state, boot=(state.device.boot_id + 1) & 0xFFFF), state)
+
+    assert decided.state.fault == Fault(Id.LEASE, "ran out")
+    assert decided.state.phase is Phase.FAULT
+    assert decided.told(Log) == []
+
+
+# -- events --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("cause", "detail", "words"),
+    [
+        (int(Cause.WATCHDOG), 0, "WATCHDOG, it heard nothing from this host in time"),
+        (int(Cause.RANGE), 123, "RANGE, a voltage was outside its limits (code 123)"),
+        (int(Cause.VCC_LOW), 3900, "VCC_LOW, its supply is too low (3900 mV)"),
+        (int(Cause.REQUEST), 0, "REQUEST"),
+        (250, 0, "250"),
+    ],
+)
+def test_a_device_that_latches_is_told_with_its_own_cause(
+    cause: int, detail: int, words: str
+) -> None:
+    """S6: by its name where it has one, and the code that it refused."""
+    bench = driven()
+    event = _event(bench.loop.state, cause=cause, detail=detail, token=7)
+    event = event._replace(state=int(DeviceState.FAULT))
+
+    decided = heard(bench, event)
+
+    assert decided.state.fault == Fault(Id.DEVICE, f"the device stopped by itself: {words}")
+    assert decided.state.token == 7
+    assert decided.state.device_state == DeviceState.FAULT
+
+
+@pytest.mark.parametrize(
+    ("at", "waits"),
+    [(DeviceState.FAULT, False), (DeviceState.ESTOP, False), (DeviceState.RUN, True)],
+)
+def test_a_device_that_has_stopped_itself_need_not_take_our_stop(
+    at: DeviceState, waits: bool
+) -> None:
+    """S6: it is no error, and the fault stands; while the device drives, STOP is sent again."""
+    bench = driven()
+    latched = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.DEVICE, "REV_LIMIT"))
+    state = awaiting(latched, Want.STOP)
+    refusal = Ack(int(at), 0, TYPES[Stop], int(Code.WRONG_STATE), OURS)
+
+    decided = heard(bench, refusal, state)
+
+    assert decided.told(Log) == []
+    assert decided.sent == []
+    assert (decided.state.asked is not None) == waits
+    assert decided.state.fault == latched.fault
+
+
+def test_a_device_that_latches_after_our_own_trip_gives_its_token_only() -> None:
+    """A reset needs it; the cause is known already."""
+    bench = rested()
+    state = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
+    event = _event(state, token=7)._replace(state=int(DeviceState.FAULT))
+
+    decided = heard(bench, event, state)
+
+    assert decided.state.fault == Fault(Id.LEASE, "ran out")
+    assert decided.state.token == 7
+
+
+# -- scheduled runs ------------------------------------------------------------------------------
+
+
+def test_a_run_that_is_over_already_is_not_completed_again() -> None:
+    """Whoever says so."""
+    bench = rested()
+
+    assert setpoints.complete(bench.loop.state, bench.ports.now) == (bench.loop.state, [])
+
+
+def test_a_queue_without_a_device_starts_nothing() -> None:
+    """It is gone: what it held says nothing any more."""
+    bench = armed()
+    now = bench.ports.now
+    filling, _ = setpoints.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
+
+    gone, actions = setpoints.note_queue(replace(filling, device=None), now, 0, 2)
+    there, (start,) = setpoints.note_queue(filling, now, 0, 2)
+
+    assert (gone.asked, actions) == (None, [])
+    assert there.asked is not None
+    assert there.asked.want is Want.START
+    assert isinstance(start.data, bytes)
+
+
+def test_a_start_carries_the_length_of_the_run() -> None:
+    """The device ends by itself, whatever becomes of us."""
+    bench = armed()
+    now = bench.ports.now
+    filling, _ = setpoints.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
+
+    started, _ = setpoints.note_queue(filling, now, 0, 2)
+
+    assert started.asked is not None
+    (start,) = Decided(started, now + 50 * MS, Beat()).sent
+    assert isinstance(start, Start)
+    assert start.k_stop == 2
+
+
+# -- the link ------------------------------------------------------------------------------------
+
+
+def test_a_link_that_goes_while_the_daemon_ends_does_not_hold_it_up() -> None:
+    """No STOP will be confirmed any more."""
+    bench = driven()
+    state = replace(bench.loop.state, quitting=True)
+
+    decided = Decided(state, bench.ports.now, LinkDown("unplugged"))
+
+    assert decided.actions == [Exit()]
+    assert not decided.state.link_up
+
+
+def _sent() -> Sent:
+    return Sent(1, 2, 3, 4, 5)
+
+
+@pytest.mark.parametrize("phase", [Phase.SAFE, Phase.INIT, Phase.FAULT])
+def test_a_link_that_goes_at_rest_is_no_fault(phase: Phase) -> None:
+    """S6: what was latched stays so, the rest begins anew."""
+    bench = rested()
+    state = replace(bench.loop.state, phase=phase, pending=b"half a fra", sent=(_sent(),))
+
+    decided = Decided(state, bench.ports.now, LinkDown("unplugged"))
+
+    after = decided.state
+    assert after.phase is (Phase.FAULT if phase is Phase.FAULT else Phase.INIT)
+    assert (after.device, after.asked, after.sent, after.pending) == (None, None, (), b"")
+    assert after.fault is None
+    assert [log.message for log in decided.told(Log)] == ["no link: unplugged"]
+    assert decided.told(RunEnded) == []
+
+
+def test_nothing_keeps_a_motor_on_that_is_to_stop() -> None:
+    """S4: no KEEPALIVE while it still drives; one at rest, for whoever listens there."""
+    bench = driven()
+    latched = replace(bench.loop.state, phase=Phase.FAULT)
+    at_rest = replace(latched, device_state=int(DeviceState.IDLE))
+    now = bench.ports.now
+
+    silent = Decided(latched, now, Beat())
+    assert silent.sent == []
+    assert silent.state == replace(latched, any_ns=now)
+    assert [type(m) for m in Decided(at_rest, now, Beat()).sent] == [Keepalive]
+    assert Decided(replace(at_rest, link_up=False), now, Beat()).sent == []
+
+
+def test_no_keepalive_before_the_tick_that_stops() -> None:
+    """S2: a beat comes before the tick after a pause, and would feed the watchdog for another."""
+    bench = driven()
+    state, now = bench.loop.state, bench.ports.now
+    lease = state.lease
+    assert lease is not None
+    lease_ns, pause_ns = state.rules.lease_ns(state.ts_us), state.rules.pause_ns(state.ts_us)
+
+    for paused_ns, run_out_ns, keeps in (
+        (pause_ns, lease_ns, True),
+        (pause_ns + 1, lease_ns, False),
+        (pause_ns, lease_ns + 1, False),
+    ):
+        held = replace(lease, renewed_ns=now - run_out_ns)
+        paused = replace(state, tick_ns=now - paused_ns, lease=held)
+        assert bool(Decided(paused, now, Beat()).sent) == keeps
+    plays = replace(state, lease=replace(lease, renewed_ns=now - lease_ns - 1), run=PLAY)
+    assert Decided(replace(plays, tick_ns=now), now, Beat()).sent
+
+
+def test_a_stop_is_a_stop_in_every_phase() -> None:
+    """What is awaited decides, not the phase: no KEEPALIVE behind a STOP on its way."""
+    bench = driven()
+    state = awaiting(bench.loop.state, Want.STOP, sent_ns=bench.ports.now)
+
+    again = Decided(state, bench.ports.now + 20 * MS, Beat())
+
+    assert [type(m) for m in again.sent] == [Stop]

@@ -1,0 +1,534 @@
+"""A sample that answers an EXCHANGE, and one that the device makes by itself."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_core.telemetry import Sample
+from armrig_core.volts import applied_code, code_of
+from armrig_daemon.decisions import sampling
+from armrig_daemon.decisions.clockmap import ClockMap
+from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.state import (
+    Action,
+    Emit,
+    Phase,
+    Publish,
+    RoundTrip,
+    Sent,
+    State,
+    Unechoed,
+    Want,
+)
+from armrig_daemon.pipe import Answer, Gap, Log, Play, RunEnded, RunStarted
+from armrig_protocol.messages import Config, Flag, Setpoints, Stop
+from armrig_protocol.messages import State as DeviceState
+from decision_states import Decided, awaiting, device_sample, driven, heard, rested
+from msgspec.structs import replace
+from virtual_bench import LEASE, MS, Bench, codes
+
+RUN, UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)
+LATCHED = Fault(Id.LEASE, "ran out")
+
+
+def _asked(bench: Bench, ms: float = 21) -> State:
+    """Return the state after two exchanges that nothing answered."""
+    bench.ports.from_device = lambda data: b""
+    bench.run_for(ms)
+    assert len(bench.loop.state.sent) == 2
+    return bench.loop.state
+
+
+def _playing() -> Bench:
+    """Return a rig in the middle of a scheduled run at 2 V."""
+    bench = Bench()
+    assert not bench.arm(5_000).error
+    run = codes(*[2.0] * 400)
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=run, scheduled=True))
+    bench.run_for(400)
+    assert bench.loop.state.device_state == DeviceState.RUN
+    return bench
+
+
+def _duty(state: State, code: int) -> int:
+    """Return what the duty of the device makes of a code."""
+    assert state.device is not None
+    return applied_code(code, state.device.pwm_bits)
+
+
+def _answer(bench: Bench, now: State, at: int = 0, **fields: int) -> Decided:
+    """Return what follows from the answer to an EXCHANGE."""
+    return heard(bench, device_sample(now, k=now.sent[at].k)._replace(**fields), now)
+
+
+def _due(bench: Bench, now: State, ahead: int = 0, **fields: int) -> Decided:
+    """Return what follows from the sample of the run that is due next, or one `ahead` of it."""
+    assert now.run is not None
+    u = _duty(now, now.run.code(0))
+    known = {"k": now.run.due + ahead, "flags": RUN, "u_k": u, "u_km1": u, "echo": now.seq - 1}
+    return heard(bench, device_sample(now)._replace(**{**known, **fields}), now)
+
+
+def _published(decided: Decided) -> list[Sample]:
+    return [a.sample for a in decided.of(Publish)]
+
+
+def _order(decided: Decided, *kinds: type) -> list[str]:
+    """Return the names of the actions and records of these kinds, in the order of the actions."""
+
+    def thing(action: Action) -> object:
+        return action.record if isinstance(action, Emit) else action
+
+    return [type(t).__name__ for t in map(thing, decided.actions) if isinstance(t, kinds)]
+
+
+# -- what the device applied (S5) ----------------------------------------------------------------
+
+
+@pytest.mark.parametrize("flags", [0, UNDERRUN, RUN, RUN | UNDERRUN])
+def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
+    """S5: only a device with a queue can run out of setpoints; here 0 is no code of ours either."""
+    bench = driven()
+    state = _asked(bench)
+    commanded = _duty(state, state.sent[0].code) if flags & RUN else 0
+
+    wrong = _answer(bench, state, u_k=commanded + 64, flags=flags)
+    right = _answer(bench, state, u_k=commanded, flags=flags)
+
+    assert wrong.state.fault is not None
+    assert wrong.state.fault.id is Id.APPLIED
+    assert f"where {state.sent[0].code} was commanded" in wrong.state.fault.cause
+    assert [type(m) for m in wrong.sent] == [Stop]
+    assert right.state.fault is None
+
+
+def test_a_run_that_plays_wrong_codes_in_a_fault_is_stopped_again_at_once() -> None:
+    """S5, S6: it still drives by its own queue, so that STOP goes out with each such sample."""
+    bench = _playing()
+    latched = replace(bench.loop.state, phase=Phase.FAULT, fault=LATCHED)
+    stopping = awaiting(latched, Want.STOP, tries=4, sent_ns=bench.ports.now)
+
+    wrong = _due(bench, stopping, u_k=9)
+    right = _due(bench, stopping)
+
+    assert [type(m) for m in wrong.sent] == [Stop]
+    assert wrong.state.phase is Phase.FAULT
+    assert wrong.state.asked is not None
+    assert wrong.state.asked.tries == 1
+    assert right.sent == []
+    assert right.state.fault == LATCHED
+
+
+def test_what_was_applied_is_what_a_gap_behind_it_was_held_at() -> None:
+    """L2: in both."""
+    bench, playing = driven(), _playing()
+    state, run = _asked(bench), playing.loop.state
+
+    answered = _answer(bench, state, u_k=_duty(state, code_of(1.0)), flags=RUN)
+    played = _due(playing, run)
+
+    assert answered.state.applied == _duty(state, code_of(1.0))
+    assert played.state.applied == _duty(run, code_of(2.0))
+
+
+# -- what a sample proves of the line (S4) -------------------------------------------------------
+
+
+def test_an_exchange_is_as_fresh_as_its_question() -> None:
+    """S4: what it answers was sent then, whenever it comes and whatever it has heard."""
+    bench = driven()
+    state = _asked(bench)
+    first, now = state.sent[0], bench.ports.now
+
+    decided = _answer(bench, state, u_k=_duty(state, first.code), flags=RUN)
+
+    assert first.sent_ns < now
+    assert (decided.state.fresh_ns, decided.state.sampled_ns) == (first.sent_ns, first.sent_ns)
+    assert decided.of(RoundTrip) == [RoundTrip(now - first.sent_ns)]
+    (publish,) = decided.of(Publish)
+    assert (publish.sample.t_host_ns, publish.queued) == (first.sent_ns, -1)
+
+
+def test_a_sample_of_a_run_is_as_fresh_as_the_frame_that_it_has_heard() -> None:
+    """S4: the device made it by itself; only its echo proves that it hears us."""
+    bench = _playing()
+    now = bench.ports.now
+    state = bench.loop.state
+    seq = (state.seq - 1) & 0xFFFF
+    state = replace(
+        state, beats=(Unechoed(seq, now - 7 * MS),), fresh_ns=now - 40 * MS, sampled_ns=1
+    )
+
+    deaf = _due(bench, state, echo=(seq - 1) & 0xFFFF, queued=5)
+    hears = _due(bench, state, echo=seq, queued=5)
+
+    assert (deaf.state.fresh_ns, deaf.state.sampled_ns) == (now - 40 * MS, now)
+    assert (hears.state.fresh_ns, hears.state.sampled_ns) == (now - 7 * MS, now)
+    assert hears.of(RoundTrip) == []
+    (publish,) = hears.of(Publish)
+    assert (publish.sample.t_host_ns, publish.queued) == (now, 5)
+
+
+def test_an_echo_of_what_we_have_not_sent_spoils_an_exchange_and_stops_a_run() -> None:
+    """S4: an exchange is taken by nobody; a run of ours is told, and its motor stopped."""
+    bench, playing = driven(), _playing()
+    state, run = _asked(bench), playing.loop.state
+
+    answered = _answer(
+        bench, state, u_k=_duty(state, state.sent[0].code), flags=RUN, echo=state.seq
+    )
+    played = _due(playing, run, echo=run.seq + 20)
+
+    assert (answered.actions, answered.state.sent) == ([], state.sent)
+    assert len(_published(played)) == 1
+    assert played.state.fault is not None
+    assert played.state.fault.id is Id.STATE
+    assert type(played.sent[-1]) is Stop
+
+
+def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
+    """S4: setpoints go out with each sample; once they have, an old echo looks like one of ours."""
+    bench = _playing()
+    state = bench.loop.state
+    assert state.run is not None
+    assert state.queue is not None
+    sends_more = replace(state, queue=replace(state.queue, sent=state.queue.held))
+
+    decided = _due(bench, sends_more, echo=state.seq, queued=24)
+
+    assert decided.state.fault is not None
+    assert decided.state.fault.id is Id.STATE
+    assert f"heard frame {state.seq}, and the next of ours is {state.seq}" in (
+        decided.state.fault.cause
+    )
+    assert [type(m) for m in decided.sent] == [Stop]
+    assert len(_published(decided)) == 1
+
+
+def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() -> None:
+    """S4: not even those of a run that the device has just been armed for."""
+    bench = _playing()
+    state, play = bench.loop.state, Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(1.0))
+    arming = awaiting(replace(state, phase=Phase.ARMED, run=None, queue=None), Want.ARM, play)
+    sample = device_sample(state, flags=RUN)._replace(state=DeviceState.ARMED)
+
+    ours = heard(bench, sample._replace(echo=state.seq - 1), arming)
+    foreign = heard(bench, sample._replace(echo=state.seq), arming)
+
+    assert [type(m) for m in ours.sent] == [Setpoints]
+    assert [type(m) for m in foreign.sent] == [Stop]
+    assert foreign.told(Answer)[0].error.startswith("not begun: the device has heard frame")
+
+
+def test_only_an_exchange_compares_the_clocks() -> None:
+    """A sample of a run has no time at which it was asked for."""
+    bench, playing = driven(), _playing()
+    state = replace(_asked(bench), compared_ns=0)
+    run = replace(playing.loop.state, compared_ns=0)
+
+    answered = _answer(bench, state, u_k=_duty(state, state.sent[0].code), flags=RUN)
+
+    assert answered.state.compared_ns == bench.ports.now
+    assert _due(playing, run).state.compared_ns == 0
+
+
+# -- which k it has (L2) -------------------------------------------------------------------------
+
+
+def test_an_exchange_whose_k_was_told_as_a_gap_is_not_told_again() -> None:
+    """L2: overtaken; its place in the line is free, and it proves nothing."""
+    bench = driven()
+    state = _asked(bench)
+    told = replace(state, told=state.sent[0].k)
+
+    decided = _answer(bench, told, u_k=0, flags=RUN)
+
+    assert decided.actions == []
+    assert decided.state.sent == told.sent[1:]
+    assert decided.state.fresh_ns == told.fresh_ns
+
+
+def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() -> None:
+    """L2: it is published once, yet it is news of the device."""
+    bench = _playing()
+    state = bench.loop.state
+    assert state.run is not None
+    seq = (state.seq - 1) & 0xFFFF
+    state = replace(state, beats=(Unechoed(seq, 17),), fresh_ns=5)
+
+    decided = _due(bench, state, k=state.run.due - 1, echo=seq)
+
+    assert decided.actions == []
+    assert decided.state.fresh_ns == 17
+
+
+def test_lost_samples_are_told_with_what_each_was_commanded() -> None:
+    """L2: an exchange since it was sent; of a run nobody knows when."""
+    bench, playing = driven(), _playing()
+    state, run = _asked(bench), playing.loop.state
+    assert run.run is not None
+
+    answered = _answer(bench, state, at=1, u_k=_duty(state, state.sent[1].code), flags=RUN, u_km1=0)
+    played = _due(playing, run, k=run.run.due + 1)
+
+    (lost,), (missed,) = answered.told(Gap), played.told(Gap)
+    assert (lost.k_first, lost.t_from_ns) == (state.sent[0].k, state.sent[0].sent_ns)
+    assert (missed.k_first, missed.t_from_ns) == (run.run.k_first + run.run.due, playing.ports.now)
+    assert {lost.t_to_ns, missed.t_to_ns} == {bench.ports.now, playing.ports.now}
+
+
+# -- the order of what follows -------------------------------------------------------------------
+
+
+def test_an_exchange_is_published_before_the_run_that_it_ends() -> None:
+    """L2: the last sample of a run is there, and no gap, when the device has stopped with it."""
+    bench = driven()
+    state = awaiting(replace(_asked(bench), code=0), Want.STOP)
+
+    decided = _answer(bench, state, state=int(DeviceState.IDLE))
+
+    assert [s.k for s in _published(decided)] == [state.sent[0].k]
+    assert decided.told(Gap) == []
+    assert [type(m) for m in decided.sent] == [Config]
+    assert decided.state.told == state.sent[0].k
+
+
+def test_an_exchange_ends_its_run_behind_its_own_sample() -> None:
+    """L2: published first, then the end is told."""
+    bench = rested()
+    assert not bench.arm().error
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 400)))
+    bench.run_for(100)
+    state = awaiting(_asked(bench), Want.STOP)
+
+    decided = _answer(bench, state, state=int(DeviceState.IDLE))
+
+    assert _order(decided, Publish, RunEnded)[0] == "Publish"
+    assert "RunEnded" in _order(decided, RunEnded)
+    assert state.sent[0].k not in [g.k_first for g in decided.told(Gap)]
+
+
+def test_the_first_sample_of_a_run_starts_it_and_is_published_behind_the_start() -> None:
+    """Its ACK was lost: RUN shows that START has worked, and only then the sample has a k."""
+    bench = _playing()
+    state = bench.loop.state
+    assert state.run is not None
+    order = Play(order=9, lease=LEASE, n=0, run_id="r", codes=state.run.codes, scheduled=True)
+    run = replace(state.run, k_first=-1, due=0)
+    armed = replace(state, run=run, phase=Phase.ARMED, device_state=int(DeviceState.ARMED))
+    starting = awaiting(armed, Want.START, order, sent_ns=bench.ports.now)
+
+    decided = _due(bench, starting, k=0, state=int(DeviceState.RUN))
+
+    assert _order(decided, RunStarted, Publish) == ["RunStarted", "Publish"]
+    assert [s.k for s in _published(decided)] == [starting.k + 1]
+
+
+# -- answers to exchanges ------------------------------------------------------------------------
+
+
+def test_a_sample_answers_its_own_exchange_and_gives_up_those_before() -> None:
+    """L2: the first is a gap, with the voltage that was commanded."""
+    bench = driven()
+    first, second = _asked(bench).sent
+    held, t_us = code_of(1.0), bench.loop.state.t_us + 5
+    sample = device_sample(
+        bench.loop.state, k=second.k, u_k=held, u_km1=held, flags=int(Flag.RUN), t_us=t_us
+    )
+
+    decided = heard(bench, sample)
+
+    (gap,) = decided.told(Gap)
+    assert (gap.k_first, gap.count, gap.reason) == (first.k, 1, "a frame was lost")
+    assert (gap.t_from_ns, gap.t_to_ns) == (first.sent_ns, bench.ports.now)
+    (published,) = _published(decided)
+    assert (published.k, published.t_sched_ns, published.t_host_ns) == second[1:4]
+    assert decided.of(RoundTrip) == [RoundTrip(bench.ports.now - second.sent_ns)]
+    after = decided.state
+    assert (after.sent, after.fresh_ns, after.told) == ((), second.sent_ns, second.k)
+    assert (after.applied, after.t_us) == (held, t_us)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_sample_of_before_is_none_though_its_k_is_awaited(known: bool) -> None:
+    """S5: the k began anew, and an old sample is played again; of a new link any stamp is new."""
+    bench = driven()
+    state = _asked(bench)
+    state = state if known else replace(state, sampled_ns=0)
+    sample = device_sample(state, k=state.sent[0].k, t_us=(state.t_us - 1) & 0xFFFFFFFF)
+
+    decided = heard(bench, sample, state)
+
+    assert len(_published(decided)) == (not known)
+
+
+def test_a_sample_of_no_exchange_of_ours_is_none() -> None:
+    """An old burst, or the echo of another host: nothing is published, nothing proved."""
+    bench = rested()
+    state = _asked(bench)
+
+    decided = heard(bench, device_sample(state, k=state.sent[-1].k + 1))
+
+    assert decided.actions == []
+    assert decided.state == replace(state, pending=decided.state.pending)
+
+
+def test_a_sample_that_has_heard_what_we_have_not_sent_is_none() -> None:
+    """S4: an old EXCHANGE that was played again asked for it, under the k of ours on its way."""
+    bench = rested()
+    state, now = bench.loop.state, bench.ports.now
+    ours = Sent(state.seq - 1, state.told + 1, now, now, 0)
+    state = replace(state, sent=(ours,), fresh_ns=now - 40 * MS)
+    sample = device_sample(state, k=ours.k, echo=ours.seq)
+
+    assert heard(bench, sample, state).state.fresh_ns == now
+    old = heard(bench, sample._replace(echo=state.seq + 3), state)
+    assert old.state.fresh_ns == now - 40 * MS
+    assert old.state.sent == (ours,)
+    assert old.of(Publish) == []
+
+
+def test_a_sample_of_a_device_that_is_not_met_is_none() -> None:
+    """S4: it proves nothing of whoever will be met next."""
+    bench = rested()
+    state = _asked(bench)
+    sample = device_sample(state, k=state.sent[0].k)
+    unmet = replace(state, device=None)
+
+    decided = heard(bench, sample, unmet)
+
+    assert decided.actions == []
+    assert decided.state == replace(unmet, pending=decided.state.pending)
+
+
+@pytest.mark.parametrize(("u_k", "trips"), [(0, False), (1, True)])
+def test_at_rest_the_device_applies_nothing(u_k: int, trips: bool) -> None:
+    """S5: outside RUN 0 is what is expected, whatever the code of the exchange was."""
+    bench = rested()
+    state = _asked(bench)
+
+    decided = heard(bench, device_sample(state, k=state.sent[0].k, u_k=u_k))
+
+    assert (decided.state.fault is not None) == trips
+    if decided.state.fault is not None:
+        assert decided.state.fault.id is Id.APPLIED
+
+
+def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
+    """S5: 10 bits of duty round the code; the code itself would be another."""
+    bench = driven()
+    state = _asked(bench)
+    held = state.sent[0].code
+    assert state.device is not None
+    coarse = replace(state, device=state.device._replace(pwm_bits=10))
+
+    as_sent = heard(
+        bench, device_sample(state, k=state.sent[0].k, u_k=held, flags=int(Flag.RUN)), coarse
+    )
+
+    assert as_sent.state.fault is not None
+    assert f"applied code {held} where {held} was commanded" in as_sent.state.fault.cause
+
+
+def test_what_is_applied_after_a_trip_is_no_second_fault() -> None:
+    """The motor is on its way to 0 V already."""
+    bench = rested()
+    state = replace(_asked(bench), phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
+
+    decided = heard(bench, device_sample(state, k=state.sent[0].k, u_k=9), state)
+
+    assert decided.state.fault == Fault(Id.LEASE, "ran out")
+
+
+# -- samples of scheduled runs -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("way_is_known", [False, True])
+def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start(
+    way_is_known: bool,
+) -> None:
+    """t_zero + i Ts: until eight exchanges have told more, and where a jump made it forgotten."""
+    bench = _playing()
+    clock = bench.loop.state.clock._replace(weight=0.0) if way_is_known else ClockMap()
+    state = replace(bench.loop.state, clock=clock)
+    run = state.run
+    assert run is not None
+
+    (sample,) = _published(_due(bench, state))
+
+    assert sample.t_sched_ns == run.t_zero_ns + run.due * 5_000_000
+    assert sample.k == run.k_first + run.due
+
+
+@pytest.mark.parametrize("known", [7, 8])
+def test_eight_exchanges_make_a_map(known: int) -> None:
+    """One fewer, and the start's own time is better."""
+    bench = _playing()
+    state = bench.loop.state
+    trips = state.clock.round_trips
+    few = replace(state, clock=state.clock._replace(round_trips=trips[:1] * known))
+    run = state.run
+    assert run is not None
+
+    (sample,) = _published(_due(bench, few, t_us=state.t_us + 5_000 & 0xFFFFFFFF))
+
+    assert (sample.t_sched_ns == run.t_zero_ns + run.due * 5_000_000) == (known < 8)
+
+
+@pytest.mark.parametrize(
+    ("flags", "u", "trips"),
+    [
+        (Flag.RUN, 0, True),
+        (Flag.RUN | Flag.UNDERRUN, 0, False),
+    ],
+)
+def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
+    flags: Flag, u: int, trips: bool
+) -> None:
+    """S5: where no setpoint was there the device says so, and the policy's code is told."""
+    bench = _playing()
+    decided = _due(bench, bench.loop.state, flags=int(flags), u_k=u)
+
+    assert (decided.state.fault is not None) == trips
+    if trips:
+        assert decided.state.fault is not None
+        assert decided.state.fault.id is Id.APPLIED
+    else:
+        assert "no setpoint was there" in decided.told(Log)[0].message
+
+
+def test_a_sample_that_is_ahead_tells_of_those_before_it() -> None:
+    """L2: each with the voltage of its own setpoint."""
+    bench = _playing()
+    run = bench.loop.state.run
+    assert run is not None
+
+    decided = _due(bench, bench.loop.state, ahead=3)
+
+    gaps = decided.told(Gap)
+    first = run.k_first + run.due
+    assert [(g.k_first, g.count) for g in gaps] == [(first + i, 1) for i in range(3)]
+    assert all(g.u_held_v == pytest.approx(2.0, abs=0.003) for g in gaps)
+    assert decided.state.run is not None
+    assert decided.state.run.due == run.due + 4
+
+
+@pytest.mark.parametrize("ahead", [-1, 1000])
+def test_a_sample_twice_or_behind_the_end_is_none(ahead: int) -> None:
+    """It has been published, or belongs to no run of ours."""
+    bench = _playing()
+
+    assert _published(_due(bench, bench.loop.state, ahead=ahead)) == []
+
+
+def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:
+    """S4: the age is that of the newest frame whose echo has come."""
+    bench = _playing()
+    state = bench.loop.state
+    older, newer = Unechoed(0xFFFF, 11), Unechoed(0, 22)
+    waiting = replace(state, beats=(older, newer), fresh_ns=5)
+
+    assert sampling.note_echo(waiting, 0xFFFE) == waiting
+    half_a_round_away = replace(waiting, beats=(older,))
+    assert sampling.note_echo(half_a_round_away, 0x7FFF) == half_a_round_away
+    assert sampling.note_echo(waiting, 0xFFFF) == replace(waiting, beats=(newer,), fresh_ns=11)
+    assert sampling.note_echo(waiting, 0) == replace(waiting, beats=(), fresh_ns=22)

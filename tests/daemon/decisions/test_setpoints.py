@@ -1,0 +1,576 @@
+"""Setpoints kept ahead of a device that paces itself: what is sent when, from built states."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_daemon.decisions import gaps, sampling, setpoints
+from armrig_daemon.decisions.budget import PING_US
+from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.requests import MOST_BEATS, send
+from armrig_daemon.decisions.state import (
+    Absent,
+    Emit,
+    Ordered,
+    Phase,
+    Publish,
+    Queue,
+    Received,
+    Run,
+    Send,
+    State,
+    Tick,
+    Unechoed,
+    Want,
+)
+from armrig_daemon.decisions.stopping import trip
+from armrig_daemon.pipe import Answer, Gap, Play, RunEnded, RunStarted
+from armrig_protocol.decoder import feed
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import (
+    SETPOINTS_PER_FRAME,
+    TYPES,
+    Ack,
+    Flag,
+    Message,
+    Ping,
+    Setpoints,
+    Start,
+    Stop,
+)
+from armrig_protocol.messages import State as DeviceState
+from decision_states import PLAY, Decided, armed, awaiting, device_sample
+from msgspec.structs import replace
+from virtual_bench import MS, codes
+
+N = SETPOINTS_PER_FRAME
+NOW = 5_000 * MS
+CODES = [500 + i for i in range(1000)]
+ORDER: Play = replace(PLAY, scheduled=True)
+SMALL = code_of(1.0)
+
+
+def _state(
+    samples: int = 1000, *, base: int = 0, held: int = 0, sent: int = 0, moved_ns: int = NOW
+) -> State:
+    """Return a state in which a run's queue is being filled."""
+    state = armed().loop.state
+    data = b"".join(u.to_bytes(2, "little") for u in CODES[:samples])
+    run = Run("r", data, -1, scheduled=True)
+    queue = Queue(ORDER, base, held, sent, moved_ns, NOW)
+    return replace(state, run=run, queue=queue, scheduled=True, beats=())
+
+
+def _running(due: int = 10, samples: int = 100, **fields: object) -> State:
+    """Return a state in which the device plays the run, from k 200 on."""
+    state = _state(samples, base=due, held=samples, sent=samples)
+    assert state.run is not None
+    run = replace(state.run, k_first=200, due=due, t_zero_ns=NOW)
+    known = {"phase": Phase.ACTIVE, "told": 199 + due, "absent": (), "k": 190, "tick_ns": NOW}
+    playing = replace(state, run=run, device_state=int(DeviceState.RUN), **known)
+    return replace(playing, **{"fresh_ns": NOW, "ping_ns": NOW, **fields})
+
+
+def _frames(actions: list) -> list[tuple[int, int]]:  # type: ignore[type-arg]
+    """Return (k0, n) of the frames of setpoints; each carries the run's codes, and 0 behind."""
+    found = []
+    for action in actions:
+        assert isinstance(action, Send)
+        for m in feed(b"", action.data)[1]:
+            assert isinstance(m, Setpoints)
+            assert m.u == (*CODES[m.k0 : m.k0 + m.n], *[0] * (N - m.n))
+            assert m.zero == 0
+            found.append((m.k0, m.n))
+    return found
+
+
+def _received(message: Message) -> Received:
+    return Received(b"\0" + encode(message))
+
+
+IS_IDLE = _received(Ack(int(DeviceState.IDLE), 0, 0, 0, 1))
+"""Any frame of a device that has stopped."""
+
+
+# -- filling -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("samples", "base", "held", "sent", "frames"),
+    [
+        (1000, 0, 0, 0, [(N * i, N) for i in range(8)]),
+        (1000, 0, 0, 480, [(480, N)]),  # room for 512: 8 places are too few for a frame
+        (1000, 0, 0, 504, []),
+        (1000, 16, 16, 504, [(504, N)]),
+        (1000, 15, 15, 504, []),
+        (30, 0, 0, 0, [(0, N), (24, 6)]),  # the last of a run goes as it is
+        (30, 0, 0, 30, []),
+        (N, 0, 0, 0, [(0, N)]),
+        (1, 0, 0, 0, [(0, 1)]),
+    ],
+)
+def test_as_many_frames_are_sent_as_there_is_room_for(
+    samples: int, base: int, held: int, sent: int, frames: list[tuple[int, int]]
+) -> None:
+    """Whole ones, at most eight at once, and the rest of a run."""
+    state = _state(samples, base=base, held=held, sent=sent)
+
+    after, actions = setpoints.refill(state, NOW)
+
+    assert _frames(actions) == frames
+    assert after.queue is not None
+    assert after.queue.sent == sent + sum(n for _, n in frames)
+
+
+@pytest.mark.parametrize(("after_ns", "again"), [(30 * MS, False), (30 * MS + 1, True)])
+def test_what_the_device_does_not_show_in_time_is_sent_again(after_ns: int, again: bool) -> None:
+    """Go-back-N, from what it has; then the time counts anew."""
+    state = _state(100, base=0, held=24, sent=100, moved_ns=NOW - after_ns)
+
+    after, actions = setpoints.refill(state, NOW)
+
+    assert _frames(actions) == ([(24, N), (48, N), (72, N), (96, 4)] if again else [])
+    assert after.queue is not None
+    assert (after.queue.sent, after.queue.held) == (100, 24)
+    assert after.queue.moved_ns == (NOW if again else NOW - after_ns)
+
+
+@pytest.mark.parametrize(("sent", "moved_ns"), [(24, NOW), (48, 7)])
+def test_the_time_counts_from_the_first_frame_that_is_not_shown(sent: int, moved_ns: int) -> None:
+    """Not from those behind it."""
+    state = _state(100, base=0, held=24, sent=sent, moved_ns=7)
+    with_nothing_late = replace(state, queue=replace(state.queue, moved_ns=7))  # type: ignore[type-var]
+
+    after, _ = setpoints.refill(with_nothing_late, 7 + 30 * MS)
+
+    assert after.queue is not None
+    assert after.queue.moved_ns == (7 + 30 * MS if moved_ns == NOW else 7)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"queue": None}, {"run": None}, {"device": None}, {"phase": Phase.FAULT}],
+)
+def test_nothing_is_sent_where_nothing_is_to_be_played(change: dict[str, object]) -> None:
+    """Least of all to a device that is to stop."""
+    state = replace(_state(), **change)
+
+    assert setpoints.refill(state, NOW) == (state, [])
+    stopping = awaiting(_state(), Want.STOP)
+    assert setpoints.refill(stopping, NOW) == (stopping, [])
+
+
+@pytest.mark.parametrize(
+    ("volts", "trips"),
+    [([1.0, 2.0], False), ([1.0, 2.1], True), ([1.1], True), ([1.0] * 24 + [2.1], True)],
+)
+def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: bool) -> None:
+    """S1: neither from one frame to the next, nor from standstill; what was before it is."""
+    state = _state()
+    run = Run("r", codes(*volts), -1, scheduled=True)
+    limited = replace(state, run=run, rules=replace(state.rules, slew=SMALL + 1))
+
+    after, actions = setpoints.refill(limited, NOW)
+
+    sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
+    assert (after.fault is not None) == trips
+    assert any(isinstance(m, Stop) for m in sent) == trips
+    whole = [m.n for m in sent if isinstance(m, Setpoints)]
+    assert whole == ([len(volts)] if not trips else [24] if len(volts) > 24 else [])
+    if after.fault is not None:
+        at = 24 if len(volts) > 24 else 0
+        assert after.fault == Fault(
+            Id.LIMITS, f"a voltage from u[{at}] on is not within the limits"
+        )
+
+
+def test_a_run_begins_by_filling_at_0_v() -> None:
+    """Nothing of it has a k yet; its order is answered when it has started."""
+    state = replace(_state(), run=None, queue=None)
+
+    after, actions = setpoints.begin(state, NOW, ORDER)
+
+    assert after.run == Run("r", ORDER.codes, -1, scheduled=True)
+    assert after.run.due == 0
+    assert after.queue == Queue(ORDER, 0, 0, 2, NOW, NOW)
+    assert [(m.k0, m.n) for a in actions for m in feed(b"", a.data)[1]] == [(0, 2)]
+
+
+# -- what the device says it holds ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("samples", "queued", "starts"),
+    [(1000, 487, False), (1000, 488, True), (30, 29, False), (30, 30, True)],
+)
+def test_a_run_starts_when_its_queue_is_full_but_for_a_frame(
+    samples: int, queued: int, starts: bool
+) -> None:
+    """Or holds the whole run."""
+    state = _state(samples, sent=samples)
+
+    after, _ = setpoints.note_queue(state, NOW, 0, queued)
+
+    asks = after.asked is not None and after.asked.want is Want.START
+    assert asks == starts
+    if after.asked is not None:
+        assert after.asked.order == ORDER
+    busy, _ = setpoints.note_queue(awaiting(state, Want.ARM), NOW, 0, queued)
+    assert busy.asked is not None
+    assert busy.asked.want is Want.ARM
+
+
+@pytest.mark.parametrize(("after_ns", "gives_up"), [(2_000 * MS, False), (2_000 * MS + 1, True)])
+def test_a_queue_that_does_not_fill_in_2_s_is_given_up(after_ns: int, gives_up: bool) -> None:
+    """In good order: a STOP, and whoever asked is told in its effect."""
+    state = _state(sent=512, moved_ns=NOW + after_ns)
+
+    after, _ = setpoints.note_queue(state, NOW + after_ns, 0, 3)
+
+    stops = after.asked is not None and after.asked.want is Want.STOP
+    assert stops == gives_up
+    assert after.outcome == ("the device does not take the setpoints" if gives_up else "")
+
+
+@pytest.mark.parametrize(
+    ("base", "queued", "held", "moved", "sent"),
+    [(3, 30, 33, True, 50), (3, 21, 24, False, 50), (3, 60, 63, True, 63), (3, 10, 13, False, 50)],
+)
+def test_what_the_device_holds_is_what_its_newest_sample_says(
+    base: int, queued: int, held: int, moved: bool, sent: int
+) -> None:
+    """Growth alone winds the clock of the retries; nothing counts as unsent that it has."""
+    state = _state(50, base=0, held=24, sent=50, moved_ns=7)
+
+    after, _ = setpoints.note_queue(replace(state, phase=Phase.FAULT), NOW, base, queued)
+
+    assert after.queue is not None
+    known = (after.queue.base, after.queue.held, after.queue.sent, after.queue.moved_ns)
+    assert known == (base, held, sent, NOW if moved else 7)
+
+
+@pytest.mark.parametrize("gone", ["queue", "run"])
+def test_without_a_run_nothing_is_counted(gone: str) -> None:
+    """A sample at rest says that 0 are held, of nothing."""
+    state = replace(_state(), **{gone: None})
+    assert setpoints.note_queue(state, NOW, 5, 6) == (state, [])
+
+
+def test_what_the_device_holds_makes_room_for_more() -> None:
+    """In the same step."""
+    state = replace(_state(held=512, sent=512), phase=Phase.ACTIVE)
+
+    _, actions = setpoints.note_queue(state, NOW, 48, 464)
+
+    assert _frames(actions) == [(512, N), (536, N)]
+
+
+# -- looking after it ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("since_ns", "pings"), [(PING_US * 1000, 1), (PING_US * 1000 - 1, 0)])
+def test_the_device_is_asked_for_its_clock_so_often(since_ns: int, pings: int) -> None:
+    """PING carries its own time, and is remembered."""
+    state = _running(ping_ns=NOW - since_ns)
+
+    after, actions = setpoints.tick(state, NOW)
+
+    sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
+    assert [m.host_ns for m in sent if isinstance(m, Ping)] == [NOW] * pings
+    assert after.ping_ns == (NOW if pings else NOW - since_ns)
+
+
+def test_a_device_that_drives_on_after_a_trip_is_told_to_stop_on_and_on() -> None:
+    """S6: and gets neither setpoint nor PING meanwhile."""
+    latched = _running(phase=Phase.FAULT, ping_ns=0)
+
+    after, actions = setpoints.tick(latched, NOW)
+    waiting = setpoints.tick(after, NOW)
+
+    sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
+    assert [type(m) for m in sent] == [Stop]
+    assert waiting == (after, [])
+
+
+@pytest.mark.parametrize("want", [*Want, None])
+def test_a_device_is_to_stop_after_a_trip_or_a_stop(want: Want | None) -> None:
+    """And for no other reason."""
+    state = _state() if want is None else awaiting(_state(), want)
+
+    assert setpoints.is_stopping(state) == (want is Want.STOP)
+    assert setpoints.is_stopping(replace(state, phase=Phase.FAULT))
+
+
+def test_a_tick_in_a_scheduled_run_looks_after_it() -> None:
+    """It sends no EXCHANGE, and skips nothing: the device paces."""
+    state = _running(ping_ns=0)
+
+    decided = Decided(state, NOW + 30 * MS, Tick(state.k + 3, NOW + 30 * MS))
+
+    assert {type(m) for m in decided.sent} == {Ping}
+    assert decided.state.absent == ()
+
+
+def test_frames_without_an_echo_are_remembered_up_to_a_bound() -> None:
+    """R1: the newest; only where the device paces, for there the echo is all that proves."""
+    state = _running()
+    for _ in range(MOST_BEATS + 3):
+        state, _ = send(state, NOW, b"x")
+    last = (state.seq - 1) & 0xFFFF
+
+    assert len(state.beats) == MOST_BEATS
+    assert state.beats[-1] == Unechoed(last, NOW)
+    assert send(replace(state, scheduled=False, beats=()), NOW, b"x")[0].beats == ()
+    assert send(replace(state, seq=0xFFFF), NOW, b"x")[0].seq == 0
+    assert state.any_ns == NOW
+
+
+# -- its samples ---------------------------------------------------------------------------------
+
+
+def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
+    """With what was commanded and what was applied, and how many setpoints are left."""
+    state = replace(_running(), t_us=(5 << 32) - 1)
+    u = applied_code(CODES[10], 10)
+    sample = device_sample(
+        state, k=10, u_k=u, u_km1=7, flags=int(Flag.RUN), queued=44, t_us=123, y0=5
+    )
+
+    after, actions = sampling.handle(state, NOW + 3, sample)
+
+    (published,) = [a for a in actions if isinstance(a, Publish)]
+    s = published.sample
+    assert (s.k, s.t_host_ns, s.theta_1_counts, published.queued) == (210, NOW + 3, 5, 44)
+    assert (s.u_cmd_v, s.u_applied_v) == (volts_of(CODES[10]), volts_of(u))
+    assert (after.told, after.applied, after.t_us) == (210, u, (5 << 32) + 123)
+    assert after.run is not None
+    assert after.run.due == 11
+    assert after.queue is not None
+    assert (after.queue.base, after.queue.held) == (11, 55)
+    assert after.fault is None
+
+
+@pytest.mark.parametrize(
+    ("back_us", "taken"),
+    [(-1, True), (0, True), (1, False), (1 << 30, False), (1 - (1 << 31), True), (1 << 31, False)],
+)
+def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: bool) -> None:
+    """S5: played again within one boot it has the number that is due, and an older stamp."""
+    state = replace(_running(), t_us=(5 << 32) + 2_000)
+    sample = device_sample(
+        state, k=10, u_k=applied_code(CODES[10], 10), flags=int(Flag.RUN), t_us=2_000 - back_us
+    )
+    sample = sample._replace(t_us=sample.t_us & 0xFFFFFFFF)
+
+    after, actions = sampling.handle(state, NOW, sample)
+
+    assert bool(actions) == taken
+    assert (after == state) != taken
+
+
+@pytest.mark.parametrize("k", [9, 100, 99, 10])
+def test_only_samples_that_are_still_to_come_belong_to_the_run(k: int) -> None:
+    """Not one that has come, nor one behind its end."""
+    state = _running()
+    u = applied_code(CODES[k], 10)
+    sample = device_sample(state, k=k, u_k=u, flags=int(Flag.RUN))
+
+    _, actions = sampling.handle(state, NOW, sample)
+
+    assert bool([a for a in actions if isinstance(a, Publish)]) == (k in (10, 99))
+
+
+@pytest.mark.parametrize("k_first", [-1, 0])
+def test_a_run_may_begin_at_k_0(k_first: int) -> None:
+    """Before that it has no k."""
+    state = _running(due=0)
+    assert state.run is not None
+    first = replace(state, run=replace(state.run, k_first=k_first), told=-1)
+    u = applied_code(CODES[0], 10)
+
+    _, actions = sampling.handle(first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN)))
+
+    assert [a.sample.k for a in actions if isinstance(a, Publish)] == [0] * (k_first == 0)
+
+
+@pytest.mark.parametrize(
+    "change", [{"run": None}, {"device": None}, {"run": Run("r", codes(1.0), -1, scheduled=True)}]
+)
+def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, object]) -> None:
+    """Nobody could say what it belongs to."""
+    state = _running()
+    sample = device_sample(state, k=10, flags=int(Flag.RUN))
+    without = replace(state, **change)
+
+    assert sampling.handle(without, NOW, sample) == (without, [])
+
+
+@pytest.mark.parametrize("bits", [8, 10, 16])
+@pytest.mark.parametrize("steps", [-1, 0, 1])
+def test_one_step_of_the_duty_beside_the_setpoint_trips(bits: int, steps: int) -> None:
+    """S5: another voltage than the one commanded, however little it differs."""
+    state = _running()
+    assert state.device is not None
+    state = replace(state, device=state.device._replace(pwm_bits=bits))
+    u = applied_code(CODES[10] + steps * (1 << 16 - bits), bits)
+
+    after, actions = sampling.handle(
+        state, NOW, device_sample(state, k=10, u_k=u, flags=int(Flag.RUN))
+    )
+
+    assert [a.sample.u_applied_v for a in actions if isinstance(a, Publish)] == [volts_of(u)]
+    assert (after.fault is not None) == (steps != 0)
+    if after.fault is not None:
+        assert after.fault.id is Id.APPLIED
+        assert f"applied code {u} where {CODES[10]} was commanded" in after.fault.cause
+
+
+def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
+    """S5: what 10 bits of duty make of the setpoint is compared, not the setpoint."""
+    state = _running()
+    assert state.device is not None
+    state = replace(state, device=state.device._replace(pwm_bits=10))
+    assert applied_code(CODES[10], 10) != CODES[10]
+
+    after, _ = sampling.handle(
+        state, NOW, device_sample(state, k=10, u_k=CODES[10], flags=int(Flag.RUN))
+    )
+
+    assert after.fault is not None
+    assert after.fault.id is Id.APPLIED
+
+
+def test_a_sample_outside_run_says_nothing_of_what_was_applied() -> None:
+    """One that was under way when the run ended."""
+    state = _running()
+    after, _ = sampling.handle(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
+
+    assert after.fault is None
+
+
+def test_the_end_tells_of_all_samples_that_never_came() -> None:
+    """L2: each with the voltage of its own setpoint, as the duty gives it."""
+    state = _running(due=97)
+
+    after, actions = setpoints.complete(state, NOW)
+
+    assert actions == []
+    bits = 10
+    expected = [
+        Absent(200 + i, 1, "a frame was lost", applied_code(CODES[i], bits), NOW, NOW)
+        for i in (97, 98, 99)
+    ]
+    assert list(after.absent) == expected
+    assert after.outcome == "complete"
+    assert after.run is not None
+    assert after.run.due == 100
+    assert setpoints.complete(replace(state, outcome="stopped"), NOW)[0].outcome == "stopped"
+
+
+def test_without_a_device_a_lost_sample_had_the_code_itself() -> None:
+    """How it rounds is not known any more."""
+    after, _ = setpoints.complete(_running(due=98, device=None), NOW)
+
+    assert [a.code for a in after.absent] == CODES[98:100]
+
+
+def test_an_outage_longer_than_what_is_told_apart_is_told_by_its_end() -> None:
+    """R1: the pieces are bounded."""
+    state = _running(due=0, samples=1000)
+    state = replace(state, run=replace(state.run, codes=codes(1.0) * 1500))  # type: ignore[type-var]
+
+    after, _ = setpoints.complete(state, NOW)
+
+    assert len(after.absent) == gaps.MOST_ABSENT
+    assert after.absent[0].k == 200 + 500
+
+
+@pytest.mark.parametrize(
+    ("due", "after_ns", "is_over"),
+    [(100, 0, True), (99, 1000 * MS - 1, False), (99, 1000 * MS, True), (0, 1000 * MS, True)],
+)
+def test_a_run_whose_end_was_not_heard_is_over_when_it_must_be(
+    due: int, after_ns: int, is_over: bool
+) -> None:
+    """All its samples came, or t_zero + N Ts is past; before that a device at rest is a fault."""
+    state = _running(due=due)
+    assert state.ts_us * state.run.samples == 1000_000  # type: ignore[union-attr]
+
+    decided = Decided(state, NOW + after_ns, IS_IDLE)
+
+    assert (decided.state.fault is None) == is_over
+    outcomes = [r.outcome for r in decided.told(RunEnded)]
+    assert outcomes == (["complete"] if is_over else [])
+    if is_over:
+        assert decided.state.lease is None
+        assert decided.state.asked is not None
+        assert decided.state.asked.want is Want.CONFIGURE
+
+
+def test_only_the_step_from_run_to_idle_is_an_end() -> None:
+    """READY, or an IDLE that is seen a second time, is not."""
+    over = _running(due=100)
+
+    for before, now in ((5, 3), (3, 2)):
+        state = replace(over, device_state=before)
+        decided = Decided(state, NOW, _received(Ack(now, 0, 0, 0, 1)))
+        assert decided.state.fault is not None
+        assert decided.state.fault.id is Id.STATE
+
+
+# -- the start -----------------------------------------------------------------------------------
+
+
+def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
+    """Its first sample comes one Ts after START was heard, which is half way to its effect."""
+    state = replace(_state(100, held=100, sent=100), ts_us=5_000, k=41, fresh_ns=0)
+    state = replace(state, code=9, outcome="of the run before", beats=(Unechoed(1, 2),))
+    asked = awaiting(state, Want.START, ORDER, sent_ns=NOW)
+
+    assert asked.asked is not None
+
+    ack = Ack(int(DeviceState.RUN), 0, TYPES[Start], 0, asked.asked.seq)
+    decided = Decided(asked, NOW + 2 * MS, _received(ack))
+
+    (started,) = decided.told(RunStarted)
+    assert (started.k_first, started.count, started.t_host_ns) == (42, 100, NOW + 2 * MS)
+    assert [(a.order, a.body) for a in decided.told(Answer)] == [(73, {"done": True})]
+    after = decided.state
+    assert after.run is not None
+    assert (after.run.k_first, after.run.t_zero_ns) == (42, NOW + 1 * MS + 5 * MS)
+    assert after.phase is Phase.ACTIVE
+    assert (after.code, after.outcome, after.beats) == (0, "", ())
+    assert after.fresh_ns == NOW
+    assert after.queue is not None
+    assert after.queue.order is None
+    assert after.lease is not None
+    assert after.lease == state.lease
+
+
+def test_a_trip_while_the_queue_is_filled_refuses_the_run() -> None:
+    """When the device has stopped: with the cause of the trip."""
+    latched, _ = trip(_state(), NOW, Fault(Id.PAUSE, "the host paused"))
+    assert latched.asked is not None
+
+    later = Decided(latched, NOW + 5 * MS, IS_IDLE)
+
+    assert [(a.order, a.error) for a in later.told(Answer)] == [(73, "the host paused")]
+    assert [type(r).__name__ for r in later.told(RunEnded)] == ["RunEnded"]
+    assert later.told(Gap) == []
+
+
+def test_an_order_for_a_scheduled_run_goes_by_a_stop_to_its_own_configuration() -> None:
+    """For the owner's Ts; the order stays with the request all the way."""
+    bench = armed()
+    stop = Decided(bench.loop.state, NOW, Ordered(ORDER)).state
+    assert stop.lease is not None
+
+    configure = Decided(replace(stop, lease=replace(stop.lease, ts_us=900)), NOW, IS_IDLE)
+
+    asked = configure.state.asked
+    assert asked is not None
+    assert (asked.want, asked.order) == (Want.CONFIGURE, ORDER)
+    assert (asked.ts_us, asked.scheduled) == (900, True)
+    assert configure.state.lease is not None
+    assert not [a for a in configure.actions if isinstance(a, Emit)]
+    assert not [m for m in configure.sent if isinstance(m, Start)]

@@ -1,0 +1,23 @@
+"""What is said at the end of a run."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_daemon.decisions.state import Emit, Queue
+from armrig_daemon.decisions.stopping import end_run
+from armrig_daemon.pipe import Answer
+from decision_states import PLAY, rested
+from msgspec.structs import replace
+
+
+@pytest.mark.parametrize(
+    ("outcome", "error"), [("the lease ran out", "the lease ran out"), ("", "stopped")]
+)
+def test_a_run_that_never_began_is_refused_with_a_reason(outcome: str, error: str) -> None:
+    """Whoever asked for it: an answer without an error would say that it runs."""
+    state = replace(rested().loop.state, queue=Queue(PLAY), outcome=outcome)
+
+    state, done = end_run(state, 0)
+
+    assert [a.record for a in done if isinstance(a, Emit)] == [Answer(order=73, error=error)]
+    assert (state.queue, state.outcome) == (None, "")

@@ -1,0 +1,228 @@
+"""The core decides a traced run once more, exactly as it did."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from armrig_core.calibration import Calibration, Potentiometer
+from armrig_daemon.decisions import step as core_step
+from armrig_daemon.decisions import trace
+from armrig_daemon.decisions.state import (
+    Absent,
+    Beat,
+    Emit,
+    LinkDown,
+    LinkUp,
+    Ordered,
+    Publish,
+    Received,
+    Send,
+    ServiceGone,
+    Tick,
+)
+from armrig_daemon.pipe import Answer, Calibrate, Play, RunStarted, SetVoltage, Trace
+from msgspec.structs import replace
+from virtual_bench import LEASE, Bench, codes
+
+VOLTS = [0.5, 2.0, 5.0, 1.0] * 50
+
+
+def traced(bench: Bench, *, scheduled: bool) -> list[Trace]:
+    """Play a run over a line that spoils some of the bytes, and return its trace."""
+    count = iter(range(1_000_000))
+
+    def spoil(data: bytes) -> bytes:
+        return data if next(count) % 15 else data[:4] + b"\x55" + data[5:]
+
+    assert not bench.arm(10_000).error
+    play = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=scheduled)
+    bench.order(play)
+    bench.run_for(150)
+    bench.ports.from_device = spoil
+    bench.order(SetVoltage(order=10, lease=LEASE, n=1, code=3))  # refused
+    bench.run_for(2_500)
+    chunks: list[Trace] = bench.of(Trace)
+    return chunks
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_a_run_is_decided_once_more_as_it_was(scheduled: bool) -> None:
+    """From the first state on, each step sends the very bytes that it sent."""
+    bench = Bench()
+
+    chunks = traced(bench, scheduled=scheduled)
+
+    assert [c.number for c in chunks] == list(range(len(chunks)))
+    assert len(chunks) > 3
+    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    steps = [step for chunk in chunks for step in trace.steps_of(chunk.steps)]
+    assert all(a.now_ns <= b.now_ns for a, b in pairwise(steps))
+    for step in steps:
+        state, actions = core_step.step(state, step.now_ns, step.events)
+        assert tuple(a.data for a in actions if isinstance(a, Send)) == step.sent
+    assert sum(len(step.sent) for step in steps) > (10 if scheduled else 150)
+    kinds = {type(e) for step in steps for e in step.events}
+    assert {Tick, Received, Ordered} <= kinds
+    assert state.run is None  # up to the end of the run, that end included
+
+
+def test_another_input_is_found_out() -> None:
+    """One code too high in the replay, and the frames part."""
+    bench = Bench()
+    chunks = traced(bench, scheduled=False)
+    wrong = codes(*VOLTS[:100], VOLTS[100] + 0.01, *VOLTS[101:])
+
+    state = trace.restored(chunks[0].state, wrong)
+    differs = []
+    for step in (s for chunk in chunks for s in trace.steps_of(chunk.steps)):
+        state, actions = core_step.step(state, step.now_ns, step.events)
+        differs.append(tuple(a.data for a in actions if isinstance(a, Send)) != step.sent)
+
+    assert any(differs)
+    assert not any(differs[:150])
+
+
+def test_every_event_comes_back_from_its_bytes() -> None:
+    """One of each kind; of an experiment that was refused only its codes are left out."""
+    bench = Bench()
+    traced(bench, scheduled=True)
+    book = trace.Trace(bench.loop.state)
+    order = Play(order=1, lease="b" * 32, n=5, run_id="x", codes=b"12", scheduled=True)
+    events = [
+        *(Tick(7, 70), Beat(), Received(b"\0\1\2"), LinkUp(), LinkDown("gone"), ServiceGone()),
+        Ordered(order),
+    ]
+
+    book.note(123, events, [Send(b"a"), Send(b"bc")])
+
+    (chunk,) = book.rest()
+    ((now_ns, come_back, sent),) = trace.steps_of(chunk.steps)
+    assert (now_ns, sent) == (123, (b"a", b"bc"))
+    assert come_back[:-1] == tuple(events[:-1])
+    (last,) = (e for e in come_back if isinstance(e, Ordered))
+    assert last.order == Play(order=1, lease="", n=5, run_id="x", codes=b"", scheduled=True)
+
+
+def test_who_reads_a_recording_does_not_hold_the_rig_by_it() -> None:
+    """The lease is nowhere in the trace; that an order carried it can still be told."""
+    bench = Bench()
+    bench.arm()
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
+    bench.run_for(100)
+    bench.order(SetVoltage(order=10, lease=LEASE, n=1, code=3))  # refused: an experiment is running
+    bench.order(SetVoltage(order=11, lease="b" * 32, n=2, code=3))  # refused: another lease
+    bench.run_for(2_500)
+
+    chunks = bench.of(Trace)
+    assert chunks
+    assert not any(LEASE.encode() in c.state + c.steps for c in chunks)
+    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    refused = []
+    for step in (s for c in chunks for s in trace.steps_of(c.steps)):
+        state, actions = core_step.step(state, step.now_ns, step.events)
+        refused += [
+            a.record.error
+            for a in actions
+            if isinstance(a, Emit) and isinstance(a.record, Answer) and a.record.error
+        ]
+    assert [r.split(" ")[0:2] for r in refused] == [["the", "experiment"], ["not", "the"]]
+
+
+def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None:
+    """4096 bytes go through at once; what is longer is dropped, and its number with it."""
+    bench = Bench()
+    book = trace.Trace(bench.loop.state)
+    taken = []
+    for n in range(999):
+        book.note(n, [Received(b"x" * (7 * n % 2048))], [Send(b"y" * 57)] * 8)
+        if n % 3 == 0:
+            taken += book.full()
+    book.note(1, [Received(b"z" * 5000)], [])
+    taken += book.rest()
+
+    assert taken[0].state
+    assert all(len(c.state) + len(c.steps) <= trace.CHUNK for c in taken)
+    numbers = [c.number for c in taken]
+    assert numbers[:-1] == list(range(len(numbers) - 1))
+    assert numbers[-1] > numbers[-2] + 1
+
+
+def test_a_state_and_a_long_first_step_are_two_chunks() -> None:
+    """Together they had 4.1 kB, of which a pipe that is nearly full takes but a part."""
+    state = Bench().loop.state
+    book = trace.Trace(state)
+
+    book.note(1, [Received(b"x" * 2900)], [])
+    first, second = book.rest()
+
+    assert trace.restored(first.state, b"") == state
+    assert trace.steps_of(first.steps) == []
+    assert [step.now_ns for step in trace.steps_of(second.steps)] == [1]
+
+
+def test_a_state_after_a_long_outage_fits_into_a_chunk() -> None:
+    """A thousand pieces of it may be remembered; a replay needs none of them."""
+    state = Bench().loop.state
+    pieces = tuple(Absent(10**9 + 2 * i, 1, "lost", 7, 10**15, 10**15) for i in range(1000))
+
+    data = trace.written_state(replace(state, absent=pieces))
+
+    assert trace.restored(data, b"") == state
+    assert len(data) < 1000
+
+
+def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
+    """A host that woke up late found the start and the first samples at once, in one step."""
+    bench = Bench()
+    assert not bench.arm(2_000).error
+    bench.lateness_ns = 9_000_000
+    play = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=True)
+    bench.order(play)
+    bench.run_for(1_000)
+
+    chunks = bench.of(Trace)
+    first = bench.of(RunStarted)[0].k_first
+    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    told, published = state.told, []
+    for step in (s for c in chunks for s in trace.steps_of(c.steps)):
+        state, actions = core_step.step(state, step.now_ns, step.events)
+        published += [a.sample for a in actions if isinstance(a, Publish)]
+    assert told >= first  # else nothing was tried
+    assert [s.k for s in published] == list(range(told + 1, first + len(VOLTS)))
+
+
+def test_the_trace_begins_behind_the_start_and_ends_before_the_end() -> None:
+    """RunStarted, steps, RunEnded: in this order in the file."""
+    bench = Bench()
+    traced(bench, scheduled=True)
+
+    names = [type(r).__name__ for r in bench.records if not isinstance(r, bytes)]
+    assert names.index("RunStarted") < names.index("Trace")
+    assert len(names) - 1 - names[::-1].index("Trace") < names.index("RunEnded")
+    assert [type(r) for r in bench.of(RunStarted)] == [RunStarted]
+
+
+def test_a_run_after_another_calibration_is_decided_once_more_as_it_was() -> None:
+    """It is in the first state; and one that is refused during the run fits into the steps."""
+    bench = Bench()
+    other = Calibration(theta_1=Potentiometer(zero_counts=1 / 3, rad_per_count=-1e-4))
+    assert not bench.ask(Calibrate, calibration=other).error
+    bench.arm()
+    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
+    bench.run_for(100)
+    refused = bench.ask(Calibrate, calibration=Calibration())
+    bench.run_for(2_500)
+
+    chunks = bench.of(Trace)
+    assert "has the rig" in refused.error
+    assert [c.number for c in chunks] == list(range(len(chunks)))
+    state = trace.restored(chunks[0].state, codes(*VOLTS))
+    assert state.rules.calibration == other
+    again = []
+    for step in (s for c in chunks for s in trace.steps_of(c.steps)):
+        state, actions = core_step.step(state, step.now_ns, step.events)
+        again += [a.sample for a in actions if isinstance(a, Publish)]
+    shown = {s.k: str(s) for s in bench.samples}  # an angle in the dead band is no number
+    assert len(again) > 150
+    assert [shown[s.k] for s in again] == [str(s) for s in again]

@@ -1,0 +1,740 @@
+"""From HELLO to a running motor and back: what each answer, and each that stays away, leads to."""
+
+from __future__ import annotations
+
+import pytest
+from armrig_daemon.decisions import transitions
+from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.requests import NO_DEVICE, config
+from armrig_daemon.decisions.state import (
+    Beat,
+    Exit,
+    Phase,
+    Received,
+    Repace,
+    Run,
+    State,
+    Tick,
+    Want,
+)
+from armrig_daemon.pipe import Acquire, Answer, Log, Reset, RunEnded
+from armrig_daemon.pipe import State as StateRecord
+from armrig_protocol.frame import config_crc, encode
+from armrig_protocol.messages import (
+    TYPES,
+    Ack,
+    Arm,
+    Cause,
+    ClearFault,
+    Code,
+    Config,
+    ConfigReply,
+    Hello,
+    HelloReply,
+    Mode,
+    Start,
+    Stop,
+    Underrun,
+)
+from armrig_protocol.messages import State as DeviceState
+from decision_states import (
+    ACQUIRE,
+    OURS,
+    PLAY,
+    SET_VOLTAGE,
+    Decided,
+    armed,
+    awaiting,
+    device_sample,
+    driven,
+    heard,
+    ordered,
+    rested,
+)
+from msgspec.structs import replace
+from virtual_bench import LEASE, MS, Bench, codes
+
+RETRY_MS = dict.fromkeys(Want, 50) | {Want.HELLO: 100, Want.STOP: 20}
+
+
+# -- retries -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("want", list(Want))
+def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: Want) -> None:
+    """The same request, with a seq of its own and a try more."""
+    bench = armed()
+    state = awaiting(bench.loop.state, want, ACQUIRE, ts_us=10_000)
+    due_ns = RETRY_MS[want] * MS
+
+    early = Decided(state, due_ns - 1, Beat())
+    late = Decided(state, due_ns, Beat())
+
+    assert early.actions == []
+    assert early.state == state
+    kinds = dict(zip(Want, [Hello, Config, Arm, Start, Stop, ClearFault], strict=True))
+    (sent,) = late.sent
+    assert type(sent) is kinds[want]
+    asked = late.state.asked
+    assert asked is not None
+    assert (asked.tries, asked.order, asked.sent_ns) == (2, ACQUIRE, due_ns)
+    assert (asked.seq, sent.state) == (sent.seq, 0)
+
+
+@pytest.mark.parametrize("want", [want for want in Want if want is not Want.HELLO])
+def test_a_request_is_tried_five_times(want: Want) -> None:
+    """The fifth is sent; after it, the device counts as deaf to it."""
+    bench = armed()
+    fourth = awaiting(bench.loop.state, want, ACQUIRE, tries=4)
+
+    assert len(Decided(fourth, 50 * MS, Beat()).sent) == 1
+    given_up = Decided(awaiting(bench.loop.state, want, ACQUIRE, tries=5), 50 * MS, Beat())
+    (answer,) = given_up.told(Answer)
+    assert answer.error == f"the device does not answer {want}"
+
+
+def test_where_nothing_was_asked_nothing_is_asked_again() -> None:
+    """Whoever calls it."""
+    state = rested().loop.state
+
+    assert state.asked is None
+    assert transitions.retry(state, 1 << 60) == (state, [])
+
+
+def test_hello_is_asked_for_ever() -> None:
+    """T1: whenever the device comes back, it is met."""
+    bench = rested()
+    again = Decided(awaiting(bench.loop.state, Want.HELLO, tries=1000), 100 * MS, Beat())
+
+    assert [type(m) for m in again.sent] == [Hello]
+    assert again.told(Log) == []
+
+
+def test_a_request_over_a_line_that_is_down_is_given_up() -> None:
+    """Whose wish it was is told; nothing is sent."""
+    bench = rested()
+    state = replace(awaiting(bench.loop.state, Want.CONFIGURE, ACQUIRE), link_up=False)
+
+    decided = Decided(state, 50 * MS, Beat())
+
+    assert [a.error for a in decided.told(Answer)] == ["the link is down"]
+    assert decided.state.asked is None
+    assert decided.sent == []
+
+
+# -- requests that fail --------------------------------------------------------------------------
+
+
+def test_a_stop_that_is_not_confirmed_is_a_fault() -> None:
+    """S6: the run is over and latched; the device's own watchdog is next, so nothing feeds it."""
+    bench = driven()
+    state = replace(bench.loop.state, run=Run("r", codes(1.0), -1))
+
+    decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
+
+    fault = decided.state.fault
+    assert fault is not None
+    assert (fault.id, decided.state.phase) == (Id.REQUEST, Phase.FAULT)
+    assert decided.state.asked is None
+    assert decided.state.lease is None
+    assert decided.state.outcome == ""  # of a later order it would be the wrong cause
+    assert len(decided.told(RunEnded)) == 1
+
+
+def test_a_stop_that_is_not_confirmed_after_a_trip_changes_nothing_more() -> None:
+    """The cause of the trip stays the one that is told."""
+    bench = rested()
+    why = Fault(Id.STALE, "no answer")
+    state = replace(bench.loop.state, phase=Phase.FAULT, fault=why)
+
+    decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
+
+    assert decided.state.fault == why
+    assert [log.message for log in decided.told(Log)] == ["the device does not answer STOP"]
+    assert len(decided.told(StateRecord)) == 1
+    assert decided.sent == []
+
+
+def test_a_stop_that_is_not_confirmed_does_not_hold_up_the_end() -> None:
+    """Five times are enough; the watchdog of the device is next."""
+    bench = driven()
+    state = replace(bench.loop.state, quitting=True)
+
+    decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
+
+    assert isinstance(decided.actions[-1], Exit)
+
+
+@pytest.mark.parametrize("code", [Code.OK, Code.WRONG_STATE])
+def test_an_end_in_good_order_is_no_fault(code: Code) -> None:
+    """Several of the frames that show the device at rest may come at once."""
+    bench = driven()
+    state = replace(bench.loop.state, quitting=True)
+    ack = Ack(state=DeviceState.IDLE, seq=0, of_seq=OURS, of_type=TYPES[Stop], code=code)
+    sample = device_sample(state)._replace(state=DeviceState.IDLE)
+    frames = b"\0" + b"".join(encode(frame) for frame in (ack, sample, ack))
+
+    decided = Decided(awaiting(state, Want.STOP), bench.ports.now, Received(frames))
+
+    assert [log.message for log in decided.told(Log)] == []
+    assert len(decided.of(Exit)) == 1
+    assert decided.state.lease is None
+    assert decided.sent == []
+
+
+@pytest.mark.parametrize("want", [Want.START, Want.ARM, Want.CONFIGURE])
+def test_a_refusal_where_the_motor_may_turn_is_a_fault(want: Want) -> None:
+    """Device and daemon are not where they believe to be: STOP, and latched."""
+    bench = armed()
+    state = awaiting(bench.loop.state, want, SET_VOLTAGE)
+    refusal = Ack(int(DeviceState.ARMED), 0, 0, int(Code.WRONG_NONCE), OURS)
+
+    decided = heard(bench, refusal, state)
+
+    fault = decided.state.fault
+    assert fault is not None
+    assert fault.id is Id.REQUEST
+    assert fault.cause == f"the device refuses {want}: WRONG_NONCE"
+    assert [type(m) for m in decided.sent] == [Stop]
+    assert [(a.order, a.error) for a in decided.told(Answer)] == [(SET_VOLTAGE.order, fault.cause)]
+
+
+def test_a_refusal_at_rest_is_told_and_begun_anew() -> None:
+    """SAFE: nothing is latched, HELLO finds out where the device is."""
+    bench = rested()
+    refusal = Ack(int(DeviceState.READY), 0, 0, 200, OURS)
+
+    decided = heard(bench, refusal, awaiting(bench.loop.state, Want.ARM, ACQUIRE))
+
+    assert decided.state.phase is Phase.SAFE
+    assert [a.error for a in decided.told(Answer)] == ["the device refuses ARM: 200"]
+    assert [log.level for log in decided.told(Log)] == ["warning"]
+    assert [type(m) for m in decided.sent] == [Hello]
+
+
+@pytest.mark.parametrize(
+    "ack",
+    [
+        Ack(int(DeviceState.READY), 0, 0, int(Code.STALE), OURS),
+        Ack(int(DeviceState.READY), 0, 0, int(Code.WRONG_STATE), OURS + 1),
+        Ack(int(DeviceState.READY), 0, 0, int(Code.OK), OURS),
+    ],
+)
+def test_an_ack_that_refuses_nothing_of_ours_fails_nothing(ack: Ack) -> None:
+    """STALE is overtaken by a retry, another seq is another frame; OK is seen by its effect."""
+    bench = rested()
+    state = awaiting(bench.loop.state, Want.ARM, ACQUIRE)
+
+    decided = heard(bench, ack, state)
+
+    assert decided.actions == []
+    assert decided.state.asked == state.asked
+
+
+@pytest.mark.parametrize("code", [Code.OK, Code.WRONG_STATE])
+def test_any_frame_shows_that_a_request_has_worked(code: Code) -> None:
+    """Its state does, be it the ACK's, and of another request."""
+    bench = rested()
+    ack = Ack(int(DeviceState.ARMED), 0, 0, int(code), OURS if code is Code.OK else OURS + 1)
+
+    decided = heard(bench, ack, awaiting(bench.loop.state, Want.ARM, ACQUIRE))
+
+    assert decided.state.phase is Phase.ARMED
+    assert [a.order for a in decided.told(Answer)] == [ACQUIRE.order]
+
+
+@pytest.mark.parametrize("order", [Reset(order=8), None])
+def test_who_resets_a_device_that_was_found_driving_gets_it_configured(order: Reset | None) -> None:
+    """S6: only a reset leads out of the fault, by way of a STOP that has had its effect."""
+    bench = rested()
+    fault = Fault(Id.STALE, "no answer")
+    state = replace(bench.loop.state, phase=Phase.FAULT, fault=fault, device_state=DeviceState.RUN)
+    ack = Ack(int(DeviceState.IDLE), 0, TYPES[Stop], int(Code.OK), OURS)
+
+    decided = heard(bench, ack, awaiting(state, Want.STOP, order))
+
+    assert [type(m) for m in decided.sent] == [Config] * (order is not None)
+    assert decided.state.phase is Phase.FAULT
+
+
+def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None:
+    """S2: a START that was sent again and again makes no old command young."""
+    bench = armed()
+    now, state = bench.ports.now, bench.loop.state
+    assert state.lease is not None
+    given = replace(state, lease=replace(state.lease, renewed_ns=now - 90 * MS), fresh_ns=now)
+    ack = Ack(int(DeviceState.RUN), 0, TYPES[Start], int(Code.OK), OURS)
+
+    started = heard(bench, ack, awaiting(given, Want.START, SET_VOLTAGE, sent_ns=now))
+    fresh = replace(started.state, fresh_ns=now + 10 * MS, tick_ns=now + 10 * MS, service_ns=now)
+    held = Decided(fresh, now + 10 * MS, Tick(state.k + 1, now))
+    over = Decided(fresh, now + 10 * MS + 1, Tick(state.k + 1, now))
+
+    assert started.state.phase is Phase.ACTIVE
+    assert [(m.u, m.state) for m in held.sent] == [(SET_VOLTAGE.code, 0)]
+    assert [type(m) for m in over.sent][:1] == [Stop]
+    assert over.state.fault == Fault(Id.LEASE, "the lease ran out: no command from its holder")
+
+
+# -- the device's state --------------------------------------------------------------------------
+
+
+def test_a_device_that_has_latched_is_a_fault_of_the_device() -> None:
+    """Its EVENT was lost; the next sample says it as well."""
+    bench = driven()
+    (sent, *_) = _one_sent(bench)
+    sample = device_sample(bench.loop.state, k=sent.k)._replace(state=int(DeviceState.FAULT))
+
+    decided = heard(bench, sample)
+
+    fault = decided.state.fault
+    assert fault is not None
+    assert (fault.id, fault.cause) == (Id.DEVICE, "the device is in FAULT")
+    assert decided.state.phase is Phase.FAULT
+
+
+@pytest.mark.parametrize("state", [DeviceState.ARMED, DeviceState.RUN])
+@pytest.mark.parametrize("phase", [Phase.INIT, Phase.FAULT])
+def test_a_device_that_is_found_driving_is_stopped_first(phase: Phase, state: DeviceState) -> None:
+    """S3: another host has left it so, or the STOPs of a fault were lost, all of them."""
+    bench = rested()
+    device = bench.loop.state.device
+    assert device is not None
+    fault = Fault(Id.STALE, "no answer") if phase is Phase.FAULT else None
+    lost = replace(bench.loop.state, device=None, phase=phase, fault=fault)
+
+    decided = heard(bench, device._replace(state=int(state)), awaiting(lost, Want.HELLO))
+
+    assert [type(m) for m in decided.sent] == [Stop]
+    assert (decided.state.phase, decided.state.device_state) == (phase, state)
+
+
+def test_a_device_that_is_met_latched_says_why() -> None:
+    """Its EVENT was told to another daemon, or lost."""
+    bench = rested()
+    device = bench.loop.state.device
+    assert device is not None
+    met = replace(bench.loop.state, device=None, phase=Phase.INIT)
+    latched = device._replace(state=int(DeviceState.FAULT), cause=int(Cause.WATCHDOG))
+
+    decided = heard(bench, latched, awaiting(met, Want.HELLO))
+
+    assert decided.state.reason == (
+        "the device is in FAULT: WATCHDOG, it heard nothing from this host in time"
+    )
+
+
+def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
+    """T1: also where the fault is the one that was told before: it is sampled again."""
+    bench = rested()
+    device = bench.loop.state.device
+    assert device is not None
+    fault = Fault(Id.DEVICE, "the device is in FAULT")
+    lost = replace(bench.loop.state, device=None, phase=Phase.FAULT, fault=fault)
+    reply = device._replace(state=int(DeviceState.FAULT))
+
+    decided = heard(bench, reply, awaiting(lost, Want.HELLO))
+
+    (said,) = decided.told(StateRecord)
+    assert said.device
+    assert said.reason == "the device is in FAULT"
+    assert decided.told(Log) == []
+
+
+def _one_sent(bench: Bench) -> tuple:  # type: ignore[type-arg]
+    bench.ports.from_device = lambda data: b""
+    bench.run_for(11)
+    return bench.loop.state.sent
+
+
+def test_a_device_that_was_latched_before_is_not_told_again() -> None:
+    """At rest the same state again is no news; the trip is told once."""
+    bench = rested()
+    latched = replace(bench.loop.state, device_state=int(DeviceState.ESTOP))
+
+    again = transitions.note_state(latched, bench.ports.now, int(DeviceState.ESTOP))
+    first = transitions.note_state(bench.loop.state, bench.ports.now, int(DeviceState.ESTOP))
+
+    assert again == (latched, [])
+    assert first[0].fault == Fault(Id.DEVICE, "the device is in ESTOP")
+
+
+@pytest.mark.parametrize(
+    ("state", "name"), [(DeviceState.READY, "READY"), (DeviceState.IDLE, "IDLE"), (99, "99")]
+)
+def test_a_device_that_leaves_the_run_unasked_is_a_fault(state: int, name: str) -> None:
+    """S6: named where it has a name."""
+    bench = driven()
+    after, _ = transitions.note_state(bench.loop.state, bench.ports.now, int(state))
+
+    assert after.fault == Fault(Id.STATE, f"the device is in {name}, and nobody asked it to")
+
+
+@pytest.mark.parametrize(
+    ("want", "state", "cause"),
+    [
+        (Want.ARM, DeviceState.ARMED, "armed without an owner"),
+        (Want.START, DeviceState.RUN, "started without an owner"),
+    ],
+)
+def test_what_nobody_owns_does_not_move(want: Want, state: DeviceState, cause: str) -> None:
+    """S5: a request that has lost its order is a bug of ours, and ends at 0 V."""
+    bench = armed()
+    at = replace(bench.loop.state, device_state=int(DeviceState.READY))
+
+    after, _ = transitions.note_state(awaiting(at, want), bench.ports.now, int(state))
+
+    assert after.fault == Fault(Id.INTERNAL, cause)
+    assert after.asked is not None
+    assert after.asked.want is Want.STOP
+
+
+def test_a_motor_that_starts_without_a_lease_is_stopped() -> None:
+    """S5: whoever asked for it holds nothing any more."""
+    bench = armed()
+    at = awaiting(replace(bench.loop.state, lease=None), Want.START, SET_VOLTAGE)
+
+    after, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.RUN))
+
+    assert after.fault == Fault(Id.INTERNAL, "started without an owner")
+
+
+@pytest.mark.parametrize("state", [s for s in DeviceState if s != DeviceState.IDLE])
+def test_a_fault_is_cleared_when_the_device_is_idle(state: DeviceState) -> None:
+    """S6: any other state says nothing of it."""
+    bench = rested()
+    at = replace(bench.loop.state, phase=Phase.FAULT, device_state=int(DeviceState.FAULT))
+    at = awaiting(at, Want.CLEAR, Reset(order=8))
+
+    waiting, _ = transitions.note_state(at, bench.ports.now, int(state))
+    cleared, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.IDLE))
+
+    assert waiting.asked == at.asked
+    assert cleared.asked is not None
+    assert cleared.asked.want is Want.HELLO
+    assert cleared.asked.order == Reset(order=8)
+
+
+@pytest.mark.parametrize("state", list(DeviceState))
+def test_a_stop_has_its_effect_where_the_motor_cannot_turn(state: DeviceState) -> None:
+    """ARMED and RUN are not stopped."""
+    bench = driven()
+    at = awaiting(bench.loop.state, Want.STOP)
+
+    after, _ = transitions.note_state(at, bench.ports.now, int(state))
+
+    drives = state in (DeviceState.ARMED, DeviceState.RUN)
+    assert (after.asked == at.asked) == drives
+    assert (after.lease is None) != drives
+
+
+# -- HELLO ---------------------------------------------------------------------------------------
+
+
+def _met(bench: Bench, before: State, **fields: int) -> Decided:
+    """Return what follows from a HELLO_R."""
+    device = bench.loop.state.device
+    assert device is not None
+    reply = device._replace(**{"state": int(DeviceState.IDLE), **fields})
+    return heard(bench, reply, before)
+
+
+@pytest.mark.parametrize("state", [DeviceState.ARMED, DeviceState.RUN])
+def test_a_device_that_another_host_left_running_is_stopped_first(state: DeviceState) -> None:
+    """Then configured; whoever asks keeps his place."""
+    bench = rested()
+    greeting = awaiting(replace(bench.loop.state, phase=Phase.INIT), Want.HELLO, ACQUIRE)
+
+    decided = _met(bench, greeting, state=int(state))
+
+    assert [type(m) for m in decided.sent] == [Stop]
+    assert decided.state.asked is not None
+    assert decided.state.asked.order == ACQUIRE
+
+
+def test_a_device_is_met_at_the_time_of_the_question() -> None:
+    """S4: the age of the round trip counts from there; what was asked of another boot is void."""
+    bench = rested()
+    waiting = _one_sent(bench)
+    greeting = awaiting(replace(bench.loop.state, sent=waiting), Want.HELLO, sent_ns=123)
+
+    met = _met(bench, greeting, token=99, state=int(DeviceState.READY))
+
+    assert met.state.fresh_ns == 123
+    assert met.state.sent == ()
+    assert met.state.token == 99
+    assert met.state.device_state == DeviceState.READY
+    assert [type(m) for m in met.sent] == [Config]
+
+
+def test_another_boot_has_another_clock() -> None:
+    """The map of the clocks begins anew, and its samples are another's; in the same boot not."""
+    bench = rested()
+    bench.run_for(1000)
+    greeting = awaiting(bench.loop.state, Want.HELLO)
+    boot_id = bench.loop.state.boot_id
+
+    same, other = _met(bench, greeting).state, _met(bench, greeting, boot_id=boot_id + 1).state
+
+    assert same.clock == bench.loop.state.clock
+    assert same.t_us == bench.loop.state.t_us != 0
+    assert (other.clock.weight, other.t_us, other.device_us) == (0, 0, 0)
+    assert other.boot_id == boot_id + 1
+    assert same.sampled_ns == bench.loop.state.sampled_ns != 0
+    assert other.sampled_ns == 0
+
+
+@pytest.mark.parametrize(
+    ("fields", "complaint"),
+    [
+        ({"version": 9}, "speaks version 9"),
+        ({"schema": 0xABC}, "schema 00000abc"),
+        ({"full_scale_mv": 5001}, "full scale is 5001 mV"),
+        ({"capabilities": 2}, "no exchange mode"),
+        ({"pwm_bits": 0}, "0 bits"),
+        ({"pwm_bits": 17}, "17 bits"),
+        ({"state": int(DeviceState.FAULT)}, "is in FAULT"),
+        ({"state": int(DeviceState.ESTOP)}, "is in ESTOP"),
+    ],
+)
+def test_a_device_that_cannot_be_driven_is_latched_and_told_once(
+    fields: dict[str, int], complaint: str
+) -> None:
+    """Asked again by a reset, it is refused with the same words; the log has them once."""
+    bench = rested()
+
+    once = _met(bench, awaiting(bench.loop.state, Want.HELLO), **fields)
+    again = _met(bench, awaiting(once.state, Want.HELLO, Reset(order=8)), **fields)
+
+    assert once.state.fault is not None
+    assert complaint in once.state.fault.cause
+    assert once.state.phase is Phase.FAULT
+    assert once.sent == again.sent == []
+    assert [log.level for log in once.told(Log)] == ["error"]
+    assert len(once.told(StateRecord)) == 1
+    assert [a.error for a in again.told(Answer)] == [once.state.fault.cause]
+    assert again.told(Log) == []
+
+
+@pytest.mark.parametrize("bits", [1, 16])
+def test_a_duty_of_1_to_16_bits_can_be_driven(bits: int) -> None:
+    """Both ends are allowed."""
+    bench = rested()
+    met = _met(bench, awaiting(bench.loop.state, Want.HELLO), pwm_bits=bits)
+
+    assert met.state.fault is None
+    assert [type(m) for m in met.sent] == [Config]
+
+
+def test_a_latched_daemon_meets_a_device_and_stays_latched() -> None:
+    """S6: a link that comes back resets nothing; only the order of a person goes on."""
+    bench = rested()
+    state = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LINK, "unplugged"))
+
+    back = _met(bench, awaiting(state, Want.HELLO))
+    reset = _met(bench, awaiting(state, Want.HELLO, Reset(order=8)))
+
+    assert (back.state.phase, back.sent) == (Phase.FAULT, [])
+    assert len(back.told(StateRecord)) == 1
+    assert [type(m) for m in reset.sent] == [Config]
+
+
+# -- CONFIG --------------------------------------------------------------------------------------
+
+
+def _reply(state: State, **fields: int) -> ConfigReply:
+    """Return the answer to the CONFIG that the state waits for."""
+    assert state.asked is not None
+    (sent,) = Decided(state, state.asked.sent_ns + 50 * MS, Beat()).sent
+    assert isinstance(sent, Config)
+    body = sent[2:]
+    reply = ConfigReply._make((3, 0, int(Code.OK), 0, config_crc(sent), *body, 77))
+    return reply._replace(**fields)
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_the_device_is_asked_for_the_rules(scheduled: bool) -> None:
+    """Rest at 0 V, and 0 V where a queue runs dry; 0 is always allowed, for it rests there."""
+    rules = replace(
+        rested().loop.state.rules, u_min=9, u_max=60_000, slew=5, watchdog_ms=60, turns=7
+    )
+    rules = replace(rules, rail_ticks=8)
+
+    assert config(rules, 2_000, 33, scheduled=scheduled) == Config(
+        state=0,
+        seq=33,
+        ts_us=2_000,
+        u_min=0,
+        u_max=60_000,
+        u_rest=0,
+        slew=5,
+        watchdog_ms=60,
+        mode=Mode.SCHEDULED if scheduled else Mode.EXCHANGE,
+        underrun=Underrun.ZERO,
+        hold=0,
+        oversampling=1,
+        rail_ticks=8,
+        turns=7,
+    )
+
+
+def test_a_refused_configuration_is_told_by_its_name() -> None:
+    """At rest: who wanted it is told, and HELLO finds out the rest."""
+    bench = rested()
+    state = awaiting(bench.loop.state, Want.CONFIGURE, ACQUIRE, ts_us=10_000)
+
+    decided = heard(bench, _reply(state, code=int(Code.BAD_VALUE)), state)
+
+    (answer,) = decided.told(Answer)
+    assert answer.error == "the device refuses the configuration: BAD_VALUE"
+    assert [type(m) for m in decided.sent] == [Hello]
+
+
+@pytest.mark.parametrize("order", [None, ACQUIRE])
+def test_an_accepted_configuration_is_in_force_from_then_on(order: Acquire | None) -> None:
+    """Its CRC and nonce are what ARM carries; the pace is that of the new Ts.
+
+    S4: it does not say which CONFIG it answers, and proves no round trip to who wants to drive.
+    """
+    bench = rested()
+    latched = replace(armed().loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
+    state = awaiting(latched, Want.CONFIGURE, order, ts_us=20_000, sent_ns=55)
+    reply = _reply(state)
+
+    decided = heard(bench, reply, state)
+
+    after = decided.state
+    assert (after.config_crc, after.nonce, after.ts_us) == (reply.config_crc, 77, 20_000)
+    assert after.fresh_ns == (55 if order is None else latched.fresh_ns)
+    assert after.tick_ns == bench.ports.now
+    assert decided.of(Repace) == [Repace(20_000, state.k + 1)]
+    if order is None:
+        assert (after.phase, after.asked, decided.sent) == (Phase.SAFE, None, [])
+        assert (after.fault, after.lease) == (None, None)
+    else:
+        (arm,) = decided.sent
+        assert isinstance(arm, Arm)
+        assert (arm.config_crc, arm.nonce) == (reply.config_crc, 77)
+        assert arm.boot_id == state.boot_id
+
+
+def test_a_scheduled_configuration_slows_our_own_ticks_down() -> None:
+    """The device paces; we look after it each 10 ms."""
+    bench = armed()
+    bench.loop.state = replace(bench.loop.state, ts_us=5_000, pace_us=5_000)
+    scheduled = replace(PLAY, scheduled=True)
+    state = awaiting(bench.loop.state, Want.CONFIGURE, scheduled, ts_us=5_000, scheduled=True)
+    reply = _reply(state)
+    assert reply.mode == Mode.SCHEDULED
+
+    decided = heard(bench, reply, state)
+
+    assert decided.state.scheduled
+    assert decided.of(Repace) == [Repace(10_000, state.k + 1)]
+
+
+def test_the_same_pace_is_not_begun_anew() -> None:
+    """Ticks go on where they were."""
+    bench = rested()
+    state = awaiting(bench.loop.state, Want.CONFIGURE, ts_us=10_000)
+
+    assert heard(bench, _reply(state), state).of(Repace) == []
+
+
+def test_a_configuration_that_nobody_waits_for_is_none() -> None:
+    """Late, or another's: it changes nothing."""
+    bench = rested()
+    reply = _reply(awaiting(bench.loop.state, Want.CONFIGURE, ts_us=20_000))
+
+    for state in (bench.loop.state, awaiting(bench.loop.state, Want.STOP)):
+        decided = heard(bench, reply, state)
+        assert (decided.actions, decided.state) == ([], state)
+
+
+def test_a_late_answer_to_an_earlier_configuration_ends_no_run() -> None:
+    """Ours is waited for; a device that accepts another each time is given up."""
+    bench = rested()
+    state = replace(bench.loop.state, phase=Phase.ARMED)
+    late = _reply(awaiting(state, Want.CONFIGURE, ts_us=20_000))
+    waiting = awaiting(state, Want.CONFIGURE, ACQUIRE, ts_us=10_000, tries=4)
+
+    passed_over = heard(bench, late, waiting)
+    armed = heard(bench, _reply(waiting), passed_over.state)
+    given_up = heard(bench, late, awaiting(state, Want.CONFIGURE, ACQUIRE, ts_us=10_000, tries=5))
+
+    assert (passed_over.actions, passed_over.state) == ([], waiting)
+    assert isinstance(armed.sent[0], Arm)
+    assert given_up.state.phase is Phase.FAULT
+
+
+def test_an_arm_under_a_newer_nonce_is_tried_as_often_as_any_request() -> None:
+    """A device that answers CONFIG for ever does not keep us busy for ever."""
+    bench = rested()
+    again = _reply(
+        awaiting(bench.loop.state, Want.CONFIGURE, ts_us=bench.loop.state.ts_us)
+    )._replace(config_crc=bench.loop.state.config_crc)
+    arming = awaiting(bench.loop.state, Want.ARM, ACQUIRE, tries=4)
+
+    fifth = heard(bench, again, arming)
+    sixth = heard(bench, again, awaiting(bench.loop.state, Want.ARM, ACQUIRE, tries=5))
+
+    (arm,) = fifth.sent
+    assert isinstance(arm, Arm)
+    assert arm.nonce == again.nonce
+    assert fifth.state.asked is not None
+    assert (fifth.state.asked.tries, fifth.state.asked.order) == (5, ACQUIRE)
+    assert sixth.actions == []
+
+
+@pytest.mark.parametrize("change", [{"code": 1}, {"config_crc": 1}, {"nonce": None}])
+def test_an_arm_waits_for_its_own_configuration_only(change: dict[str, int | None]) -> None:
+    """A refusal, another configuration or the same nonce again are no reason to arm again."""
+    bench = rested()
+    state = bench.loop.state
+    own = _reply(awaiting(state, Want.CONFIGURE, ts_us=state.ts_us))
+    own = own._replace(config_crc=state.config_crc)
+    same = {name: state.nonce if value is None else value for name, value in change.items()}
+
+    decided = heard(bench, own._replace(**same), awaiting(state, Want.ARM, ACQUIRE))
+
+    assert decided.sent == []
+
+
+# -- arming --------------------------------------------------------------------------------------
+
+
+def test_nothing_is_armed_without_a_device() -> None:
+    """Whoever calls it."""
+    bench = rested()
+    state = replace(bench.loop.state, device=None)
+
+    after, (said,) = transitions.begin_arming(state, bench.ports.now, ACQUIRE)
+
+    assert after == state
+    assert said.record.error == NO_DEVICE
+
+
+def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
+    """It says its own shortest; exactly that is armed."""
+    bench = rested()
+    device = bench.loop.state.device
+    assert device is not None
+    slow = replace(bench.loop.state, device=device._replace(ts_min_us=15_000))
+
+    (refusal,) = ordered(bench, replace(ACQUIRE, ts_us=14_999), slow).told(Answer)
+    allowed = ordered(bench, replace(ACQUIRE, ts_us=15_000), slow)
+
+    assert refusal.error == "Ts=0.014999 s is too short for the device: at least 0.015 s"
+    assert [type(m) for m in allowed.sent] == [Config]
+
+
+def test_the_owner_is_granted_what_he_may_do() -> None:
+    """Lease, its period, Ts and the limits, in s and V."""
+    bench = rested()
+
+    body = bench.arm(40_000).body
+
+    assert body == {"lease": LEASE, "period_s": 0.2, "Ts": 0.04, "u_min": 0.0, "u_max": 5.0}
+    assert bench.loop.state.lease is not None
+    assert (bench.loop.state.lease.n, bench.loop.state.lease.owner) == (-1, "a student")
+    assert isinstance(bench.loop.state.device, HelloReply)

@@ -1,0 +1,65 @@
+"""Nobody says of himself what only the daemon has checked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from armrig_daemon.service.identity import signed
+
+
+@pytest.mark.parametrize(
+    ("said", "by", "told"),
+    [
+        ("anna", "", "anna"),
+        ("anna", "user bob", "anna (user bob)"),
+        ("", "certificate bob", "certificate bob"),
+        ("", "", ""),
+        (" anna\x1b[2J ", "", "anna\\x1b[2J"),
+        ("anna (bench 2)", "user bob", "anna [bench 2] (user bob)"),
+        ("a" * 81, "", "a" * 80),
+    ],
+)
+def test_who_asks_is_told_with_what_was_checked(said: str, by: str, told: str) -> None:
+    """What he says is bounded and prints; what was checked stands after it in round brackets."""
+    assert signed(said, by) == told
+
+
+class _Unread(str):
+    """A name that must not be read letter by letter."""
+
+    __slots__ = ()
+
+    def __iter__(self) -> Iterator[str]:
+        pytest.fail("all of the name is read")
+
+
+def test_of_a_name_of_any_length_the_beginning_is_read() -> None:
+    """8 MB of what does not print held up the service for half a second, and a stop with it."""
+    assert signed(_Unread(" " + "\x01" * 1000), "user bob") == "\\x01" * 20 + " (user bob)"
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "(certificate certificate alice)",
+        "((user (user alice))",
+        "anna (certificate alice)",
+        "anna ( certificate alice)",
+        "\uff08certificate alice\uff09",  # of full width
+        "\u207dcertificate alice\u207e",  # superscripts
+        "\ufe59certificate alice\ufe5a",  # small
+        "\u2768certificate alice\u2769",  # ornaments
+        "\u2e28certificate alice\u2e29",  # doubled
+        "\u2474 alice",  # a digit in brackets
+    ],
+)
+def test_what_one_says_of_oneself_has_no_round_brackets(said: str) -> None:
+    """Nor what looks like them: they say what the daemon has checked."""
+    told = signed(said, "")
+
+    assert not set(told) & set(
+        "()\uff08\uff09\u207d\u207e\ufe59\ufe5a\u2768\u2769\u2e28\u2e29\u2474"
+    )
+    assert "[" in told
+    assert "alice" in told

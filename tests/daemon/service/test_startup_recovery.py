@@ -1,0 +1,183 @@
+"""What was left unfinished is recovered by a thread beside the service."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from pathlib import Path
+
+import armrig
+import pytest
+from armrig_core.manifest import Outcome
+from armrig_core.recording_file.file_lock import lock
+from armrig_core.recording_file.rewriting import Rewriter
+from armrig_daemon.config import Recording
+from armrig_daemon.service.startup_recovery import StartupRecovery
+from made_recordings import manifest, recorded, sample, written
+
+N = 30
+DATA = recorded(
+    [sample(k) for k in range(N)],
+    manifest=manifest(k_first=0, samples=N),
+    outcome=None,
+    flush_every=10,
+)[:-100]
+
+
+def _names(directory: Path) -> list[str]:
+    return sorted(path.name for path in directory.iterdir())
+
+
+def test_each_is_recovered_or_told_and_none_keeps_the_others(tmp_path: Path) -> None:
+    """A pipe, an empty file and one that is being written stand before one that is whole."""
+    os.mkfifo(tmp_path / "1-a.mcap.active")
+    written(tmp_path, b"", "1-b.mcap.active")
+    written(tmp_path, DATA, "2-c.mcap.active")
+    written(tmp_path, DATA, "1-e.mcap.active")
+    changed: list[None] = []
+    left_over = StartupRecovery(tmp_path, "1", lambda: changed.append(None))
+    with written(tmp_path, DATA, "1-d.mcap.active").open("rb") as file:
+        lock(file)
+
+        left_over.start()
+        left_over.join(30)
+
+    lines = list(left_over.lines())
+    assert [line.level for line in lines] == ["warning", "warning", "info"]
+    for line, text in zip(lines, ("not a regular", "0 B", f"recovered, {N} samples"), strict=True):
+        assert text in line.text
+    assert len(changed) == len(lines)
+    assert _names(tmp_path) == [
+        *("1-a.mcap.active", "1-b.mcap.active", "1-d.mcap.active", "1-e.mcap", "2-c.mcap.active")
+    ]
+    assert armrig.load(tmp_path / "1-e.mcap").samples.size == N
+    assert list(left_over.lines()) == []  # each is said once
+
+
+@pytest.mark.parametrize("whose", ["another user", "another rig"])
+def test_what_is_another_s_stays_as_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whose: str
+) -> None:
+    """A user's is told, as nobody else would recover it; a rig's is its own daemon's concern."""
+    if whose == "another user":
+        data, user = DATA, os.geteuid()
+        monkeypatch.setattr(os, "geteuid", lambda: user + 1)
+    else:
+        data = recorded([sample(0)], manifest=manifest(rig="1-b"), outcome=None)
+    left = written(tmp_path, data, "1-b-x.mcap.active")
+    left_over = StartupRecovery(tmp_path, "1", lambda: None)
+
+    left_over.start()
+    left_over.join(30)
+
+    lines = [line.text for line in left_over.lines()]
+    told = f"{left}: another user's file; passed over"
+    assert lines == ([told] if whose == "another user" else [])
+    assert left.read_bytes() == data
+
+
+def test_it_rests_while_a_run_is_in_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the next record on, until it may go on."""
+    written(tmp_path, DATA, "1-a.mcap.active")
+    left_over = StartupRecovery(tmp_path, "1", lambda: None)
+    begun = threading.Event()
+    add = Rewriter.add
+
+    def noted(self: Rewriter, *args: object) -> object:
+        begun.set()
+        return add(self, *args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Rewriter, "add", noted)
+    left_over.rest()
+    left_over.start()
+    assert begun.wait(30)
+    left_over.join(0.05)
+
+    assert _names(tmp_path) == ["1-a.mcap.active", "1-a.mcap.compact"]
+    left_over.go_on()
+    left_over.join(30)
+
+    assert _names(tmp_path) == ["1-a.mcap"]
+
+
+def test_a_name_of_any_bytes_is_told_as_text(tmp_path: Path) -> None:
+    """A message is UTF-8."""
+    Path(os.fsdecode(bytes(tmp_path) + b"/1-\xff.mcap.active")).write_bytes(b"")
+    left_over = StartupRecovery(tmp_path, "1", lambda: None)
+
+    left_over.start()
+    left_over.join(30)
+
+    (line,) = left_over.lines()
+    assert "1-\N{REPLACEMENT CHARACTER}.mcap.active" in line.text
+
+
+def test_a_file_that_fails_unexpectedly_does_not_keep_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever it is, it is told."""
+    for name in "ab":
+        written(tmp_path, DATA, f"1-{name}.mcap.active")
+    init = Rewriter.__init__
+
+    def broken(self: Rewriter, *args: object) -> None:
+        monkeypatch.setattr(Rewriter, "__init__", init)
+        raise RuntimeError("unexpected")
+
+    monkeypatch.setattr(Rewriter, "__init__", broken)
+    left_over = StartupRecovery(tmp_path, "1", lambda: None)
+    left_over.start()
+    left_over.join(30)
+
+    first, second = left_over.lines()
+    assert first.level == "error"
+    assert "unexpected" in first.text
+    assert second.level == "info"
+    assert f"{tmp_path}/1-b.mcap: recovered, {N} samples, 0.3 s of 0.3 s" in second.text
+    assert _names(tmp_path) == ["1-a.mcap.active", "1-b.mcap"]
+
+
+def test_half_a_copy_is_removed_unless_somebody_writes_it(tmp_path: Path) -> None:
+    """Its daemon died as it wrote a whole recording once more; one that lives still does."""
+    whole = written(tmp_path, DATA, "1-a.part-0001.mcap")
+    written(tmp_path, DATA[:100], "1-a.part-0001.mcap.compact")
+    (tmp_path / "1-c.mcap.compact").symlink_to(whole)
+    left_over = StartupRecovery(tmp_path, "1", lambda: None)
+    with written(tmp_path, DATA[:100], "1-b.mcap.compact").open("rb") as file:
+        lock(file)
+
+        left_over.start()
+        left_over.join(30)
+
+    assert _names(tmp_path) == ["1-a.part-0001.mcap", "1-b.mcap.compact", "1-c.mcap.compact"]
+    (line,) = left_over.lines()
+    assert line.text == f"{whole}.compact: half a copy of a whole recording, removed"
+
+
+def test_what_is_not_kept_goes_at_the_start_and_after_each_run(tmp_path: Path) -> None:
+    """Never while a run is in hand; what was left unfinished is recovered before."""
+    ended = recorded([sample(0)], outcome=Outcome(outcome="complete", samples=1, missing=0))
+    said = threading.Event()
+
+    def made(name: str, days: float) -> None:
+        path = written(tmp_path, ended, name)
+        ended_s = time.time() - days * 86_400
+        os.utime(path, (ended_s, ended_s))
+
+    made("1-a.mcap", 40)
+    made("1-c.mcap", 1)
+    left_over = StartupRecovery(tmp_path, "1", said.set, Recording(keep_days=30))
+
+    left_over.start()
+    assert said.wait(30)
+    said.clear()
+    (line,) = left_over.lines()
+    assert (line.level, "older than 30 days" in line.text) == ("info", True)
+    left_over.rest()
+    made("1-b.mcap", 40)
+    assert not said.wait(0.05)
+    left_over.go_on()
+
+    assert said.wait(30)
+    assert _names(tmp_path) == ["1-c.mcap"]
