@@ -205,7 +205,7 @@ def test_each_file_is_of_one_life_of_the_daemon(recording: RemoteRecording) -> N
     held, lost = (decoded("gap", entry[4]) for entry in raw if "gap" in entry[0])
     assert (held.t_from_ns, held.t_to_ns) == (sample_ns(6), sample_ns(8))
     assert (lost.t_from_ns, lost.t_to_ns) == (sample_ns(8) + 9, sample_ns(10) + 9)
-    assert next(entry[1] for entry in raw if "event" in entry[0]) == sample_ns(8)
+    assert next(entry[1] for entry in raw if "event" in entry[0]) == sample_ns(8) + 9
     assert recording.tell.__self__ == [f"{CUT_OFF}: 4 messages are lost", STARTED_ANEW]  # type: ignore[attr-defined]
 
 
