@@ -1,9 +1,11 @@
 """What the dashboard costs, and how fast its stop is.
 
-`python tests/benchmarks/dashboard.py stop|stale|viewers|memory`
+`python tests/benchmarks/dashboard.py stop|stale|drawn|viewers|memory`
 
 - stop: from the space bar in chromium to 0 V at the emulated terminals, N times, and by stages.
 - stale: from the death of the daemon to a page that says so, N times.
+- drawn: from a sample to the frame that shows it, frames a second, and the processor time of the
+  server with one page and with ten viewers, at 100 Hz and at 1 kHz, for ROUND_S each.
 - viewers: lateness of the loop and from sample to subscriber, with ten viewers (one of which never
   reads) and without, in turn.
 - memory: heap of the page and resident memory of the server, for MINUTES.
@@ -155,6 +157,70 @@ def stale() -> None:
     told("death of the daemon to stale", times, "ms")
 
 
+_NOTES_DRAWN = """
+async () => {
+  const { LivePlots } = await import("./live_plots.js");
+  const draw = LivePlots.prototype.draw;
+  window.drawn = [];
+  LivePlots.prototype.draw = function () {
+    draw.call(this);
+    const t = this.rows.newest;
+    // The next frame begins after this one is on the screen.
+    requestAnimationFrame((now) => window.drawn.push([t, performance.timeOrigin + now]));
+  };
+}
+"""
+
+
+def drawn() -> None:
+    """Measure from sample to frame, and what the server costs; a stream of rows has samples."""
+    for ts in (0.01, 0.001):
+        with _rig() as bench, _dashboard(bench) as (url, pid):
+            client = Client(url)
+            with bench.rig() as rig:
+                rig.arm("a benchmark", Ts=ts)
+                rig.disarm()
+            with _page(client) as page:
+                page.evaluate(_NOTES_DRAWN)
+                page.wait_for_timeout(2_000)
+                with _share(pid) as share:
+                    page.evaluate("window.drawn.length = 0")
+                    page.wait_for_timeout(ROUND_S * 1e3)
+                    frames = page.evaluate("window.drawn")
+            _tell_drawn(ts, frames, share[0])
+            with _watching(url), _share(pid) as share:
+                time.sleep(ROUND_S)
+            print(f"Ts {ts} s, ten viewers: server {share[0]:.1f} % of a processor", flush=True)
+
+
+def _tell_drawn(ts: float, frames: list[list[float]], share: float) -> None:
+    clock_s = (time.time_ns() - time.monotonic_ns()) / 1e9
+    fresh = [frames[0]] + [b for a, b in itertools.pairwise(frames) if b[0] > a[0]]
+    shown = [(t + clock_s, at_ms / 1e3) for t, at_ms in fresh]
+    newest = [(at - t) * 1e3 for t, at in shown]
+    # The oldest sample that a frame adds was due just after the newest of the frame before.
+    oldest = [(b[1] - a[0] - ts) * 1e3 for a, b in itertools.pairwise(shown)]
+    told(f"Ts {ts} s, newest sample to frame", newest, "ms")
+    told(f"Ts {ts} s, oldest sample to frame", oldest, "ms")
+    seconds = shown[-1][1] - shown[0][1]
+    rate = (len(shown) - 1) / seconds
+    print(f"Ts {ts} s, one page: {rate:.1f} frames/s with new samples, server {share:.1f} %")
+
+
+@contextmanager
+def _share(pid: int) -> Iterator[list[float]]:
+    """Give a list that receives the processor time of a process, in % of one processor."""
+    share: list[float] = []
+    began_s, used_s = time.monotonic(), _used_s(pid)
+    yield share
+    share.append(100 * (_used_s(pid) - used_s) / (time.monotonic() - began_s))
+
+
+def _used_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def _round(bench: Bench) -> tuple[float, float]:
     """Return p99 of the loop's lateness, and of sample to subscriber, in µs."""
     late: list[float] = []
@@ -207,8 +273,8 @@ def _watching(url: str) -> Iterator[None]:
 
 
 @contextmanager
-def _dashboard(bench: Bench) -> Iterator[str]:
-    """Give the address of a dashboard that is a process of its own."""
+def _dashboard(bench: Bench) -> Iterator[tuple[str, int]]:
+    """Give the address and the number of a dashboard that is a process of its own."""
     with subprocess.Popen(
         [sys.executable, "-m", "armrig", "dashboard", "--json"],
         env={**os.environ, "XDG_RUNTIME_DIR": str(bench.folder)},
@@ -217,14 +283,14 @@ def _dashboard(bench: Bench) -> Iterator[str]:
     ) as process:
         assert process.stdout
         try:
-            yield str(json.loads(process.stdout.readline())["url"])
+            yield str(json.loads(process.stdout.readline())["url"]), process.pid
         finally:
             process.kill()
 
 
 def viewers() -> None:
     """Compare rounds with and without viewers of a dashboard, which is a process of its own."""
-    with _rig() as bench, _dashboard(bench) as url:
+    with _rig() as bench, _dashboard(bench) as (url, _):
         client = Client(url)
         wait_for(lambda: not client.first("live")["is_stale"])
         for _ in range(ROUNDS):
@@ -252,4 +318,6 @@ if __name__ == "__main__":
     if sys.argv[1] == "watch":
         watch(sys.argv[2])
     else:
-        {"stop": stop, "stale": stale, "viewers": viewers, "memory": memory}[sys.argv[1]]()
+        {"stop": stop, "stale": stale, "drawn": drawn, "viewers": viewers, "memory": memory}[
+            sys.argv[1]
+        ]()

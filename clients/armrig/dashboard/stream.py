@@ -1,4 +1,4 @@
-"""The stream of events that each page gets, and the clock that fills it: 20 messages a second."""
+"""The stream of events that each page gets, and the clock that fills it: 30 messages a second."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from armrig.dashboard.history import History
 from armrig.dashboard.messages import event, live_facts, status_facts, timing_facts
 from armrig.dashboard.viewers import Viewer, Viewers
 
-PERIOD_S = 0.05
+PERIOD_S = 1 / 30
 _TIMING_S = 1.0
 
 
@@ -32,7 +32,7 @@ class Stream:
         self._told: dict[str, bytes] = {}
 
     async def fill(self) -> None:
-        """Send what is new, 20 times a second, until it is cancelled; a late turn skips."""
+        """Send what is new, 30 times a second, until it is cancelled; a late turn skips."""
         due = timing_due = time.monotonic()
         seen = self._feed.news().pieces
         while True:

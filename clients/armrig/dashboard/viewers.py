@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Callable
 
 MOST_VIEWERS = 64
 """At one door."""
-_MOST_WAITING = 200  # messages: the past, and five seconds at 20 Hz
+_MOST_WAITING = 250  # messages: the past, and five seconds at 30 Hz
 
 
 class TooManyViewersError(RuntimeError):

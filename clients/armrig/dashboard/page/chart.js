@@ -1,6 +1,6 @@
 // A chart of least and largest values in the page's colours: uPlot's, with zoom and cursor.
 
-const colours = new Map(); // of this theme: to ask the style at each of twenty drawings a second is slow
+const colours = new Map(); // of this theme: to ask the style at each of thirty drawings a second is slow
 
 function colour(name) {
   if (!colours.has(name)) colours.set(name, getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim());

@@ -2,7 +2,7 @@
 
 import { ask } from "./elements.js";
 
-const SILENT_MS = 700; // 20 messages a second come: without one for so long the server is gone
+const SILENT_MS = 700; // 30 messages a second come: without one for so long the server is gone
 const AGAIN_MS = 250;
 const LOOK_MS = 100;
 const BUSY_MS = 500; // a timer that is so late shows a busy browser, not a silent server
