@@ -17,6 +17,7 @@ _NAMES = (
     "main.js",
     "stream.js",
     "live_plots.js",
+    "live_keys.js",
     "live_saving.js",
     "live_signals.js",
     "time_axis.js",

@@ -2,6 +2,7 @@
 
 import { chart } from "./chart.js";
 import { FIGURES_MS, byId, make, setText, show } from "./elements.js";
+import { onPlotKey } from "./live_keys.js";
 import { setUpSaving } from "./live_saving.js";
 import { SIGNALS } from "./live_signals.js";
 import { KEPT_S, Rows } from "./rows.js";
@@ -37,7 +38,7 @@ export class LivePlots {
     byId("charts").addEventListener("dblclick", () => this.follow());
     setUpSaving(this);
     new ResizeObserver(() => this.#resize()).observe(byId("charts"));
-    byId("plots").addEventListener("keydown", (event) => this.#key(event));
+    byId("plots").addEventListener("keydown", (event) => onPlotKey(this, event));
   }
 
   // Make the charts, for a desk or for a hall.
@@ -78,7 +79,7 @@ export class LivePlots {
       stepped: signal.key === "u",
       onZoom: (from, to) => this.zoom(from, to),
       onCursor: (x, u) => {
-        if (u.cursor.event || x !== null || this.cursorAt === null) this.#point(x);
+        if (u.cursor.event || x !== null || this.cursorAt === null) this.point(x);
       },
     });
   }
@@ -159,7 +160,7 @@ export class LivePlots {
     this.restUntil = 2 * performance.now() - began;
   }
 
-  #point(x) {
+  point(x) {
     this.cursorAt = x;
     this.#tell();
   }
@@ -194,24 +195,5 @@ export class LivePlots {
     this.width = width;
     this.charts.forEach((u, i) => u.setSize({ width, height: this.#height(i === this.charts.length - 1) }));
     this.draw();
-  }
-
-  #key(event) {
-    if (event.target instanceof HTMLInputElement) return; // letters of a note
-    const { from, to } = this.seen;
-    const steps = { ArrowLeft: -1, ArrowRight: 1 };
-    if (event.key in steps && event.target === byId("plots")) {
-      const step = ((to - from) / 100) * steps[event.key] * (event.shiftKey ? 10 : 1);
-      const at = Math.min(to, Math.max(from, (this.cursorAt ?? to) + step));
-      const left = this.charts[0].valToPos(at, "x");
-      for (const u of this.charts) u.setCursor({ left, top: 10 }, false);
-      this.#point(at);
-      event.preventDefault();
-    } else if (event.key === "+" || event.key === "-") {
-      const middle = this.cursorAt ?? (from + to) / 2;
-      const half = ((to - from) / 2) * (event.key === "+" ? 0.5 : 2);
-      this.zoom(middle - half, middle + half);
-      event.preventDefault();
-    }
   }
 }
