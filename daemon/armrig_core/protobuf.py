@@ -68,6 +68,7 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("number", "fixed64"),
         ("state", "bytes"),
         ("steps", "bytes"),
+        ("version", "fixed64"),
     ),
 }
 

@@ -148,7 +148,7 @@ class Motor(Table, frozen=True, kw_only=True):
 _Parameter = Annotated[float, Meta(gt=0, le=1e6)] | None
 
 
-class Arm(Table, frozen=True, kw_only=True):
+class ArmSettings(Table, frozen=True, kw_only=True):
     """`[arm]`: the rig as runs are rehearsed on it; what is left out is the handout's."""
 
     J_1: _Parameter = None
@@ -244,7 +244,7 @@ class Config(Table, frozen=True, kw_only=True):
     timing: Timing = Timing()
     limits: Limits = Limits()
     motor: Motor = Motor()
-    arm: Arm = Arm()
+    arm: ArmSettings = ArmSettings()
     recording: Recording = Recording()
     access: Access = Access()
     client: Client = Client()

@@ -106,7 +106,7 @@ class State(Tagged, frozen=True, kw_only=True):
     line: str = ""
     """Why no device answers, and what to try; empty where one does."""
     owner_checked: str = ""
-    """What the service has checked of the owner; see `Acquire`."""
+    """What the service has checked of the owner; see `Arm`."""
 
 
 class Trace(Tagged, frozen=True, kw_only=True):
@@ -116,6 +116,8 @@ class Trace(Tagged, frozen=True, kw_only=True):
     number: int
     state: bytes
     steps: bytes
+    version: int
+    """Of the words in which state and steps are written."""
 
 
 class RunStarted(Tagged, frozen=True, kw_only=True):
@@ -158,8 +160,8 @@ class Order(Tagged, frozen=True, kw_only=True):
     order: int = 0
 
 
-# The steps of a recorded run name orders by their tags, which therefore stay as they are.
-class Acquire(Order, frozen=True, kw_only=True, tag="Take"):
+# The steps of a recorded run name orders by their tags: a new one makes a new trace version.
+class Arm(Order, frozen=True, kw_only=True):
     """Arm for `owner`, who holds the lease that the service drew."""
 
     owner: str
@@ -176,17 +178,17 @@ class Leased(Order, frozen=True, kw_only=True):
     n: int
 
 
-class Release(Leased, frozen=True, kw_only=True):
+class Disarm(Leased, frozen=True, kw_only=True):
     """Disarm."""
 
 
-class SetVoltage(Leased, frozen=True, kw_only=True, tag="Hold"):
+class Set(Leased, frozen=True, kw_only=True):
     """Have the motor at this code until the next one."""
 
     code: int
 
 
-class Play(Leased, frozen=True, kw_only=True):
+class Run(Leased, frozen=True, kw_only=True):
     """Play an experiment."""
 
     run_id: str
@@ -196,7 +198,7 @@ class Play(Leased, frozen=True, kw_only=True):
     """The device paces it; else the host."""
 
 
-class Halt(Order, frozen=True, kw_only=True):
+class Stop(Order, frozen=True, kw_only=True):
     """Stop, lease or not."""
 
     reason: str = "stopped"
@@ -224,7 +226,7 @@ class Quit(Order, frozen=True, kw_only=True):
     reason: str
 
 
-Orders = Acquire | Release | SetVoltage | Play | Halt | Reset | Calibrate | Alive | Quit
+Orders = Arm | Disarm | Set | Run | Stop | Reset | Calibrate | Alive | Quit
 """What the service asks of the loop."""
 
 _RECORDS = msgspec.msgpack.Decoder(Record)

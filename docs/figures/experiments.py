@@ -22,7 +22,7 @@ from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Acquire, Play, RunStarted
+from armrig_daemon.pipe import Arm, Run, RunStarted
 from armrig_daemon.virtual import VirtualRig
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
@@ -51,10 +51,10 @@ def record(
     settings = EmulatorSettings(seed=seed, arm_removed=arm_removed)
     rig = VirtualRig(config.rules(), settings)
     rig.run_until(300_000_000)
-    rig.order(Acquire(order=1, owner="docs", lease=LEASE, ts_us=round(Ts * 1e6)))
+    rig.order(Arm(order=1, owner="docs", lease=LEASE, ts_us=round(Ts * 1e6)))
     rig.run_until(400_000_000)
     codes = pack(f"<{u.size}H", *map(code_of, u))
-    rig.order(Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes, scheduled=True))
+    rig.order(Run(order=2, lease=LEASE, n=0, run_id="r", codes=codes, scheduled=True))
     rig.run_until(1_500_000_000 + round(u.size * Ts * 1e9))
     (started,) = (r for r in rig.records if isinstance(r, RunStarted))
     fields = {

@@ -24,7 +24,7 @@ from armrig_core.recording_file.recorder import Recording
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config, Device
-from armrig_daemon.pipe import Answer, Play, Record, RunEnded, RunStarted, State
+from armrig_daemon.pipe import Answer, Record, Run, RunEnded, RunStarted, State
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 from numpy.typing import NDArray
@@ -56,7 +56,7 @@ def make(path: Path, seconds: int, pacing: str = "scheduled") -> int:
     bench = Bench(config)
     bench.arm(ts_us=TS_US)
     bench.order(
-        Play(
+        Run(
             order=99,
             lease=LEASE,
             n=0,

@@ -14,7 +14,7 @@ from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.board import driven, volts
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Acquire, Play, RunStarted
+from armrig_daemon.pipe import Arm, Run, RunStarted
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.messages import Flag
 from made_recordings import manifest, recorded, sample
@@ -56,12 +56,12 @@ def runs(settings: EmulatorSettings, *inputs: NDArray[np.float64]) -> list[Readi
     rig.run_until(300_000_000)
     found = []
     for i, u in enumerate(inputs):
-        rig.order(Acquire(order=3 * i + 1, owner="a test", lease=LEASE, ts_us=round(TS * 1e6)))
+        rig.order(Arm(order=3 * i + 1, owner="a test", lease=LEASE, ts_us=round(TS * 1e6)))
         rig.run_until(rig.ports.now + 200_000_000)
         codes = pack(f"<{u.size}H", *map(code_of, u))
         rig.records.clear()
         rig.order(
-            Play(order=3 * i + 2, lease=LEASE, n=i, run_id=str(i), codes=codes, scheduled=True)
+            Run(order=3 * i + 2, lease=LEASE, n=i, run_id=str(i), codes=codes, scheduled=True)
         )
         rig.run_until(rig.ports.now + round((u.size * TS + 0.5) * 1e9))
         (started,) = (r for r in rig.records if isinstance(r, RunStarted))

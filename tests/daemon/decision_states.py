@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import Asked, Emit, Event, Ordered, Received, Send, State, Want
-from armrig_daemon.pipe import Acquire, Order, Play, SetVoltage
+from armrig_daemon.pipe import Arm, Order, Run, Set
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Message
@@ -12,9 +12,9 @@ from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
 from virtual_bench import LEASE, Bench, codes
 
-ACQUIRE = Acquire(order=71, owner="a student", lease=LEASE, ts_us=0)
-SET_VOLTAGE = SetVoltage(order=72, lease=LEASE, n=50, code=1000)
-PLAY = Play(order=73, lease=LEASE, n=50, run_id="r", codes=codes(1.0, 2.0))
+ARM = Arm(order=71, owner="a student", lease=LEASE, ts_us=0)
+SET = Set(order=72, lease=LEASE, n=50, code=1000)
+RUN = Run(order=73, lease=LEASE, n=50, run_id="r", codes=codes(1.0, 2.0))
 OURS = 4711
 """seq of the request that is awaited, where one is."""
 
@@ -34,7 +34,7 @@ def armed() -> Bench:
 def driven() -> Bench:
     """Return a bench whose motor is held at 1 V by hand."""
     bench = armed()
-    bench.order(SetVoltage(order=99, lease=LEASE, n=0, code=codes(1.0)[0] | codes(1.0)[1] << 8))
+    bench.order(Set(order=99, lease=LEASE, n=0, code=codes(1.0)[0] | codes(1.0)[1] << 8))
     bench.run_for(20)
     return bench
 

@@ -13,16 +13,16 @@ from typing import Any
 import msgspec
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.telemetry import Sample, decode_sample
-from armrig_daemon.config import Arm, Config, Device, Limits, Recording, Rig, Timing
+from armrig_daemon.config import ArmSettings, Config, Device, Limits, Recording, Rig, Timing
 from armrig_daemon.decisions.state import ServiceGone
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import (
-    Acquire,
+    Arm,
     Calibrate,
-    Halt,
-    Play,
     Reset,
-    SetVoltage,
+    Run,
+    Set,
+    Stop,
     Trace,
 )
 from virtual_bench import LEASE, MS, Bench, codes
@@ -58,7 +58,7 @@ CONFIG = Config(
     device=Device(baud=250_000, watchdog_ms=130),
     timing=Timing(Ts=0.008, stop_after=6),
     limits=Limits(u_min_v=0.2, u_max_v=4.4, slew_v=3.0, revolutions=2.5, alpha_rad=1.5),
-    arm=Arm(J_1=0.02, b_1=0.05),
+    arm=ArmSettings(J_1=0.02, b_1=0.05),
     recording=Recording(part_minutes=0.01),
     calibration=Calibration(
         theta_1=Potentiometer(zero_counts=9_000.0, rad_per_count=-9.6e-5),
@@ -155,26 +155,26 @@ def afternoon() -> list[str]:
     day = Afternoon()
     bench, line = day.bench, day.bench.ports
     day.step("it is plugged in")
-    day.ask(SetVoltage, lease=LEASE, n=1, code=10_000)
-    day.ask(Acquire, owner="Ada", lease=LEASE, ts_us=5_001)
-    day.ask(Acquire, owner="Bob", lease="b" * 32, ts_us=0)
+    day.ask(Set, lease=LEASE, n=1, code=10_000)
+    day.ask(Arm, owner="Ada", lease=LEASE, ts_us=5_001)
+    day.ask(Arm, owner="Bob", lease="b" * 32, ts_us=0)
     bench.lateness_ns = 2_345_678
     for n, code in ((3, 20_000), (3, 20_000), (5, 58_000), (6, 58_000), (7, 2_000)):
-        day.ask(SetVoltage, lease=LEASE, n=n, code=code)
+        day.ask(Set, lease=LEASE, n=n, code=code)
     bench.lateness_ns = 0
     bench.run_for(150)
     day.step("driven by hand, too slowly", every=5)
     day.ask(Reset)
-    day.ask(Acquire, owner="Bob", lease="b" * 32, ts_us=0)
+    day.ask(Arm, owner="Bob", lease="b" * 32, ts_us=0)
     line.to_device, line.from_device = Faults(lost=(9,), spoilt=(15,)), Faults(lost=(40, 41, 70))
     u = [0.2 + 0.7 * (k // 9 % 4) for k in range(130)]
-    day.ask(Play, lease="b" * 32, n=1, run_id="r-1", codes=codes(*u), scheduled=True)
+    day.ask(Run, lease="b" * 32, n=1, run_id="r-1", codes=codes(*u), scheduled=True)
     bench.run_for(1300)
     day.step("a run that the device paces, over a bad line", every=12)
     day.ask(Calibrate, calibration=Calibration(driver=Driver(gain=1.1)))
-    day.ask(Acquire, owner="Eve", lease=LEASE, ts_us=20_000)
+    day.ask(Arm, owner="Eve", lease=LEASE, ts_us=20_000)
     line.to_device, line.from_device = Faults(doubled=(12,)), Faults(spoilt=(20,), lost=(33,))
-    day.ask(Play, lease=LEASE, n=1, run_id="r-2", codes=codes(*u[:60]), scheduled=False)
+    day.ask(Run, lease=LEASE, n=1, run_id="r-2", codes=codes(*u[:60]), scheduled=False)
     bench.run_for(500)
     bench.lateness_ns = 45_000_000
     bench.run_for(150)
@@ -183,28 +183,28 @@ def afternoon() -> list[str]:
     day.step("a run that the host paces, late", every=12)
     line.from_device = Faults()
     day.ask(Reset)
-    day.ask(Acquire, owner="Eve", lease=LEASE, ts_us=0)
-    day.ask(Play, lease=LEASE, n=1, run_id="r-3", codes=codes(*[3.0] * 400), scheduled=True)
+    day.ask(Arm, owner="Eve", lease=LEASE, ts_us=0)
+    day.ask(Run, lease=LEASE, n=1, run_id="r-3", codes=codes(*[3.0] * 400), scheduled=True)
     bench.run_for(250)
-    day.ask(Halt, reason="stopped by Bob")
+    day.ask(Stop, reason="stopped by Bob")
     bench.run_for(200)
     day.step("a run that somebody stops")
-    day.ask(Acquire, owner="Eve", lease=LEASE, ts_us=0)
-    day.ask(SetVoltage, lease=LEASE, n=1, code=30_000)
+    day.ask(Arm, owner="Eve", lease=LEASE, ts_us=0)
+    day.ask(Set, lease=LEASE, n=1, code=30_000)
     line.from_device = lambda data: b""
     bench.run_for(400)
     line.from_device = lambda data: data
     bench.run_for(100)
     day.step("the device falls silent")
     day.ask(Reset)
-    day.ask(Acquire, owner="Eve", lease=LEASE, ts_us=16_000)
-    day.ask(Play, lease=LEASE, n=1, run_id="r-4", codes=codes(2.0, *[4.3] * 300), scheduled=True)
+    day.ask(Arm, owner="Eve", lease=LEASE, ts_us=16_000)
+    day.ask(Run, lease=LEASE, n=1, run_id="r-4", codes=codes(2.0, *[4.3] * 300), scheduled=True)
     bench.run_for(4000)
     day.step("a run in which the chassis turns too far", every=40)
     day.ask(Reset)
-    day.ask(Acquire, owner="Eve", lease=LEASE, ts_us=16_000)
+    day.ask(Arm, owner="Eve", lease=LEASE, ts_us=16_000)
     bench.run_for(900)
-    day.ask(Play, lease=LEASE, n=1, run_id="r-5", codes=codes(4.3, 0.3), scheduled=True)
+    day.ask(Run, lease=LEASE, n=1, run_id="r-5", codes=codes(4.3, 0.3), scheduled=True)
     day.step("an input that steps too far, of a rig that waited", every=40)
     day.ask(Reset)
     bench.ports.send(bench.ports.now, ServiceGone())

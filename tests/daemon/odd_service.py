@@ -222,7 +222,7 @@ def odd_messages() -> None:
     )
     gap = Gap(k_first=2, count=3, t_from_ns=4, t_to_ns=5, u_held_v=0.5, reason="late")
     log = Log(t_host_ns=6, level="debug", message="hello", fields={"a": "b"})
-    trace = Trace(t_host_ns=7, number=8, state=b"s", steps=b"t")
+    trace = Trace(t_host_ns=7, number=8, state=b"s", steps=b"t", version=2)
     for record in (timing, state, clock, gap, log, trace):
         made = outgoing(record, 1_000_000_000_000)
         name = protobuf.TRACE if made.stream == "trace" else protobuf.OF_STREAM[made.stream]

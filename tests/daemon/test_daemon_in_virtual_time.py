@@ -10,25 +10,12 @@ from math import isnan
 import pytest
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
+from armrig_daemon import pipe
 from armrig_daemon.config import Config, Device, Limits, Timing
 from armrig_daemon.decisions.faults import Id
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase, Received
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import (
-    Acquire,
-    Alive,
-    Answer,
-    Gap,
-    Halt,
-    Log,
-    Play,
-    Quit,
-    Release,
-    Reset,
-    RunEnded,
-    RunStarted,
-    SetVoltage,
-)
+from armrig_daemon.pipe import Alive, Answer, Gap, Log, Quit, Reset, RunEnded, RunStarted
 from armrig_daemon.pipe import State as StateRecord
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
@@ -60,7 +47,7 @@ def bench() -> Bench:
 def driven(bench: Bench) -> Bench:
     """Return a bench whose motor is held at 3 V by hand, for as long as its lease lasts."""
     bench.arm()
-    bench.order(SetVoltage(order=99, lease=LEASE, n=0, code=code_of(3.0)))
+    bench.order(pipe.Set(order=99, lease=LEASE, n=0, code=code_of(3.0)))
     bench.run_for(20)
     assert bench.volts == pytest.approx(3.0, abs=0.01)
     return bench
@@ -81,7 +68,7 @@ def test_every_sample_of_a_run_has_its_own_u(bench: Bench) -> None:
     volts = [0.5, 4.5, 1.0, 5.0, 0.0, 2.5] * 50
     bench.arm()
 
-    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*volts))
+    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*volts))
     bench.run_for(3200)
 
     (started,), (ended,) = bench.of(RunStarted), bench.of(RunEnded)
@@ -98,7 +85,7 @@ def test_the_last_sample_comes_before_the_end_of_the_run(bench: Bench) -> None:
     """The recording ends with the end: no sample may be in flight then."""
     bench.arm()
 
-    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 10))
+    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 10))
     bench.run_for(200)
 
     at = bench.records.index(bench.of(RunEnded)[0])
@@ -115,7 +102,7 @@ def test_another_sampling_time_holds_for_one_owner(bench: Bench) -> None:
     begin = bench.samples[-1].k
     bench.run_for(1000)
     armed = [s for s in bench.samples if s.k > begin]
-    bench.ask(Release, lease=LEASE, n=0)
+    bench.ask(pipe.Disarm, lease=LEASE, n=0)
     begin = bench.samples[-1].k
     bench.run_for(1000)
 
@@ -136,7 +123,7 @@ def test_a_sampling_time_longer_than_the_watchdog_keeps_the_device_fed(bench: Be
     """KEEPALIVE goes between the ticks: at Ts 0.5 s nothing trips."""
     bench.arm(ts_us=500_000)
 
-    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(1.0, 2.0, 3.0)))
+    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(1.0, 2.0, 3.0)))
     bench.run_for(2600)
 
     assert bench.of(RunEnded)[0].outcome == "complete"
@@ -161,7 +148,7 @@ def test_a_hold_that_is_not_allowed_is_refused_and_told(
     bench = Bench(Config(limits=Limits(u_min_v=0.5, u_max_v=4.5)))
     bench.arm()
 
-    answer = bench.ask(SetVoltage, **order)
+    answer = bench.ask(pipe.Set, **order)
 
     assert complaint in answer.error
     assert bench.volts == 0.0
@@ -181,7 +168,7 @@ def test_a_value_that_is_not_allowed_is_never_sent(
     bench.arm()
 
     bench.order(
-        Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
+        pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
     )
     bench.run_for(500)
 
@@ -198,14 +185,14 @@ def test_a_command_that_is_played_again_is_refused(driven: Bench) -> None:
 
 def test_a_second_owner_is_refused(driven: Bench) -> None:
     """The refusal names who holds the rig."""
-    answer = driven.ask(Acquire, owner="another", lease="c" * 32, ts_us=0)
+    answer = driven.ask(pipe.Arm, owner="another", lease="c" * 32, ts_us=0)
 
     assert "a student has the rig" in answer.error
 
 
 def test_a_stop_needs_no_lease(driven: Bench) -> None:
     """S6: anybody may stop; the rig is free afterwards."""
-    driven.ask(Halt)
+    driven.ask(pipe.Stop)
 
     assert driven.volts == 0.0
     assert driven.phase is Phase.SAFE
@@ -214,9 +201,9 @@ def test_a_stop_needs_no_lease(driven: Bench) -> None:
 def test_a_stop_ends_a_run_and_says_so(bench: Bench) -> None:
     """What was recorded up to there is a recording."""
     bench.arm()
-    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 500))
+    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 500))
 
-    bench.ask(Halt)
+    bench.ask(pipe.Stop)
 
     assert bench.of(RunEnded)[0].outcome == "stopped"
     assert bench.volts == 0.0
@@ -224,8 +211,8 @@ def test_a_stop_ends_a_run_and_says_so(bench: Bench) -> None:
 
 def test_a_stop_overtakes_an_arming(bench: Bench) -> None:
     """Whoever was arming is told."""
-    bench.order(Acquire(order=7, owner="a student", lease=LEASE, ts_us=0))
-    bench.order(Halt(order=8))
+    bench.order(pipe.Arm(order=7, owner="a student", lease=LEASE, ts_us=0))
+    bench.order(pipe.Stop(order=8))
     bench.run_for(100)
 
     answers = {a.order: a for a in bench.of(Answer)}
@@ -237,8 +224,8 @@ def test_a_stop_overtakes_an_arming(bench: Bench) -> None:
 def test_a_release_is_never_too_early(bench: Bench) -> None:
     """S6: who gives the rig back while the device is being started does not find it driven."""
     bench.arm()
-    bench.order(SetVoltage(order=7, lease=LEASE, n=1, code=code_of(2.0)))
-    bench.order(Release(order=8, lease=LEASE, n=2))
+    bench.order(pipe.Set(order=7, lease=LEASE, n=1, code=code_of(2.0)))
+    bench.order(pipe.Disarm(order=8, lease=LEASE, n=2))
     bench.run_for(60)
 
     answers = {a.order: a for a in bench.of(Answer)}
@@ -266,7 +253,7 @@ def test_a_voltage_held_by_hand_dies_with_its_lease(driven: Bench) -> None:
 def test_each_command_renews_the_lease(driven: Bench) -> None:
     """A holder that goes on commanding goes on driving."""
     for n in range(1, 8):
-        driven.order(SetVoltage(order=100 + n, lease=LEASE, n=n, code=code_of(2.0)))
+        driven.order(pipe.Set(order=100 + n, lease=LEASE, n=n, code=code_of(2.0)))
         driven.run_for(80)
 
         assert driven.volts == pytest.approx(2.0, abs=0.01)
@@ -276,7 +263,7 @@ def test_answers_that_do_not_come_stop_the_motor(driven: Bench) -> None:
     """S4: one-way loss; the device still hears us, and is told to stop within the age limit."""
     driven.ports.from_device = lambda _: b""
     for n in range(1, 4):
-        driven.order(SetVoltage(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
+        driven.order(pipe.Set(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
         driven.run_for(20)
 
     driven.run_for(20)
@@ -347,7 +334,7 @@ def test_a_pause_of_the_host_trips(driven: Bench) -> None:
 def test_ticks_that_were_missed_are_skipped_and_told(bench: Bench) -> None:
     """No burst catches up; the voltage held meanwhile stands in the gap."""
     bench.arm()
-    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 100)))
+    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 100)))
     bench.run_for(300)
     bench.lateness_ns = 25 * MS
     bench.run_for(20)
@@ -366,7 +353,7 @@ def test_ticks_that_were_missed_are_skipped_and_told(bench: Bench) -> None:
 def test_a_lost_sample_is_a_gap_with_the_voltage_that_was_held(bench: Bench) -> None:
     """The next sample's u_km1 tells what was latched at the one that is missing."""
     bench.arm()
-    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0, 4.0] * 50)))
+    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0, 4.0] * 50)))
     bench.run_for(200)
     lost: list[bytes] = []
 
@@ -398,7 +385,7 @@ def test_noise_on_the_line_costs_samples_and_nothing_else(bench: Bench) -> None:
 
     bench.arm()
     bench.ports.from_device = spoil
-    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[3.0] * 200)))
+    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[3.0] * 200)))
     bench.run_for(2500)
 
     assert bench.of(RunEnded)[0].outcome == "complete"
@@ -469,7 +456,7 @@ def test_a_stop_frame_that_is_lost_is_sent_again(driven: Bench) -> None:
         return data
 
     driven.ports.to_device = lose_two
-    driven.ask(Halt)
+    driven.ask(pipe.Stop)
 
     assert lost == 2
     assert driven.volts == 0.0
@@ -486,7 +473,7 @@ def test_old_answers_that_come_late_do_not_count_as_fresh(driven: Bench) -> None
 
     ports.from_device = delay
     for n in range(1, 8):
-        driven.order(SetVoltage(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
+        driven.order(pipe.Set(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
         driven.run_for(20)
 
     assert driven.phase is Phase.FAULT
@@ -501,7 +488,7 @@ def test_a_greeting_that_nobody_asked_for_proves_no_round_trip(driven: Bench) ->
     driven.ports.from_device = lambda _: b""
     for n in range(1, 7):
         driven.ports.send(driven.ports.now, Received(encode(hello)))
-        driven.order(SetVoltage(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
+        driven.order(pipe.Set(order=100 + n, lease=LEASE, n=n, code=code_of(3.0)))
         driven.run_for(10)
 
     assert driven.volts == 0.0
@@ -594,7 +581,7 @@ def test_arm_and_start_carry_the_nonce_of_the_newest_configuration(bench: Bench)
     for _ in range(2):
         bench.arm()
         bench.drive(1.0, 0)
-        bench.ask(Halt, reason="enough")
+        bench.ask(pipe.Stop, reason="enough")
 
     assert [kind for kind, _, _ in sent] == [Arm, Start, Arm, Start]
     assert all(nonce == newest != 0 for _, nonce, newest in sent)
@@ -617,7 +604,7 @@ def test_an_answer_to_config_that_comes_late_costs_another_arm_and_no_more(bench
         return data
 
     bench.ports.from_device, bench.ports.to_device = hold_one_back, sent_by
-    bench.order(Acquire(order=77, owner="a student", lease=LEASE, ts_us=0))
+    bench.order(pipe.Arm(order=77, owner="a student", lease=LEASE, ts_us=0))
     bench.run_for(300)
 
     assert [a.error for a in bench.of(Answer) if a.order == 77] == [""]
@@ -642,10 +629,10 @@ def test_a_session_that_is_played_again_does_not_move_the_motor(
     ports.send(ports.now, LinkUp())  # the session begins, with a HELLO
     bench.run_for(300)
     bench.arm()
-    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[2.5] * 50), scheduled=scheduled)
+    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*[2.5] * 50), scheduled=scheduled)
     bench.run_for(1000)
     assert max(s.u_applied_v for s in bench.samples) == pytest.approx(2.5, abs=0.01)
-    bench.ask(Halt, reason="enough")
+    bench.ask(pipe.Stop, reason="enough")
     states: set[DeviceState] = set()
     volts: set[float] = set()
 
@@ -665,7 +652,7 @@ def test_a_session_that_is_played_again_does_not_move_the_motor(
 def test_an_angle_in_the_dead_band_is_not_a_number(bench: Bench) -> None:
     """The raw counts stay; an angle that nobody measured is not made up."""
     bench.arm()
-    bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(*[5.0] * 200))
+    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(*[5.0] * 200))
     bench.run_for(2200)
 
     dead = [s for s in bench.samples if s.flags & Flag.ADC0_RAIL]
@@ -679,9 +666,9 @@ def test_a_shorter_sampling_time_does_not_look_like_a_pause() -> None:
     bench = Bench(Config(timing=Timing(Ts=0.5)))
     between_ticks = bench.ports.now + 300 * MS
 
-    bench.order(Acquire(order=49, owner="a", lease=LEASE, ts_us=10_000), at_ns=between_ticks)
+    bench.order(pipe.Arm(order=49, owner="a", lease=LEASE, ts_us=10_000), at_ns=between_ticks)
     bench.run_for(400)
-    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 20)))
+    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 20)))
     bench.run_for(500)
 
     assert bench.of(RunEnded)[0].outcome == "complete"
@@ -726,7 +713,7 @@ def test_a_link_that_goes_while_a_run_begins_refuses_the_run(bench: Bench) -> No
     """Whoever asked is told, and may ask again later."""
     bench.arm()
     bench.ports.to_device = lambda _: b""
-    bench.order(Play(order=77, lease=LEASE, n=0, run_id="r", codes=codes(1.0)))
+    bench.order(pipe.Run(order=77, lease=LEASE, n=0, run_id="r", codes=codes(1.0)))
     bench.run_for(15)
 
     bench.ports.send(bench.ports.now, LinkDown("unplugged"))
@@ -743,7 +730,7 @@ def test_a_service_that_is_frozen_cannot_keep_the_motor_on(scheduled: bool) -> N
         bench.loop.state, rules=replace(bench.loop.state.rules, service_ns=3_000 * MS)
     )
     bench.arm()
-    play = Play(
+    play = pipe.Run(
         order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 2000), scheduled=scheduled
     )
     bench.order(play)
@@ -765,7 +752,7 @@ def test_every_k_is_published_or_told(scheduled: bool) -> None:
     frames = iter(range(1_000_000))
     bench.arm()
     bench.order(
-        Play(
+        pipe.Run(
             order=9,
             lease=LEASE,
             n=0,

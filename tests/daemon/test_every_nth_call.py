@@ -26,7 +26,7 @@ from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.telemetry import Sample, decode_sample, encode_sample
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import Phase
-from armrig_daemon.pipe import Acquire, Answer, Gap, Log, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import Answer, Arm, Gap, Log, Run, RunEnded, RunStarted
 from failing_disk import Disk
 from failing_world import WAYS, World
 from virtual_bench import LEASE, MS, codes
@@ -45,8 +45,8 @@ _STEP_V = 5 / 1024  # of the emulated duty
 def played(*args: object, scheduled: bool, on: bool = False, until_ns: int = END_NS) -> World:
     """Play a run of one second in a world where a call fails; check all that must hold."""
     world = World(CONFIG, *args, on=on)  # type: ignore[arg-type]
-    world.order(300 * MS, Acquire(order=1, owner="a test", lease=LEASE, ts_us=0))
-    play = Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U), scheduled=scheduled)
+    world.order(300 * MS, Arm(order=1, owner="a test", lease=LEASE, ts_us=0))
+    play = Run(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U), scheduled=scheduled)
     world.order(RUN_NS, play)
     records = world.run_until(until_ns)
     _no_voltage_but_what_was_asked_for(world)
@@ -128,8 +128,8 @@ def test_a_port_that_does_not_open_again_is_tried_again(*, on: bool) -> None:
         return opened(*args, **kwargs)
 
     world._open = busy  # type: ignore[method-assign]
-    world.order(300 * MS, Acquire(order=1, owner="a test", lease=LEASE, ts_us=0))
-    world.order(RUN_NS, Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U)))
+    world.order(300 * MS, Arm(order=1, owner="a test", lease=LEASE, ts_us=0))
+    world.order(RUN_NS, Run(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U)))
 
     records = world.run_until(END_NS + BACK_NS)
 
@@ -146,8 +146,8 @@ def test_sampling_is_back_by_itself_and_disarmed(kind: str) -> None:
     total = all_n(kind, scheduled=False)
     for n in range(total // 4, total, total // 4):
         world = World(CONFIG, kind, n, WAYS[kind][0])
-        world.order(300 * MS, Acquire(order=1, owner="a test", lease=LEASE, ts_us=0))
-        world.order(RUN_NS, Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U)))
+        world.order(300 * MS, Arm(order=1, owner="a test", lease=LEASE, ts_us=0))
+        world.order(RUN_NS, Run(order=2, lease=LEASE, n=0, run_id="r", codes=codes(*U)))
         world.run_until(END_NS)
 
         back = world.run_until(max(END_NS, world.failed_ns + BACK_NS) + 100 * MS)

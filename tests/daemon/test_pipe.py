@@ -6,14 +6,13 @@ from typing import get_args
 
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample, encode_sample
 from armrig_daemon.pipe import (
-    Acquire,
     Answer,
+    Arm,
     Gap,
-    Halt,
     Log,
     Orders,
-    Play,
-    SetVoltage,
+    Run,
+    Stop,
     record_bytes,
     sample_bytes,
     take_orders,
@@ -46,9 +45,9 @@ def test_records_come_out_as_they_went_in(cuts: list[int]) -> None:
 def test_orders_come_out_as_they_went_in() -> None:
     """An experiment of a million samples, too."""
     orders = [
-        Acquire(order=1, owner="a student", lease="a" * 32, ts_us=0),
-        Play(order=2, lease="a" * 32, n=0, run_id="r", codes=b"\x00\x80" * 1_000_000),
-        Halt(order=3),
+        Arm(order=1, owner="a student", lease="a" * 32, ts_us=0),
+        Run(order=2, lease="a" * 32, n=0, run_id="r", codes=b"\x00\x80" * 1_000_000),
+        Stop(order=3),
     ]
 
     pending = bytearray().join(map(record_bytes, orders))
@@ -56,20 +55,18 @@ def test_orders_come_out_as_they_went_in() -> None:
     assert take_orders(pending) == orders
 
 
-def test_orders_are_told_apart_as_in_the_recordings_that_there_are() -> None:
-    """The steps of a run carry them: under another tag an old run could not be decided again."""
+def test_orders_are_told_apart_by_the_client_s_words() -> None:
+    """The steps of a run carry them: under another tag they are of another trace version."""
     tags = {kind.__struct_config__.tag for kind in get_args(Orders)}
 
     assert tags == {
-        "Take",
-        "Release",
-        "Hold",
-        "Play",
-        "Halt",
+        "Arm",
+        "Disarm",
+        "Set",
+        "Run",
+        "Stop",
         "Reset",
         "Calibrate",
         "Alive",
         "Quit",
     }
-    assert Acquire.__struct_config__.tag == "Take"
-    assert SetVoltage.__struct_config__.tag == "Hold"

@@ -9,9 +9,10 @@ from itertools import pairwise
 import pytest
 from armrig_core.telemetry import decode_sample
 from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_daemon import pipe
 from armrig_daemon.config import Config, Device, Timing
 from armrig_daemon.decisions.state import Ordered, Phase
-from armrig_daemon.pipe import Acquire, Clock, Gap, Halt, Log, Play, RunEnded, RunStarted, State
+from armrig_daemon.pipe import Clock, Gap, Log, RunEnded, RunStarted, State
 from armrig_daemon.pipe import Timing as TimingRecord
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
@@ -31,8 +32,10 @@ def telegraph(n: int, seed: int = 1) -> list[float]:
 
 def play(bench: Bench, volts: list[float], ts_us: int = 10_000) -> None:
     """Arm and begin a scheduled run."""
-    assert not bench.ask(Acquire, owner="a student", lease=LEASE, ts_us=ts_us).error
-    bench.order(Play(order=500, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=True))
+    assert not bench.ask(pipe.Arm, owner="a student", lease=LEASE, ts_us=ts_us).error
+    bench.order(
+        pipe.Run(order=500, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=True)
+    )
 
 
 def run(bench: Bench, volts: list[float], ts_us: int = 10_000) -> None:
@@ -108,8 +111,8 @@ def test_a_second_run_follows_the_first() -> None:
     bench = Bench()
     for _ in range(2):
         run(bench, telegraph(100))
-    bench.ask(Acquire, owner="a student", lease=LEASE, ts_us=0)
-    bench.order(Play(order=600, lease=LEASE, n=0, run_id="x", codes=codes(*[1.0] * 50)))
+    bench.ask(pipe.Arm, owner="a student", lease=LEASE, ts_us=0)
+    bench.order(pipe.Run(order=600, lease=LEASE, n=0, run_id="x", codes=codes(*[1.0] * 50)))
     bench.run_for(1000)
 
     assert [r.outcome for r in bench.of(RunEnded)] == ["complete"] * 3
@@ -244,7 +247,7 @@ def test_a_stop_ends_a_scheduled_run_at_once() -> None:
     play(bench, telegraph(1000))
     bench.run_for(2000)
 
-    bench.ask(Halt)
+    bench.ask(pipe.Stop)
 
     assert bench.volts == 0.0
     assert bench.ports.device.state is DeviceState.READY
@@ -264,7 +267,7 @@ def test_after_a_trip_no_setpoint_and_no_life_is_sent() -> None:
         return b"" if isinstance(message, Stop) else data
 
     bench.ports.to_device = without_stop
-    bench.ports.send(bench.ports.now, Ordered(Halt(order=9)))
+    bench.ports.send(bench.ports.now, Ordered(pipe.Stop(order=9)))
     bench.run_for(130)
 
     assert set(sent) == {Stop}
@@ -278,7 +281,7 @@ def test_a_stop_is_asked_for_until_the_device_has_stopped() -> None:
     play(bench, telegraph(1000))
     bench.run_for(2000)
     bench.ports.to_device = lambda data: b"" if isinstance(feed(b"", data)[1][0], Stop) else data
-    bench.order(Halt(order=9))
+    bench.order(pipe.Stop(order=9))
     bench.run_for(150)
     bench.ports.to_device = lambda data: data
 
@@ -322,7 +325,7 @@ def test_a_stop_while_the_queue_is_filled_refuses_the_run() -> None:
     play(bench, telegraph(1000))
     bench.run_for(100)
 
-    bench.ask(Halt)
+    bench.ask(pipe.Stop)
 
     answers = {a.order: a for a in bench.records if hasattr(a, "order")}
     assert "stopped" in answers[500].error
@@ -364,9 +367,9 @@ def test_an_underrun_is_flagged_in_its_sample_and_told() -> None:
 def test_a_sampling_time_that_only_scheduled_mode_carries_is_not_played_by_hand() -> None:
     """2 kHz over 1 Mbaud: the refusal says so."""
     bench = Bench(Config(device=Device(baud=1_000_000)))
-    assert not bench.ask(Acquire, owner="a", lease=LEASE, ts_us=500).error
+    assert not bench.ask(pipe.Arm, owner="a", lease=LEASE, ts_us=500).error
 
-    answer = bench.ask(Play, lease=LEASE, n=0, run_id="r", codes=codes(1.0))
+    answer = bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", codes=codes(1.0))
 
     assert "cannot be carried in exchange mode" in answer.error
 
@@ -389,7 +392,7 @@ def test_a_run_with_too_many_missed_ticks_is_stopped_where_that_is_asked_for() -
     """`stop_after`: as "maximum missed ticks" in the students' old tool; exchange mode only."""
     bench = Bench(Config(timing=Timing(stop_after=3)))
     bench.arm()
-    bench.order(Play(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 100)))
+    bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 100)))
     bench.run_for(200)
     bench.lateness_ns = 35 * MS
     bench.run_for(20)
@@ -428,7 +431,7 @@ def test_the_drift_of_the_device_is_found_and_told(ppm: float, scheduled: bool) 
     volts = telegraph(3000)
     bench.arm()
     bench.order(
-        Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
+        pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*volts), scheduled=scheduled)
     )
     bench.run_for(30_500)
 
@@ -456,7 +459,9 @@ def test_the_state_tells_the_period_of_the_samples_that_come() -> None:
     """While the queue is filled, and after a trip, the host asks, at periods of its own."""
     bench = Bench(Config(timing=Timing(Ts=0.02)))
     assert not bench.arm(5_000).error
-    order = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 400), scheduled=True)
+    order = pipe.Run(
+        order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 400), scheduled=True
+    )
 
     bench.order(order)
     bench.run_for(300)

@@ -7,7 +7,7 @@ import time
 import pytest
 from armrig_core.volts import code_of, volts_of
 from armrig_daemon.decisions.state import Phase
-from armrig_daemon.pipe import Gap, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import Gap, Run, RunEnded, RunStarted
 from virtual_bench import LEASE, MS, Bench, codes
 
 TS_US = 10_000
@@ -17,7 +17,7 @@ RUN = [float(v) for v in (0.5, 2.0, 5.0, 1.0) * 50]
 
 def _play(bench: Bench, *, scheduled: bool) -> None:
     assert not bench.arm(TS_US).error
-    order = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled)
+    order = Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled)
     bench.order(order)
     bench.run_for(len(RUN) * TS_US / 1000 + 500)
     assert [r.outcome for r in bench.of(RunEnded)] == ["complete"]

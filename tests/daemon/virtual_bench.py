@@ -9,7 +9,7 @@ from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Acquire, Answer, SetVoltage
+from armrig_daemon.pipe import Answer, Arm, Set
 from armrig_daemon.virtual import VirtualRig
 
 LEASE = "a" * 32
@@ -63,10 +63,10 @@ class Bench(VirtualRig):
         return self.ports.device.board.volts
 
     def arm(self, ts_us: int = 0) -> Answer:
-        return self.ask(Acquire, owner="a student", lease=LEASE, ts_us=ts_us)
+        return self.ask(Arm, owner="a student", lease=LEASE, ts_us=ts_us)
 
     def drive(self, volts: float, n: int) -> Answer:
-        return self.ask(SetVoltage, lease=LEASE, n=n, code=code_of(volts))
+        return self.ask(Set, lease=LEASE, n=n, code=code_of(volts))
 
 
 def codes(*volts: float) -> bytes:

@@ -15,7 +15,7 @@ from armrig_daemon.decisions.state import Phase
 from armrig_daemon.emulator.board import duty
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
-from armrig_daemon.pipe import Acquire, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import Arm, Run, RunEnded, RunStarted
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.messages import Flag, State
 from sampling import sampled
@@ -55,8 +55,8 @@ class UnoBench(Bench):
 
     def play(self, volts: list[float], ts_us: int, *, scheduled: bool = True) -> None:
         """Arm and begin a run."""
-        assert not self.ask(Acquire, owner="a student", lease=LEASE, ts_us=ts_us).error
-        run = partial(Play, order=500, lease=LEASE, n=0, run_id="r", scheduled=scheduled)
+        assert not self.ask(Arm, owner="a student", lease=LEASE, ts_us=ts_us).error
+        run = partial(Run, order=500, lease=LEASE, n=0, run_id="r", scheduled=scheduled)
         self.order(run(codes=codes(*volts)))
 
     def run(self, volts: list[float], ts_us: int, *, scheduled: bool = True) -> None:

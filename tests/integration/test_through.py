@@ -21,7 +21,7 @@ from armrig_core.telemetry import decode_sample
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Acquire, Play, RunStarted
+from armrig_daemon.pipe import Arm, Run, RunStarted
 from armrig_daemon.virtual import VirtualRig
 from numpy.typing import NDArray
 
@@ -37,10 +37,10 @@ def _record(seed: int, path: Path) -> Path:
     rig = VirtualRig(config.rules(), EmulatorSettings(seed=seed))
     u = armrig.telegraph(N, 0.05, low=0.0, high=5.0, seed=seed)
     rig.run_until(300_000_000)
-    rig.order(Acquire(order=1, owner="a test", lease=LEASE, ts_us=0))
+    rig.order(Arm(order=1, owner="a test", lease=LEASE, ts_us=0))
     rig.run_until(400_000_000)
     codes = pack(f"<{N}H", *map(code_of, u))
-    rig.order(Play(order=2, lease=LEASE, n=0, run_id="r", codes=codes))
+    rig.order(Run(order=2, lease=LEASE, n=0, run_id="r", codes=codes))
     rig.run_until(31_000_000_000)
     (started,) = (r for r in rig.records if isinstance(r, RunStarted))
     manifest = Manifest(

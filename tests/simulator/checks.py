@@ -13,25 +13,21 @@ from __future__ import annotations
 from collections import Counter
 
 from armrig_core.telemetry import Sample
+from armrig_daemon import pipe
 from armrig_daemon.decisions.gaps import MOST_ABSENT
 from armrig_daemon.decisions.requests import MOST_BEATS
 from armrig_daemon.decisions.state import State as CoreState
 from armrig_daemon.loop.outbox import MOST_WAITING
 from armrig_daemon.pipe import (
-    Acquire,
     Answer,
     Calibrate,
     Gap,
-    Halt,
     Leased,
     Order,
-    Play,
     Quit,
     Record,
-    Release,
     Reset,
     RunStarted,
-    SetVoltage,
 )
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.decoder import LONGEST
@@ -88,10 +84,10 @@ class Checks:
         self.grant = 0
         self.taken: Violation | None = None
         self.lease: str | None = None
-        self.run: Play | None = None
-        self.offered: Play | None = None
+        self.run: pipe.Run | None = None
+        self.offered: pipe.Run | None = None
         """An experiment that has not been answered; the device may have begun with it."""
-        self.cut_off: Play | None = None
+        self.cut_off: pipe.Run | None = None
         """One that was refused behind its START, which the device may hear: until it is stopped."""
         self.k_first = -1
         self.command_ns = 0
@@ -138,13 +134,13 @@ class Checks:
     def ordered(self, now_ns: int, given_ns: int, order: Order) -> None:
         """Note an order that the core is about to take; it was put into the pipe at `given_ns`."""
         self._given[order.order] = (given_ns, order)
-        if isinstance(order, Halt | Release | Quit) and (
-            not isinstance(order, Release) or order.lease == self.lease
+        if isinstance(order, pipe.Stop | pipe.Disarm | Quit) and (
+            not isinstance(order, pipe.Disarm) or order.lease == self.lease
         ):
             self._close(now_ns)
         elif isinstance(order, Reset):
             self.latched = False
-        elif isinstance(order, Play) and self._is_valid(order):
+        elif isinstance(order, pipe.Run) and self._is_valid(order):
             self.offered = order
 
     def _close(self, now_ns: int) -> None:
@@ -158,7 +154,7 @@ class Checks:
 
     def is_arming(self) -> bool:
         """Return whether somebody has asked for the rig and has no answer yet."""
-        return any(isinstance(order, Acquire) for _, order in self._given.values())
+        return any(isinstance(order, pipe.Arm) for _, order in self._given.values())
 
     def told(self, now_ns: int, record: Record) -> None:
         """Judge what the core tells."""
@@ -180,7 +176,7 @@ class Checks:
         if given is None or answer.error:
             return
         given_ns, order = given
-        if isinstance(order, Acquire):
+        if isinstance(order, pipe.Arm):
             if self.lease is not None:
                 self._wrongly(now_ns, f"gave the rig to {order.owner}, while another held it")
             if self.latched:
@@ -193,13 +189,13 @@ class Checks:
             self.seen["calibrated"] += 1
             if self.phase != "safe" or self.lease is not None:
                 self._wrongly(now_ns, f"took a calibration while {self.phase}")
-        elif isinstance(order, SetVoltage):
+        elif isinstance(order, pipe.Set):
             low, high = self.options.u_min, self.options.u_max
             if not self._is_valid(order) or not low <= order.code <= high:
                 self._wrongly(now_ns, f"took {order}")
                 return
             self._n, self.code, self.command_ns = order.n, order.code, given_ns
-        elif isinstance(order, Play):
+        elif isinstance(order, pipe.Run):
             if not self._is_valid(order):
                 self._wrongly(now_ns, "took an experiment of nobody who holds the rig")
                 return
@@ -528,7 +524,7 @@ class Checks:
         self.worst_ns[kind] = max(self.worst_ns.get(kind, 0), ns)
 
 
-def _of(run: Play | None, k: int) -> int:
+def _of(run: pipe.Run | None, k: int) -> int:
     """Return the code of a scheduled run at sample `k`; -1 where there is none."""
     if run is None or not run.scheduled or 2 * k >= len(run.codes):
         return -1

@@ -7,17 +7,17 @@ from struct import pack
 
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_daemon.pipe import (
-    Acquire,
     Answer,
+    Arm,
     Calibrate,
-    Halt,
+    Disarm,
     Order,
-    Play,
     Record,
-    Release,
     Reset,
+    Run,
     RunEnded,
-    SetVoltage,
+    Set,
+    Stop,
 )
 from armrig_daemon.pipe import State as StateRecord
 
@@ -78,7 +78,7 @@ class Commander:
         if self._phase == "fault":
             return self._await(Reset(order=self._next()))
         if self._phase == "safe" and not self._held:
-            return self._await(self._acquire())
+            return self._await(self._arm())
         if not self._held or self._playing:
             return None
         if self._mode() == "hold":
@@ -87,7 +87,7 @@ class Commander:
         self._playing = True
         codes = self.codes()
         return self._await(
-            Play(
+            Run(
                 order=self._next(),
                 lease=self._lease,
                 n=self._n,
@@ -102,12 +102,12 @@ class Commander:
         code = self._rng.randint(1, 65_535)
         what = self._rng.randrange(4)
         if what == 0:
-            return SetVoltage(order=self._other(), lease="f" * 32, n=1 << 30, code=code)
+            return Set(order=self._other(), lease="f" * 32, n=1 << 30, code=code)
         if what == 1:
-            return SetVoltage(order=self._other(), lease="", n=1 << 30, code=code)
+            return Set(order=self._other(), lease="", n=1 << 30, code=code)
         if what == 2:
-            return Release(order=self._other(), lease="e" * 32, n=1 << 30)
-        return SetVoltage(
+            return Disarm(order=self._other(), lease="e" * 32, n=1 << 30)
+        return Set(
             order=self._other(), lease=self._lease, n=self._rng.randint(-5, self._n), code=code
         )
 
@@ -120,20 +120,18 @@ class Commander:
         if options.u_min:
             codes.append(options.u_min - 1)
         self._n += 1
-        return SetVoltage(
-            order=self._other(), lease=self._lease, n=self._n, code=self._rng.choice(codes)
-        )
+        return Set(order=self._other(), lease=self._lease, n=self._n, code=self._rng.choice(codes))
 
     def intruded(self) -> Order:
         """Return what a second commander tries while another holds the rig."""
         what = self._rng.randrange(12)
         if what == 0:
-            return Halt(order=self._other())
+            return Stop(order=self._other())
         if what < 6:
-            return Acquire(order=self._other(), owner="another", lease="b" * 32, ts_us=0)
+            return Arm(order=self._other(), owner="another", lease="b" * 32, ts_us=0)
         if what == 11:
             return Calibrate(order=self._other(), calibration=_OTHER)
-        return SetVoltage(order=self._other(), lease="b" * 32, n=1 << 30, code=65_535)
+        return Set(order=self._other(), lease="b" * 32, n=1 << 30, code=65_535)
 
     def codes(self) -> list[int]:
         """Return an experiment: steps within the limits; one half is soon at its end."""
@@ -158,23 +156,23 @@ class Commander:
         modes = self._options.modes
         return modes[self._grants % len(modes)]
 
-    def _acquire(self) -> Acquire:
+    def _arm(self) -> Arm:
         self._grants += 1
         self._n = 0
         self._code = 0
         self._holds_left = self._rng.randint(5, 60)
         self._lease = f"{self._rng.getrandbits(128):032x}"
-        return Acquire(order=self._next(), owner="a student", lease=self._lease, ts_us=0)
+        return Arm(order=self._next(), owner="a student", lease=self._lease, ts_us=0)
 
     def _set_voltage(self) -> Order:
         self._n += 1
         if self._holds_left <= 0:
-            return self._await(Release(order=self._next(), lease=self._lease, n=self._n))
+            return self._await(Disarm(order=self._next(), lease=self._lease, n=self._n))
         self._holds_left -= 1
         options = self._options
         wanted = self._rng.randint(max(options.u_min, 1), options.u_max)
         self._code = self._near(self._code, wanted)
-        return SetVoltage(order=self._next(), lease=self._lease, n=self._n, code=self._code)
+        return Set(order=self._next(), lease=self._lease, n=self._n, code=self._code)
 
     def _next(self) -> int:
         self._number += 1

@@ -24,7 +24,7 @@ from armrig_daemon.decisions import (
     transitions,
 )
 from armrig_daemon.decisions import requests as core_requests
-from armrig_daemon.decisions.state import Emit, Lease, Phase, Rules, Run
+from armrig_daemon.decisions.state import ActiveRun, Emit, Lease, Phase, Rules
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
 from armrig_daemon.pipe import Answer
@@ -82,7 +82,7 @@ def _all(*patches: Patch) -> Patch:
 
 # -- the bugs ------------------------------------------------------------------------------------
 
-_handle_reply, _acquire, _leased = replies.handle, orders._acquire, orders._leased
+_handle_reply, _arm, _leased = replies.handle, orders._arm, orders._leased
 _tell_missing, _trip, _end_run = gaps.tell_missing, stopping.trip, stopping.end_run
 _say_allows = Rules.allows
 
@@ -136,7 +136,7 @@ def _any_number(state: Any, now_ns: int, order: Any) -> Any:
 
 def _any_owner(state: Any, now_ns: int, order: Any) -> Any:
     if state.lease is None:
-        return _acquire(state, now_ns, order)
+        return _arm(state, now_ns, order)
     lease = Lease(order.lease, order.owner, state.lease.ts_us, -1, now_ns)
     return replace(state, lease=lease), [
         Emit(Answer(order=order.order, body={"lease": lease.lease}))
@@ -148,15 +148,15 @@ def _no_gaps(*args: Any, **kwargs: Any) -> Any:
     return state, []
 
 
-def _half(run: Run, i: int) -> int:
+def _half(run: ActiveRun, i: int) -> int:
     return (run.codes[2 * i] | run.codes[2 * i + 1] << 8) // 2 if i >= 0 else 0
 
 
-def _more_samples(run: Run) -> int:
+def _more_samples(run: ActiveRun) -> int:
     return len(run.codes) // 2 + 40
 
 
-def _last_again(run: Run, i: int) -> int:
+def _last_again(run: ActiveRun, i: int) -> int:
     i = min(i, len(run.codes) // 2 - 1)
     return run.codes[2 * i] | run.codes[2 * i + 1] << 8 if i >= 0 else 0
 
@@ -193,7 +193,7 @@ def _calibrated(state: Any, order: Any) -> Any:
 def _out_of_fault(state: Any, now_ns: int, order: Any) -> Any:
     if state.phase is Phase.FAULT and state.device is not None and state.asked is None:
         return transitions.begin_arming(replace(state, lease=None), now_ns, order)
-    return _acquire(state, now_ns, order)
+    return _arm(state, now_ns, order)
 
 
 def _all_beats(state: Any, now_ns: int, data: bytes) -> Any:
@@ -272,7 +272,7 @@ MUTANTS = (
     ),
     Mutant(
         name="any owner",
-        plant=_put(orders, "_acquire", _any_owner),
+        plant=_put(orders, "_arm", _any_owner),
         breaks=frozenset({"A1", "S5"}),
         faults=("intruder",),
     ),
@@ -291,7 +291,9 @@ MUTANTS = (
     ),
     Mutant(name="silent gap", plant=_put(gaps, "tell_missing", _no_gaps), breaks=frozenset({"L2"})),
     Mutant(
-        name="wrong scale in the host", plant=_put(Run, "code", _half), breaks=frozenset({"S5"})
+        name="wrong scale in the host",
+        plant=_put(ActiveRun, "code", _half),
+        breaks=frozenset({"S5"}),
     ),
     Mutant(
         name="no pause detection",
@@ -343,7 +345,7 @@ MUTANTS = (
     ),
     Mutant(
         name="armed in a fault",
-        plant=_put(orders, "_acquire", _out_of_fault),
+        plant=_put(orders, "_arm", _out_of_fault),
         breaks=frozenset({"S6"}),
         faults=("hang", "intruder"),
         first=1028,
@@ -393,7 +395,10 @@ MUTANTS = (
     ),
     Mutant(
         name="a run that is over goes on",
-        plant=_all(_put(Run, "samples", property(_more_samples)), _put(Run, "code", _last_again)),
+        plant=_all(
+            _put(ActiveRun, "samples", property(_more_samples)),
+            _put(ActiveRun, "code", _last_again),
+        ),
         breaks=frozenset({"S5"}),
         faults=("slow_service",),
     ),

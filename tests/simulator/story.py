@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_daemon.decisions.state import Ordered, Received
-from armrig_daemon.pipe import Play, Tagged
+from armrig_daemon.pipe import Run, Tagged
 from armrig_protocol.decoder import feed
 
 from simulator.options import MS, Options
@@ -57,8 +57,8 @@ def _said(thing: Any) -> str:
 
 
 def _short(thing: Any) -> str:
-    if isinstance(thing, Play):
+    if isinstance(thing, Run):
         pace = "scheduled" if thing.scheduled else "exchange"
-        return f"Play(order={thing.order}, n={thing.n}, {len(thing.codes) // 2} samples, {pace})"
+        return f"Run(order={thing.order}, n={thing.n}, {len(thing.codes) // 2} samples, {pace})"
     text = repr(thing)
     return text if len(text) < 160 else f"{text[:157]}..."

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from armrig.cli.collect_runs import SECONDS, Played, Run, chosen_inputs, collect_each
+from armrig.cli.collect_runs import SECONDS, CollectedRun, Played, chosen_inputs, collect_each
 from armrig.cli.options import Connect, Json, RigId
 
 app = typer.Typer(
@@ -92,7 +92,7 @@ def blackbox(
     json: Json = False,
 ) -> None:
     """Play a random input, or one of your own, to the whole rig."""
-    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    run = CollectedRun(Ts, name, pacing, owner, dead_man, rig, connect, json)
     collect_each(
         chosen_inputs(
             "blackbox",
@@ -133,7 +133,7 @@ def greybox(
 
     The rotating part is taken off.
     """
-    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    run = CollectedRun(Ts, name, pacing, owner, dead_man, rig, connect, json)
     plan = chosen_inputs(
         "greybox",
         input=input,
@@ -174,7 +174,7 @@ def step(
     check_step_time(at, seconds)
     details = {"input": "step", "low": low, "high": high, "at": at}
     make = partial(step_at, low=low, high=high, at=at)
-    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    run = CollectedRun(Ts, name, pacing, owner, dead_man, rig, connect, json)
     collect_each([Played("step", make, details, seconds)], run)
 
 
@@ -198,7 +198,7 @@ def staircase(
 
     step_at(1, 1.0, low=low, high=high, at=0.0)
     details = {"input": "staircase", "low": low, "high": high, "levels": levels}
-    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    run = CollectedRun(Ts, name, pacing, owner, dead_man, rig, connect, json)
 
     def make(N: int, _: float) -> Any:
         return up_and_down(N, low=low, high=high, levels=levels)
@@ -254,7 +254,7 @@ def bla(
     def make(r: int, N: int, _: float) -> Any:
         return realisations(N - N % periods, count, low, high, seed, periods=periods)[r]
 
-    run = Run(Ts, name, pacing, owner, dead_man, rig, connect, json)
+    run = CollectedRun(Ts, name, pacing, owner, dead_man, rig, connect, json)
     collect_each(
         (
             Played("bla", partial(make, r), details | {"realisation": r}, seconds)

@@ -16,7 +16,7 @@ SECONDS = 30.0
 _LONGEST_NAME = 40  # of a kind of experiment, as the daemon takes it
 
 
-class Run(NamedTuple):
+class CollectedRun(NamedTuple):
     """The options that all kinds of experiment have."""
 
     Ts: float | None
@@ -136,7 +136,7 @@ def _check_name_is_free(name: str) -> None:
         raise ValueError(f"{msg}another, such as --name {free}")
 
 
-def collect_each(played: Iterable[Played], run: Run, *, without_arm: bool = False) -> None:
+def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bool = False) -> None:
     """Record one after the other and print each; end where the data cannot be used.
 
     `without_arm` is an experiment with the chassis alone: a rig that has its arm is refused.

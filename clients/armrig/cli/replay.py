@@ -195,7 +195,7 @@ class _Chunks:
                     f"a chunk of steps has {len(chunk.steps)} B; "
                     f"the daemon writes {MOST_CHUNK} at most"
                 )
-            yield from trace.steps_of(chunk.steps)
+            yield from trace.steps_of(chunk.steps, _version(chunk))
 
     def holes(self) -> int:
         """Return how many chunks are missing, up to the last one that is there."""
@@ -217,6 +217,11 @@ def _same_rows(ours: Any, theirs: Any) -> int:
     a, b = (np.frombuffer(x[:n].tobytes(), np.uint8).reshape(n, -1) for x in (ours, theirs))
     different = np.flatnonzero((a != b).any(axis=1))
     return int(different[0]) if different.size else n
+
+
+def _version(chunk: Any) -> int:
+    """Return the version of a trace; the first one was not written down."""
+    return int(chunk.version) if chunk.HasField("version") else 1
 
 
 def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:

@@ -12,17 +12,17 @@ from armrig_daemon.decisions.state import Phase, Rules, State, Want
 from armrig_daemon.decisions.stopping import end_run, leave, stop
 from armrig_daemon.decisions.transitions import begin_arming, state_name
 from armrig_daemon.pipe import (
-    Acquire,
     Alive,
+    Arm,
     Calibrate,
-    Halt,
+    Disarm,
     Leased,
     Order,
-    Play,
     Quit,
-    Release,
     Reset,
-    SetVoltage,
+    Run,
+    Set,
+    Stop,
 )
 
 NOT_HELD = "not the lease in force: arm first"
@@ -37,16 +37,16 @@ def handle(state: State, now_ns: int, order: Order) -> Step:
     match order:
         case Alive():
             return state, []
-        case Halt():
-            return _halt(state, now_ns, order)
+        case Stop():
+            return _stop(state, now_ns, order)
         case Quit():
             return quit_(state, now_ns)
         case Reset():
             return _reset(state, now_ns, order)
         case Calibrate():
             return _calibrate(state, order)
-        case Acquire():
-            return _acquire(state, now_ns, order)
+        case Arm():
+            return _arm(state, now_ns, order)
         case Leased():
             return _leased(state, now_ns, order)
     return state, refuse(order, "not an order that this daemon knows")
@@ -74,7 +74,7 @@ def quit_(state: State, now_ns: int) -> Step:
     return stop(state, now_ns, "the daemon was ended")
 
 
-def _halt(state: State, now_ns: int, order: Halt) -> Step:
+def _stop(state: State, now_ns: int, order: Stop) -> Step:
     may_turn = state.phase in (Phase.ARMED, Phase.ACTIVE) or state.asked is not None
     if state.device is None or state.phase is Phase.FAULT or not may_turn:
         return state, answer(order, {"done": True})  # at 0 V, or out of our reach
@@ -112,7 +112,7 @@ def _calibrate(state: State, order: Calibrate) -> Step:
     return replace(state, rules=rules), answer(order, {"done": True})
 
 
-def _acquire(state: State, now_ns: int, order: Acquire) -> Step:
+def _arm(state: State, now_ns: int, order: Arm) -> Step:
     if state.quitting:
         return state, refuse(order, "the daemon is ending")
     if state.phase is Phase.FAULT:
@@ -145,17 +145,17 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
         return state, refuse(order, NOT_HELD)
     if order.n <= lease.n:
         return state, refuse(order, not_newer(order.n, lease.n))
-    if state.asked is not None and not isinstance(order, Release):
+    if state.asked is not None and not isinstance(order, Disarm):
         return state, refuse(order, f"busy with {state.asked.want}: try again")
     error = _error(state, order)
     if error:
         return state, refuse(order, error)
     state = replace(state, lease=replace(lease, n=order.n, renewed_ns=now_ns))
-    if isinstance(order, Release):
+    if isinstance(order, Disarm):
         return stop(state, now_ns, "disarmed", order)
-    if isinstance(order, SetVoltage) and state.phase is Phase.ACTIVE:
+    if isinstance(order, Set) and state.phase is Phase.ACTIVE:
         return replace(state, code=order.code), answer(order, {"done": True})
-    if isinstance(order, Play) and order.scheduled:
+    if isinstance(order, Run) and order.scheduled:
         # By way of a stop: a device takes another mode in IDLE and READY only.
         return ask(state, now_ns, Want.STOP, order)
     return ask(state, now_ns, Want.START, order)
@@ -164,13 +164,13 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
 def _error(state: State, order: Leased) -> str:
     """Return why the order is not allowed, or nothing."""
     match order:
-        case SetVoltage():
+        case Set():
             if state.run is not None:
                 return f"the experiment {state.run.run_id} is running: stop it first"
             if state.lease is not None and state.ts_us != state.lease.ts_us:
                 return _too_short_for_exchange(state)
             return _out_of_range(state.code, order.code, state.rules)
-        case Play():
+        case Run():
             if state.phase is not Phase.ARMED:
                 return BY_HAND
             if state.run is not None:
@@ -183,7 +183,7 @@ def _error(state: State, order: Leased) -> str:
     return ""
 
 
-def _cannot_pace(state: State, order: Play) -> str:
+def _cannot_pace(state: State, order: Run) -> str:
     if order.scheduled:
         able = state.device is not None and state.device.capabilities & Capability.SCHEDULED
         return "" if able else "this device has no scheduled mode: ask for exchange"

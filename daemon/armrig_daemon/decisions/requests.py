@@ -20,6 +20,7 @@ from armrig_protocol.messages import (
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
+from armrig_daemon import pipe
 from armrig_daemon.decisions.faults import REMEDIES
 from armrig_daemon.decisions.state import (
     Action,
@@ -32,7 +33,7 @@ from armrig_daemon.decisions.state import (
     Unechoed,
     Want,
 )
-from armrig_daemon.pipe import Answer, Halt, Log, Order, Release
+from armrig_daemon.pipe import Answer, Log, Order
 from armrig_daemon.pipe import State as StateRecord
 
 NO_DEVICE = "no device answers; see that it is plugged in, and that its supply is on: try again"
@@ -205,7 +206,7 @@ def ask(
 
 def _overtaken(order: Order | None, want: Want, outcome: str) -> list[Action]:
     """Return what is said to who had wished for something else; a wish to stop is granted."""
-    if isinstance(order, Halt | Release):
+    if isinstance(order, pipe.Stop | pipe.Disarm):
         return answer(order, {"done": True})
     stopped = want is Want.STOP and outcome
     return refuse(order, f"not begun: {outcome}" if stopped else f"overtaken by {want}")

@@ -18,7 +18,7 @@ from armrig_daemon.decisions.clockmap import extend, host_ns_at
 from armrig_daemon.decisions.conversion import converted, extended, is_older
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import Step, log
-from armrig_daemon.decisions.state import Phase, Publish, RoundTrip, Run, Sent, State
+from armrig_daemon.decisions.state import ActiveRun, Phase, Publish, RoundTrip, Sent, State
 from armrig_daemon.decisions.stopping import trip
 
 _RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # an enum's `&` makes an enum: 0.5 µs each time
@@ -126,7 +126,7 @@ def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
     return state, done + actions
 
 
-def _sched_ns(state: State, run: Run, m: DeviceSample) -> int:
+def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
     """Return when a sample was due on our clock: by the map of the clocks, once there is one."""
     if state.clock.weight and len(state.clock.round_trips) >= ENOUGH_EXCHANGES:
         return host_ns_at(state.clock, extend(state.device_us, m.t_us))

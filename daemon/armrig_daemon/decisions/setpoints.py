@@ -16,9 +16,9 @@ from armrig_daemon.decisions import gaps
 from armrig_daemon.decisions.budget import PING_US
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import Step, ask, send
-from armrig_daemon.decisions.state import Absent, Action, Phase, Queue, Run, State, Want
+from armrig_daemon.decisions.state import Absent, Action, ActiveRun, Phase, Queue, State, Want
 from armrig_daemon.decisions.stopping import stop, trip
-from armrig_daemon.pipe import Play
+from armrig_daemon.pipe import Run
 
 _ARMED, _FAULT = Phase.ARMED, Phase.FAULT
 
@@ -30,9 +30,9 @@ MOST_FRAMES = 8
 """Frames of setpoints sent at once: what else is on the line must not wait long behind them."""
 
 
-def begin(state: State, now_ns: int, order: Play) -> Step:
+def begin(state: State, now_ns: int, order: Run) -> Step:
     """Fill the queue of a device that was armed for this run, at 0 V."""
-    run = Run(order.run_id, order.codes, -1, scheduled=True)
+    run = ActiveRun(order.run_id, order.codes, -1, scheduled=True)
     queue = Queue(order, moved_ns=now_ns, asked_ns=now_ns)
     return refill(replace(state, run=run, queue=queue), now_ns)
 
@@ -120,7 +120,7 @@ def complete(state: State, now_ns: int) -> Step:
     return replace(state, run=run, outcome=state.outcome or "complete"), []
 
 
-def note_missing(state: State, run: Run, end: int, now_ns: int) -> State:
+def note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
     """Note the samples of a run before `end` that have not come; their input was the queue's."""
     bits = state.device.pwm_bits if state.device else 16
     for i in range(max(run.due, end - gaps.MOST_ABSENT), end):

@@ -12,7 +12,7 @@ from armrig_protocol.messages import HelloReply
 
 from armrig_daemon.decisions.clockmap import ClockMap
 from armrig_daemon.decisions.faults import Fault
-from armrig_daemon.pipe import Order, Play, Record
+from armrig_daemon.pipe import Order, Record, Run
 
 
 class Phase(StrEnum):
@@ -151,7 +151,7 @@ class Lease(msgspec.Struct, frozen=True, gc=False):
     """What the service has checked of the owner."""
 
 
-class Run(msgspec.Struct, frozen=True, gc=False):
+class ActiveRun(msgspec.Struct, frozen=True, gc=False):
     """An experiment that is played."""
 
     run_id: str
@@ -179,7 +179,7 @@ class Run(msgspec.Struct, frozen=True, gc=False):
 class Queue(msgspec.Struct, frozen=True, gc=False):
     """The setpoints of a scheduled run on their way to the device."""
 
-    order: Play | None
+    order: Run | None
     """Whose run it is, until it has been answered."""
     base: int = 0
     """Index of the next sample that the device takes."""
@@ -260,7 +260,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     t_us: int = 0
     """Device clock of the last sample, wraps undone."""
     lease: Lease | None = None
-    run: Run | None = None
+    run: ActiveRun | None = None
     queue: Queue | None = None
     beats: tuple[Unechoed, ...] = ()
     """Scheduled: frames whose echo has not come yet."""

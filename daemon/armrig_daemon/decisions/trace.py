@@ -6,12 +6,13 @@ A trace begins with the state in which the run started and holds the arguments o
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import msgspec
 from msgspec.structs import replace
 
+from armrig_daemon.decisions import trace_v1
 from armrig_daemon.decisions.state import (
     Action,
     Beat,
@@ -25,8 +26,10 @@ from armrig_daemon.decisions.state import (
     State,
     Tick,
 )
-from armrig_daemon.pipe import Acquire, Leased, Order, Orders, Play
+from armrig_daemon.pipe import Arm, Leased, Order, Orders, Run
 
+VERSION = 2
+"""Of the words in which a trace is written; `trace_v1` reads those of before."""
 CHUNK = 3000
 """Bytes of steps that are handed over together: with its state a chunk fits into 4096."""
 _HELD = "held"  # in place of the lease in force
@@ -49,7 +52,7 @@ _Written = list[tuple[int, list[tuple[int, bytes]], list[bytes]]]
 _ENCODER, _STEPS = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Written)
 _STATE = msgspec.msgpack.Decoder(State)
 _EVENTS = [msgspec.msgpack.Decoder(kind) for kind in _KINDS]
-_ORDER = msgspec.msgpack.Decoder(Orders)
+_ORDERS_OF = {1: trace_v1.order_of, VERSION: msgspec.msgpack.Decoder(Orders).decode}
 
 
 class Chunk(NamedTuple):
@@ -147,10 +150,13 @@ def restored(data: bytes, codes: bytes) -> State:
     return state if state.run is None else replace(state, run=replace(state.run, codes=codes))
 
 
-def steps_of(chunk: bytes) -> list[Step]:
+def steps_of(chunk: bytes, version: int = VERSION) -> list[Step]:
     """Return the steps of a chunk; raises as `restored`."""
+    order_of = _ORDERS_OF.get(version)
+    if order_of is None:
+        raise msgspec.DecodeError(f"trace of version {version}: 1 to {VERSION} are known")
     return [
-        Step(now_ns, tuple(_event(number, data) for number, data in events), tuple(sent))
+        Step(now_ns, tuple(_event(number, data, order_of) for number, data in events), tuple(sent))
         for now_ns, events, sent in _STEPS.decode(chunk)
     ]
 
@@ -168,19 +174,19 @@ def _without_secrets(order: Order, lease: str) -> Order:
 
     A second experiment is refused, whatever its codes are.
     """
-    if isinstance(order, Play):
+    if isinstance(order, Run):
         order = replace(order, codes=b"")
-    if isinstance(order, Leased | Acquire):
+    if isinstance(order, Leased | Arm):
         order = replace(order, lease=_HELD if order.lease == lease else "")
     return order
 
 
-def _event(number: int, data: bytes) -> Event:
+def _event(number: int, data: bytes, order_of: Callable[[bytes], Orders]) -> Event:
     kind = _KINDS[number] if number < len(_KINDS) else None
     if kind is Received:
         return Received(data)
     if kind is Ordered:
-        return Ordered(_ORDER.decode(data))
+        return Ordered(order_of(data))
     if kind is None:
         raise msgspec.DecodeError(f"event of kind {number}: 0 to {len(_KINDS) - 1} are known")
     event: Event = _EVENTS[number].decode(data)

@@ -34,17 +34,17 @@ from armrig_daemon.decisions.requests import (
 )
 from armrig_daemon.decisions.state import (
     Action,
+    ActiveRun,
     Asked,
     Emit,
     Lease,
     Phase,
     Repace,
-    Run,
     State,
     Want,
 )
 from armrig_daemon.decisions.stopping import end_run, leave, trip
-from armrig_daemon.pipe import Acquire, Order, Play, Reset, RunStarted, SetVoltage
+from armrig_daemon.pipe import Arm, Order, Reset, Run, RunStarted, Set
 
 _RETRY_NS = {Want.HELLO: 100_000_000, Want.STOP: 20_000_000}
 _OTHER_RETRY_NS = 50_000_000
@@ -160,7 +160,7 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
     return state, []
 
 
-def _is_over(state: State, run: Run, now_ns: int) -> bool:
+def _is_over(state: State, run: ActiveRun, now_ns: int) -> bool:
     """Return whether a scheduled run must be over by now, should its end not have been heard."""
     return run.due >= run.samples or now_ns >= run.t_zero_ns + run.samples * state.ts_us * 1000
 
@@ -180,9 +180,9 @@ def _reached(state: State, now_ns: int, asked: Asked) -> Step:
 
 def _armed(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
-    if isinstance(order, Play):
+    if isinstance(order, Run):
         return setpoints.begin(state, now_ns, order)
-    if not isinstance(order, Acquire):
+    if not isinstance(order, Arm):
         return trip(state, now_ns, Fault(Id.INTERNAL, "armed without an owner"))
     rules = state.rules
     ts_us = order.ts_us or rules.ts_us
@@ -200,15 +200,15 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
 
 def _started(state: State, now_ns: int, asked: Asked) -> Step:
     order = asked.order
-    if state.lease is None or not isinstance(order, Play | SetVoltage):
+    if state.lease is None or not isinstance(order, Run | Set):
         return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
     # The lease counts from the command, however long its START took.
     state = replace(state, phase=Phase.ACTIVE, outcome="", code=0, beats=())
     done = [say_state(state, now_ns), *answer(order, {"done": True})]
-    if isinstance(order, SetVoltage):
+    if isinstance(order, Set):
         return replace(state, code=order.code), done
     if state.run is None or state.queue is None:
-        return replace(state, run=Run(order.run_id, order.codes, -1)), done
+        return replace(state, run=ActiveRun(order.run_id, order.codes, -1)), done
     # The device takes its first sample one Ts after it heard START.
     heard_ns = (asked.sent_ns + now_ns) // 2
     run = replace(state.run, k_first=state.k + 1, t_zero_ns=heard_ns + state.ts_us * 1000)
@@ -220,7 +220,7 @@ def _started(state: State, now_ns: int, asked: Asked) -> Step:
 
 
 def _stopped(state: State, now_ns: int, asked: Asked) -> Step:
-    if isinstance(asked.order, Play):
+    if isinstance(asked.order, Run):
         # Not a stop: on the way from the owner's ARM to that of a scheduled run.
         ts_us = state.lease.ts_us if state.lease else state.rules.ts_us
         return ask(state, now_ns, Want.CONFIGURE, asked.order, ts_us=ts_us, scheduled=True)
@@ -328,7 +328,7 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
         return give_up(state, now_ns, "the device accepted another configuration than was sent")
     before_us = state.pace_us
     pace_us = CARE_US if asked.scheduled else asked.ts_us
-    arms = isinstance(asked.order, Acquire | Play)
+    arms = isinstance(asked.order, Arm | Run)
     # The pace begins anew here: the ticks before it say nothing of the new period. Which of our
     # frames it answers it does not say, so that it proves no round trip to who wants to drive.
     state = replace(
@@ -359,7 +359,7 @@ def _is_renewed(state: State, reply: ConfigReply) -> bool:
     return same and reply.nonce != state.nonce
 
 
-def begin_arming(state: State, now_ns: int, order: Acquire) -> Step:
+def begin_arming(state: State, now_ns: int, order: Arm) -> Step:
     """Configure the device for the owner's sampling time, then arm it."""
     device = state.device
     ts_us = order.ts_us or state.rules.ts_us

@@ -24,7 +24,7 @@ from armrig_daemon.decisions.state import (
     State,
     Tick,
 )
-from armrig_daemon.decisions.trace import Chunk, Trace
+from armrig_daemon.decisions.trace import VERSION, Chunk, Trace
 from armrig_daemon.loop.meter import Meter, clock_record
 from armrig_daemon.loop.outbox import Outbox
 from armrig_daemon.loop.pacing import Pace, change
@@ -112,7 +112,9 @@ class Loop:
 
     def _put_trace(self, chunks: list[Chunk], now_ns: int) -> None:
         for number, state, steps in chunks:
-            record = TraceRecord(t_host_ns=now_ns, number=number, state=state, steps=steps)
+            record = TraceRecord(
+                t_host_ns=now_ns, number=number, state=state, steps=steps, version=VERSION
+            )
             self._outbox.put(record)
 
     def _do(self, action: Action, now_ns: int) -> Event | None:

@@ -16,23 +16,12 @@ from armrig_core import commands
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
+from armrig_daemon import pipe
 from armrig_daemon.config import Config
 from armrig_daemon.decisions import orders
 from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Phase
-from armrig_daemon.pipe import (
-    Acquire,
-    Alive,
-    Answer,
-    Calibrate,
-    Halt,
-    Leased,
-    Orders,
-    Play,
-    Release,
-    Reset,
-    SetVoltage,
-)
+from armrig_daemon.pipe import Alive, Answer, Calibrate, Leased, Orders, Reset
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.child import LoopChild
 from armrig_daemon.service.identity import signed
@@ -154,16 +143,16 @@ class Commands:
         if answer.error:
             self._give_up(waiting, answer.error)
             return
-        if isinstance(waiting.order, Acquire):
+        if isinstance(waiting.order, pipe.Arm):
             self._Ts = answer.body["Ts"]
             self.note_lease(waiting.order.lease)
             self._holder = _Holder(waiting.order.owner, waiting.command.by)
         elif isinstance(waiting.order, Leased) and waiting.order.lease == self._lease:
             self._n = max(self._n, waiting.order.n)
         waiting.command.answer(waiting.body or answer.body)
-        if not isinstance(waiting.order, SetVoltage):
+        if not isinstance(waiting.order, pipe.Set):
             name, who = waiting.command.name, waiting.who or _SOMEBODY
-            cause = waiting.order.reason if isinstance(waiting.order, Halt) else ""
+            cause = waiting.order.reason if isinstance(waiting.order, pipe.Stop) else ""
             self._say(
                 "info",
                 f"{name}: by {who}",
@@ -180,7 +169,7 @@ class Commands:
             self._give_up(self._waiting.pop(number), _SILENT)
 
     def _give_up(self, waiting: _Waiting, error: str) -> None:
-        if isinstance(waiting.order, Play):
+        if isinstance(waiting.order, pipe.Run):
             self._runs.forget(waiting.order.run_id)
         waiting.command.refuse(error)
 
@@ -208,15 +197,15 @@ class Commands:
                 owner = signed(request.owner, command.by)
                 self._order(
                     command,
-                    Acquire(owner=owner, lease=lease, ts_us=ts_us, owner_checked=command.by),
+                    pipe.Arm(owner=owner, lease=lease, ts_us=ts_us, owner_checked=command.by),
                     who=owner,
                 )
             case commands.Disarm():
-                self._order(command, Release(lease=request.lease, n=request.n))
+                self._order(command, pipe.Disarm(lease=request.lease, n=request.n))
             case commands.Set():
                 (volts,) = checked([request.u], replace(self._config.limits, slew_v=0.0))
                 code = code_of(volts)
-                self._order(command, SetVoltage(lease=request.lease, n=request.n, code=code))
+                self._order(command, pipe.Set(lease=request.lease, n=request.n, code=code))
             case commands.Run():
                 self._check_holder(request)
                 start = self._rig.theta_1_rad
@@ -230,7 +219,7 @@ class Commands:
                 command.answer(commands.Done(done=True))
             case commands.Stop():
                 who = signed(request.by, command.by)
-                halt = Halt(reason=f"stopped by {who}") if who else Halt()
+                halt = pipe.Stop(reason=f"stopped by {who}") if who else pipe.Stop()
                 self._order(command, halt, who=who)
             case commands.Note():
                 self._take_note(command, request)
@@ -300,7 +289,7 @@ class Commands:
         """Give the loop an order; its answer is that of the command."""
         if who is None:
             who = self._holder.owner if isinstance(order, Leased) else signed("", command.by)
-        if len(self._waiting) >= _MOST_ASKED and isinstance(order, Acquire | Reset | Calibrate):
+        if len(self._waiting) >= _MOST_ASKED and isinstance(order, pipe.Arm | Reset | Calibrate):
             raise ValueError("too many commands are waiting: try again")
         self._numbers += 1
         order = replace(order, order=self._numbers)

@@ -22,9 +22,10 @@ from armrig_core.rehearsal import Rehearsal, rehearse
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
 
+from armrig_daemon import pipe
 from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
-from armrig_daemon.pipe import Gap, Play, RunStarted, State
+from armrig_daemon.pipe import Gap, RunStarted, State
 from armrig_daemon.service.client_watchdog import ClientWatchdog, begun, renewed
 from armrig_daemon.service.directory import check_directory
 from armrig_daemon.service.host_facts import HostFacts, of_this_host
@@ -109,7 +110,7 @@ class Runs:
         Ts: float,
         theta_1_rad: float | None = None,
         alive: Callable[[], None] = lambda: None,
-    ) -> tuple[Play, RunAccepted]:
+    ) -> tuple[pipe.Run, RunAccepted]:
         """Return the order for the loop, and what to answer once the loop has taken it.
 
         Parameters
@@ -154,7 +155,7 @@ class Runs:
         stamp = self._circumstances.now().strftime("%Y%m%dT%H%M%S")
         name = f"{self._config.rig.id}-{request.experiment}-{stamp}-{run_id}.mcap"
         self._planned = Planned(run_id, self._directory / name, request, rehearsal, text)
-        order = Play(
+        order = pipe.Run(
             lease=request.lease,
             n=request.n,
             run_id=run_id,

@@ -34,7 +34,6 @@ from armrig_daemon.pipe import (
     Answer,
     Clock,
     Gap,
-    Halt,
     Host,
     Log,
     Quit,
@@ -42,6 +41,7 @@ from armrig_daemon.pipe import (
     RunEnded,
     RunStarted,
     State,
+    Stop,
     Timing,
     Trace,
 )
@@ -223,7 +223,7 @@ class Service:
             # Behind the signs that have come: one that waited for us is a sign, of when it came.
             self._commands.serve_signs()
             if time.monotonic() >= self._runs.client_gone_s:
-                self._loop.order(Halt(reason=self._runs.client_gone()))
+                self._loop.order(Stop(reason=self._runs.client_gone()))
             self._commands.serve()
             if time.monotonic() >= self._kill_at:
                 self._say("error", "the loop does not end: killed; the device stops the motor")
@@ -330,7 +330,7 @@ class Service:
             path = self._runs.begin(started, self._rig.state, self._rig.host, self._offset_ns)
         except (RecordingError, LookupError) as err:
             self._say("error", str(err))
-            self._loop.order(Halt())
+            self._loop.order(Stop())
             return
         self._say("info", f"recording {path}")
 
@@ -351,7 +351,7 @@ class Service:
             self._quit("the service was told to end")
         reason = self._runs.disturbed()
         if reason:
-            self._loop.order(Halt(reason=reason))
+            self._loop.order(Stop(reason=reason))
         self._say_finished()
         unrecorded = self._runs.unrecorded()
         if unrecorded:

@@ -19,10 +19,10 @@ from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.telemetry import decode_sample
 from msgspec.structs import replace
 
+from armrig_daemon import pipe
 from armrig_daemon.config import Config, Recording
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.pipe import (
-    Acquire,
     Answer,
     Clock,
     Gap,
@@ -97,7 +97,7 @@ class VirtualService:
             A voltage or the rehearsal is outside the limits, or nothing can be recorded.
         """
         self._until(lambda: self._state is not None and self._state.phase == "safe", "is not ready")
-        granted = self._ask(Acquire(owner="virtual time", lease=LEASE, ts_us=0))
+        granted = self._ask(pipe.Arm(owner="virtual time", lease=LEASE, ts_us=0))
         self._n += 1
         request = replace(request, lease=LEASE, n=self._n)
         order, _ = self._runs.plan(request, granted.body["Ts"])

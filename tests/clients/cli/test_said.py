@@ -23,7 +23,7 @@ from armrig_core.calibration_file import toml_of
 from armrig_core.commands import Run
 from armrig_core.endpoint import endpoint
 from armrig_daemon.command_line import app as armrigd_app
-from armrig_daemon.config import Arm, Config
+from armrig_daemon.config import ArmSettings, Config
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from calibration_rig import recording_of
@@ -49,7 +49,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     own = folder / "recordings"
     own.mkdir()
     rig = VirtualService(Config(), own, seed=1)
-    chassis = Config(arm=Arm(removed=True), emulator=EmulatorSettings(arm_removed=True))
+    chassis = Config(arm=ArmSettings(removed=True), emulator=EmulatorSettings(arm_removed=True))
     bare = VirtualService(chassis, own, seed=100)
     first = _recorded(rig, armrig.step(200, at=50), "step-first")
     monday = _recorded(rig, armrig.telegraph(1000, 0.05, seed=1), "blackbox-monday")

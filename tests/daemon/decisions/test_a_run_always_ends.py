@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase
-from armrig_daemon.pipe import Play, Reset, RunEnded
+from armrig_daemon.pipe import Reset, Run, RunEnded
 from virtual_bench import LEASE, Bench, codes
 
 
@@ -15,7 +15,7 @@ def _playing(*, scheduled: bool) -> Bench:
     bench = Bench()
     bench.arm()
     bench.ask(
-        Play, lease=LEASE, n=1, run_id="r", codes=codes(*[1.0, 4.0] * 200), scheduled=scheduled
+        Run, lease=LEASE, n=1, run_id="r", codes=codes(*[1.0, 4.0] * 200), scheduled=scheduled
     )
     bench.run_for(1000)
     return bench
@@ -25,7 +25,7 @@ def _is_over(bench: Bench) -> None:
     assert [ended.run_id for ended in bench.of(RunEnded)] == ["r"]
     assert bench.ask(Reset).error == ""
     assert bench.arm().error == ""
-    again = bench.ask(Play, lease=LEASE, n=1, run_id="s", codes=codes(1.0, 4.0), scheduled=False)
+    again = bench.ask(Run, lease=LEASE, n=1, run_id="s", codes=codes(1.0, 4.0), scheduled=False)
     assert again.error == ""
 
 

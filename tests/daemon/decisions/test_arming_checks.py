@@ -9,7 +9,7 @@ from armrig_daemon.config import Config
 from armrig_daemon.decisions.requests import NO_DEVICE
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.pipe import Acquire, Answer, Halt, Play, RunEnded
+from armrig_daemon.pipe import Answer, Arm, Run, RunEnded, Stop
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
@@ -95,7 +95,7 @@ def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
     stale_ns = rig.ports.now - 60_000_000
     rig.loop.state = replace(rig.loop.state, fresh_ns=stale_ns)
 
-    rig.order(Acquire(order=9, owner="a student", lease=LEASE, ts_us=0))
+    rig.order(Arm(order=9, owner="a student", lease=LEASE, ts_us=0))
     rig.loop._step(rig.ports.now, rig.ports.wait(rig.ports.now))
 
     rig.run_for(1)
@@ -111,7 +111,7 @@ def test_a_device_that_was_met_but_not_sampled_yet_is_not_armed() -> None:
         rig.run_for(1)
     asked_ns = rig.ports.now
 
-    rig.order(Acquire(order=9, owner="a student", lease=LEASE, ts_us=0))
+    rig.order(Arm(order=9, owner="a student", lease=LEASE, ts_us=0))
     rig.run_for(1)
 
     assert asked_ns < 50_000_000
@@ -129,7 +129,7 @@ def test_samples_of_an_earlier_link_arm_nothing() -> None:
     rig.ports.send(rig.ports.now, LinkUp())
     asked_ns = [rig.ports.now + n * 100_000 for n in range(1, 400)]
     for n, at_ns in enumerate(asked_ns):
-        rig.order(Acquire(order=n, owner="a student", lease=LEASE, ts_us=0), at_ns)
+        rig.order(Arm(order=n, owner="a student", lease=LEASE, ts_us=0), at_ns)
 
     rig.run_for(60)
 
@@ -145,14 +145,14 @@ def test_a_stop_says_why(scheduled: bool) -> None:
     """The outcome of the run is the reason of the stop, and nothing is latched."""
     rig = Bench()
     rig.arm()
-    play = Play(
+    play = Run(
         order=98, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 500), scheduled=scheduled
     )
     rig.order(play)
     rig.run_for(400)
     assert rig.volts == pytest.approx(2.0, abs=0.01)
 
-    rig.ask(Halt, reason="its client went away")
+    rig.ask(Stop, reason="its client went away")
 
     assert [ended.outcome for ended in rig.of(RunEnded)] == ["its client went away"]
     assert rig.phase is Phase.SAFE

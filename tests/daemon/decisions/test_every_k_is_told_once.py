@@ -19,7 +19,7 @@ from armrig_daemon.decisions.state import (
     State,
     Tick,
 )
-from armrig_daemon.pipe import Gap, Play, Reset, RunEnded
+from armrig_daemon.pipe import Gap, Reset, Run, RunEnded
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Exchange, Flag
@@ -36,7 +36,7 @@ def playing(for_ms: float) -> Bench:
     """Return a rig that has played a scheduled run for some time."""
     bench = Bench()
     assert not bench.arm(5_000).error
-    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=True))
+    bench.order(Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=True))
     bench.run_for(for_ms)
     return bench
 
@@ -113,7 +113,7 @@ def test_a_gap_that_no_answer_came_to_begins_when_its_first_sample_was_due(
     """L2: a line is silent for 0.7 s. A scheduled run is over then, and the host's ticks go on."""
     bench = Bench(Config(timing=Timing(Ts=0.02)))
     assert not bench.arm(5_000).error
-    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled))
+    bench.order(Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled))
     bench.run_for(600)
 
     bench.ports.from_device = lambda data: b""

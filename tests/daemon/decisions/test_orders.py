@@ -7,29 +7,18 @@ from collections.abc import Callable
 import pytest
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.volts import code_of
+from armrig_daemon import pipe
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import NO_DEVICE
-from armrig_daemon.decisions.state import Event, Exit, Ordered, Phase, Run, State, Tick, Want
-from armrig_daemon.pipe import (
-    Acquire,
-    Answer,
-    Calibrate,
-    Halt,
-    Order,
-    Play,
-    Quit,
-    Release,
-    Reset,
-    RunEnded,
-    SetVoltage,
-)
+from armrig_daemon.decisions.state import ActiveRun, Event, Exit, Ordered, Phase, State, Tick, Want
+from armrig_daemon.pipe import Answer, Calibrate, Order, Quit, Reset, RunEnded
 from armrig_protocol.messages import ClearFault, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
 from decision_states import (
-    ACQUIRE,
-    PLAY,
-    SET_VOLTAGE,
+    ARM,
+    RUN,
+    SET,
     Decided,
     armed,
     awaiting,
@@ -72,7 +61,9 @@ def test_an_order_to_end_that_is_given_twice_is_followed_once() -> None:
 def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> None:
     """A run that was on is told as ended before the exit."""
     bench = driven()
-    state = replace(bench.loop.state, run=Run("r", codes(1.0), -1), outcome="unplugged", **gone)
+    state = replace(
+        bench.loop.state, run=ActiveRun("r", codes(1.0), -1), outcome="unplugged", **gone
+    )
 
     decided = ordered(bench, Quit(reason="SIGTERM"), state)
 
@@ -84,14 +75,14 @@ def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> N
 def test_a_rig_that_is_ending_is_not_armed() -> None:
     """The exit is not put off."""
     bench = rested()
-    assert "ending" in _refusal(bench, ACQUIRE, replace(bench.loop.state, quitting=True))
+    assert "ending" in _refusal(bench, ARM, replace(bench.loop.state, quitting=True))
 
 
 @pytest.mark.parametrize("want", list(Want))
-@pytest.mark.parametrize("order", [ACQUIRE, SET_VOLTAGE, PLAY])
+@pytest.mark.parametrize("order", [ARM, SET, RUN])
 def test_while_the_device_is_asked_something_an_order_waits(want: Want, order: Order) -> None:
     """One request at a time: the refusal names it."""
-    bench = rested() if isinstance(order, Acquire) else armed()
+    bench = rested() if isinstance(order, pipe.Arm) else armed()
     state = awaiting(bench.loop.state, want)
 
     assert _refusal(bench, order, state) == f"busy with {want}: try again"
@@ -102,7 +93,7 @@ def test_a_rig_is_taken_once_its_device_is_met_and_configured(change: dict[str, 
     """INIT is not yet, and no device is not at all."""
     bench = rested()
 
-    text = _refusal(bench, ACQUIRE, replace(bench.loop.state, **change))
+    text = _refusal(bench, ARM, replace(bench.loop.state, **change))
 
     assert text == NO_DEVICE
 
@@ -113,10 +104,10 @@ def test_a_rig_that_is_held_is_not_taken() -> None:
     fault = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
 
     assert (
-        _refusal(bench, ACQUIRE)
+        _refusal(bench, ARM)
         == "a student has the rig: wait until it is free, or end it with `armrig stop`"
     )
-    assert _refusal(bench, ACQUIRE, fault) == "in fault (it ran out): mend it, then reset"
+    assert _refusal(bench, ARM, fault) == "in fault (it ran out): mend it, then reset"
 
 
 def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
@@ -124,8 +115,8 @@ def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
     bench = rested()
     old = replace(bench.loop.state, fresh_ns=bench.ports.now - 50 * MS)
 
-    assert ordered(bench, ACQUIRE, old).told(Answer) == []
-    assert "no answer" in _refusal(bench, ACQUIRE, replace(old, fresh_ns=old.fresh_ns - 1))
+    assert ordered(bench, ARM, old).told(Answer) == []
+    assert "no answer" in _refusal(bench, ARM, replace(old, fresh_ns=old.fresh_ns - 1))
 
 
 def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
@@ -136,9 +127,9 @@ def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
     older = replace(none, sampled_ns=oldest.sampled_ns - 1)
 
     text = "no sample of the device in the last 50 ms: try again"
-    assert _refusal(bench, ACQUIRE, none) == text
-    assert _refusal(bench, ACQUIRE, older) == text
-    assert ordered(bench, ACQUIRE, oldest).told(Answer) == []
+    assert _refusal(bench, ARM, none) == text
+    assert _refusal(bench, ARM, older) == text
+    assert ordered(bench, ARM, oldest).told(Answer) == []
 
 
 @pytest.mark.parametrize("state", [s for s in DeviceState if s not in (2, 3)])
@@ -146,7 +137,7 @@ def test_a_device_that_is_not_at_rest_is_asked_who_it_is(state: DeviceState) -> 
     """Refused, and led back by HELLO."""
     bench = rested()
 
-    decided = ordered(bench, ACQUIRE, replace(bench.loop.state, device_state=int(state)))
+    decided = ordered(bench, ARM, replace(bench.loop.state, device_state=int(state)))
 
     (answer,) = decided.told(Answer)
     assert answer.error == f"the device is in {state.name}, not at rest: try again"
@@ -261,7 +252,7 @@ def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:
 
     assert _refusal(bench, CALIBRATE, fault) == "in fault (it ran out): mend it, then reset"
     assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.INIT)) == NO_DEVICE
-    arming = awaiting(state, Want.CONFIGURE, ACQUIRE)
+    arming = awaiting(state, Want.CONFIGURE, ARM)
     assert _refusal(bench, CALIBRATE, arming) == not_yet
     assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.ACTIVE)) == not_yet
 
@@ -276,7 +267,7 @@ def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:
 def test_a_stop_where_nothing_turns_is_done_at_once(change: dict[str, object]) -> None:
     """Nobody waits for a device that is at 0 V, or out of our reach."""
     bench = driven()
-    decided = ordered(bench, Halt(order=6), replace(bench.loop.state, **change))
+    decided = ordered(bench, pipe.Stop(order=6), replace(bench.loop.state, **change))
 
     assert [a.body for a in decided.told(Answer)] == [{"done": True}]
     assert decided.sent == []
@@ -285,21 +276,21 @@ def test_a_stop_where_nothing_turns_is_done_at_once(change: dict[str, object]) -
 def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
     """SAFE, but a CONFIG on its way may lead to an ARM: it is taken back."""
     bench = rested()
-    decided = ordered(bench, Halt(order=6), awaiting(bench.loop.state, Want.CONFIGURE, ACQUIRE))
+    decided = ordered(bench, pipe.Stop(order=6), awaiting(bench.loop.state, Want.CONFIGURE, ARM))
 
     assert [type(m) for m in decided.sent] == [Stop]
     assert [(a.order, a.error) for a in decided.told(Answer)] == [(71, "not begun: stopped")]
 
 
 @pytest.mark.parametrize(
-    "order", [Halt(order=8), Release(order=8, lease=LEASE, n=51)], ids=["stop", "release"]
+    "order", [pipe.Stop(order=8), pipe.Disarm(order=8, lease=LEASE, n=51)], ids=["stop", "release"]
 )
 @pytest.mark.parametrize("by", ["a trip", "another stop"])
-def test_a_stop_that_another_overtakes_is_granted(order: Halt | Release, by: str) -> None:
+def test_a_stop_that_another_overtakes_is_granted(order: pipe.Stop | pipe.Disarm, by: str) -> None:
     """Who wished for 0 V gets it, whatever else asks for it: that is no error."""
     bench = driven()
     told = ordered(bench, order)
-    event: Event = Ordered(Halt(order=9))
+    event: Event = Ordered(pipe.Stop(order=9))
     at_ns = bench.ports.now
     if by == "a trip":
         event, at_ns = Tick(told.state.k + 1, at_ns), at_ns + 1_000 * MS
@@ -318,7 +309,7 @@ def test_a_stop_that_another_overtakes_is_granted(order: Halt | Release, by: str
 def test_a_lease_holds_where_the_rig_is_armed_only(phase: Phase) -> None:
     """S5: whatever is left of it elsewhere moves nothing."""
     bench = armed()
-    assert "not the lease" in _refusal(bench, SET_VOLTAGE, replace(bench.loop.state, phase=phase))
+    assert "not the lease" in _refusal(bench, SET, replace(bench.loop.state, phase=phase))
 
 
 def test_numbers_grow_by_one_at_least() -> None:
@@ -328,17 +319,15 @@ def test_numbers_grow_by_one_at_least() -> None:
     assert state.lease is not None
     at_7 = replace(state, lease=replace(state.lease, n=7))
 
-    assert "n=7 must be greater than the last, 7" in _refusal(
-        bench, replace(SET_VOLTAGE, n=7), at_7
-    )
-    assert ordered(bench, replace(SET_VOLTAGE, n=8), at_7).told(Answer) == []
+    assert "n=7 must be greater than the last, 7" in _refusal(bench, replace(SET, n=7), at_7)
+    assert ordered(bench, replace(SET, n=8), at_7).told(Answer) == []
 
 
 def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
     """S2: and its number is the one to exceed."""
     bench = driven()
 
-    lease = ordered(bench, SET_VOLTAGE).state.lease
+    lease = ordered(bench, SET).state.lease
 
     assert lease is not None
     assert (lease.n, lease.renewed_ns) == (50, bench.ports.now)
@@ -347,9 +336,9 @@ def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
 def test_a_voltage_in_force_is_changed_without_another_start() -> None:
     """Told as done at once; the next tick carries it."""
     bench = driven()
-    decided = ordered(bench, SET_VOLTAGE)
+    decided = ordered(bench, SET)
 
-    assert decided.state.code == SET_VOLTAGE.code
+    assert decided.state.code == SET.code
     assert [a.body for a in decided.told(Answer)] == [{"done": True}]
     assert decided.sent == []
 
@@ -357,27 +346,27 @@ def test_a_voltage_in_force_is_changed_without_another_start() -> None:
 def test_no_hand_on_a_running_experiment() -> None:
     """Its input is its own."""
     bench = driven()
-    state = replace(bench.loop.state, run=Run("r", codes(1.0), -1))
+    state = replace(bench.loop.state, run=ActiveRun("r", codes(1.0), -1))
 
-    assert "experiment r is running" in _refusal(bench, SET_VOLTAGE, state)
+    assert "experiment r is running" in _refusal(bench, SET, state)
 
 
 def test_no_experiment_while_the_motor_is_driven_by_hand() -> None:
     """It would begin from another voltage than 0 V."""
-    assert "driven by hand" in _refusal(driven(), PLAY)
+    assert "driven by hand" in _refusal(driven(), RUN)
 
 
 def test_no_second_experiment_while_the_first_fills_its_queue() -> None:
     """Armed, but not free."""
     bench = armed()
-    state = replace(bench.loop.state, run=Run("first", codes(1.0), -1, scheduled=True))
+    state = replace(bench.loop.state, run=ActiveRun("first", codes(1.0), -1, scheduled=True))
 
-    assert "first is about to start" in _refusal(bench, PLAY, state)
+    assert "first is about to start" in _refusal(bench, RUN, state)
 
 
 def test_an_experiment_of_no_sample_is_none() -> None:
     """It would start the motor and never end."""
-    assert "empty" in _refusal(armed(), replace(PLAY, codes=b""))
+    assert "empty" in _refusal(armed(), replace(RUN, codes=b""))
 
 
 def test_a_device_without_scheduled_mode_is_not_asked_for_it() -> None:
@@ -387,13 +376,13 @@ def test_a_device_without_scheduled_mode_is_not_asked_for_it() -> None:
     assert state.device is not None
     exchanging = replace(state, device=state.device._replace(capabilities=1))
 
-    assert "no scheduled mode" in _refusal(bench, replace(PLAY, scheduled=True), exchanging)
+    assert "no scheduled mode" in _refusal(bench, replace(RUN, scheduled=True), exchanging)
     assert "no scheduled mode" in _refusal(
-        bench, replace(PLAY, scheduled=True), replace(state, device=None)
+        bench, replace(RUN, scheduled=True), replace(state, device=None)
     )
 
 
-@pytest.mark.parametrize("order", [SET_VOLTAGE, PLAY])
+@pytest.mark.parametrize("order", [SET, RUN])
 def test_a_sampling_time_that_exchange_does_not_carry_is_not_exchanged(order: Order) -> None:
     """Armed for 0.9 ms, at 500 kBd only scheduled: the host ticks slower than that."""
     bench = rested()
@@ -408,10 +397,10 @@ def test_a_step_by_hand_of_more_than_the_slew_is_refused(volts: float, allowed: 
     """S1: 1 V a sample, from the 1 V that are held; said in volts."""
     bench = Bench(Config(limits=Limits(slew_v=1.0)))
     bench.arm()
-    bench.order(SetVoltage(order=99, lease=LEASE, n=0, code=code_of(1.0)))
+    bench.order(pipe.Set(order=99, lease=LEASE, n=0, code=code_of(1.0)))
     bench.run_for(20)
 
-    (answer,) = ordered(bench, replace(SET_VOLTAGE, code=code_of(volts))).told(Answer)
+    (answer,) = ordered(bench, replace(SET, code=code_of(volts))).told(Answer)
 
     assert answer.error == ("" if allowed else "u steps by 1.1 V: at most 1 V in a sample")
 
@@ -420,7 +409,7 @@ def test_an_experiment_is_played_by_its_own_way() -> None:
     """Exchanged by START at once, scheduled by way of a STOP; each kept with its order."""
     bench = armed()
     for scheduled, want in ((False, Want.START), (True, Want.STOP)):
-        order: Play = replace(PLAY, scheduled=scheduled)
+        order: pipe.Run = replace(RUN, scheduled=scheduled)
         asked = ordered(bench, order).state.asked
         assert asked is not None
         assert (asked.want, asked.order) == (want, order)

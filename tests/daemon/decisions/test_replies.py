@@ -34,7 +34,7 @@ from armrig_protocol.messages import (
 from armrig_protocol.messages import State as DeviceState
 from decision_states import (
     OURS,
-    PLAY,
+    RUN,
     Decided,
     armed,
     awaiting,
@@ -245,7 +245,7 @@ def test_a_queue_without_a_device_starts_nothing() -> None:
     """It is gone: what it held says nothing any more."""
     bench = armed()
     now = bench.ports.now
-    filling, _ = setpoints.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
+    filling, _ = setpoints.begin(bench.loop.state, now, replace(RUN, scheduled=True))
 
     gone, actions = setpoints.note_queue(replace(filling, device=None), now, 0, 2)
     there, (start,) = setpoints.note_queue(filling, now, 0, 2)
@@ -260,7 +260,7 @@ def test_a_start_carries_the_length_of_the_run() -> None:
     """The device ends by itself, whatever becomes of us."""
     bench = armed()
     now = bench.ports.now
-    filling, _ = setpoints.begin(bench.loop.state, now, replace(PLAY, scheduled=True))
+    filling, _ = setpoints.begin(bench.loop.state, now, replace(RUN, scheduled=True))
 
     started, _ = setpoints.note_queue(filling, now, 0, 2)
 
@@ -334,7 +334,7 @@ def test_no_keepalive_before_the_tick_that_stops() -> None:
         held = replace(lease, renewed_ns=now - run_out_ns)
         paused = replace(state, tick_ns=now - paused_ns, lease=held)
         assert bool(Decided(paused, now, Beat()).sent) == keeps
-    plays = replace(state, lease=replace(lease, renewed_ns=now - lease_ns - 1), run=PLAY)
+    plays = replace(state, lease=replace(lease, renewed_ns=now - lease_ns - 1), run=RUN)
     assert Decided(replace(plays, tick_ns=now), now, Beat()).sent
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from armrig_core.telemetry import Sample
 from armrig_core.volts import applied_code, code_of
+from armrig_daemon import pipe
 from armrig_daemon.decisions import sampling
 from armrig_daemon.decisions.clockmap import ClockMap
 from armrig_daemon.decisions.faults import Fault, Id
@@ -19,7 +20,7 @@ from armrig_daemon.decisions.state import (
     Unechoed,
     Want,
 )
-from armrig_daemon.pipe import Answer, Gap, Log, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import Answer, Gap, Log, RunEnded, RunStarted
 from armrig_protocol.messages import Config, Flag, Setpoints, Stop
 from armrig_protocol.messages import State as DeviceState
 from decision_states import Decided, awaiting, device_sample, driven, heard, rested
@@ -43,7 +44,7 @@ def _playing() -> Bench:
     bench = Bench()
     assert not bench.arm(5_000).error
     run = codes(*[2.0] * 400)
-    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=run, scheduled=True))
+    bench.order(pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=run, scheduled=True))
     bench.run_for(400)
     assert bench.loop.state.device_state == DeviceState.RUN
     return bench
@@ -207,7 +208,10 @@ def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
 def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() -> None:
     """S4: not even those of a run that the device has just been armed for."""
     bench = _playing()
-    state, play = bench.loop.state, Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(1.0))
+    state, play = (
+        bench.loop.state,
+        pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(1.0)),
+    )
     arming = awaiting(replace(state, phase=Phase.ARMED, run=None, queue=None), Want.ARM, play)
     sample = device_sample(state, flags=RUN)._replace(state=DeviceState.ARMED)
 
@@ -296,7 +300,7 @@ def test_an_exchange_ends_its_run_behind_its_own_sample() -> None:
     """L2: published first, then the end is told."""
     bench = rested()
     assert not bench.arm().error
-    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 400)))
+    bench.order(pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 400)))
     bench.run_for(100)
     state = awaiting(_asked(bench), Want.STOP)
 
@@ -312,7 +316,7 @@ def test_the_first_sample_of_a_run_starts_it_and_is_published_behind_the_start()
     bench = _playing()
     state = bench.loop.state
     assert state.run is not None
-    order = Play(order=9, lease=LEASE, n=0, run_id="r", codes=state.run.codes, scheduled=True)
+    order = pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=state.run.codes, scheduled=True)
     run = replace(state.run, k_first=-1, due=0)
     armed = replace(state, run=run, phase=Phase.ARMED, device_state=int(DeviceState.ARMED))
     starting = awaiting(armed, Want.START, order, sent_ns=bench.ports.now)

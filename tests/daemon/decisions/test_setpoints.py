@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import pytest
 from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_daemon import pipe
 from armrig_daemon.decisions import gaps, sampling, setpoints
 from armrig_daemon.decisions.budget import PING_US
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import MOST_BEATS, send
 from armrig_daemon.decisions.state import (
     Absent,
+    ActiveRun,
     Emit,
     Ordered,
     Phase,
     Publish,
     Queue,
     Received,
-    Run,
     Send,
     State,
     Tick,
@@ -24,7 +25,7 @@ from armrig_daemon.decisions.state import (
     Want,
 )
 from armrig_daemon.decisions.stopping import trip
-from armrig_daemon.pipe import Answer, Gap, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import Answer, Gap, RunEnded, RunStarted
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
@@ -39,14 +40,14 @@ from armrig_protocol.messages import (
     Stop,
 )
 from armrig_protocol.messages import State as DeviceState
-from decision_states import PLAY, Decided, armed, awaiting, device_sample
+from decision_states import RUN, Decided, armed, awaiting, device_sample
 from msgspec.structs import replace
 from virtual_bench import MS, codes
 
 N = SETPOINTS_PER_FRAME
 NOW = 5_000 * MS
 CODES = [500 + i for i in range(1000)]
-ORDER: Play = replace(PLAY, scheduled=True)
+ORDER: pipe.Run = replace(RUN, scheduled=True)
 SMALL = code_of(1.0)
 
 
@@ -56,7 +57,7 @@ def _state(
     """Return a state in which a run's queue is being filled."""
     state = armed().loop.state
     data = b"".join(u.to_bytes(2, "little") for u in CODES[:samples])
-    run = Run("r", data, -1, scheduled=True)
+    run = ActiveRun("r", data, -1, scheduled=True)
     queue = Queue(ORDER, base, held, sent, moved_ns, NOW)
     return replace(state, run=run, queue=queue, scheduled=True, beats=())
 
@@ -167,7 +168,7 @@ def test_nothing_is_sent_where_nothing_is_to_be_played(change: dict[str, object]
 def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: bool) -> None:
     """S1: neither from one frame to the next, nor from standstill; what was before it is."""
     state = _state()
-    run = Run("r", codes(*volts), -1, scheduled=True)
+    run = ActiveRun("r", codes(*volts), -1, scheduled=True)
     limited = replace(state, run=run, rules=replace(state.rules, slew=SMALL + 1))
 
     after, actions = setpoints.refill(limited, NOW)
@@ -190,7 +191,7 @@ def test_a_run_begins_by_filling_at_0_v() -> None:
 
     after, actions = setpoints.begin(state, NOW, ORDER)
 
-    assert after.run == Run("r", ORDER.codes, -1, scheduled=True)
+    assert after.run == ActiveRun("r", ORDER.codes, -1, scheduled=True)
     assert after.run.due == 0
     assert after.queue == Queue(ORDER, 0, 0, 2, NOW, NOW)
     assert [(m.k0, m.n) for a in actions for m in feed(b"", a.data)[1]] == [(0, 2)]
@@ -394,7 +395,8 @@ def test_a_run_may_begin_at_k_0(k_first: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"run": None}, {"device": None}, {"run": Run("r", codes(1.0), -1, scheduled=True)}]
+    "change",
+    [{"run": None}, {"device": None}, {"run": ActiveRun("r", codes(1.0), -1, scheduled=True)}],
 )
 def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, object]) -> None:
     """Nobody could say what it belongs to."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 from armrig_core.volts import code_of
+from armrig_daemon import pipe
 from armrig_daemon.config import Config
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
@@ -13,12 +14,12 @@ from armrig_daemon.decisions.gaps import MOST_ABSENT, note, tell_missing
 from armrig_daemon.decisions.requests import motor
 from armrig_daemon.decisions.state import (
     Absent,
+    ActiveRun,
     LinkDown,
     LinkUp,
     Phase,
     Received,
     Repace,
-    Run,
     Sent,
     ServiceGone,
     State,
@@ -27,7 +28,7 @@ from armrig_daemon.decisions.state import (
     Want,
 )
 from armrig_daemon.decisions.stopping import end_run
-from armrig_daemon.pipe import Gap, Log, Play, RunEnded, RunStarted
+from armrig_daemon.pipe import Gap, Log, RunEnded, RunStarted
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Hello, Stop
@@ -399,7 +400,7 @@ def _playing(volts: list[float], due: int, k_first: int | None = None) -> tuple[
     bench = driven()
     state = bench.loop.state
     first = state.k + 1 - due if k_first is None else k_first
-    run = Run("r", codes(*volts), first, due=due)
+    run = ActiveRun("r", codes(*volts), first, due=due)
     return bench, replace(state, run=run, code=0, outcome="")
 
 
@@ -557,7 +558,7 @@ def test_the_pieces_of_an_outage_are_bounded() -> None:
 def _scheduled(due: int, phase: Phase, now_after_ns: int = 0) -> tuple[State, list[object]]:
     """Return what the end of a run of 10 samples at Ts 10 ms leaves."""
     state = replace(rested().loop.state, phase=phase, outcome="why", absent=(), told=99 + due)
-    run = Run("r", codes(*[1.0] * 10), 100, scheduled=True, due=due, t_zero_ns=1000 * MS)
+    run = ActiveRun("r", codes(*[1.0] * 10), 100, scheduled=True, due=due, t_zero_ns=1000 * MS)
     beats = (Unechoed(1, 2),)
     after, actions = end_run(replace(state, run=run, beats=beats, k=500), 1000 * MS + now_after_ns)
     assert after.beats == ()
@@ -585,7 +586,7 @@ def test_a_run_that_leaves_the_limits_is_stopped_in_that_tick() -> None:
     """S1 and S5: STOP goes out before the EXCHANGE, which carries 0 V."""
     bench = driven()
     state = bench.loop.state
-    run = Run("r", codes(1.0, 5.0), state.k, due=1)
+    run = ActiveRun("r", codes(1.0, 5.0), state.k, due=1)
     narrow = replace(state.rules, u_max=state.rules.u_max // 2)
     bench.ports.now += TS
 
@@ -599,7 +600,7 @@ def test_a_run_that_leaves_the_limits_is_stopped_in_that_tick() -> None:
 def test_a_run_in_exchange_mode_ends_with_what_was_asked_for(phase: Phase) -> None:
     """L2: the device samples nothing that the host does not ask for; what is behind goes on."""
     state = replace(rested().loop.state, phase=phase, outcome="why", told=109, absent=())
-    run = Run("r", codes(*[1.0] * 20), 100, due=12)
+    run = ActiveRun("r", codes(*[1.0] * 20), 100, due=12)
     sent = tuple(Sent(k, k, k, k, 0) for k in (110, 111, 112))
 
     after, actions = end_run(replace(state, run=run, sent=sent, k=112), 9_000 * MS)
@@ -613,7 +614,7 @@ def test_a_run_in_exchange_mode_ends_with_what_was_asked_for(phase: Phase) -> No
 @pytest.mark.parametrize("k_first", [-1, 0, 1])
 def test_a_run_that_has_begun_at_k_0_has_begun(k_first: int) -> None:
     """One that has not yet, has nothing to tell but its end."""
-    run = Run("r", codes(1.0, 1.0), k_first, scheduled=True, due=1, t_zero_ns=0)
+    run = ActiveRun("r", codes(1.0, 1.0), k_first, scheduled=True, due=1, t_zero_ns=0)
     state = replace(rested().loop.state, run=run, absent=(), told=-1, k=50)
 
     after, actions = end_run(state, 5 * MS)
@@ -662,7 +663,7 @@ def test_a_trace_leaves_the_codes_to_the_recording() -> None:
 def test_a_run_that_is_ordered_while_another_ends_is_kept_out() -> None:
     """S5: the codes that are played are those of the run that was accepted."""
     bench, state = _playing([1.0, 2.0], 1)
-    play = Play(order=5, lease=LEASE, n=90, run_id="s", codes=codes(4.0))
+    play = pipe.Run(order=5, lease=LEASE, n=90, run_id="s", codes=codes(4.0))
     bench.loop.state = state
     bench.order(play)
     bench.run_for(5)

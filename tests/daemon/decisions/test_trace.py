@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import msgspec
 import pytest
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_daemon.decisions import step as core_step
@@ -21,7 +22,19 @@ from armrig_daemon.decisions.state import (
     ServiceGone,
     Tick,
 )
-from armrig_daemon.pipe import Answer, Calibrate, Play, RunStarted, SetVoltage, Trace
+from armrig_daemon.pipe import (
+    Answer,
+    Arm,
+    Calibrate,
+    Disarm,
+    Order,
+    Reset,
+    Run,
+    RunStarted,
+    Set,
+    Stop,
+    Trace,
+)
 from msgspec.structs import replace
 from virtual_bench import LEASE, Bench, codes
 
@@ -36,11 +49,11 @@ def traced(bench: Bench, *, scheduled: bool) -> list[Trace]:
         return data if next(count) % 15 else data[:4] + b"\x55" + data[5:]
 
     assert not bench.arm(10_000).error
-    play = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=scheduled)
+    play = Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=scheduled)
     bench.order(play)
     bench.run_for(150)
     bench.ports.from_device = spoil
-    bench.order(SetVoltage(order=10, lease=LEASE, n=1, code=3))  # refused
+    bench.order(Set(order=10, lease=LEASE, n=1, code=3))  # refused
     bench.run_for(2_500)
     chunks: list[Trace] = bench.of(Trace)
     return chunks
@@ -88,7 +101,7 @@ def test_every_event_comes_back_from_its_bytes() -> None:
     bench = Bench()
     traced(bench, scheduled=True)
     book = trace.Trace(bench.loop.state)
-    order = Play(order=1, lease="b" * 32, n=5, run_id="x", codes=b"12", scheduled=True)
+    order = Run(order=1, lease="b" * 32, n=5, run_id="x", codes=b"12", scheduled=True)
     events = [
         *(Tick(7, 70), Beat(), Received(b"\0\1\2"), LinkUp(), LinkDown("gone"), ServiceGone()),
         Ordered(order),
@@ -101,17 +114,39 @@ def test_every_event_comes_back_from_its_bytes() -> None:
     assert (now_ns, sent) == (123, (b"a", b"bc"))
     assert come_back[:-1] == tuple(events[:-1])
     (last,) = (e for e in come_back if isinstance(e, Ordered))
-    assert last.order == Play(order=1, lease="", n=5, run_id="x", codes=b"", scheduled=True)
+    assert last.order == Run(order=1, lease="", n=5, run_id="x", codes=b"", scheduled=True)
+
+
+V1_TAGS = {Arm: "Take", Disarm: "Release", Set: "Hold", Run: "Play", Stop: "Halt", Reset: "Reset"}
+
+
+@pytest.mark.parametrize("kind", V1_TAGS)
+def test_an_order_in_a_trace_of_version_1_is_that_of_today(kind: type[Order]) -> None:
+    """Its tag was another word; its fields are the same."""
+    of_all = {"owner": "o", "lease": "", "ts_us": 0, "n": 3, "code": 7, "run_id": "r", "codes": b""}
+    order = kind(order=5, **{k: v for k, v in of_all.items() if k in kind.__struct_fields__})
+    fields = msgspec.structs.asdict(order) | {"type": V1_TAGS[kind]}
+    steps = [(9, [(3, msgspec.msgpack.encode(fields))], [])]
+
+    ((_, (event,), _),) = trace.steps_of(msgspec.msgpack.encode(steps), 1)
+
+    assert event == Ordered(order)
+
+
+def test_a_trace_of_a_later_version_is_not_guessed_at() -> None:
+    """Its words may mean something else."""
+    with pytest.raises(msgspec.DecodeError, match="trace of version 3: 1 to 2 are known"):
+        trace.steps_of(msgspec.msgpack.encode([]), 3)
 
 
 def test_who_reads_a_recording_does_not_hold_the_rig_by_it() -> None:
     """The lease is nowhere in the trace; that an order carried it can still be told."""
     bench = Bench()
     bench.arm()
-    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
+    bench.order(Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
     bench.run_for(100)
-    bench.order(SetVoltage(order=10, lease=LEASE, n=1, code=3))  # refused: an experiment is running
-    bench.order(SetVoltage(order=11, lease="b" * 32, n=2, code=3))  # refused: another lease
+    bench.order(Set(order=10, lease=LEASE, n=1, code=3))  # refused: an experiment is running
+    bench.order(Set(order=11, lease="b" * 32, n=2, code=3))  # refused: another lease
     bench.run_for(2_500)
 
     chunks = bench.of(Trace)
@@ -177,7 +212,7 @@ def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
     bench = Bench()
     assert not bench.arm(2_000).error
     bench.lateness_ns = 9_000_000
-    play = Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=True)
+    play = Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS), scheduled=True)
     bench.order(play)
     bench.run_for(1_000)
 
@@ -209,7 +244,7 @@ def test_a_run_after_another_calibration_is_decided_once_more_as_it_was() -> Non
     other = Calibration(theta_1=Potentiometer(zero_counts=1 / 3, rad_per_count=-1e-4))
     assert not bench.ask(Calibrate, calibration=other).error
     bench.arm()
-    bench.order(Play(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
+    bench.order(Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
     bench.run_for(100)
     refused = bench.ask(Calibrate, calibration=Calibration())
     bench.run_for(2_500)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import pytest
+from armrig_daemon import pipe
 from armrig_daemon.decisions import transitions
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import NO_DEVICE, config
 from armrig_daemon.decisions.state import (
+    ActiveRun,
     Beat,
     Exit,
     Phase,
     Received,
     Repace,
-    Run,
     State,
     Tick,
     Want,
 )
-from armrig_daemon.pipe import Acquire, Answer, Log, Reset, RunEnded
+from armrig_daemon.pipe import Answer, Log, Reset, RunEnded
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.frame import config_crc, encode
 from armrig_protocol.messages import (
@@ -38,10 +39,10 @@ from armrig_protocol.messages import (
 )
 from armrig_protocol.messages import State as DeviceState
 from decision_states import (
-    ACQUIRE,
+    ARM,
     OURS,
-    PLAY,
-    SET_VOLTAGE,
+    RUN,
+    SET,
     Decided,
     armed,
     awaiting,
@@ -64,7 +65,7 @@ RETRY_MS = dict.fromkeys(Want, 50) | {Want.HELLO: 100, Want.STOP: 20}
 def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: Want) -> None:
     """The same request, with a seq of its own and a try more."""
     bench = armed()
-    state = awaiting(bench.loop.state, want, ACQUIRE, ts_us=10_000)
+    state = awaiting(bench.loop.state, want, ARM, ts_us=10_000)
     due_ns = RETRY_MS[want] * MS
 
     early = Decided(state, due_ns - 1, Beat())
@@ -77,7 +78,7 @@ def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: Wan
     assert type(sent) is kinds[want]
     asked = late.state.asked
     assert asked is not None
-    assert (asked.tries, asked.order, asked.sent_ns) == (2, ACQUIRE, due_ns)
+    assert (asked.tries, asked.order, asked.sent_ns) == (2, ARM, due_ns)
     assert (asked.seq, sent.state) == (sent.seq, 0)
 
 
@@ -85,10 +86,10 @@ def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: Wan
 def test_a_request_is_tried_five_times(want: Want) -> None:
     """The fifth is sent; after it, the device counts as deaf to it."""
     bench = armed()
-    fourth = awaiting(bench.loop.state, want, ACQUIRE, tries=4)
+    fourth = awaiting(bench.loop.state, want, ARM, tries=4)
 
     assert len(Decided(fourth, 50 * MS, Beat()).sent) == 1
-    given_up = Decided(awaiting(bench.loop.state, want, ACQUIRE, tries=5), 50 * MS, Beat())
+    given_up = Decided(awaiting(bench.loop.state, want, ARM, tries=5), 50 * MS, Beat())
     (answer,) = given_up.told(Answer)
     assert answer.error == f"the device does not answer {want}"
 
@@ -113,7 +114,7 @@ def test_hello_is_asked_for_ever() -> None:
 def test_a_request_over_a_line_that_is_down_is_given_up() -> None:
     """Whose wish it was is told; nothing is sent."""
     bench = rested()
-    state = replace(awaiting(bench.loop.state, Want.CONFIGURE, ACQUIRE), link_up=False)
+    state = replace(awaiting(bench.loop.state, Want.CONFIGURE, ARM), link_up=False)
 
     decided = Decided(state, 50 * MS, Beat())
 
@@ -128,7 +129,7 @@ def test_a_request_over_a_line_that_is_down_is_given_up() -> None:
 def test_a_stop_that_is_not_confirmed_is_a_fault() -> None:
     """S6: the run is over and latched; the device's own watchdog is next, so nothing feeds it."""
     bench = driven()
-    state = replace(bench.loop.state, run=Run("r", codes(1.0), -1))
+    state = replace(bench.loop.state, run=ActiveRun("r", codes(1.0), -1))
 
     decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
 
@@ -186,7 +187,7 @@ def test_an_end_in_good_order_is_no_fault(code: Code) -> None:
 def test_a_refusal_where_the_motor_may_turn_is_a_fault(want: Want) -> None:
     """Device and daemon are not where they believe to be: STOP, and latched."""
     bench = armed()
-    state = awaiting(bench.loop.state, want, SET_VOLTAGE)
+    state = awaiting(bench.loop.state, want, SET)
     refusal = Ack(int(DeviceState.ARMED), 0, 0, int(Code.WRONG_NONCE), OURS)
 
     decided = heard(bench, refusal, state)
@@ -196,7 +197,7 @@ def test_a_refusal_where_the_motor_may_turn_is_a_fault(want: Want) -> None:
     assert fault.id is Id.REQUEST
     assert fault.cause == f"the device refuses {want}: WRONG_NONCE"
     assert [type(m) for m in decided.sent] == [Stop]
-    assert [(a.order, a.error) for a in decided.told(Answer)] == [(SET_VOLTAGE.order, fault.cause)]
+    assert [(a.order, a.error) for a in decided.told(Answer)] == [(SET.order, fault.cause)]
 
 
 def test_a_refusal_at_rest_is_told_and_begun_anew() -> None:
@@ -204,7 +205,7 @@ def test_a_refusal_at_rest_is_told_and_begun_anew() -> None:
     bench = rested()
     refusal = Ack(int(DeviceState.READY), 0, 0, 200, OURS)
 
-    decided = heard(bench, refusal, awaiting(bench.loop.state, Want.ARM, ACQUIRE))
+    decided = heard(bench, refusal, awaiting(bench.loop.state, Want.ARM, ARM))
 
     assert decided.state.phase is Phase.SAFE
     assert [a.error for a in decided.told(Answer)] == ["the device refuses ARM: 200"]
@@ -223,7 +224,7 @@ def test_a_refusal_at_rest_is_told_and_begun_anew() -> None:
 def test_an_ack_that_refuses_nothing_of_ours_fails_nothing(ack: Ack) -> None:
     """STALE is overtaken by a retry, another seq is another frame; OK is seen by its effect."""
     bench = rested()
-    state = awaiting(bench.loop.state, Want.ARM, ACQUIRE)
+    state = awaiting(bench.loop.state, Want.ARM, ARM)
 
     decided = heard(bench, ack, state)
 
@@ -237,10 +238,10 @@ def test_any_frame_shows_that_a_request_has_worked(code: Code) -> None:
     bench = rested()
     ack = Ack(int(DeviceState.ARMED), 0, 0, int(code), OURS if code is Code.OK else OURS + 1)
 
-    decided = heard(bench, ack, awaiting(bench.loop.state, Want.ARM, ACQUIRE))
+    decided = heard(bench, ack, awaiting(bench.loop.state, Want.ARM, ARM))
 
     assert decided.state.phase is Phase.ARMED
-    assert [a.order for a in decided.told(Answer)] == [ACQUIRE.order]
+    assert [a.order for a in decided.told(Answer)] == [ARM.order]
 
 
 @pytest.mark.parametrize("order", [Reset(order=8), None])
@@ -265,13 +266,13 @@ def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None
     given = replace(state, lease=replace(state.lease, renewed_ns=now - 90 * MS), fresh_ns=now)
     ack = Ack(int(DeviceState.RUN), 0, TYPES[Start], int(Code.OK), OURS)
 
-    started = heard(bench, ack, awaiting(given, Want.START, SET_VOLTAGE, sent_ns=now))
+    started = heard(bench, ack, awaiting(given, Want.START, SET, sent_ns=now))
     fresh = replace(started.state, fresh_ns=now + 10 * MS, tick_ns=now + 10 * MS, service_ns=now)
     held = Decided(fresh, now + 10 * MS, Tick(state.k + 1, now))
     over = Decided(fresh, now + 10 * MS + 1, Tick(state.k + 1, now))
 
     assert started.state.phase is Phase.ACTIVE
-    assert [(m.u, m.state) for m in held.sent] == [(SET_VOLTAGE.code, 0)]
+    assert [(m.u, m.state) for m in held.sent] == [(SET.code, 0)]
     assert [type(m) for m in over.sent][:1] == [Stop]
     assert over.state.fault == Fault(Id.LEASE, "the lease ran out: no command from its holder")
 
@@ -392,7 +393,7 @@ def test_what_nobody_owns_does_not_move(want: Want, state: DeviceState, cause: s
 def test_a_motor_that_starts_without_a_lease_is_stopped() -> None:
     """S5: whoever asked for it holds nothing any more."""
     bench = armed()
-    at = awaiting(replace(bench.loop.state, lease=None), Want.START, SET_VOLTAGE)
+    at = awaiting(replace(bench.loop.state, lease=None), Want.START, SET)
 
     after, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.RUN))
 
@@ -443,13 +444,13 @@ def _met(bench: Bench, before: State, **fields: int) -> Decided:
 def test_a_device_that_another_host_left_running_is_stopped_first(state: DeviceState) -> None:
     """Then configured; whoever asks keeps his place."""
     bench = rested()
-    greeting = awaiting(replace(bench.loop.state, phase=Phase.INIT), Want.HELLO, ACQUIRE)
+    greeting = awaiting(replace(bench.loop.state, phase=Phase.INIT), Want.HELLO, ARM)
 
     decided = _met(bench, greeting, state=int(state))
 
     assert [type(m) for m in decided.sent] == [Stop]
     assert decided.state.asked is not None
-    assert decided.state.asked.order == ACQUIRE
+    assert decided.state.asked.order == ARM
 
 
 def test_a_device_is_met_at_the_time_of_the_question() -> None:
@@ -581,7 +582,7 @@ def test_the_device_is_asked_for_the_rules(scheduled: bool) -> None:
 def test_a_refused_configuration_is_told_by_its_name() -> None:
     """At rest: who wanted it is told, and HELLO finds out the rest."""
     bench = rested()
-    state = awaiting(bench.loop.state, Want.CONFIGURE, ACQUIRE, ts_us=10_000)
+    state = awaiting(bench.loop.state, Want.CONFIGURE, ARM, ts_us=10_000)
 
     decided = heard(bench, _reply(state, code=int(Code.BAD_VALUE)), state)
 
@@ -590,8 +591,8 @@ def test_a_refused_configuration_is_told_by_its_name() -> None:
     assert [type(m) for m in decided.sent] == [Hello]
 
 
-@pytest.mark.parametrize("order", [None, ACQUIRE])
-def test_an_accepted_configuration_is_in_force_from_then_on(order: Acquire | None) -> None:
+@pytest.mark.parametrize("order", [None, ARM])
+def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | None) -> None:
     """Its CRC and nonce are what ARM carries; the pace is that of the new Ts.
 
     S4: it does not say which CONFIG it answers, and proves no round trip to who wants to drive.
@@ -622,7 +623,7 @@ def test_a_scheduled_configuration_slows_our_own_ticks_down() -> None:
     """The device paces; we look after it each 10 ms."""
     bench = armed()
     bench.loop.state = replace(bench.loop.state, ts_us=5_000, pace_us=5_000)
-    scheduled = replace(PLAY, scheduled=True)
+    scheduled = replace(RUN, scheduled=True)
     state = awaiting(bench.loop.state, Want.CONFIGURE, scheduled, ts_us=5_000, scheduled=True)
     reply = _reply(state)
     assert reply.mode == Mode.SCHEDULED
@@ -656,11 +657,11 @@ def test_a_late_answer_to_an_earlier_configuration_ends_no_run() -> None:
     bench = rested()
     state = replace(bench.loop.state, phase=Phase.ARMED)
     late = _reply(awaiting(state, Want.CONFIGURE, ts_us=20_000))
-    waiting = awaiting(state, Want.CONFIGURE, ACQUIRE, ts_us=10_000, tries=4)
+    waiting = awaiting(state, Want.CONFIGURE, ARM, ts_us=10_000, tries=4)
 
     passed_over = heard(bench, late, waiting)
     armed = heard(bench, _reply(waiting), passed_over.state)
-    given_up = heard(bench, late, awaiting(state, Want.CONFIGURE, ACQUIRE, ts_us=10_000, tries=5))
+    given_up = heard(bench, late, awaiting(state, Want.CONFIGURE, ARM, ts_us=10_000, tries=5))
 
     assert (passed_over.actions, passed_over.state) == ([], waiting)
     assert isinstance(armed.sent[0], Arm)
@@ -673,16 +674,16 @@ def test_an_arm_under_a_newer_nonce_is_tried_as_often_as_any_request() -> None:
     again = _reply(
         awaiting(bench.loop.state, Want.CONFIGURE, ts_us=bench.loop.state.ts_us)
     )._replace(config_crc=bench.loop.state.config_crc)
-    arming = awaiting(bench.loop.state, Want.ARM, ACQUIRE, tries=4)
+    arming = awaiting(bench.loop.state, Want.ARM, ARM, tries=4)
 
     fifth = heard(bench, again, arming)
-    sixth = heard(bench, again, awaiting(bench.loop.state, Want.ARM, ACQUIRE, tries=5))
+    sixth = heard(bench, again, awaiting(bench.loop.state, Want.ARM, ARM, tries=5))
 
     (arm,) = fifth.sent
     assert isinstance(arm, Arm)
     assert arm.nonce == again.nonce
     assert fifth.state.asked is not None
-    assert (fifth.state.asked.tries, fifth.state.asked.order) == (5, ACQUIRE)
+    assert (fifth.state.asked.tries, fifth.state.asked.order) == (5, ARM)
     assert sixth.actions == []
 
 
@@ -695,7 +696,7 @@ def test_an_arm_waits_for_its_own_configuration_only(change: dict[str, int | Non
     own = own._replace(config_crc=state.config_crc)
     same = {name: state.nonce if value is None else value for name, value in change.items()}
 
-    decided = heard(bench, own._replace(**same), awaiting(state, Want.ARM, ACQUIRE))
+    decided = heard(bench, own._replace(**same), awaiting(state, Want.ARM, ARM))
 
     assert decided.sent == []
 
@@ -708,7 +709,7 @@ def test_nothing_is_armed_without_a_device() -> None:
     bench = rested()
     state = replace(bench.loop.state, device=None)
 
-    after, (said,) = transitions.begin_arming(state, bench.ports.now, ACQUIRE)
+    after, (said,) = transitions.begin_arming(state, bench.ports.now, ARM)
 
     assert after == state
     assert said.record.error == NO_DEVICE
@@ -721,8 +722,8 @@ def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
     assert device is not None
     slow = replace(bench.loop.state, device=device._replace(ts_min_us=15_000))
 
-    (refusal,) = ordered(bench, replace(ACQUIRE, ts_us=14_999), slow).told(Answer)
-    allowed = ordered(bench, replace(ACQUIRE, ts_us=15_000), slow)
+    (refusal,) = ordered(bench, replace(ARM, ts_us=14_999), slow).told(Answer)
+    allowed = ordered(bench, replace(ARM, ts_us=15_000), slow)
 
     assert refusal.error == "Ts=0.014999 s is too short for the device: at least 0.015 s"
     assert [type(m) for m in allowed.sent] == [Config]

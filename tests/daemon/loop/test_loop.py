@@ -8,7 +8,7 @@ import msgspec
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.state import Event, Ordered, Phase, Received, Want
-from armrig_daemon.pipe import Answer, Halt, Play, SetVoltage, Timing
+from armrig_daemon.pipe import Answer, Run, Set, Stop, Timing
 from virtual_bench import LEASE, MS, Bench, codes
 
 
@@ -27,7 +27,7 @@ def test_orders_of_before_a_pause_are_looked_at_behind_the_tick_that_trips() -> 
     def frozen(until_ns: int) -> list[Event]:
         bench.ports.wait = wait  # type: ignore[method-assign]
         bench.ports._advance(until_ns + 300 * MS)
-        return [Ordered(SetVoltage(order=50, lease=LEASE, n=2, code=code_of(4.0)))]
+        return [Ordered(Set(order=50, lease=LEASE, n=2, code=code_of(4.0)))]
 
     bench.ports.wait = frozen  # type: ignore[method-assign]
     bench.run_for(100)
@@ -57,7 +57,7 @@ def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
     bench.ports.wait = noisy  # type: ignore[method-assign]
     bench.run_for(600)
     ordered_ns = bench.ports.now
-    bench.order(Halt(order=60))
+    bench.order(Stop(order=60))
     bench.run_for(1)
 
     assert 0 < stopping_ns[0] - ordered_ns < MS
@@ -80,7 +80,7 @@ def test_a_device_that_is_asked_between_runs_is_held_against_the_asking() -> Non
     """One that is to pace a run is asked every 10 ms before it, whatever Ts the run is to have."""
     bench = Bench(msgspec.convert({"limits": {"slew_v": 1.0}}, Config))
     bench.arm(ts_us=16_000)
-    bench.ask(Play, lease=LEASE, n=1, run_id="r", codes=codes(3.0), scheduled=True)
+    bench.ask(Run, lease=LEASE, n=1, run_id="r", codes=codes(3.0), scheduled=True)
     assert bench.phase is Phase.FAULT
 
     bench.run_for(2000)

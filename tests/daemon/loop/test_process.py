@@ -18,7 +18,7 @@ from armrig_daemon.decisions.state import LinkDown, LinkUp, Ordered, Received, S
 from armrig_daemon.loop import realtime
 from armrig_daemon.loop.link import READ, Link
 from armrig_daemon.loop.process import REOPEN_NS, ProcessPorts, Settings
-from armrig_daemon.pipe import Alive, Halt, Play, Reset, record_bytes
+from armrig_daemon.pipe import Alive, Reset, Run, Stop, record_bytes
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Estop
 from msgspec.structs import replace
@@ -229,15 +229,15 @@ def test_an_order_may_come_in_pieces(ports: ProcessPorts, pipes: dict[str, int])
 
     The loop goes on between them.
     """
-    play = Play(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)))
-    data = record_bytes(Halt()) + record_bytes(play) + record_bytes(Reset())
+    play = Run(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)))
+    data = record_bytes(Stop()) + record_bytes(play) + record_bytes(Reset())
 
     taken = []
     for at in range(0, len(data), 100):
         os.write(pipes["orders_in"], data[at : at + 100])
         taken += ports.wait(realtime.now_ns() + 100 * MS)
 
-    assert taken == [Ordered(Halt()), Ordered(play), Ordered(Reset())]
+    assert taken == [Ordered(Stop()), Ordered(play), Ordered(Reset())]
 
 
 def test_a_line_that_was_lost_is_opened_again_in_its_time(

@@ -6,10 +6,10 @@ import os
 from collections.abc import Iterator
 
 import pytest
-from armrig_daemon.pipe import Alive, Host, Log, Play, record_bytes
+from armrig_daemon.pipe import Alive, Host, Log, Run, record_bytes
 from loop_ends import LoopEnds
 
-PLAY = Play(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)) * 1000)
+RUN = Run(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)) * 1000)
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def test_orders_that_find_no_room_wait_and_come_whole_and_in_order(loop: LoopEnd
     """A long experiment is more than the pipe holds; a frozen loop does not freeze us."""
     assert not os.get_blocking(loop.child.orders_fd)
 
-    loop.child.order(PLAY)
+    loop.child.order(RUN)
     assert loop.child.is_behind
     loop.child.order(Alive())
 
@@ -32,14 +32,14 @@ def test_orders_that_find_no_room_wait_and_come_whole_and_in_order(loop: LoopEnd
     while loop.child.is_behind:
         loop.child.flush()
         taken += loop.orders()
-    assert taken + loop.orders() == [PLAY, Alive()]
+    assert taken + loop.orders() == [RUN, Alive()]
 
 
 def test_orders_to_a_loop_that_is_gone_wait_for_nothing(loop: LoopEnds) -> None:
     """Its end is seen at its records; what is not taken must not keep us awake."""
     loop.read_no_more()
 
-    loop.child.order(PLAY)
+    loop.child.order(RUN)
 
     assert not loop.child.is_behind
 

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.telemetry import Sample
-from armrig_daemon.config import Arm, Config
+from armrig_daemon.config import ArmSettings, Config
 from armrig_daemon.pipe import Distribution, Host, State, Timing
 from armrig_daemon.service.rig_view import RigView
 from armrig_protocol.messages import Flag
@@ -49,7 +49,7 @@ def test_a_status_is_of_the_newest_that_the_loop_told(rig: RigView) -> None:
     ("config", "is_kept"),
     [
         (Config(), True),
-        (Config(arm=Arm(removed=True)), False),
+        (Config(arm=ArmSettings(removed=True)), False),
         (Config(calibration=TURNS_ON), False),
     ],
 )

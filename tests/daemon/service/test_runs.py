@@ -10,7 +10,7 @@ import pytest
 from armrig_core.commands import LastRun, Run
 from armrig_core.recording_file.recorder import PartLimits
 from armrig_core.rehearsal import rehearse
-from armrig_daemon.config import Arm, Config, Limits
+from armrig_daemon.config import ArmSettings, Config, Limits
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.service.runs import Runs, part_limits
 
@@ -44,7 +44,7 @@ def test_an_input_outside_a_limit_is_refused_and_nothing_is_planned(
 
 def test_the_answer_carries_the_rehearsal_on_the_configured_rig(tmp_path: Path) -> None:
     """Without limits nothing is refused; the figures are told all the same."""
-    arm = Arm(J_2=0.01)
+    arm = ArmSettings(J_2=0.01)
 
     _, answer = _runs(tmp_path, Config(arm=arm)).plan(REQUEST, 0.02, theta_1_rad=1.0)
 
@@ -55,7 +55,7 @@ def test_the_answer_carries_the_rehearsal_on_the_configured_rig(tmp_path: Path) 
 
 def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
     """The limit of alpha has nothing to hold."""
-    config = Config(arm=Arm(removed=True), limits=Limits(alpha_rad=0.001))
+    config = Config(arm=ArmSettings(removed=True), limits=Limits(alpha_rad=0.001))
 
     _, answer = _runs(tmp_path, config).plan(REQUEST, 0.01)
 

@@ -25,25 +25,21 @@ from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, manifest_of
 from armrig_core.manifest import RUN as OF_RUN
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_core.topics import command_key
+from armrig_daemon import pipe
 from armrig_daemon.config import Config
 from armrig_daemon.decisions.orders import BY_HAND, not_newer
 from armrig_daemon.pipe import (
-    Acquire,
     Alive,
     Answer,
     Calibrate,
     Clock,
     Distribution,
     Gap,
-    Halt,
     Host,
     Log,
-    Play,
-    Release,
     Reset,
     RunEnded,
     RunStarted,
-    SetVoltage,
     State,
     Timing,
 )
@@ -109,7 +105,7 @@ class Between:
         self.ask(RUN)
         self.commands.serve()
         *signs, play = self.loop.orders()
-        assert isinstance(play, Play)
+        assert isinstance(play, pipe.Run)
         assert signs == [Alive()] * len(signs)
         started = RunStarted(run_id=play.run_id, k_first=0, count=3, t_host_ns=0)
         self.service._handle([Answer(order=play.order), started])
@@ -171,7 +167,7 @@ def test_the_loop_hears_from_the_service_while_a_run_is_planned(between: Between
     between.commands.serve()
 
     *signs, play = between.loop.orders()
-    assert isinstance(play, Play)
+    assert isinstance(play, pipe.Run)
     assert signs == [Alive()] * 4
 
 
@@ -179,7 +175,7 @@ def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
     """The motor must not turn for nothing: here for a run that nobody asked for."""
     between.service._handle([RunStarted(run_id="another", k_first=0, count=1, t_host_ns=0)])
 
-    assert between.loop.orders() == [Halt()]
+    assert between.loop.orders() == [pipe.Stop()]
 
 
 def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> None:
@@ -267,7 +263,7 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
     between.service._woken()
 
     (halt,) = between.loop.orders()
-    assert isinstance(halt, Halt)
+    assert isinstance(halt, pipe.Stop)
     assert "No space left on device" in halt.reason
     between.service._runs.end("stopped")
     between.service._runs.finished(5)
@@ -302,7 +298,7 @@ def test_a_run_is_planned_as_the_newest_lease_was_granted(
     between.ask(Arm(owner="a test", Ts=0.02))
     between.commands.serve()
     (granted,) = between.loop.orders()
-    assert isinstance(granted, Acquire)
+    assert isinstance(granted, pipe.Arm)
     between.service._handle([Answer(order=granted.order, body={"Ts": 0.02})])
 
     between.ask(Run(lease=granted.lease, n=1, u=[1.0]))
@@ -378,7 +374,7 @@ def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
 
     between.service._serve()
 
-    assert not [order for order in between.loop.orders() if isinstance(order, Halt)]
+    assert not [order for order in between.loop.orders() if isinstance(order, pipe.Stop)]
     between.service._runs.end("stopped")
     between.service._runs.finished(5)
 
@@ -474,12 +470,15 @@ def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: 
 @pytest.mark.parametrize(
     ("request_", "order"),
     [
-        (Disarm(lease=LEASE, n=4), Release(order=1, lease=LEASE, n=4)),
-        (Set(lease=LEASE, n=4, u=5.0), SetVoltage(order=1, lease=LEASE, n=4, code=65535)),
-        (Stop(), Halt(order=1)),
-        (Stop(by="anna"), Halt(order=1, reason="stopped by anna")),
-        (Stop(by="\x1b[2J" + 90 * "x"), Halt(order=1, reason=f"stopped by \\x1b[2J{73 * 'x'}")),
-        (Stop(by="  "), Halt(order=1)),
+        (Disarm(lease=LEASE, n=4), pipe.Disarm(order=1, lease=LEASE, n=4)),
+        (Set(lease=LEASE, n=4, u=5.0), pipe.Set(order=1, lease=LEASE, n=4, code=65535)),
+        (Stop(), pipe.Stop(order=1)),
+        (Stop(by="anna"), pipe.Stop(order=1, reason="stopped by anna")),
+        (
+            Stop(by="\x1b[2J" + 90 * "x"),
+            pipe.Stop(order=1, reason=f"stopped by \\x1b[2J{73 * 'x'}"),
+        ),
+        (Stop(by="  "), pipe.Stop(order=1)),
         (AskedReset(), Reset(order=1)),
     ],
 )
@@ -648,9 +647,9 @@ def test_a_voltage_held_by_hand_may_step_as_far_as_it_will(narrow: Between) -> N
     narrow.commands.serve()
 
     held, taken = narrow.loop.orders()
-    assert isinstance(held, SetVoltage)
+    assert isinstance(held, pipe.Set)
     assert (held.n, held.code, held.lease) == (4, round(4.4 / 5 * 65_535), LEASE)
-    assert isinstance(taken, Acquire)
+    assert isinstance(taken, pipe.Arm)
     assert (taken.owner, taken.ts_us) == ("Ada", 2000)
 
 
