@@ -7,6 +7,7 @@ can read both without armrig.
 from __future__ import annotations
 
 from functools import cache
+from math import nan
 from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
@@ -89,6 +90,15 @@ OF_STREAM = {
 }
 """Full name of the message of each stream."""
 
+ABSENT: dict[str, float] = {
+    **{"double": nan, "sfixed32": -1, "sfixed64": -1},
+    **{"fixed32": (1 << 32) - 1, "fixed64": (1 << 64) - 1},
+}
+"""Value of a number that a message does not contain, by its type: all bits set, or NaN.
+
+A message of an older writer lacks the fields that were appended since; 0 would be a measurement.
+"""
+
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}
 """Number of each level of a `foxglove.Log`."""
 
@@ -156,3 +166,24 @@ def message_class(name: str) -> Any:
     for file in _files(name):
         pool.Add(file)
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(name))
+
+
+def decoded(name: str, data: bytes) -> Any:
+    """Return the message `name` (full name) in `data`; numbers that it lacks are `ABSENT`.
+
+    Raises
+    ------
+    google.protobuf.message.DecodeError
+        `data` is no protobuf message.
+    """
+    message = message_class(name)()
+    message.CopyFrom(_without_numbers(name))
+    message.MergeFromString(data)
+    return message
+
+
+@cache
+def _without_numbers(name: str) -> Any:
+    """Return a message whose numbers are all absent."""
+    fields = _MESSAGES.get(name.removeprefix(f"{PACKAGE}."), ())
+    return message_class(name)(**{field: ABSENT[kind] for field, kind in fields if kind in ABSENT})

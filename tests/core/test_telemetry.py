@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 
+import pytest
 from armrig_core import protobuf
 from armrig_core.telemetry import SAMPLE_FIELDS, SAMPLE_LENGTH, Sample, decode_sample, encode_sample
 from google.protobuf import descriptor_pb2
+from google.protobuf.descriptor import FieldDescriptor
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -15,6 +17,13 @@ _KINDS = {
     "sfixed64": st.integers(-(2**63), 2**63 - 1),
     "double": st.floats(allow_nan=False),
     "fixed32": st.integers(0, 2**32 - 1),
+}
+_IMPOSSIBLE = {
+    FieldDescriptor.TYPE_DOUBLE: math.nan,
+    FieldDescriptor.TYPE_FIXED32: 2**32 - 1,
+    FieldDescriptor.TYPE_FIXED64: 2**64 - 1,
+    FieldDescriptor.TYPE_SFIXED32: -1,
+    FieldDescriptor.TYPE_SFIXED64: -1,
 }
 samples = st.builds(Sample, *(_KINDS[kind] for _, kind in SAMPLE_FIELDS))
 
@@ -47,6 +56,28 @@ def test_an_angle_that_is_not_known_travels_as_nan() -> None:
 
     assert decoded is not None
     assert math.isnan(decoded.theta_1_rad)
+
+
+@pytest.mark.parametrize("name", sorted({*protobuf.OF_STREAM.values()} - {protobuf.LOG}))
+def test_a_number_that_a_message_lacks_is_no_measurement(name: str) -> None:
+    """In a message of an older writer an appended field is absent, and 0 rad would be an angle."""
+    numbers = {
+        field.name: (field.type, getattr(protobuf.decoded(name, b""), field.name))
+        for field in protobuf.message_class(name).DESCRIPTOR.fields
+        if field.type in _IMPOSSIBLE
+    }
+
+    assert numbers
+    for field, (kind, value) in numbers.items():
+        assert value == _IMPOSSIBLE[kind] or math.isnan(value), field
+
+
+@given(samples)
+def test_a_number_that_a_message_has_is_read_as_it_is(sample: Sample) -> None:
+    """Zeros, too."""
+    message = protobuf.decoded(protobuf.SAMPLE, encode_sample(sample))
+
+    assert tuple(getattr(message, name) for name, _ in SAMPLE_FIELDS) == sample
 
 
 def test_other_layouts_are_not_taken_for_a_sample() -> None:

@@ -292,7 +292,7 @@ class _Reader:
         if stream == "sample":
             self.rows.add(data)
             return
-        parsed = protobuf.message_class(protobuf.OF_STREAM[stream]).FromString(data)
+        parsed = protobuf.decoded(protobuf.OF_STREAM[stream], data)
         self.budget.spend(WORK, _RECORD_WORK)
         self.budget.spend(KEPT, len(data) + _OVERHEADS[stream])
         self.content.messages.setdefault(stream, []).append(parsed)

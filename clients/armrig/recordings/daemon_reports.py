@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from math import nan
 from operator import attrgetter
 from typing import Any
 
@@ -72,6 +71,7 @@ class Distribution:
     """How many were not in time at all."""
 
 
+_NOT_SAID = protobuf.ABSENT["fixed64"]
 _DISTRIBUTION = tuple(f.name for f in fields(Distribution))
 _distribution_values = attrgetter(*_DISTRIBUTION)
 
@@ -91,7 +91,7 @@ class Timing:
     queue_depth: Distribution
     """Setpoints that the device held ahead; n is 0 where it had no queue."""
     collections: int
-    """Garbage collections of the loop since it was started: each is a stall."""
+    """Garbage collections of the loop since it was started: each is a stall; -1: unknown."""
     cpu_pressure_percent: float
     """Share of the second in which some task of the host waited for a processor; NaN: unknown."""
     run_queue: int
@@ -167,18 +167,14 @@ def timing_of(message: Any, clock: Clock) -> Timing:
         device_tick_error_us=_distribution(message.device_tick_error_us),
         link_round_trip_us=_distribution(message.link_round_trip_us),
         queue_depth=_distribution(message.queue_depth),
-        collections=_field_or(message, "collections", 0),
-        cpu_pressure_percent=_field_or(message, "cpu_pressure_percent", nan),
-        run_queue=_field_or(message, "run_queue", -1),
+        collections=-1 if message.collections == _NOT_SAID else message.collections,
+        cpu_pressure_percent=message.cpu_pressure_percent,
+        run_queue=message.run_queue,
     )
 
 
 def _distribution(message: Any) -> Distribution:
     return Distribution(**dict(zip(_DISTRIBUTION, _distribution_values(message), strict=True)))
-
-
-def _field_or(message: Any, name: str, otherwise: float) -> Any:
-    return getattr(message, name) if message.HasField(name) else otherwise
 
 
 def device_clock_of(message: Any, clock: Clock) -> DeviceClock:

@@ -13,6 +13,7 @@ from armrig_core import manifest as records
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import CalibrationFileError, read_calibration
 from armrig_core.manifest import Manifest, Outcome, Recovered
+from armrig_core.protobuf import ABSENT
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.part_names import part_number, part_paths
 from armrig_protocol.messages import Flag
@@ -387,9 +388,11 @@ def _angles(
 def _angle(samples: NDArray[np.void], name: str, pot: Potentiometer | None) -> Vector:
     if pot is None:
         return np.array(samples[f"{name}_rad"], np.float64)
-    angle: Vector = samples[f"{name}_counts"].astype(np.float64)
+    counts = samples[f"{name}_counts"]
+    angle: Vector = counts.astype(np.float64)
     angle -= pot.zero_counts
     angle *= pot.rad_per_count
+    angle[counts == ABSENT["fixed32"]] = np.nan
     return angle
 
 

@@ -151,8 +151,8 @@ class SampleRows:
 
 
 def _values(message: bytes) -> tuple[Any, ...]:
-    """Return the fields of a sample of any layout."""
-    fields: tuple[Any, ...] = _field_values(_Message.FromString(message))
+    """Return the fields of a sample of any layout; those that it lacks are `protobuf.ABSENT`."""
+    fields: tuple[Any, ...] = _field_values(protobuf.decoded(protobuf.SAMPLE, message))
     return fields
 
 
@@ -204,7 +204,6 @@ def _run() -> re.Pattern[bytes]:
     return re.compile(head + b"(..)" + rest + b"(?:" + head + rb"\1" + rest + b")*+", re.DOTALL)
 
 
-_Message = protobuf.message_class(protobuf.SAMPLE)
 _field_values = attrgetter(*telemetry.Sample._fields)
 # Before a sample that was made from a message; nobody reads it.
 _HEAD = bytes(RECORD_HEAD.size + MESSAGE_HEAD.size)

@@ -23,7 +23,7 @@ class Disturbances:
     seconds: int
     """Reports in the recording, one a second."""
     collections: int
-    """Garbage collections of the loop, from the first report to the last."""
+    """Garbage collections of the loop, from the first report to the last; -1: unknown."""
     cpu_pressure_percent: float
     """Share of the worst second in which some task waited for a processor; NaN: unknown."""
     run_queue: int
@@ -42,7 +42,7 @@ class Disturbances:
     def texts(self) -> dict[str, str]:
         """Return in words what was reported, by its name; nothing where nothing was."""
         found = {}
-        if self.seconds:
+        if self.seconds and self.collections >= 0:
             found["garbage collections of the loop"] = str(self.collections)
         if not isnan(self.cpu_pressure_percent):
             share = f"{self.cpu_pressure_percent:.0f}{NBSP}%"
@@ -63,10 +63,11 @@ class Disturbances:
 def disturbances(recording: Recording) -> Disturbances:
     """Return what disturbed the timing of a recording."""
     timing, last = recording.timing, recording.clock[-1] if recording.clock else _UNKNOWN
+    collections = [t.collections for t in timing if t.collections >= 0]
     pressures = [t.cpu_pressure_percent for t in timing if not isnan(t.cpu_pressure_percent)]
     return Disturbances(
         seconds=len(timing),
-        collections=timing[-1].collections - timing[0].collections if timing else 0,
+        collections=collections[-1] - collections[0] if collections else -1,
         cpu_pressure_percent=max(pressures, default=nan),
         run_queue=max((t.run_queue for t in timing), default=-1),
         round_trip_us=max(_round_trips(timing), default=nan),

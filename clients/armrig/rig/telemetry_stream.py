@@ -147,14 +147,14 @@ def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any
 
 
 def decoded(name: str, payload: bytes) -> Any:
-    """Return one message of the stream `name`."""
+    """Return one message of the stream `name`; numbers that it lacks are `protobuf.ABSENT`."""
     if name != "sample":
-        return protobuf.message_class(protobuf.OF_STREAM[name]).FromString(payload)
+        return protobuf.decoded(protobuf.OF_STREAM[name], payload)
     sample = telemetry.decode_sample(payload)
     if sample is not None:
         return sample
-    # The sample of a later version, with more fields.
-    message = protobuf.message_class(protobuf.SAMPLE).FromString(payload)
+    # The sample of another version, with more or fewer fields.
+    message = protobuf.decoded(protobuf.SAMPLE, payload)
     return telemetry.Sample._make(getattr(message, field) for field in telemetry.Sample._fields)
 
 

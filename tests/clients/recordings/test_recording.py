@@ -414,6 +414,40 @@ def test_another_layout_of_the_sample_reads_the_same(tmp_path: Path) -> None:
         np.testing.assert_array_equal(other.theta_1, fast.theta_1)
 
 
+def test_an_angle_that_a_file_lacks_is_not_0_rad(tmp_path: Path) -> None:
+    """A file written before a field was appended: neither its angle nor its counts are known."""
+    older = []
+    for k in range(8):
+        message = protobuf.message_class(protobuf.SAMPLE)(**sample(k)._asdict())
+        message.ClearField("alpha_rad")
+        message.ClearField("alpha_counts")
+        older.append(message.SerializeToString())
+    path = written(tmp_path, recorded(older))
+
+    as_sent, by_counts = load(path), load(path, calibration=IDENTITY)
+
+    for rec in (as_sent, by_counts):
+        assert not rec.truncated
+        assert np.isnan(rec.alpha).all()
+        assert not rec.valid_alpha.any()
+        assert rec.valid.all()
+        np.testing.assert_array_equal(rec.samples["k"], np.arange(8))
+
+
+def test_what_the_daemon_did_not_report_is_not_reported_as_0(tmp_path: Path) -> None:
+    """A report of a release that counted no collections and knew no pressure."""
+    report = timing(5)
+    for name in ("collections", "cpu_pressure_percent", "run_queue"):
+        report.ClearField(name)
+
+    rec = load(written(tmp_path, recorded([*map(sample, range(10)), report, report])))
+
+    found = disturbances(rec)
+    assert (found.seconds, found.collections, found.run_queue) == (2, -1, -1)
+    assert np.isnan(found.cpu_pressure_percent)
+    assert found.texts() == {}
+
+
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD])
 @pytest.mark.parametrize("chunk_size", [200, 4096, 1 << 20])
 def test_chunks_of_any_size_read_the_same(

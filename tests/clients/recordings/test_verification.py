@@ -38,7 +38,8 @@ def run(**changes: Any) -> list[Sample]:
 
 def clock(k: int, offset_ns: int, **changes: float) -> Any:
     """Return a comparison of the clocks at sample k, certain to 1 µs."""
-    certain = {"offset_std_ns": 1e3, "drift_std_ppm": 0.1} | changes
+    certain = {"offset_std_ns": 1e3, "drift_ppm": 0.0, "drift_std_ppm": 0.1, "bound_ns": 0.0}
+    certain |= changes
     return protobuf.message_class(protobuf.CLOCK)(
         t_host_ns=sample(k).t_host_ns, offset_ns=offset_ns, **certain
     )

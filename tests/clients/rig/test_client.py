@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import math
 import os
 import signal
 import subprocess
@@ -471,6 +472,18 @@ def test_messages_of_later_versions_are_understood() -> None:
 
     assert decoded("sample", later) == sample(5)
     assert decoded("state", state.SerializeToString()).phase == "safe"
+
+
+def test_an_angle_that_an_earlier_daemon_does_not_send_is_not_0_rad() -> None:
+    """What a sample or a report lacks is not known."""
+    sent = protobuf.message_class(protobuf.SAMPLE)(**sample(5)._asdict())
+    sent.ClearField("alpha_rad")
+
+    shown = decoded("sample", sent.SerializeToString())
+
+    assert math.isnan(shown.alpha_rad)
+    assert shown._replace(alpha_rad=0.0) == sample(5)._replace(alpha_rad=0.0)
+    assert math.isnan(decoded("timing", b"").cpu_pressure_percent)
 
 
 def _first(samples: Iterator[telemetry.Sample], out: zenoh.Publisher) -> None:

@@ -319,7 +319,9 @@ def test_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> Non
 
 def test_long_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
     """A reason of 100 kB is none of a daemon's: of such ones 1 MiB is kept."""
-    long = [message("gap", k_first=k, count=1, reason="x" * 100_000) for k in range(1, 30)]
+    when = {"t_from_ns": 0, "t_to_ns": 0}
+    reason = "x" * 100_000
+    long = [message("gap", k_first=k, count=1, reason=reason, **when) for k in range(1, 30)]
 
     recording.add(piece(state(), sample(0), *long))
 
