@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from armrig.cli.model_structures import (
+    Integrator,
     NaOrNone,
     NbOrNone,
     NcOrNone,
     NdOrNone,
     NfOrNone,
+    Offset,
     OrderOrNone,
     Structure,
     check_integrator,
@@ -84,12 +86,8 @@ def identify(
     nf: NfOrNone = None,
     order: OrderOrNone = None,
     nk: Nk = 1,
-    integrator: Annotated[
-        bool, typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID).")
-    ] = False,
-    offset: Annotated[
-        bool, typer.Option("--offset", help="Estimate the input's offset along (ARMAX, OE, BJ).")
-    ] = False,
+    integrator: Integrator = False,
+    offset: Offset = False,
     stable: Annotated[
         bool, typer.Option("--stable", help="Reflect poles outside the unit circle into it.")
     ] = False,

@@ -12,11 +12,13 @@ import typer
 from armrig.cli.chosen_recording import DataFile, recording_path
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.model_structures import (
+    Integrator,
     NaOrNone,
     NbOrNone,
     NcOrNone,
     NdOrNone,
     NfOrNone,
+    Offset,
     OrderOrNone,
     Structure,
     StructureOrNone,
@@ -48,7 +50,7 @@ from armrig.cli.options import (
 )
 from armrig.cli.output_file import check_output
 from armrig.cli.recorded_data import Signals, from_recording, source_facts
-from armrig.models.structure_table import KINDS
+from armrig.models.structure_table import KINDS, users
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -65,12 +67,6 @@ NkOrNone = Annotated[
         help="Samples before u reaches y.",
         show_default="1; --search takes what the data show",
     ),
-]
-Integrator = Annotated[
-    bool, typer.Option("--integrator", help="One pole is 1 exactly (ARMAX, OE, BJ, N4SID).")
-]
-Offset = Annotated[
-    bool, typer.Option("--offset", help="Estimate the input's offset along (ARMAX, OE, BJ).")
 ]
 Stable = Annotated[
     bool, typer.Option("--stable", help="Reflect poles that are outside the unit circle into it.")
@@ -155,7 +151,7 @@ def identify(
         time=time,
         Ts=Ts,
         detrend=detrend,
-        offset=offset if structure is None or KINDS[structure].may_offset else None,
+        offset=offset if structure is None or "offset" in KINDS[structure].takes else None,
         hampel=hampel,
         calibration=calibration,
         start=start,
@@ -253,8 +249,9 @@ def _check_nothing_fixed(given: dict[str, int | None], *, weights: str | None) -
 
 def _checked_weights(structure: Structure | None, weights: Weights | None) -> Weights | None:
     """Refuse weights of a projection where there is none."""
-    if weights is not None and structure != "n4sid":
-        raise typer.BadParameter(f"--weights {weights} goes with --structure n4sid")
+    if weights is not None and structure not in users("weights"):
+        able = " or ".join(users("weights"))
+        raise typer.BadParameter(f"--weights {weights} goes with --structure {able}")
     return weights
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from armrig.models.structure_table import FAMILIES, KINDS, Family, with_article
+from armrig.models.structure_table import COUNTED, OFFERED, Family, users, with_article
 from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
@@ -16,39 +16,46 @@ if TYPE_CHECKING:
 Structure = Family
 Weights = Literal["cva", "moesp", "n4sid"]
 
-_KINDS = {name: KINDS[name] for name in FAMILIES}
-_WITH_OFFSET = [name for name, kind in _KINDS.items() if kind.may_offset]
+
+def _order(name: str) -> Any:
+    """Return the option of an order; an option that does not apply is refused, not ignored."""
+    default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
+    shown = {"by the data" if n is None else str(n) for n in default.values()}
+    if len(shown) > 1:
+        shown = {", ".join(f"{title} {n}" for title, n in default.items())}
+    return _option(name, f"Number of {COUNTED[name]}", show_default=shown.pop())
 
 
-def _option(name: str, what: str, default: str) -> Any:
-    used = ", ".join(s.upper() for s, kind in _KINDS.items() if name in kind.orders)
-    return typer.Option(f"--{name}", help=f"Number of {what} ({used}).", show_default=default)
+def _option(name: str, what: str, **more: Any) -> Any:
+    """Return an option that some structures have, and say which."""
+    titles = ", ".join(OFFERED[user].title for user in users(name))
+    return typer.Option(f"--{name}", help=f"{what} ({titles}).", **more)
 
 
 StructureOrNone = Annotated[
     Structure | None, typer.Option("--structure", help="Which model.", show_default=False)
 ]
-# None: the option was not given. An option that does not apply is refused, not ignored.
-NaOrNone = Annotated[int | None, _option("na", "a's", "4")]
-NbOrNone = Annotated[int | None, _option("nb", "b's", "4")]
-NcOrNone = Annotated[int | None, _option("nc", "c's", "ARMAX 4, BJ 1")]
-NdOrNone = Annotated[int | None, _option("nd", "d's", "1")]
-NfOrNone = Annotated[int | None, _option("nf", "f's, the integrator's included", "4")]
-OrderOrNone = Annotated[int | None, _option("order", "states", "by the data")]
+# None: the option was not given.
+NaOrNone = Annotated[int | None, _order("na")]
+NbOrNone = Annotated[int | None, _order("nb")]
+NcOrNone = Annotated[int | None, _order("nc")]
+NdOrNone = Annotated[int | None, _order("nd")]
+NfOrNone = Annotated[int | None, _order("nf")]
+OrderOrNone = Annotated[int | None, _order("order")]
 WeightsOrNone = Annotated[
-    Weights | None,
-    typer.Option("--weights", help="Of the projection (N4SID).", show_default="cva"),
+    Weights | None, _option("weights", "Of the projection", show_default="cva")
 ]
+Integrator = Annotated[bool, _option("integrator", "One pole is 1 exactly")]
+Offset = Annotated[bool, _option("offset", "Estimate the input's offset along")]
 
 
 def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[str, int | None]:
     """Return the structure's orders; refuse those of another structure, without effect here."""
-    own = _KINDS[structure].orders
+    own = OFFERED[structure].orders
     for name, value in given.items():
         if value is not None and name not in own:
-            users = " or ".join(s for s, kind in _KINDS.items() if name in kind.orders)
             raise typer.BadParameter(
-                f"--{name} {value} goes with --structure {users}; "
+                f"--{name} {value} goes with --structure {' or '.join(users(name))}; "
                 f"{with_article(structure.upper())} model has {listed([*own, 'nk'])}"
             )
     return {**own, **{name: value for name, value in given.items() if value is not None}}
@@ -56,10 +63,9 @@ def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[st
 
 def check_integrator(structure: Structure) -> None:
     """Refuse an integrator where there is none by construction."""
-    if not _KINDS[structure].may_integrate:
-        able = " or ".join(name for name, kind in _KINDS.items() if kind.may_integrate)
+    if structure not in users("integrator"):
         raise typer.BadParameter(
-            f"--integrator goes with --structure {able}; "
+            f"--integrator goes with --structure {' or '.join(users('integrator'))}; "
             f"{with_article(structure.upper())} model finds its own"
         )
 
@@ -70,8 +76,8 @@ def check_single_estimate(
     """Refuse options that a search, or another structure, would do nothing with."""
     if search and stable:
         raise typer.BadParameter("--stable does not go with --search, whose models always are")
-    if offset and structure is not None and structure not in _WITH_OFFSET:
-        msg = f"--offset goes with --structure {' or '.join(_WITH_OFFSET)}; take the means off, "
+    if offset and structure is not None and structure not in users("offset"):
+        msg = f"--offset goes with --structure {' or '.join(users('offset'))}; take the means off, "
         raise typer.BadParameter(msg + "--detrend")
 
 

@@ -49,8 +49,9 @@ def options_after(fit: Fit, about: Set[str], *, searched: bool, detrended: bool)
         return _typed("oe", orders, integrator=True)
     # A level that u does not make looks like an integrator; of an angle it is not looked for.
     level = "level" in about and not fit.integrator
-    integrator = fit.integrator or ("integrator" in about and not level and kind.may_integrate)
-    offset = (fit.offset or level) and kind.may_offset and not integrator
+    asked = "integrator" in about and not level
+    integrator = fit.integrator or (asked and "integrator" in kind.takes)
+    offset = (fit.offset or level) and "offset" in kind.takes and not integrator
     detrend = level and not (offset or detrended)
     # One that is seen although it is off the data, or estimated along, is an order too high.
     seen = level and not detrend and offset == fit.offset

@@ -3,22 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 
-from armrig.estimation.armax import armax
-from armrig.estimation.arx import arx
-from armrig.estimation.bj import bj
-from armrig.estimation.iv4 import iv4
-from armrig.estimation.n4sid import n4sid
-from armrig.estimation.oe import oe
-from armrig.estimation.pem import pem
 from armrig.models.fit import Fit
+from armrig.models.structure_table import KINDS
 
 ESTIMATORS: dict[str, Callable[..., Fit]] = {
-    "arx": arx,
-    "armax": armax,
-    "oe": oe,
-    "bj": bj,
-    "iv4": iv4,
-    "n4sid": n4sid,
-    "pem": pem,
+    name: getattr(import_module(f"armrig.estimation.{name}"), name) for name in KINDS
 }

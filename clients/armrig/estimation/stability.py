@@ -113,7 +113,7 @@ def _integrator_hint(fit: Fit) -> str:
         if real and abs(z) >= 1 - ROUNDING and std > _VAGUE:
             return f"and its deviation is {std:.2g}, so the data do not determine the model"
         if real and abs(z) >= 1 - ROUNDING and abs(z - 1) < _SURELY * std + ROUNDING:
-            able = KINDS[fit.structure].may_integrate
+            able = "integrator" in KINDS[fit.structure].takes
             then = "ask for integrator=True" if able else "take oe with integrator=True"
             return f"1 within its accuracy; if {fit.output} integrates, {then}"
     return REFLECT

@@ -39,7 +39,7 @@ class Estimate(Model):
     """A model with covariance, loss and search: all of a `Fit` but what it says and draws."""
 
     structure: str
-    """"arx", "iv4", "armax", "oe", "bj", "n4sid" or "pem", the general one."""
+    """Name of a `structure_table.Kind`, such as "oe"."""
     covariance: Matrix
     """Of theta, lambda (J^T J)^-1; right where the residuals are white."""
     covariance_robust: Matrix

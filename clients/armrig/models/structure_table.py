@@ -1,4 +1,9 @@
-"""The structures that can be estimated: their orders, what they are by default, their names."""
+"""The structures that can be estimated: one specification each, from which all else follows.
+
+The options and the help of `armrig identify` and `armrig batch`, what a search tries, the command
+after `next:`, and the table in docs/experiments.md come from here. `--help` reads this module, so
+it imports no array; the estimator of NAME is the function NAME in `armrig.estimation.NAME`.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +19,16 @@ Name = Literal[Family, "pem"]
 ARM_POLES = 4
 """Poles of the arm, one of them an integrator; its numerator has as many coefficients."""
 
+COUNTED = {
+    "na": "a's",
+    "nb": "b's",
+    "nc": "c's",
+    "nd": "d's",
+    "nf": "f's, the integrator's included",
+    "order": "states",
+}
+"""What each order is the number of; nk is not among them."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kind:
@@ -21,14 +36,16 @@ class Kind:
 
     name: Name
     """As a program writes it, which is also the name of its estimator."""
+    equation: str
+    """What it says of y, without delays and levels."""
     orders: Mapping[str, int | None]
     """Its orders by name, nk left out, each with its default for the arm; None is by the data."""
     poles: str
     """Name of the order that counts the poles from u to y."""
-    may_integrate: bool
-    """A pole can be 1 by construction."""
-    may_offset: bool
-    """The input's offset can be estimated along."""
+    takes: tuple[str, ...] = ()
+    """Arguments of its estimator, of those that not every estimator has."""
+    closed_loop: bool = False
+    """Feedback does not bias it, if its noise model is right."""
 
     @property
     def title(self) -> str:
@@ -54,26 +71,67 @@ def with_article(title: str) -> str:
     return f"{'an' if title[0] in 'AEFHILMNORSX' else 'a'} {title}"
 
 
-def _kind(
-    name: Name,
-    orders: Mapping[str, int | None],
-    poles: str,
-    *,
-    integrates: bool = False,
-    offset: bool = False,
-) -> Kind:
-    return Kind(name=name, orders=orders, poles=poles, may_integrate=integrates, may_offset=offset)
-
-
 _N = ARM_POLES
+_SEARCHED = ("integrator", "offset", "initial", "starts")
 _KINDS = (
-    _kind("arx", {"na": _N, "nb": _N}, "na"),
-    _kind("armax", {"na": _N, "nb": _N, "nc": _N}, "na", integrates=True, offset=True),
-    _kind("oe", {"nb": _N, "nf": _N}, "nf", integrates=True, offset=True),
-    _kind("bj", {"nb": _N, "nc": 1, "nd": 1, "nf": _N}, "nf", integrates=True, offset=True),
-    _kind("iv4", {"na": _N, "nb": _N}, "na"),
-    _kind("n4sid", {"order": None}, "order", integrates=True),
-    _kind("pem", {"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N}, "nf"),
+    Kind(
+        name="arx",
+        equation="A y = B u + e",
+        orders={"na": _N, "nb": _N},
+        poles="na",
+        closed_loop=True,
+    ),
+    Kind(
+        name="armax",
+        equation="A y = B u + C e",
+        orders={"na": _N, "nb": _N, "nc": _N},
+        poles="na",
+        takes=_SEARCHED,
+        closed_loop=True,
+    ),
+    Kind(
+        name="oe",
+        equation="y = B/F u + e",
+        orders={"nb": _N, "nf": _N},
+        poles="nf",
+        takes=_SEARCHED,
+    ),
+    Kind(
+        name="bj",
+        equation="y = B/F u + C/D e",
+        orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N},
+        poles="nf",
+        takes=_SEARCHED,
+        closed_loop=True,
+    ),
+    Kind(
+        name="iv4",
+        equation="A y = B u + v, v of any colour",
+        orders={"na": _N, "nb": _N},
+        poles="na",
+    ),
+    Kind(
+        name="n4sid",
+        equation="a state space",
+        orders={"order": None},
+        poles="order",
+        takes=("integrator", "weights", "horizon", "focus"),
+    ),
+    Kind(
+        name="pem",
+        equation="A y = B/F u + C/D e",
+        orders={"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N},
+        poles="nf",
+        takes=("offset", "initial", "starts"),
+        closed_loop=True,
+    ),
 )
 KINDS: dict[str, Kind] = {kind.name: kind for kind in _KINDS}
 """All of them by name."""
+OFFERED: dict[Family, Kind] = {name: KINDS[name] for name in FAMILIES}
+"""Those that a command offers and a search tries."""
+
+
+def users(argument: str) -> list[Family]:
+    """Return the structures offered whose estimators take an order or another argument."""
+    return [name for name, kind in OFFERED.items() if argument in (*kind.orders, *kind.takes)]

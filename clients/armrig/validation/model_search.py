@@ -16,7 +16,7 @@ from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
-from armrig.models.structure_table import FAMILIES, KINDS, Family
+from armrig.models.structure_table import FAMILIES, OFFERED, Family
 from armrig.numerics.checks import require_integers, require_several
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
 from armrig.validation.advice.data_advice import Tested, doubts, tested
@@ -27,7 +27,6 @@ from armrig.validation.search_result import Candidate, Scored, SearchResult
 Vector = NDArray[np.float64]
 
 _LIKELY = 2.0  # deviations of a level from 0, from which it is better estimated along
-_IN_CLOSED_LOOP: tuple[Family, ...] = ("arx", "armax", "bj")
 _NOISE_ORDERS = (1, 2)  # of C and of D in a Box-Jenkins model
 _ROUNDING = 1e-9  # share of y below which errors are all the same
 _UNBOUNDED = 1e3  # times the largest output, beyond which an error is that of no model
@@ -66,8 +65,8 @@ def search(
     validation : Dataset, optional
         Other data; by default the second half of `data`, of which then the first half estimates.
     families : sequence of str, optional
-        Of "arx", "iv4", "armax", "oe", "bj" and "n4sid"; by default all, and in closed loop
-        "arx", "armax" and "bj", whose noise model keeps feedback from a bias.
+        Names of structures, such as "oe"; by default all that have a name, and in closed loop
+        those whose noise model keeps feedback from a bias.
     orders : iterable of int
         Numbers of poles to try, >= 1, an integrator's included.
     nk : int or iterable of int, optional
@@ -79,7 +78,7 @@ def search(
         Whether structures that can have one get a pole at 1 exactly; by default where the output
         is an angle, or is found to integrate.
     offset : bool, optional
-        Whether structures that can (ARMAX, OE, BJ) estimate the input's offset along; by default
+        Whether structures that can estimate the input's offset along; by default
         where y has a level that u does not make (2 deviations), in either data.
     horizon : int, optional
         Samples ahead, >= 1; by default the models are simulated, and "n4sid" is estimated with
@@ -116,7 +115,7 @@ def search(
         nk = _likely_delays(known)
     delays = [nk] if isinstance(nk, int) else [*nk]
     if families is None:
-        families = _IN_CLOSED_LOOP if known.closed else FAMILIES
+        families = [f for f in FAMILIES if OFFERED[f].closed_loop or not known.closed]
     if horizon is None and known.closed:
         horizon = 1
     against = doubts(data, known)
@@ -130,7 +129,7 @@ def search(
     if offset and (level or of_validation):
         against = [f for f in against if f not in level]
         what = level[0].text.split(":")[0] if level else f"in the validation data {of_validation}"
-        able = ", ".join(name.upper() for name in families if KINDS[name].may_offset)
+        able = ", ".join(name.upper() for name in families if "offset" in OFFERED[name].takes)
         notes.append(f"{what}: {able} estimate it along, offset=True")
     candidates = list(
         _candidates(
@@ -194,16 +193,16 @@ def _candidates(
     for nk in delays:
         require_integers(nk=(nk, 0))
     for family in families:
-        fixed = integrator and KINDS[family].may_integrate
+        kind = OFFERED[family]
         for nk in delays:
             for n in orders:
                 for named in _orders(family, n):
                     yield Candidate(
                         family=family,
                         orders=(*named.items(), ("nk", nk)),
-                        integrator=fixed,
-                        offset=offset and KINDS[family].may_offset,
-                        simulates=simulated and family == "n4sid",
+                        integrator=integrator and "integrator" in kind.takes,
+                        offset=offset and "offset" in kind.takes,
+                        simulates=simulated and "focus" in kind.takes,
                     )
 
 
@@ -217,7 +216,7 @@ def _likely_delays(known: Tested) -> list[int]:
 
 def _orders(family: Family, n: int) -> list[dict[str, int]]:
     """Return the orders to try with n poles; a noise model of its own is tried small."""
-    names = KINDS[family].orders
+    names = OFFERED[family].orders
     noise = _NOISE_ORDERS if "nd" in names else (n,)
     return [{name: m if name in ("nc", "nd") else n for name in names} for m in noise]
 

@@ -26,9 +26,6 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 
-_SEARCHED = ("armax", "oe", "bj", "pem")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Candidate:
     """A structure with its orders."""
@@ -60,7 +57,7 @@ class Candidate:
         known: dict[str, Any] = {name: True for name, wanted in asked.items() if wanted}
         if self.simulates:
             known["focus"] = "simulation"
-        if self.family in _SEARCHED:
+        if "starts" in KINDS[self.family].takes:
             known["starts"] = "few"  # what has too many orders has many minima, and is not chosen
         return ESTIMATORS[self.family](data, **dict(self.orders), **known)
 

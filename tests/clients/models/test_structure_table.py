@@ -6,10 +6,11 @@ import inspect
 from typing import get_args
 
 import numpy as np
+import pages
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.estimators import ESTIMATORS
-from armrig.models.structure_table import FAMILIES, KINDS, Kind, Name, named, with_article
+from armrig.models.structure_table import FAMILIES, KINDS, OFFERED, Kind, Name, named, with_article
 from armrig.numerics.polynomial import filtered
 
 EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
@@ -21,14 +22,26 @@ def test_each_structure_has_one_row_and_one_estimator() -> None:
 
 
 @EVERY
-def test_an_estimator_takes_the_orders_of_its_row(kind: Kind) -> None:
-    """An integrator, too, where the row says so, and no other order."""
+def test_an_estimator_takes_what_its_row_says(kind: Kind) -> None:
+    """The orders and the arguments of the row, those that all have, and no other."""
     taken = inspect.signature(ESTIMATORS[kind.name]).parameters
 
-    assert set(kind.orders) | {"nk"} <= set(taken)
-    assert {"na", "nb", "nc", "nd", "nf", "order"} & set(taken) == set(kind.orders)
-    assert kind.may_integrate == ("integrator" in taken)
+    assert set(taken) == {"data", "nk", "stable", *kind.orders, *kind.takes}
     assert kind.poles in kind.orders
+
+
+def test_the_page_has_the_table_of_structures() -> None:
+    """A line for each structure that a command offers."""
+    page = (pages.DOCS / "experiments.md").read_text(encoding="utf-8")
+
+    assert "\n".join(_row(kind) for kind in OFFERED.values()) in page
+
+
+def _row(kind: Kind) -> str:
+    """Return a structure's line in the table of docs/experiments.md."""
+    orders = named(kind.orders) or f"{', '.join(kind.orders)}, by the data"
+    cells = [kind.title, kind.equation, orders, ", ".join(kind.takes)]
+    return f"| {' | '.join(cells)} | {'yes' if kind.closed_loop else 'biased'} |"
 
 
 @EVERY
