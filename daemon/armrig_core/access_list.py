@@ -10,6 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from armrig_core.credential import RIG_PREFIX, check_name
+from armrig_core.errors import InputError
 from armrig_core.toml_file import read_toml
 
 LIMIT = 1 << 20
@@ -44,12 +45,12 @@ class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         seen: set[str] = set()
         for name in (*self.operators, *self.observers, *self.rigs, *self.revoked):
             if check_name(name) in seen:
-                raise ValueError(f"{name!r} stands there twice: once is allowed")
+                raise InputError(f"{name!r} stands there twice: once is allowed")
             seen.add(name)
         for name in self.rigs:
             if not name.startswith(RIG_PREFIX):
                 msg = f"{name!r} among the rigs: the name in a rig's certificate is needed, such "
-                raise ValueError(f"{msg}as {RIG_PREFIX}1")
+                raise InputError(f"{msg}as {RIG_PREFIX}1")
 
     def role(self, name: str) -> str:
         """Return the list that a name stands in; "" where it is in none."""

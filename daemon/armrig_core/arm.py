@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from armrig_core.calls import checked_class
+from armrig_core.errors import InputError, InputTypeError
 
 Matrix = NDArray[np.float64]
 
@@ -48,10 +49,10 @@ class ArmParameters:
         for field in fields(self):
             value = getattr(self, field.name)
             if not isinstance(value, Real):
-                raise TypeError(f"{field.name}={value!r} must be a number, in SI units")
+                raise InputTypeError(f"{field.name}={value!r} must be a number, in SI units")
             if not isfinite(value) or value < 0 or (value == 0 and field.name != "b_1"):
                 bound = ">= 0" if field.name == "b_1" else "> 0"
-                raise ValueError(f"{field.name}={value!r} must be finite and {bound}")
+                raise InputError(f"{field.name}={value!r} must be finite and {bound}")
 
     @property
     def torque_per_volt(self) -> float:
@@ -67,7 +68,7 @@ class ArmParameters:
 def require_parameters(p: object) -> None:
     """Refuse what is no `ArmParameters`."""
     if not isinstance(p, ArmParameters):
-        raise TypeError(
+        raise InputTypeError(
             f"p is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), or "
             "with others in SI units, armrig.ArmParameters(J_1=0.0017)"
         )

@@ -6,6 +6,7 @@ from math import radians
 
 import msgspec
 
+from armrig_core.errors import InputError
 from armrig_core.volts import U_MAX_V
 
 _MOST_COUNTS = 655_360  # ten times what the converter reads
@@ -25,11 +26,11 @@ class Potentiometer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     def __post_init__(self) -> None:
         """Refuse a calibration that gives no angles."""
         if not abs(self.zero_counts) <= _MOST_COUNTS:  # NaN fails this, too
-            raise ValueError(
+            raise InputError(
                 f"zero_counts={self.zero_counts!r} must be from -{_MOST_COUNTS} to {_MOST_COUNTS}"
             )
         if not _LEAST_RAD <= abs(self.rad_per_count) <= _MOST_RAD:
-            raise ValueError(
+            raise InputError(
                 f"rad_per_count={self.rad_per_count!r} must be from {_LEAST_RAD:g} to "
                 f"{_MOST_RAD:g}, or as far below 0"
             )
@@ -50,9 +51,9 @@ class Driver(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def __post_init__(self) -> None:
         """Refuse a driver that gives no voltages."""
         if not 0.1 <= self.gain <= 10:  # NaN fails this, too
-            raise ValueError(f"gain={self.gain!r} must be from 0.1 to 10")
+            raise InputError(f"gain={self.gain!r} must be from 0.1 to 10")
         if not abs(self.offset_v) <= U_MAX_V:
-            raise ValueError(f"offset_v={self.offset_v!r} must be from -{U_MAX_V:g} to {U_MAX_V:g}")
+            raise InputError(f"offset_v={self.offset_v!r} must be from -{U_MAX_V:g} to {U_MAX_V:g}")
 
 
 class Figure(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

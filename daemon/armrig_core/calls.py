@@ -8,6 +8,8 @@ from functools import wraps
 from inspect import Parameter, Signature, signature
 from typing import Any, ParamSpec, TypeVar
 
+from armrig_core.errors import InputTypeError
+
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
@@ -48,7 +50,7 @@ def check_call(
     try:
         asked.bind(*args, **options)
     except TypeError:
-        raise TypeError(_explained(name, asked, args, options)) from None
+        raise InputTypeError(_explained(name, asked, args, options)) from None
 
 
 def _explained(name: str, asked: Signature, args: Sequence[Any], options: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 
 from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.endpoint import anchored
+from armrig_core.errors import InputError
 from armrig_core.toml_file import TomlError, read_toml
 
 _PREFIX = "ARMRIG_CLIENT_"
@@ -59,9 +60,9 @@ def _table(path: Path) -> Any:
     except PermissionError:
         return {}
     except OSError as err:
-        raise ValueError(f"{path}: {err.strerror}") from err
+        raise InputError(f"{path}: {err.strerror}") from err
     except TomlError as err:
-        raise ValueError(f"{path}: {err}") from err
+        raise InputError(f"{path}: {err}") from err
     return _anchored(tables.get("client", {}), path.absolute().parent)
 
 
@@ -72,12 +73,12 @@ def _anchored(table: Any, directory: Path) -> Any:
 def _checked(table: Any, where: str) -> dict[str, str]:
     known = [field.name for field in fields(ClientSettings)]
     if not isinstance(table, Mapping):
-        raise ValueError(f"{where}: client must be a table, [client]")
+        raise InputError(f"{where}: client must be a table, [client]")
     for key, value in table.items():
         if key not in known:
-            raise ValueError(
+            raise InputError(
                 f"{where}: client.{key} = {value!r}: no such key; allowed are {', '.join(known)}"
             )
         if not isinstance(value, str):
-            raise ValueError(f"{where}: client.{key} = {value!r}: must be text")
+            raise InputError(f"{where}: client.{key} = {value!r}: must be text")
     return dict(table)

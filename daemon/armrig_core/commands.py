@@ -8,6 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from armrig_core.calibration import Calibration
+from armrig_core.errors import InputError
 from armrig_core.printable import printable
 from armrig_core.rehearsal import Rehearsal
 from armrig_core.volts import U_MAX_V
@@ -253,23 +254,23 @@ def parse(name: str, payload: bytes) -> Requests:
     """
     kind = REQUESTS.get(name)
     if kind is None:
-        raise ValueError(f"command {name!r}: allowed are {', '.join(REQUESTS)}")
+        raise InputError(f"command {name!r}: allowed are {', '.join(REQUESTS)}")
     try:
         request = msgspec.json.decode(payload or b"{}", type=kind)
     except msgspec.DecodeError as err:  # ValidationError is one of them
-        raise ValueError(f"{name}: {err}") from err
+        raise InputError(f"{name}: {err}") from err
     except RecursionError as err:
-        raise ValueError(f"{name}: nested too deeply") from err
+        raise InputError(f"{name}: nested too deeply") from err
     if isinstance(request, Arm) and not _is_name(request.owner):
         # It is shown to all who ask for the state: an escape sequence would reach their terminals.
-        raise ValueError(
+        raise InputError(
             f"arm: owner '{printable(request.owner)}': allowed are 1 to 80 characters that print, "
             "one of them a letter or a digit"
         )
     if isinstance(request, Note):
         check_note(request.text)
     if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS:
-        raise ValueError(
+        raise InputError(
             f"run: details take more than the {MOST_DETAILS} B of JSON that are allowed"
         )
     return request
@@ -278,7 +279,7 @@ def parse(name: str, payload: bytes) -> Requests:
 def check_note(text: str) -> None:
     """Raise ValueError if a text is not allowed as a note."""
     if len(text) > MOST_NOTE or not text.isprintable() or not text.strip(f" {_FILLERS}"):
-        raise ValueError(
+        raise InputError(
             f"note: text '{printable(text)}': allowed are 1 to {MOST_NOTE} characters that "
             "print, on one line, and not blanks alone"
         )

@@ -18,6 +18,7 @@ from shlex import quote
 from typing import Any, Literal
 
 from armrig_core.bounded import CONFIGURATION_LIMIT, read_bounded
+from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
 Purpose = Literal["rig", "client", "router", "rig at a router"]
@@ -78,7 +79,7 @@ def check_name(name: str) -> str:
     The daemon's access list names him so, and so do the keys of his commands.
     """
     if not _NAME.fullmatch(name):
-        raise ValueError(f"name '{printable(name)}': 1 to 40 of a-z, 0-9 and - are allowed")
+        raise InputError(f"name '{printable(name)}': 1 to 40 of a-z, 0-9 and - are allowed")
     return name
 
 

@@ -14,6 +14,7 @@ from struct import Struct
 
 from armrig_core.emulated import SOCKET_PREFIX
 from armrig_core.endpoint import SOCKET_PATH_MAX, distrust
+from armrig_core.errors import InputError
 
 _CREDENTIALS = Struct("iII")  # struct ucred of unix(7): pid, uid, gid
 
@@ -33,7 +34,7 @@ def socket_path(port: str) -> Path | None:
     if not text or length > SOCKET_PATH_MAX:
         msg = f"{port}: a path of {length} B, a socket's has 1 to {SOCKET_PATH_MAX}; "
         msg += "choose a shorter folder" if text else "name a socket in a folder of yours"
-        raise ValueError(msg)
+        raise InputError(msg)
     return Path(text)
 
 

@@ -11,6 +11,7 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from armrig_core.errors import InputError
 from armrig_core.topics import check_rig_id
 
 SOCKET_PATH_MAX = 107
@@ -82,7 +83,7 @@ def endpoint(rig: str, directory: PurePosixPath) -> str:
     path = directory / f"{check_rig_id(rig)}.sock"
     length = len(bytes(str(path), "utf-8", "surrogateescape"))
     if length > SOCKET_PATH_MAX:
-        raise ValueError(
+        raise InputError(
             f"{path}: {length} B, a socket's path has at most {SOCKET_PATH_MAX}; "
             "set XDG_RUNTIME_DIR to a shorter directory"
         )
@@ -99,7 +100,7 @@ def check_listen(where: str) -> str:
     """
     found = _NETWORK.fullmatch(where)
     if found is None or not 0 < int(found[4]) < 1 << 16:
-        raise ValueError(
+        raise InputError(
             f"listen = {where!r} must be tls/HOST:PORT or tcp/127.0.0.1:PORT, such as "
             "tls/0.0.0.0:7447"
         )
@@ -108,7 +109,7 @@ def check_listen(where: str) -> str:
     with suppress(ValueError):  # a name may lead anywhere
         loopback = ipaddress.ip_address(host).is_loopback
     if found[1] == "tcp" and not loopback:
-        raise ValueError(
+        raise InputError(
             f"listen = {where!r}: tcp is not encrypted: allowed is tcp/127.0.0.1:{found[4]}; "
             f"for a network take tls/{host}:{found[4]} with certificates"
         )

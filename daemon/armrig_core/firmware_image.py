@@ -12,6 +12,7 @@ from pathlib import Path
 from zlib import crc32
 
 from armrig_core.bounded import read_bounded
+from armrig_core.errors import InputError
 
 UNO = "armrig-uno.hex"
 _LONGEST_FILE = 1 << 20  # B; 256 KiB of flash, the most of its kind, are 0.7 MiB of text
@@ -78,8 +79,8 @@ def _flash(lines: list[str]) -> bytes:
         elif kind == _END:
             return _joined(memory)
         elif kind not in _STARTS:
-            raise ValueError(f"line {number} is of the unknown kind {kind}")
-    raise ValueError("it has no end; maybe it was cut off")
+            raise InputError(f"line {number} is of the unknown kind {kind}")
+    raise InputError("it has no end; maybe it was cut off")
 
 
 def _record(line: str, number: int) -> tuple[int, int, bytes]:
@@ -89,18 +90,18 @@ def _record(line: str, number: int) -> tuple[int, int, bytes]:
     except ValueError:
         text = b""
     if not line.startswith(":") or len(text) < 5 or len(text) != text[0] + 5:
-        raise ValueError(f"line {number} is no record")
+        raise InputError(f"line {number} is no record")
     if sum(text) & 0xFF:
-        raise ValueError(f"the checksum of line {number} is wrong")
+        raise InputError(f"the checksum of line {number} is wrong")
     return text[3], int.from_bytes(text[1:3], "big"), text[4:-1]
 
 
 def _joined(memory: dict[int, bytes]) -> bytes:
     if 0 not in memory:
-        raise ValueError("nothing stands at address 0, where the processor begins")
+        raise InputError("nothing stands at address 0, where the processor begins")
     end = max(address + len(data) for address, data in memory.items())
     if end > _LONGEST_FILE:
-        raise ValueError(f"it goes up to address {end:#x}")
+        raise InputError(f"it goes up to address {end:#x}")
     flash = bytearray([_ERASED]) * end
     for address, data in memory.items():
         flash[address : address + len(data)] = data

@@ -8,6 +8,7 @@ from typing import Any
 import msgspec
 
 from armrig_core.emulated import is_emulated
+from armrig_core.errors import InputError
 from armrig_core.rehearsal import Rehearsal
 
 RUN = "armrig.run"
@@ -162,12 +163,12 @@ def check_whole_numbers(record: Manifest | Outcome | Recovered) -> None:
     for name in record.__struct_fields__:
         value = getattr(record, name)
         if isinstance(value, int) and not -(2**63) <= value < 2**63:
-            raise ValueError(f"{name} does not fit into 64 bit")
+            raise InputError(f"{name} does not fit into 64 bit")
         depth, layer = 0, [value]
         while layer := [v for outer in layer for v in _within(outer)]:
             depth += 1
             if depth > _DEPTH_LIMIT:
-                raise ValueError(f"{name} is nested more than {_DEPTH_LIMIT} deep")
+                raise InputError(f"{name} is nested more than {_DEPTH_LIMIT} deep")
 
 
 def _within(value: Any) -> Iterable[Any]:

@@ -10,6 +10,7 @@ from typing import Any
 import platformdirs
 
 from armrig_core.bounded import CONFIGURATION_LIMIT
+from armrig_core.errors import InputError
 from armrig_core.toml_file import TomlError, read_toml
 
 SYSTEM = Path("/etc/armrig/armrig.toml")
@@ -51,7 +52,7 @@ def directory_of(given: str) -> Path:
     try:
         return Path(given).expanduser().absolute()
     except RuntimeError as err:
-        raise ValueError(f"recording.directory = {given!r}: there is no such user") from err
+        raise InputError(f"recording.directory = {given!r}: there is no such user") from err
 
 
 def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
@@ -99,10 +100,10 @@ def _named_in(path: Path, otherwise: str) -> str:
     try:
         table: Any = read_toml(path, CONFIGURATION_LIMIT).get("recording", {})
     except OSError as err:
-        raise ValueError(f"{path}: {err.strerror}") from err
+        raise InputError(f"{path}: {err.strerror}") from err
     except TomlError as err:
-        raise ValueError(f"{path}: {err}") from err
+        raise InputError(f"{path}: {err}") from err
     given = table.get("directory", otherwise) if isinstance(table, dict) else None
     if not isinstance(given, str):
-        raise ValueError(f"{path}: [recording] directory must be the path of a directory")
+        raise InputError(f"{path}: [recording] directory must be the path of a directory")
     return given

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from armrig_core.errors import InputError, InputTypeError
+
 STREAMS = ("sample", "gap", "event", "timing", "clock", "state")
 """What a rig publishes."""
 RECORDED = (*STREAMS, "trace")
@@ -25,7 +27,7 @@ def check_rig_id(rig: str) -> str:
     """Return `rig`, or raise ValueError where it cannot be part of a key."""
     _require_text(rig)
     if not is_rig_id(rig):
-        raise ValueError(f"rig id {rig!r}: 1 to {_LONGEST} of a-z, 0-9 and - are allowed")
+        raise InputError(f"rig id {rig!r}: 1 to {_LONGEST} of a-z, 0-9 and - are allowed")
     return rig
 
 
@@ -33,7 +35,7 @@ def check_own_id(rig: str) -> str:
     """Return `rig`, or raise ValueError where it cannot be a rig's: that of a recording played."""
     if check_rig_id(rig).startswith(PLAYED):
         msg = f"rig id {rig!r}: what begins with {PLAYED} is a recording that `armrig play` plays; "
-        raise ValueError(msg + "choose another id")
+        raise InputError(msg + "choose another id")
     return rig
 
 
@@ -44,7 +46,7 @@ def played_id(rig: str) -> str:
 
 def _require_text(rig: object) -> None:
     if not isinstance(rig, str):
-        raise TypeError(f"rig id {rig!r} is no text: give its name in quotes, such as '{rig}'")
+        raise InputTypeError(f"rig id {rig!r} is no text: give its name in quotes, such as '{rig}'")
 
 
 def stream_key(rig: str, stream: str) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from armrig_protocol.messages import CODE_FULL_SCALE, FULL_SCALE_MV
 
+from armrig_core.errors import InputError
+
 U_MAX_V = FULL_SCALE_MV / 1000
 """Largest motor voltage, in V. Above it, and below 0 V, the rig is destroyed."""
 
@@ -17,7 +19,7 @@ def code_of(volts: float) -> int:
         The voltage is not a number in [0, 5]; it is never clamped.
     """
     if not 0.0 <= volts <= U_MAX_V:  # NaN fails this, too
-        raise ValueError(f"{volts!r} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed")
+        raise InputError(f"{volts!r} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed")
     return round(volts / U_MAX_V * CODE_FULL_SCALE)
 
 

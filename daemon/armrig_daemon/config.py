@@ -21,6 +21,7 @@ from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import CalibrationFileError, tables_of
 from armrig_core.emulator_socket import socket_path
 from armrig_core.endpoint import anchored, check_listen, network_address
+from armrig_core.errors import InputError
 from armrig_core.printable import printable
 from armrig_core.recording_directory import SYSTEM, directory_of, installed, of_rig
 from armrig_core.toml_file import TomlError, toml_tables
@@ -82,7 +83,7 @@ class Device(Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Refuse a port that would act on terminals that show it, and a path of no socket."""
         if not self.port.isprintable():
-            raise ValueError(f"port = '{printable(self.port)}' must be of characters that print")
+            raise InputError(f"port = '{printable(self.port)}' must be of characters that print")
         socket_path(self.port)
 
 
@@ -103,7 +104,7 @@ class Timing(Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Refuse what the wire cannot say."""
         if round(self.Ts * 1e6, 3) % 1:
-            raise ValueError(f"Ts = {self.Ts} must be a whole number of microseconds")
+            raise InputError(f"Ts = {self.Ts} must be a whole number of microseconds")
 
 
 class Limits(Table, frozen=True, kw_only=True):
@@ -123,11 +124,11 @@ class Limits(Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Refuse an empty range, and turns that the wire would round."""
         if round(self.revolutions * 100, 6) % 1:
-            raise ValueError(
+            raise InputError(
                 f"revolutions = {self.revolutions} must be a whole number of hundredths"
             )
         if self.u_min_v > self.u_max_v:
-            raise ValueError(f"u_min_v = {self.u_min_v} must not be above u_max_v = {self.u_max_v}")
+            raise InputError(f"u_min_v = {self.u_min_v} must not be above u_max_v = {self.u_max_v}")
 
 
 class Motor(Table, frozen=True, kw_only=True):
@@ -139,7 +140,7 @@ class Motor(Table, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Refuse what a stop of ours would not be."""
         if self.rest_v != 0:
-            raise ValueError(
+            raise InputError(
                 f"rest_v = {self.rest_v} must be 0: every stop of this daemon is 0 V; it cannot "
                 "drive a rig whose driver stands still at another voltage"
             )
@@ -220,7 +221,7 @@ class Access(Table, frozen=True, kw_only=True):
         if self.listen:
             check_listen(self.listen)
         if self.router and not (self.router.startswith("tls/") and network_address(self.router)):
-            raise ValueError(
+            raise InputError(
                 f"router = {self.router!r} must be tls/HOST:PORT, such as tls/lab.local:7447"
             )
 

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from armrig_core.errors import InputError
+
 from armrig.batch.columns import columns_of
 from armrig.batch.items import Item, items_in
 from armrig.batch.progress import Progress, still_right
@@ -79,7 +81,7 @@ def batch(
     check_writable()
     items = items_in(folder, rigs=rigs, kinds=kinds)
     if not items:
-        raise ValueError(
+        raise InputError(
             f"{folder}: no recording in it is asked for; `armrig ls {folder}` lists what is there"
         )
     header = header_of(task, folder, rigs, kinds)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.model_structures import (
     Integrator,
@@ -213,9 +214,9 @@ def _do(
     from armrig.cli.spinner import spinner
 
     if output.suffix != ".parquet":
-        raise ValueError(f"-o {output}: a table's name ends in .parquet")
+        raise InputError(f"-o {output}: a table's name ends in .parquet")
     if not output.absolute().parent.is_dir():
-        raise ValueError(f"-o {output}: there is no directory {output.parent}; make it first")
+        raise InputError(f"-o {output}: there is no directory {output.parent}; make it first")
     if scheduler is not None and workers is not None:
         raise typer.BadParameter("--workers goes with processes here; a Dask cluster has its own")
     many = workers or os.cpu_count() or 1

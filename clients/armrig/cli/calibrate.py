@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.calibration_in_use import take_into_use
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
@@ -209,9 +210,9 @@ def _estimated(measured: _Measured, meter_std_v: float, base: Calibration) -> Es
 def _check_figure(plot: Path | None, wanted: _Wanted) -> None:
     """Refuse, before any work, a figure that cannot be written or has nothing to show."""
     if plot is not None and plot.suffix == ".toml":
-        raise ValueError(f"-o {plot}: a figure goes there; the calibration's file is --save {plot}")
+        raise InputError(f"-o {plot}: a figure goes there; the calibration's file is --save {plot}")
     if plot is not None and wanted.by_hand and wanted.turns_file is None:
-        raise ValueError(
+        raise InputError(
             f"-o {plot}: the figure shows turns, and --by-hand makes none; leave one of them out"
         )
     check_plot(plot, [file for file in (wanted.rest_file, wanted.turns_file) if file])
@@ -228,18 +229,18 @@ def _checked(path: Path) -> Path:
     from armrig_core.calibration_file import CalibrationFileError, read_calibration
 
     if path.suffix != ".toml":
-        raise ValueError(f"--save {path}: a calibration is a TOML; give a name that ends in .toml")
+        raise InputError(f"--save {path}: a calibration is a TOML; give a name that ends in .toml")
     if path.exists():
         try:
             made = read_calibration(path).made
         except CalibrationFileError as err:
             if "csv.gz" not in str(err):  # a calibration that has lost its samples may be replaced
-                raise ValueError(
+                raise InputError(
                     f"--save {path}: is there already, and no calibration; give another name"
                 ) from err
         else:
             if made is None:
-                raise ValueError(
+                raise InputError(
                     f"--save {path}: is there already, and was not made by `armrig calibrate`"
                 )
     return path
@@ -249,7 +250,7 @@ def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
     """Refuse to begin where there are questions and nobody to answer them."""
     asks = wanted.by_hand or wanted.rest_file is None or wanted.turns_file is None
     if asks and not yes and not sys.stdin.isatty():
-        raise ValueError(
+        raise InputError(
             "there is no terminal to ask at: give --yes when the rig is ready, see --help"
         )
 
@@ -291,7 +292,7 @@ def _write(
     first = recordings["rest"].manifest
     uids = {str(r.manifest.device.get("uid", "")) for r in recordings.values()}
     if len(uids) > 1 or len({r.manifest.rig for r in recordings.values()}) > 1:
-        raise ValueError(
+        raise InputError(
             f"the recordings are of several devices or rigs: {', '.join(sorted(uids))}"
         )
     raw = compressed(recordings)

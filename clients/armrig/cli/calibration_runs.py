@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.options import question, tell
 
@@ -106,9 +107,9 @@ def check_turns(levels: Sequence[float], level_seconds: float) -> None:
 
     for u in levels:
         if not 0 < u <= U_MAX_V:
-            raise ValueError(f"--volts {u:g}: must be more than 0 and at most {U_MAX_V:g} V")
+            raise InputError(f"--volts {u:g}: must be more than 0 and at most {U_MAX_V:g} V")
     if not SETTLE_S + LEAST_S < level_seconds <= _LONGEST_LEVEL_S:
-        raise ValueError(
+        raise InputError(
             f"--level-seconds {level_seconds:g}: must be more than {SETTLE_S + LEAST_S:g} s, "
             f"of which the first {SETTLE_S:g} s are not used, and at most {_LONGEST_LEVEL_S:g}"
         )
@@ -124,7 +125,7 @@ def meter_reading(text: str) -> tuple[int, float]:
     except ValueError:
         reading = 0, 0.0
     if not 0 < reading[0] <= CODE_FULL_SCALE or not 0 < reading[1] <= 10:
-        raise ValueError(
+        raise InputError(
             f"--meter {text}: must be CODE=VOLTS, a code of 1 to {CODE_FULL_SCALE} and what the "
             "meter shows, such as 32768=2.49"
         )

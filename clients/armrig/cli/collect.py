@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.collect_runs import SECONDS, CollectedRun, Played, chosen_inputs, collect_each
 from armrig.cli.options import Connect, Json, RigId
@@ -240,12 +241,12 @@ def bla(
 
     realisations(3, 1, low, high, seed, periods=1)
     if seconds is not None and period is not None:
-        raise ValueError(
+        raise InputError(
             f"--seconds {seconds:g} with --period {period:g}: a recording is {periods} periods "
             "long (--periods); give one of the two"
         )
     if period is not None and not period > 0:  # NaN neither
-        raise ValueError(f"--period {period:g}: must be a number of seconds, more than 0")
+        raise InputError(f"--period {period:g}: must be a number of seconds, more than 0")
     if seconds is None:
         seconds = periods * (PERIOD_S if period is None else period)
     details = {"input": "multisine", "low": low, "high": high, "periods": periods}

@@ -9,6 +9,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from armrig_core.errors import InputError
+
 from armrig.cli.next_step import naming, say_next, step_again, typed
 from armrig.cli.options import echo, print_json, tell
 
@@ -61,9 +63,9 @@ def chosen_inputs(
     if (name == "csv") != (file is not None):
         msg = f"--input {name} with --file {file}: " if file else f"--input {name}: "
         msg += "a file is played with --file CSV, and with no other --input than csv"
-        raise ValueError(msg)
+        raise InputError(msg)
     if validation and name not in SEEDED:
-        raise ValueError(
+        raise InputError(
             f"--validation: {name} would be the same again; take an input with a seed "
             f"({', '.join(SEEDED)}), or collect twice"
         )
@@ -90,7 +92,7 @@ def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | N
     from armrig.excitation import from_csv
 
     if seconds is not None:
-        raise ValueError(f"--seconds {seconds:g}: a file has its own length; leave it out")
+        raise InputError(f"--seconds {seconds:g}: a file has its own length; leave it out")
     file.stat()  # a file that is not there is told here
     if Ts is not None:
         from_csv(file, Ts)
@@ -103,10 +105,10 @@ def _experiment_name(experiment: str, name: str) -> str:
     whole = f"{experiment}-{name}" if name else experiment
     if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _LONGEST_NAME:
         most = _LONGEST_NAME - len(experiment) - 1
-        raise ValueError(f"--name {name}: at most {most} of a-z, 0-9 and - are allowed")
+        raise InputError(f"--name {name}: at most {most} of a-z, 0-9 and - are allowed")
     if name == "last" or re.match(r"validation\b", name):
         meant = "@last is the newest recording" if name == "last" else "--validation adds that"
-        raise ValueError(f"--name {name}: {meant}; give another name")
+        raise InputError(f"--name {name}: {meant}; give another name")
     return whole
 
 
@@ -133,7 +135,7 @@ def _check_name_is_free(name: str) -> None:
     if is_used(f"@{name}"):
         free = next(f"{name}-{n}" for n in count(2) if not is_used(f"@{name}-{n}"))
         msg = f"--name {name}: @{name} is a complete recording already, and a name means one; give "
-        raise ValueError(f"{msg}another, such as --name {free}")
+        raise InputError(f"{msg}another, such as --name {free}")
 
 
 def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bool = False) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.chosen_recording import DataFile
 from armrig.cli.figures import Plot, check_plot, write_plot
@@ -84,7 +85,7 @@ def check(
     with spinner("testing"):
         loop, late = _told(partial(open_loop, level=level), data), _told(delay, data)
     if isinstance(loop, str) and isinstance(late, str):
-        raise ValueError(loop)
+        raise InputError(loop)
     drawn = {"open_loop": loop, "delay": late}
     shown = {k: partial(_draw, one) for k, one in drawn.items() if not isinstance(one, str)}
     write_plot(plot, height=3.6, **shown)

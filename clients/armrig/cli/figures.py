@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.options import tell
 from armrig.cli.output_file import check_output
@@ -80,7 +81,7 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
     if path.stem != _EACH:
         check_output(path, inputs)
     elif folder.exists() and not folder.is_dir():
-        raise ValueError(f"{folder}/: is a file; give a folder, or leave the / out")
+        raise InputError(f"{folder}/: is a file; give a folder, or leave the / out")
     elif not folder.is_dir():
         check_output(folder, ())
     check_figure(path)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.options import Json, agree, echo, print_json, say
 
@@ -138,7 +139,7 @@ def _check_size(firmware: FirmwareImage) -> None:
 
     size = len(firmware.data)
     if size > FLASH_BYTES:
-        raise ValueError(f"{firmware.path}: {size} B, and an {CHIP} has room for {FLASH_BYTES}")
+        raise InputError(f"{firmware.path}: {size} B, and an {CHIP} has room for {FLASH_BYTES}")
 
 
 def _facts(board: Board, firmware: FirmwareImage, call: list[str]) -> dict[str, Any]:

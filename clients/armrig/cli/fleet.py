@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
+from armrig_core.errors import InputError
 from armrig_core.signal_pipe import SignalPipe
 
 from armrig.cli.options import echo, print_json, tell, tell_error
@@ -35,7 +36,7 @@ def record_many(
 
     where = source or configured_connect()
     if not where:
-        raise ValueError(
+        raise InputError(
             "--from is missing: where are the rigs? Give a router, such as tls/lab.local:7447"
         )
     folder = out or Path()

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Connect, Json, RigId, echo, print_json, say
@@ -43,7 +44,7 @@ def demo(
     from armrig.cli.demo import from_here
 
     if directory.exists() and not directory.is_dir():
-        raise ValueError(
+        raise InputError(
             f"--directory {directory}: is a file; give a directory, which is made where none is"
         )
     if not seconds <= _LONGEST_DEMO_S:  # NaN neither

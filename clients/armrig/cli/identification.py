@@ -8,6 +8,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.chosen_recording import DataFile, recording_path
 from armrig.cli.figures import Plot, check_plot, write_plot
@@ -280,7 +281,7 @@ def _check_files(
         check_output(save, inputs)
         if save.suffix.lower() != ".json":
             msg = f"--save {save}: a model is written as JSON; give a name that ends in .json"
-            raise ValueError(f"{msg} (a figure's is -o)")
+            raise InputError(f"{msg} (a figure's is -o)")
 
 
 def _found(wanted: _Wanted, data: Dataset, other: Dataset | None) -> _Found:

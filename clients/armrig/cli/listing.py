@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
 from armrig.cli.chosen_recording import (
@@ -60,9 +61,9 @@ def ls(
     daemon; without one all of this machine.
     """
     if live and (where is not None or every):
-        raise ValueError("--live lists rigs: a folder or --all of recordings does not go with it")
+        raise InputError("--live lists rigs: a folder or --all of recordings does not go with it")
     if connect and not live:
-        raise ValueError(
+        raise InputError(
             f"--connect {connect}: recordings lie on a disk; --live lists the rigs there"
         )
     if live:

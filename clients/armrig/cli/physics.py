@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.chosen_recording import File, recording_path
 from armrig.cli.comparison_rows import row_facts
@@ -276,7 +277,7 @@ def _rig(
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"
     if model is not None and model != seen:
         what = "alpha moves: the arm was on" if seen == "arm" else "alpha rests: the arm was off"
-        raise ValueError(
+        raise InputError(
             f"{recording.path}: --model {model}, but {what}; leave --model out, or record the "
             f"{model} (`armrig collect greybox` is for the chassis alone)"
         )

@@ -6,6 +6,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.chosen_recording import File
 from armrig.cli.next_step import say_next, typed
@@ -57,7 +58,7 @@ def play(
     from armrig.rig.session import own_endpoint
 
     if not 0 < speed < inf:
-        raise ValueError(f"--speed {speed:g}: a number above 0 is needed, such as 1 or 10")
+        raise InputError(f"--speed {speed:g}: a number above 0 is needed, such as 1 or 10")
     run = published(file, start, stop)
     rig = played_id(check_rig_id(run.manifest.rig))
     if run.damage:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.errors import InputError
 from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.chosen_recording import COMPLETE
@@ -65,11 +66,11 @@ def record(
     from armrig_core.topics import check_own_id
 
     if seconds is not None and not seconds > 0:
-        raise ValueError(f"--seconds {seconds:g}: a number above 0 is needed")
+        raise InputError(f"--seconds {seconds:g}: a number above 0 is needed")
     for name in rigs or ():
         check_own_id(name)
     if every and rigs:
-        raise ValueError(
+        raise InputError(
             f"--all and --rig {rigs[0]}: one of both; --all takes every rig that is there"
         )
     with until_signal() as ended:
@@ -132,10 +133,10 @@ def _checked(path: Path) -> Path:
     from armrig_core.recording_file.part_names import ACTIVE
 
     if path.suffix != ".mcap":
-        raise ValueError(f"-o {path}: a recording's name ends in .mcap")
+        raise InputError(f"-o {path}: a recording's name ends in .mcap")
     for taken in (path, path.with_name(f"{path.name}{ACTIVE}")):
         if os.path.lexists(taken):
-            raise ValueError(f"-o {path}: {taken.name} is there already; give another name")
+            raise InputError(f"-o {path}: {taken.name} is there already; give another name")
     return path
 
 

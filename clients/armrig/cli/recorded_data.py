@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 import typer
+from armrig_core.errors import InputError
 
 from armrig.cli.figures import name_runs
 from armrig.cli.options import SAME_DATA, OutputName, tell, warned
@@ -190,7 +191,7 @@ def _check_varies(file: Path, data: Dataset) -> None:
     y = data.y[data.valid]
     if y.size > 1 and np.ptp(y) == 0:
         msg = f"{file}: {data.output} is {y[0]:.4g} throughout, so it answers to nothing; give the "
-        raise ValueError(msg + "column that varies (--signal), or record again")
+        raise InputError(msg + "column that varies (--signal), or record again")
 
 
 def between(data: Dataset, start: float | None, stop: float | None) -> Dataset:
@@ -203,7 +204,7 @@ def between(data: Dataset, start: float | None, stop: float | None) -> Dataset:
     if (start or 0) < 0 or (first or 0) >= (data.N if end is None else min(end, data.N)):
         msg = f"no samples from --from {start or 0:g} s on"
         msg += f" to --to {stop:g} s" if stop is not None else ""
-        raise ValueError(f"{msg}: the data last {data.N * data.Ts:g} s")
+        raise InputError(f"{msg}: the data last {data.N * data.Ts:g} s")
     return data[first:end]
 
 
@@ -281,7 +282,7 @@ def dataset_of(recording: Recording, model: Model) -> Dataset:
     for output in get_args(OutputName):
         if output == model.output:
             return recording.dataset(output)
-    raise ValueError(
+    raise InputError(
         f"the model is of {model.output!r}, a recording has {', '.join(get_args(OutputName))}; "
         "validate it on data of what it is of"
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from armrig_core.errors import InputError
 from armrig_core.manifest import RUN, Manifest, manifest_of
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.telemetry import Sample
@@ -191,7 +192,7 @@ class _Chunks:
             if chunk.number != self._count - 1:
                 return
             if len(chunk.steps) > MOST_CHUNK:
-                raise ValueError(
+                raise InputError(
                     f"a chunk of steps has {len(chunk.steps)} B; "
                     f"the daemon writes {MOST_CHUNK} at most"
                 )
@@ -227,7 +228,7 @@ def _version(chunk: Any) -> int:
 def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
     """Return the codes of the attached input, as the daemon made them of it."""
     if content.input is None:
-        raise ValueError("no input is attached")
+        raise InputError("no input is attached")
     u = recorded_input(path, content.input, manifest.samples)
     return np.asarray([code_of(volts) for volts in u.tolist()], dtype="<u2").tobytes()
 

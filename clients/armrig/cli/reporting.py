@@ -8,6 +8,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
 from armrig.cli.chosen_recording import recording_path
@@ -105,7 +106,7 @@ def report(
     )
     check_output(output, files, suffix=".pdf")
     if output.exists() and not force:
-        raise ValueError(
+        raise InputError(
             f"-o {output}: is there already; --force overwrites it, or give another name"
         )
     recordings: list[Recording] = []
@@ -166,7 +167,7 @@ def _write_questions(path: Path) -> None:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise ValueError(
+        raise InputError(
             f"--questions {path}: is there already, and may contain answers; give another name"
         ) from None
     echo(str(path))
@@ -180,7 +181,7 @@ def _typeset_source(folder: Path, output: Path) -> None:
 
     sources = sorted(folder.glob("*.typ"))
     if len(sources) != 1:
-        raise ValueError(
+        raise InputError(
             f"--from {folder}: has {len(sources)} files *.typ: give a folder that `armrig report "
             "--source FOLDER` wrote"
         )

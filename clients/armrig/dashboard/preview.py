@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from armrig_core.arm import ArmParameters
 from armrig_core.commands import StatusReport
+from armrig_core.errors import InputError
 from armrig_core.rehearsal import rehearse, sentence
 from numpy.typing import NDArray
 
@@ -56,7 +57,7 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
     outside = (u < status.u_min) | (u > status.u_max)
     if outside.any():
         k = int(np.argmax(outside))
-        raise ValueError(
+        raise InputError(
             f"u[{k}] = {u[k]:g} V is outside {status.u_min:g} … {status.u_max:g} V, what rig "
             f"{status.rig} allows"
         )

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
+from armrig_core.errors import InputError
 from armrig_core.recording_directory import directory_to_look_in, installed
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import MAGIC
@@ -150,7 +151,7 @@ class RecordingRoutes:
         path = self._folder() / file
         is_name = Path(file).name == file and file.endswith(".mcap")
         if not is_name or path.is_symlink() or not path.is_file():
-            raise ValueError(f"{file!r}: there is no such recording in {path.parent}")
+            raise InputError(f"{file!r}: there is no such recording in {path.parent}")
         return path
 
     def _validation_of(self, path: Path) -> Path | None:

@@ -8,6 +8,7 @@ from inspect import Parameter, signature
 from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
 from armrig_core.calls import check_call
+from armrig_core.errors import InputTypeError
 
 from armrig.data.dataset import Dataset, require_visible
 
@@ -39,7 +40,7 @@ def as_dataset(data: Dataset | HasDataset) -> Dataset:
         require_visible(data)
         return data
     if not callable(getattr(data, "dataset", None)):
-        raise TypeError(
+        raise InputTypeError(
             f"data is a {type(data).__name__}: give a Dataset, armrig.Dataset(u=u, y=y, Ts=Ts), "
             'or a recording, armrig.load("F.mcap")'
         )
@@ -63,7 +64,7 @@ def takes_recordings(
     def taking(*args: Any, **options: Any) -> R:
         if len(args) > positional and not variadic:
             as_dataset(args[0])
-            raise TypeError(_by_name(f.__name__, parameters, args[positional:]))
+            raise InputTypeError(_by_name(f.__name__, parameters, args[positional:]))
         if not args and first in options:
             args = (options.pop(first),)
         if args:
@@ -83,7 +84,7 @@ def _check_order(name: str, first: str, parameters: list[Parameter], args: tuple
         "fit" if p.kind is Parameter.VAR_POSITIONAL else p.name for p in parameters[1:2]
     )
     kind = type(args[0]).__name__
-    raise TypeError(f"{first} stand first, and a {kind} came: {name}({first}, {rest})")
+    raise InputTypeError(f"{first} stand first, and a {kind} came: {name}({first}, {rest})")
 
 
 def _is_data(value: object) -> bool:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from armrig_core.calls import checked_call
+from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.pandas_columns import plain, present
@@ -105,12 +106,12 @@ class Dataset:
         u_, y_ = column("u", u), column("y", y)
         N = u_.size
         if y_.size != N:
-            raise ValueError(
+            raise InputError(
                 f"u has {N} samples and y has {y_.size}; both need one value for each instant"
             )
         valid_ = np.ones(N, dtype=np.bool_) if valid is None else _mask(valid)
         if valid_.shape != (N,):
-            raise ValueError(
+            raise InputError(
                 f"valid has shape {valid_.shape}, u and y have ({N},); give one bool a sample"
             )
         valid_ &= ~np.ma.getmaskarray(np.ma.asanyarray(y))
@@ -120,12 +121,12 @@ class Dataset:
             require_size(name, x)
         _require_one_number(Ts)
         if not (isfinite(Ts) and Ts > 0):
-            raise ValueError(f"Ts={Ts!r} must be finite and > 0, in s")
+            raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
         starts_ = tuple(int(s) for s in starts)
         if starts_[:1] != (0,) or not all(a < b for a, b in pairwise((*starts_, N))):
-            raise ValueError(f"starts={starts_} must begin with 0 and rise strictly, below N={N}")
+            raise InputError(f"starts={starts_} must begin with 0 and rise strictly, below N={N}")
         if len(trends) not in (0, len(starts_)):
-            raise ValueError(
+            raise InputError(
                 f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
             )
         y_[~valid_] = np.nan
@@ -189,7 +190,7 @@ class Dataset:
 
         kinds = {"time": plot_data, "spectrum": plot_spectrum, "values": plot_values}
         if kind not in kinds:
-            raise ValueError(f"kind={kind!r} must be one of {', '.join(kinds)}")
+            raise InputError(f"kind={kind!r} must be one of {', '.join(kinds)}")
         return figure_of(kinds[kind](self, ax=ax))
 
     def __len__(self) -> int:
@@ -199,17 +200,17 @@ class Dataset:
     def __getitem__(self, part: slice) -> Dataset:
         """Return the samples of a slice; boundaries inside it stay boundaries."""
         if not isinstance(part, slice) or part.step not in (None, 1):
-            raise TypeError(
+            raise InputTypeError(
                 f"a Dataset is cut with data[a:b], got {part!r}; to thin it out, resample first"
             )
         if not all(x is None or isinstance(x, Integral) for x in (part.start, part.stop)):
-            raise TypeError(
+            raise InputTypeError(
                 f"data[{part.start}:{part.stop}] counts samples, in integers; the one at t s is "
                 "number round(t / data.Ts)"
             )
         a, b, _ = part.indices(self.N)
         if b <= a:
-            raise ValueError(f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples")
+            raise InputError(f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples")
         if (a, b) == (0, self.N):
             return self  # it cannot be changed
         return self.replaced(
@@ -239,7 +240,7 @@ class Dataset:
         """
         require_integers(k=(k, 1))
         if not 1 <= k <= self.N:
-            raise ValueError(
+            raise InputError(
                 f"{self.N} samples cannot be split into {k} parts: 1 to {self.N} are possible"
             )
         edges = [round(i * self.N / k) for i in range(k + 1)]
@@ -260,7 +261,7 @@ class Dataset:
         """
         parts = list(self.experiments())
         if not which or not all(0 <= i < len(parts) for i in which):
-            raise ValueError(
+            raise InputError(
                 f"select{which} needs numbers from 0 to {len(parts) - 1}: there are "
                 f"{len(parts)} experiments"
             )
@@ -338,11 +339,11 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
     """
     _require_datasets(parts)
     if not parts:
-        raise ValueError("merge needs at least one Dataset, got none")
+        raise InputError("merge needs at least one Dataset, got none")
     for name in ("Ts", "output", "unit", "input_unit"):
         values = sorted({getattr(d, name) for d in parts})
         if len(values) > 1:
-            raise ValueError(
+            raise InputError(
                 f"merge needs one {name}, got {values}; treat the data alike before merging"
             )
     offsets = np.cumsum([0, *(d.N for d in parts[:-1])])
@@ -381,12 +382,14 @@ def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
 
 def _require_one_number(Ts: Any) -> None:
     if Ts is None or isinstance(Ts, str) or np.ndim(Ts):
-        raise TypeError(f"Ts is a {type(Ts).__name__}; give one number of seconds, such as Ts=0.01")
+        raise InputTypeError(
+            f"Ts is a {type(Ts).__name__}; give one number of seconds, such as Ts=0.01"
+        )
 
 
 def _require_datasets(parts: Any) -> None:
     if isinstance(parts, Dataset) or not all(isinstance(d, Dataset) for d in parts):
-        raise TypeError(
+        raise InputTypeError(
             "merge takes one list of Datasets, merge([d1, d2]); of a recording it is "
             "recording.dataset()"
         )
@@ -401,7 +404,7 @@ def require_size(name: str, x: Vector) -> None:
     """Refuse numbers whose powers have no place among those of a computer, by a ValueError."""
     largest = float(np.max(np.abs(x), initial=0.0))
     if largest > _LARGEST:
-        raise ValueError(
+        raise InputError(
             f"the largest |{name}| is {largest:.3g}; take a unit in which it is below {_LARGEST:g}"
         )
 
@@ -414,7 +417,7 @@ def require_visible(data: Dataset) -> None:
     for name, x in (("u", data.u), ("y", data.y[data.valid])):
         largest = float(np.max(np.abs(x), initial=0.0))
         if 0 < largest < _SMALLEST:
-            raise ValueError(
+            raise InputError(
                 f"the largest |{name}| is {largest:.3g}; take a unit in which it is from "
                 f"{_SMALLEST:g} to {_LARGEST:g}"
             )
@@ -424,6 +427,6 @@ def _require_finite(name: str, x: Vector, way_out: str, where: Mask | None = Non
     bad = ~np.isfinite(x) if where is None else ~np.isfinite(x) & where
     if bad.any():
         first = int(np.argmax(bad))
-        raise ValueError(
+        raise InputError(
             f"{name} is not finite at {bad.sum()} samples, first {x[first]} at {first}; {way_out}"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from armrig_core.errors import InputError
 
 
 def plain(name: str, values: Any) -> Any:
@@ -18,7 +19,7 @@ def plain(name: str, values: Any) -> Any:
     if not is_pandas(values):
         return values
     if getattr(values, "ndim", 1) != 1:
-        raise ValueError(
+        raise InputError(
             f"{name} is a table of pandas with shape {values.shape}; give one column, df[{name!r}]"
         )
     if getattr(values.dtype, "kind", "") == "c":
@@ -26,7 +27,7 @@ def plain(name: str, values: Any) -> Any:
     try:
         return values.to_numpy(dtype=np.float64, na_value=np.nan)
     except (TypeError, ValueError) as err:
-        raise ValueError(
+        raise InputError(
             f"{name} is a column of {values.dtype}: {err}; give numbers, see pandas.to_numeric"
         ) from err
 

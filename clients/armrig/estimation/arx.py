@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
@@ -64,7 +65,7 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     if basis.rank < na + nb:
         msg = f"{orders}: the data determine only {basis.rank} of {na + nb} parameters; "
         msg += undetermined(data)
-        raise ValueError(msg)
+        raise InputError(msg)
     theta = basis.coefficients(y)
     A = free = np.append(1.0, theta[:na])
     if stable and (A := stabilised(free)) is not free:

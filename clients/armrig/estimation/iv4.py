@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
@@ -115,7 +116,7 @@ def _by_least_squares(parts: Sequence[ArxRows], orders: str) -> tuple[Array, Arr
     require_samples(f"{orders} with the gaps left out", needed=2 * d + 1, got=y.size)
     basis = orthonormal(Phi)
     if basis.rank < d:
-        raise ValueError(
+        raise InputError(
             f"{orders}: the data determine only {basis.rank} of {d} parameters; "
             "lower the orders or excite with a richer input"
         )
@@ -173,7 +174,7 @@ def _solved(
     projected = basis.Q.T @ known
     scale = np.maximum(column_norms(projected[:, :-1]), np.finfo(float).tiny)
     if basis.rank < d or np.linalg.matrix_rank(projected[:, :-1] / scale) < d:
-        raise ValueError(
+        raise InputError(
             f"{orders}: the instruments determine fewer than {d} parameters; "
             "lower the orders or excite with a richer input"
         )

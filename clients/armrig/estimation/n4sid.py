@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any, Literal, get_args
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
@@ -130,15 +131,15 @@ def n4sid(
 def _require_known(weights: str, focus: str) -> None:
     if weights not in get_args(Weights):
         allowed = ", ".join(f'"{x}"' for x in get_args(Weights))
-        raise ValueError(f"weights={weights!r} must be one of {allowed}")
+        raise InputError(f"weights={weights!r} must be one of {allowed}")
     if focus not in get_args(Focus):
-        raise ValueError(f'focus={focus!r} must be one of "prediction", "simulation"')
+        raise InputError(f'focus={focus!r} must be one of "prediction", "simulation"')
 
 
 def _visible(w: Windows, order: int) -> int:
     """Return the order, or refuse one that the data do not show."""
     if order > (states := visible_states(w)):
-        raise ValueError(f"order={order}: the data show {states} states; lower the order")
+        raise InputError(f"order={order}: the data show {states} states; lower the order")
     return order
 
 
@@ -202,7 +203,7 @@ def _fit(
     if B is None:
         basis = orthonormal(whole[:, n.na : -1])
         if basis.rank < n.nb:
-            raise ValueError(
+            raise InputError(
                 f"u determines only {basis.rank} of {n.nb} numerator coefficients; lower the "
                 "order or excite with a richer input"
             )

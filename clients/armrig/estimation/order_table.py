@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, get_args
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 from scipy.linalg import qr
 from scipy.linalg.lapack import dtrtrs
@@ -127,7 +128,7 @@ class OrderTable:
             msg = f"criterion={criterion!r} must be one of {', '.join(self.criteria)}"
             if criterion == "validation":
                 msg += "; give select_orders the validation data"
-            raise ValueError(msg)
+            raise InputError(msg)
         found = self.validation_loss if criterion == "validation" else getattr(self, criterion)
         return np.asarray(found)
 
@@ -334,7 +335,7 @@ def _asked(**orders: Iterable[int]) -> list[Integers]:
     wanted = [np.unique([*values]) for values in orders.values()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
         if values.size == 0:
-            raise ValueError(f"{name} is empty; give the orders to try, such as {name}=range(1, 5)")
+            raise InputError(f"{name} is empty; give the orders to try, such as {name}=range(1, 5)")
         for value in values.tolist():
             require_integers(**{name: (value, lowest)})
     return wanted
@@ -342,7 +343,7 @@ def _asked(**orders: Iterable[int]) -> list[Integers]:
 
 def _require_same_rate(data: Dataset, validation: Dataset) -> None:
     if not np.isclose(validation.Ts, data.Ts, rtol=1e-9, atol=0.0):
-        raise ValueError(
+        raise InputError(
             f"the data have Ts={data.Ts:g} s and the validation data {validation.Ts:g} s; "
             "resample one of them"
         )

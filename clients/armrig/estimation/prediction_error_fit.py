@@ -8,6 +8,7 @@ from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.dataset import Dataset
 from armrig.estimation.curvature import curvature
@@ -75,13 +76,13 @@ def searched(
     """
     if initial not in get_args(Initial):
         allowed = ", ".join(f'"{x}"' for x in get_args(Initial))
-        raise ValueError(f"initial={initial!r} must be one of {allowed}")
+        raise InputError(f"initial={initial!r} must be one of {allowed}")
     if starts not in get_args(Starts):
-        raise ValueError(f'starts={starts!r} must be "many" or "few"')
+        raise InputError(f'starts={starts!r} must be "many" or "few"')
     if initial == "backcast":
         initial = "estimate"
     if structure.offset and initial != "estimate":
-        raise ValueError(
+        raise InputError(
             f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has none'
         )
     if initial == "auto":
@@ -102,7 +103,7 @@ def searched(
     solution = problem.solve(best.theta)
     if solution.rank < n.na + n.nb:
         what = "numerator coefficients" if n.na == 0 else "coefficients of A and B"
-        raise ValueError(
+        raise InputError(
             f"{orders}: u determines only {solution.rank} of {n.na + n.nb} {what}; "
             f"lower {'nb' if n.na == 0 else 'the orders'} or excite with a richer input"
         )

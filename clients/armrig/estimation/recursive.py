@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dtrtrs
 
@@ -122,7 +123,7 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
     """
     require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
     if not 0 < forgetting <= 1:
-        raise ValueError(f"forgetting={forgetting!r} must be above 0 and at most 1, such as 0.99")
+        raise InputError(f"forgetting={forgetting!r} must be above 0 and at most 1, such as 0.99")
     d = na + nb
     return RarxState(
         na=na,

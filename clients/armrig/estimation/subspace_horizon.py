@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from armrig_core.errors import InputError
 from scipy.linalg.lapack import dposv
 
 from armrig.data.dataset import Dataset
@@ -41,7 +42,7 @@ def usable_windows(
     got = w.N + 2 * i - 1 if w.N else min(measured, 2 * i - 1)
     require_samples(asked, needed=4 * i + 2 + 2 * i, got=got)
     if not w.R[:, w.columns("yf")].any():
-        raise ValueError(
+        raise InputError(
             f"{data.output} is constant and shows no state; record an experiment that moves it"
         )
     return w

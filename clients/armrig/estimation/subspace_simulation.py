@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.dataset import Dataset
 from armrig.estimation.hannan_rissanen import noise_start
@@ -38,7 +39,7 @@ def simulating(
     found = problem.minimise(start[1:])
     solution = problem.solve(found.theta)
     if solution.rank < n.nb:
-        raise ValueError(
+        raise InputError(
             f"{orders}: u determines only {solution.rank} of {n.nb} numerator coefficients; "
             "lower the order or excite with a richer input"
         )

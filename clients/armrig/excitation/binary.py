@@ -6,6 +6,7 @@ from math import ceil
 
 import numpy as np
 from armrig_core.calls import checked_call
+from armrig_core.errors import InputError
 
 from armrig.excitation.limits import Vector, generator, require_levels
 from armrig.numerics.checks import require_integers, require_numbers
@@ -56,7 +57,7 @@ def telegraph(
     require_numbers(a=a)
     rng = generator(seed)
     if not 0 <= a <= 1:
-        raise ValueError(f"a={a!r} is a probability, 0 <= a <= 1")
+        raise InputError(f"a={a!r} is a probability, 0 <= a <= 1")
     x = rng.random(N)
     switch = x < a
     switch[0] = x[0] < 0.5
@@ -115,7 +116,7 @@ def prbs(
     n = max(2, clocks.bit_length()) if register is None else register
     require_integers(register=(n, 2))
     if n > _LONGEST_REGISTER:
-        raise ValueError(
+        raise InputError(
             f"register={n} is more than {_LONGEST_REGISTER} bits; lower N or lengthen the clock"
         )
     period = 2**n - 1

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from armrig_core.bounded import TextError, read_text
 from armrig_core.calls import checked_call
+from armrig_core.errors import InputError
 
 from armrig.excitation.limits import HIGHEST_V, LOWEST_V, Vector, require_levels
 from armrig.numerics.checks import require_numbers
@@ -56,7 +57,7 @@ def from_csv(
     try:
         text = read_text(path, MOST_BYTES)
     except TextError as err:
-        raise ValueError(f"{path}: {err}, as a CSV") from err
+        raise InputError(f"{path}: {err}, as a CSV") from err
     return from_text(text, Ts, name=path, low=low, high=high)
 
 
@@ -72,7 +73,7 @@ def from_text(
     outside = ~((u >= low) & (u <= high))
     if outside.any():
         k = int(np.argmax(outside))
-        raise ValueError(
+        raise InputError(
             f"{name}, row {rows[k]}: u={u[k]:g} V (sample {k}) is outside {low:g} to {high:g} V, "
             f"as are {np.count_nonzero(outside)} of {u.size} values; scale or shift the signal"
         )
@@ -83,7 +84,7 @@ def _require_figures(Ts: float, low: float, high: float) -> None:
     require_levels(low=low, high=high)
     require_numbers(Ts=Ts)
     if not 0 < Ts < np.inf:
-        raise ValueError(f"Ts={Ts!r} must be finite and > 0, in s")
+        raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
 
 
 def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> None:
@@ -91,7 +92,7 @@ def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> N
     wrong = ~(np.abs(t - due) <= _TIME_TOLERANCE * Ts)  # also finds NaN
     if wrong.any():
         k = int(np.argmax(wrong))
-        raise ValueError(
+        raise InputError(
             f"{path}, row {rows[k]}: t={t[k]:.9g} s where Ts={Ts:g} s gives {due[k]:.9g} s; "
             "the time vector must agree with the step size: sample u anew, or play it with "
             f"another Ts (the file's times are {np.median(np.diff(t)):.6g} s apart)"
@@ -109,7 +110,7 @@ def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], l
     names = lines[0].split() if lines and not _is_number(lines[0].split()[0]) else []
     lines, rows = (lines[1:], rows[1:]) if names else (lines, rows)
     if not lines:
-        raise ValueError(
+        raise InputError(
             f"{path}: no row of numbers; give u in V, or t in s and u, a row for each sample"
         )
     try:
@@ -117,16 +118,16 @@ def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], l
     except ValueError:
         numbers = np.zeros((0, 0))
     if numbers.shape[1] not in (1, 2):
-        raise ValueError(_unreadable(path, lines, rows))
+        raise InputError(_unreadable(path, lines, rows))
     if numbers.shape[1] == 1:
         if [name.strip("\"'").lower() for name in names] not in ([], ["u"]):
-            raise ValueError(
+            raise InputError(
                 f"{path}: column {', '.join(names)}; name it u, or leave the name out: what stands "
                 "in it drives the motor"
             )
         return (None, numbers[:, 0]), rows
     if not names and _may_be_decimals(text):
-        raise ValueError(
+        raise InputError(
             f"{path}: a comma parts what may be one number (0,5); name the columns t and u in the "
             "first row, or part them by a semicolon and write 0.5"
         )
@@ -162,7 +163,7 @@ def _order(path: str | Path, names: list[str]) -> tuple[int, int]:
     lower = [name.strip("\"'").lower() for name in names]
     if sorted(lower) == ["t", "u"]:
         return lower.index("t"), lower.index("u")
-    raise ValueError(
+    raise InputError(
         f"{path}: columns {', '.join(names)}; name them t and u, or leave the names out"
     )
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.checks import column
@@ -131,11 +132,11 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     """
     u_ = column("u", u)
     if not np.isfinite(u_).all():
-        raise ValueError(
+        raise InputError(
             f"u is not finite at {int(np.argmax(~np.isfinite(u_)))}; every sample is played"
         )
     if not 0 < Ts < np.inf:
-        raise ValueError(f"Ts={Ts!r} must be finite and > 0, in s")
+        raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
     u_.flags.writeable = False
     mean, std = float(np.mean(u_)), float(np.std(u_))
     std = 0.0 if np.ptp(u_) == 0 else std  # of a constant it is a rounding error

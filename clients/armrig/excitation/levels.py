@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from numbers import Integral
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.excitation.limits import Vector, require_levels, within
 from armrig.numerics.checks import require_integers
@@ -36,7 +37,7 @@ def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
     require_integers(N=(N, 1), at=(at, 0))
     require_levels(low=low, high=high)
     if at > N:
-        raise ValueError(f"at={at!r} must be a sample number, 0 <= at <= N={N}")
+        raise InputError(f"at={at!r} must be a sample number, 0 <= at <= N={N}")
     return np.where(np.arange(N) < at, low, high).astype(np.float64)
 
 
@@ -75,5 +76,5 @@ def staircase(
     else:
         stairs = within(levels, low=low, high=high)
     if stairs.size > N:
-        raise ValueError(f"{stairs.size} levels need as many samples at least, N={N}")
+        raise InputError(f"{stairs.size} levels need as many samples at least, N={N}")
     return stairs[np.arange(N) * stairs.size // N]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.checks import column, require_integers, require_numbers
@@ -26,7 +27,7 @@ def within(u: ArrayLike, *, low: float = LOWEST_V, high: float = HIGHEST_V) -> V
     outside = ~((taken >= low) & (taken <= high))  # also finds NaN
     if outside.any():
         first = int(np.argmax(outside))
-        raise ValueError(
+        raise InputError(
             f"u[{first}]={taken[first]:g} V is outside {low:g} to {high:g} V, as are "
             f"{np.count_nonzero(outside)} of {taken.size} values; scale or shift the signal"
         )
@@ -38,11 +39,11 @@ def require_levels(*, low: float, high: float) -> None:
     require_numbers(low=low, high=high)
     for name, level in (("low", low), ("high", high)):
         if not LOWEST_V <= level <= HIGHEST_V:  # also refuses NaN
-            raise ValueError(
+            raise InputError(
                 f"{name}={level!r} V is outside the rig's {LOWEST_V:g} to {HIGHEST_V:g} V"
             )
     if not low < high:
-        raise ValueError(f"low={low!r} V must lie below high={high!r} V")
+        raise InputError(f"low={low!r} V must lie below high={high!r} V")
 
 
 def generator(seed: int | np.random.Generator) -> np.random.Generator:

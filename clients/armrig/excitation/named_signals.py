@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.excitation.binary import prbs, telegraph
 from armrig.excitation.levels import staircase, step
@@ -56,7 +57,7 @@ def named_signal(
     if name == "chirp":
         to_hz = 0.25 / Ts
         return chirp(N, Ts, to_hz / 100, to_hz, low, high, sweep="logarithmic")
-    raise ValueError(f"input {name!r}: there are {', '.join(NAMES)}")
+    raise InputError(f"input {name!r}: there are {', '.join(NAMES)}")
 
 
 def details_of(name: str, *, a: float, low: float, high: float, seed: int) -> dict[str, Any]:
@@ -71,7 +72,7 @@ def clock_of(a: float) -> int:
     """Return the samples for which a prbs holds, if it is to switch as often as a telegraph."""
     require_numbers(a=a)
     if not 0 < a <= 0.5:
-        raise ValueError(f"a={a!r}: a prbs switches with a probability of more than 0, at most 0.5")
+        raise InputError(f"a={a!r}: a prbs switches with a probability of more than 0, at most 0.5")
     return max(1, round(1 / (2 * a)))
 
 
@@ -84,10 +85,10 @@ def step_at(N: int, Ts: float, *, low: float, high: float, at: float) -> Vector:
 def check_step_time(at: float, seconds: float) -> None:
     """Refuse a time of a step that is not inside its length, both in s."""
     if not at >= 0:  # NaN neither
-        raise ValueError(f"--at {at:g}: must be a number of seconds, 0 or more")
+        raise InputError(f"--at {at:g}: must be a number of seconds, 0 or more")
     if at >= seconds:
         where = "at" if at == seconds else "after"
-        raise ValueError(
+        raise InputError(
             f"--at {at:g} s is {where} the end, {seconds:g} s; give an earlier --at or more "
             "--seconds"
         )

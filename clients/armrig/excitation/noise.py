@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.excitation.limits import Vector, generator, require_levels
 from armrig.numerics.checks import require_integers
@@ -45,7 +46,7 @@ def white_noise(
     require_integers(N=(N, 1))
     require_levels(low=low, high=high)
     if distribution not in ("uniform", "normal"):
-        raise ValueError(f'distribution={distribution!r} must be "uniform" or "normal"')
+        raise InputError(f'distribution={distribution!r} must be "uniform" or "normal"')
     x = generator(seed).random(N)
     if distribution == "normal":
         tail = ndtr(-_HALF_WIDTH_IN_STD)

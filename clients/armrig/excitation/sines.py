@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 from armrig_core.calls import checked_call
+from armrig_core.errors import InputError
 
 from armrig.excitation.limits import Vector, generator, require_levels, within
 from armrig.numerics.checks import require_integers, require_numbers
@@ -63,10 +64,10 @@ def multisine(
     require_levels(low=low, high=high)
     if N % periods:
         nearest = max(N - N % periods, periods)
-        raise ValueError(f"N={N} is no whole number of periods={periods}; take N={nearest}")
+        raise InputError(f"N={N} is no whole number of periods={periods}; take N={nearest}")
     P = N // periods
     if P < 3:
-        raise ValueError(
+        raise InputError(
             f"a period of N/periods={P} samples has no line; it needs 3 samples at least"
         )
     l = _lines(lines, P)  # noqa: E741 - the textbook's letter
@@ -80,7 +81,7 @@ def multisine(
     else:
         require_numbers(rms=rms)
         if not rms > 0:
-            raise ValueError(f"rms={rms!r} V must be > 0")
+            raise InputError(f"rms={rms!r} V must be > 0")
         u = within(middle + s * rms / np.sqrt(l.size / 2), low=low, high=high)
     return np.tile(u, periods)
 
@@ -89,11 +90,11 @@ def _lines(lines: Iterable[int] | None, P: int) -> np.ndarray[tuple[int], np.dty
     highest = (P - 1) // 2
     chosen = range(1, highest + 1) if lines is None else sorted(set(lines))
     if not len(chosen):
-        raise ValueError("lines is empty; give harmonics, for example range(1, 50)")
+        raise InputError("lines is empty; give harmonics, for example range(1, 50)")
     for line in () if lines is None else chosen:
         require_integers(line=(line, 1))
         if line > highest:
-            raise ValueError(
+            raise InputError(
                 f"line {line} is above {highest}, the highest below half of the period P={P}; "
                 "lower it or lengthen the period"
             )
@@ -138,12 +139,12 @@ def chirp(
     require_levels(low=low, high=high)
     require_numbers(Ts=Ts, from_hz=from_hz, to_hz=to_hz)
     if sweep not in ("linear", "logarithmic"):
-        raise ValueError(f'sweep={sweep!r} must be "linear" or "logarithmic"')
+        raise InputError(f'sweep={sweep!r} must be "linear" or "logarithmic"')
     if not 0 < Ts < np.inf:
-        raise ValueError(f"Ts={Ts!r} must be finite and > 0, in s")
+        raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
     for name, f in (("from_hz", from_hz), ("to_hz", to_hz)):
         if not 0 < f < 0.5 / Ts:
-            raise ValueError(
+            raise InputError(
                 f"{name}={f!r} must be > 0 and below {0.5 / Ts:g} Hz, half the sampling frequency"
             )
     t, T, ratio = Ts * np.arange(N), N * Ts, to_hz / from_hz

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.models.responses import FrequencyResponse, Roots, StepResponse
@@ -131,7 +132,7 @@ class Model:
             if name == letter:
                 return slice(begin, begin + p.size)
             begin += p.size
-        raise ValueError(f"{letter!r} is none of a, b, c, d, f")
+        raise InputError(f"{letter!r} is none of a, b, c, d, f")
 
     def to_control(self) -> control.TransferFunction:
         """Return the model from u to y as a python-control transfer function with dt=Ts."""
@@ -209,7 +210,7 @@ class Model:
         omega_ = np.atleast_1d(np.asarray(omega, dtype=np.float64))
         nyquist = np.pi / self.Ts
         if omega_.size and not (omega_.min() >= 0 and omega_.max() <= nyquist * (1 + 1e-9)):
-            raise ValueError(
+            raise InputError(
                 f"omega from {omega_.min():g} to {omega_.max():g} rad/s is outside 0 to "
                 f"{nyquist:g} rad/s (pi/Ts); a sampled model has no response beyond"
             )

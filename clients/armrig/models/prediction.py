@@ -7,6 +7,7 @@ from numbers import Integral
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.dataset import Dataset, Vector
 from armrig.models.free_response import free_columns, transient_count
@@ -172,14 +173,14 @@ def _none(N: int, parameters: int) -> Residuals:
 
 def _require_dataset(data: object) -> None:
     if not isinstance(data, Dataset):
-        raise TypeError(
+        raise InputTypeError(
             f"data is a {type(data).__name__}: give a Dataset; of an input alone, fit.simulate(u)"
         )
 
 
 def _require_horizon(horizon: object) -> None:
     if horizon is not None and not (isinstance(horizon, Integral) and int(horizon) >= 1):
-        raise ValueError(f"horizon={horizon!r} must be an integer >= 1, or None for simulation")
+        raise InputError(f"horizon={horizon!r} must be an integer >= 1, or None for simulation")
 
 
 def require_same_signals(model: Model, data: Dataset) -> None:
@@ -188,7 +189,7 @@ def require_same_signals(model: Model, data: Dataset) -> None:
     Nothing is refused for a name or a unit that is not given; an output named y is not.
     """
     if not np.isclose(model.Ts, data.Ts, rtol=1e-9, atol=0.0):
-        raise ValueError(
+        raise InputError(
             f"the model has Ts={model.Ts:g} s and the data have Ts={data.Ts:g} s; "
             "identify at the rate that you validate at"
         )
@@ -196,7 +197,7 @@ def require_same_signals(model: Model, data: Dataset) -> None:
     units = {model.unit, data.unit} - {""}
     if len(names) > 1 or len(units) > 1:
         of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (model, data))
-        raise ValueError(
+        raise InputError(
             f"the model is of {of_model} and the data show {of_data}; validate with the output "
             f"that was identified from, recording.dataset(output={model.output!r})"
         )

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, merge
@@ -126,7 +127,7 @@ def _common_lines(pairs: Sequence[Transforms]) -> NDArray[np.int_]:
     lit[0] = False
     at = np.flatnonzero(lit)
     if at.size == 0:
-        raise ValueError(
+        raise InputError(
             "no line is excited in all realisations: use the same lines, with other phases"
         )
     return at
@@ -136,7 +137,7 @@ def _common_period(parts: Sequence[Dataset]) -> int:
     found = {period(part.u) for part in parts}
     if len(found) > 1 or None in found:
         shown = ", ".join(str(P or "none") for P in sorted(found, key=lambda P: P or 0))
-        raise ValueError(
+        raise InputError(
             f"bla needs one period in all realisations, two whole periods at least; got {shown}. "
             "Repeat one multisine in each experiment, or give period_length"
         )
@@ -154,13 +155,13 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
     most = np.count_nonzero(seen, axis=1) >= P / 2
     y, seen = y[most], seen[most]
     if y.shape[0] == 0:
-        raise ValueError(
+        raise InputError(
             f"a realisation of {part.N} samples has no period of {P}, known by half, left after "
             f"{transient} of transient: record more periods"
         )
     n_k = np.count_nonzero(seen, axis=0)
     if never := int(np.count_nonzero(n_k == 0)):
-        raise ValueError(
+        raise InputError(
             f"a realisation of {part.N} samples shows {never} of the {P} places in its period in "
             f"no period after {transient} of transient: record more periods"
         )

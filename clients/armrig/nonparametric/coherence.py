@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
@@ -22,7 +23,7 @@ def explained(estimate: SpectralEstimate) -> NDArray[np.int_]:
     good = np.flatnonzero(coherence > COHERENT)
     if good.size < FEWEST_FREQUENCIES:
         at = ("no frequency", "one frequency", "two frequencies")[good.size]
-        raise ValueError(
+        raise InputError(
             f"u explains y at {at} (coherence above {COHERENT:g}), and {FEWEST_FREQUENCIES} are "
             "needed: record longer, or with a "
             "larger or richer input"

@@ -7,6 +7,7 @@ from math import sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -128,7 +129,7 @@ def correlation(
     """
     require_integers(lags=(lags, 1))
     if np.ptp(data.u) == 0:
-        raise ValueError(
+        raise InputError(
             "u is constant: nothing can be correlated with it; record an input that varies"
         )
     decided = integration(data, integrator)
@@ -143,7 +144,7 @@ def correlation(
     R_uu, _ = _crossed(u, u, gap)
     R_yy, _ = _crossed(y, y, gap)
     if pairs.min() < 10:
-        raise ValueError(
+        raise InputError(
             f"lags={lags} leaves {int(pairs.min())} pairs of samples at a lag, 10 are needed: "
             "ask for fewer lags"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -59,19 +60,19 @@ def etfe(
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 6.3.
     """
     if len(data.starts) > 1:
-        raise ValueError(
+        raise InputError(
             f"etfe takes one experiment, got {len(data.starts)}: call it for each of "
             "data.experiments(), or use spa, or bla for realisations of a multisine"
         )
     if np.ptp(data.u) == 0:
-        raise ValueError(
+        raise InputError(
             "u is constant: it has no frequency to answer at; record an input that varies"
         )
     decided = integration(data, integrator)
     integrates = decided.integrates
     P = period(data.u) if period_length is None else period_length
     if P is not None and not 2 <= P <= data.N // 2:
-        raise ValueError(
+        raise InputError(
             f"period_length={P} must be 2 to {data.N // 2}, two whole periods of {data.N} samples"
         )
     if P is None:
@@ -104,7 +105,7 @@ Lines = tuple[Vector, NDArray[np.complex128], Vector, str]
 
 def _aperiodic(data: Dataset, *, integrates: bool) -> Lines:
     if data.missing:
-        raise ValueError(
+        raise InputError(
             f"etfe needs every output of an input without a period, {data.missing} of {data.N} "
             "are missing: use spa, or cut the longest stretch without a hole, data[a:b]"
         )
@@ -127,7 +128,7 @@ def _periodic(data: Dataset, P: int, *, integrates: bool) -> Lines:
     there = np.isfinite(y)
     if not there.any(axis=0).all():
         holes = int(np.count_nonzero(~there.any(axis=0)))
-        raise ValueError(
+        raise InputError(
             f"{holes} of the {P} instants of the period were never measured (the first period, "
             "a transient, does not count): record more periods, or use spa"
         )

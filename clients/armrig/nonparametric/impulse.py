@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.argument import takes_recordings
@@ -274,17 +275,17 @@ def impulse_response(
 
 def _require_input(data: Dataset, kernel: Kernel | None) -> None:
     if kernel is not None and kernel not in KERNELS:
-        raise ValueError(
+        raise InputError(
             f"kernel={kernel!r} must be one of {', '.join(map(repr, KERNELS))}, or None"
         )
     if np.ptp(data.u) == 0:
-        raise ValueError("u is constant: it determines no response; record an input that varies")
+        raise InputError("u is constant: it determines no response; record an input that varies")
 
 
 def _require_rows(rows: FirRegression, free: int, asked: str, samples: int) -> None:
     needed = max(free + rows.nuisance + 2, 3)
     if needed > rows.N:
-        raise ValueError(
+        raise InputError(
             f"{asked} needs at least {needed} rows with all of "
             f"their inputs known, got {rows.N} of {samples} samples; ask for fewer lags"
         )
@@ -398,7 +399,7 @@ def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
 
 def _require_rank(basis: Basis, d: int, what: str) -> None:
     if basis.rank < d:
-        raise ValueError(
+        raise InputError(
             f"u determines only {basis.rank} of {d} {what}: it has too few frequencies; "
             "excite with a richer input (telegraph, PRBS), or ask for fewer with a kernel"
         )

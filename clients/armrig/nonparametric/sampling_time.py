@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -275,14 +276,14 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
     t: Vector = data.Ts * (np.arange(y.size, dtype=np.float64) - 0.5 * integrates)
     gain = float(np.mean(y[-max(1, y.size // 10) :]))
     if abs(gain) <= ZERO * float(np.max(np.abs(y))):
-        raise ValueError(
+        raise InputError(
             "the step response returns to about 0: it has no time to 63 % of a final value"
         )
     t, y = np.append(t[0] - data.Ts, t), np.append(0.0, y / gain)
     shown = data.Ts * np.cumsum(y[1:]) if integrates else y[1:]
     crossing = rise_time(shown, data.Ts, integrated=integrates)
     if np.isnan(crossing):
-        raise ValueError("the step response never reaches 63 % of its final value; record longer")
+        raise InputError("the step response never reaches 63 % of its final value; record longer")
     dead, _ = _dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # counts for neither rule
     outside = np.flatnonzero(np.abs(y - 1) > 0.05)
     end = float(t[min(int(outside[-1]) + 1, y.size - 1)])

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.argument import takes_recordings
@@ -90,7 +91,7 @@ def spa(
     .. [2] P. D. Welch, IEEE Trans. Audio Electroacoustics 15 (1967) 70-73.
     """
     if method not in ("blackman-tukey", "welch"):
-        raise ValueError(f'method={method!r} must be "blackman-tukey" or "welch"')
+        raise InputError(f'method={method!r} must be "blackman-tukey" or "welch"')
     decided = integration(data, integrator)
     integrates = decided.integrates
     require_integers(delay=(delay, 0))
@@ -110,7 +111,7 @@ def _samples_with_output(data: Dataset) -> int:
     N = data.N - data.missing
     if N < 8 or np.ptp(data.u) == 0:
         what = f"only {N} samples have an output" if N < 8 else "u is constant"
-        raise ValueError(
+        raise InputError(
             f"spa cannot see a frequency response: {what}; record an input that varies"
         )
     return N
@@ -143,7 +144,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
     parts = [part for part in data.experiments() if delay + 1 < part.N]
     if not parts:
         longest = max(part.N for part in data.experiments())
-        raise ValueError(
+        raise InputError(
             f"delay={delay} is as long as every experiment; the longest is {longest} samples"
         )
     return merge(
@@ -172,7 +173,7 @@ def _frequencies(omega: ArrayLike | None, data: Dataset, *, logarithmic: bool) -
         return nyquist * np.arange(1, 129) / 128
     w = np.sort(column("omega", np.atleast_1d(omega)))
     if not (w[0] >= 0 and w[-1] <= nyquist * (1 + 1e-9)):
-        raise ValueError(
+        raise InputError(
             f"omega from {w[0]:g} to {w[-1]:g} rad/s is outside 0 to {nyquist:g} rad/s (pi/Ts)"
         )
     return w
@@ -182,7 +183,7 @@ def _length(window: int | str | None, N: int) -> int:
     if window is None:
         return max(8, N // 8)
     if isinstance(window, str):
-        raise ValueError(
+        raise InputError(
             f"window={window!r} is for Blackman-Tukey; Welch takes the length of a segment"
         )
     require_integers(window=(window, 4))
@@ -192,14 +193,14 @@ def _length(window: int | str | None, N: int) -> int:
 def _gamma(window: int | str | None, omega: Vector, Ts: float, N: int) -> NDArray[np.int_]:
     if isinstance(window, str):
         if window != "log":
-            raise ValueError(f'window={window!r} must be a number of samples, "log" or None')
+            raise InputError(f'window={window!r} must be a number of samples, "log" or None')
         with np.errstate(divide="ignore"):
             wanted = 2 * np.pi / (LOGARITHMIC_RESOLUTION * omega * Ts)
         return np.clip(wanted, 4, max(N // 4, 4)).astype(int)
     gamma = max(2, min(N // 10, 30)) if window is None else window
     require_integers(window=(gamma, 2))
     if gamma >= N:
-        raise ValueError(
+        raise InputError(
             f"window={gamma} must be less than the {N} samples with an output; N/10 is usual"
         )
     return np.full(omega.size, gamma)

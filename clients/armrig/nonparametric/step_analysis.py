@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -187,7 +188,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     gain = float(np.mean(tail)) if tail.size else float("nan")
     gain_std = float(np.std(tail) / np.sqrt(max(tail.size, 1)))
     if not np.isfinite(gain) or abs(gain) <= 4 * gain_std:
-        raise ValueError(
+        raise InputError(
             f"{treated.output} does not answer to the step: final value {gain:.3g} ± "
             f"{gain_std:.2g}; make it larger, or hold it longer"
         )
@@ -250,7 +251,7 @@ def _steps(data: Dataset) -> _Steps:
             if min(known, post) >= SHORTEST_HOLD:
                 found.append((i, after.start, pre, post))
     if not found:
-        raise ValueError(
+        raise InputError(
             f"u has no step with {SHORTEST_HOLD} constant samples before and after; record "
             "armrig.step(N, at=50), or use impulse_response(data).step_response()"
         )

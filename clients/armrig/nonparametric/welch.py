@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
@@ -44,7 +45,7 @@ def welch(data: Dataset, length: int, omega: Vector) -> Spectra:
     U, Y = _transforms(data, length, turn)
     K = U.shape[0]
     if K == 0:
-        raise ValueError(
+        raise InputError(
             f"no {length} samples in a row have an output; take shorter segments (window), "
             'or method="blackman-tukey", which needs no whole segments'
         )

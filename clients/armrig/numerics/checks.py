@@ -7,6 +7,7 @@ from numbers import Integral, Number, Real
 from typing import Any
 
 import numpy as np
+from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
 
@@ -14,28 +15,28 @@ def require_integers(**asked: tuple[Any, int]) -> None:
     """Refuse a value (value, lowest allowed) that is no integer or too low."""
     for name, (value, lowest) in asked.items():
         if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < lowest:
-            raise ValueError(f"{name}={value!r} must be an integer >= {lowest}")
+            raise InputError(f"{name}={value!r} must be an integer >= {lowest}")
 
 
 def require_numbers(**asked: Any) -> None:
     """Refuse a value that is no real number."""
     for name, value in asked.items():
         if isinstance(value, bool) or not isinstance(value, Real):
-            raise ValueError(f"{name}={value!r} must be a number")
+            raise InputError(f"{name}={value!r} must be a number")
 
 
 def require_flags(**asked: Any) -> None:
     """Refuse a value that is neither True nor False."""
     for name, value in asked.items():
         if not isinstance(value, bool | np.bool_):
-            raise ValueError(f"{name}={value!r} must be True or False")
+            raise InputError(f"{name}={value!r} must be True or False")
 
 
 def require_several(**asked: Any) -> None:
     """Refuse one value where several are wanted."""
     for name, value in asked.items():
         if not isinstance(value, Iterable) or isinstance(value, str):
-            raise TypeError(
+            raise InputTypeError(
                 f"{name}={value!r} must be several numbers, such as {name}=range(1, 5) or "
                 f"{name}=(1, 2, 4)"
             )
@@ -50,22 +51,22 @@ def column(name: str, values: ArrayLike) -> NDArray[np.float64]:
         kind = "missing" if values is None else f"a {type(values).__name__}"
         msg = f"{name} is {kind}; give its numbers, (N,)"
         msg += f", such as data.{name}" if name in ("u", "y") else ""
-        raise TypeError(msg)
+        raise InputTypeError(msg)
     given = np.asanyarray(values)
     if given.dtype.kind in "USO" and not _are_numbers(given):
         first = given.ravel()[0] if given.size else ""
-        raise ValueError(
+        raise InputError(
             f"{name} has text or other objects ({str(first)[:20]!r}), it must be numbers, "
             "decimals with a point; a file is read with armrig.load_data(path)"
         )
     if np.iscomplexobj(given):
-        raise ValueError(
+        raise InputError(
             f"{name} is complex ({given.dtype}), it must be real; give {name}.real, or its "
             "magnitude, if that is what was measured"
         )
     taken = np.array(np.ma.filled(given.astype(np.float64), np.nan))
     if taken.ndim != 1 or taken.size == 0:
-        raise ValueError(
+        raise InputError(
             f"{name} has shape {taken.shape}, it must be (N,) with N >= 1; {_way_out(name, taken)}"
         )
     return taken

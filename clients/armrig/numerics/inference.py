@@ -20,6 +20,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.numerics.covariance import correlated_score, exogenous_score
 from armrig.numerics.goodness_of_fit import fit_percent
@@ -121,7 +122,7 @@ def infer(
     others = nuisance + sum(span.shape[1] for span in spans)
     degrees = N - d - others
     if degrees < 1:
-        raise ValueError(
+        raise InputError(
             f"{N} samples leave nothing to estimate the noise from: {d} parameters and {others} "
             "initial conditions were fitted to them; lower the orders, or record longer"
         )

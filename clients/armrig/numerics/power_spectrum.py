@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.numerics.stretches import stretches
@@ -44,7 +45,7 @@ def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector
     whole = [signal[s] for signal in signals for s in stretches(np.isfinite(signal))]
     longest = max((x.size for x in whole), default=0)
     if longest < _SHORTEST:
-        raise ValueError(
+        raise InputError(
             f"the longest stretch without a hole has {longest} samples; a spectrum needs "
             f"{_SHORTEST}"
         )

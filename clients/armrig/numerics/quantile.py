@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.numerics.polynomial import Array
 
@@ -14,7 +15,7 @@ def two_sided(level: float) -> float:
     from scipy.special import erfinv
 
     if not 0 < level < 1:
-        raise ValueError(f"level={level!r} must lie between 0 and 1, for example 0.95")
+        raise InputError(f"level={level!r} must lie between 0 and 1, for example 0.95")
     return sqrt(2) * float(erfinv(level))
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from armrig_core.arm import ArmParameters
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.recursion import recursion
@@ -172,7 +173,7 @@ def step_sensitivities(
     names = NAMES if names is None else tuple(names)
     for name in names:
         if name not in NAMES:
-            raise ValueError(f"{name!r} is none of {', '.join(NAMES)}")
+            raise InputError(f"{name!r} is none of {', '.join(NAMES)}")
     sampled, voltage, index = _stepped(p, t, names, u, model, state)
     n = sampled.Phi.shape[0]
     seen = replace(
@@ -192,13 +193,13 @@ def _stepped(
     """Return the sampled model with derivatives, the voltage at each time, and the state's row."""
     times = np.asarray(t, dtype=np.float64)
     if times.ndim != 1 or times.size < 2 or times[0] != 0 or not _even(times):
-        raise ValueError(
+        raise InputError(
             "t must be equidistant from 0, at least two times, such as np.linspace(0, 1, 501)"
         )
     physics = Physics(model=model, fixed=p, output="theta_1")
     states = physics.labels()[1]
     if state not in states:
-        raise ValueError(f"state={state!r} is none of {', '.join(states)}")
+        raise InputError(f"state={state!r} is none of {', '.join(states)}")
     sampled = physics.sampled({}, by, float(times[1]))
     return sampled, np.full(times.size, float(u)), states.index(state)
 

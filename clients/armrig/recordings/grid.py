@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
+from armrig_core.errors import InputError
 from armrig_core.manifest import Manifest, Outcome
 from armrig_core.recording_file.budget import SAMPLES_LIMIT
 from numpy.typing import NDArray
@@ -95,7 +96,7 @@ def grid(
     if manifest.k_first >= 0:
         first, last = first_of(manifest), manifest.k_first + max(manifest.samples, 0)
         if k.size and not (first <= begin and end <= last):
-            raise ValueError(
+            raise InputError(
                 f"its samples run from k={begin} to {end - 1}, those of the run from {first} to "
                 f"{last - 1}"
             )
@@ -110,7 +111,7 @@ def grid(
     k = k[taken]
     missing_limit = MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size
     if end - begin - k.size > missing_limit or end - begin > SAMPLES_LIMIT:
-        raise ValueError(
+        raise InputError(
             f"of the samples from k={begin} to {end - 1} {end - begin - k.size} are missing: too "
             "many for a recording"
         )

@@ -12,6 +12,7 @@ import numpy as np
 from armrig_core import manifest as records
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import CalibrationFileError, read_calibration
+from armrig_core.errors import InputTypeError
 from armrig_core.manifest import Manifest, Outcome, Recovered
 from armrig_core.protobuf import ABSENT
 from armrig_core.recording_file.budget import DamageError
@@ -87,7 +88,7 @@ def load(
     given = [path] if isinstance(path, str | Path) else path
     if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):
         msg = f'path is a {type(path).__name__}: give the name of a file, armrig.load("F.mcap"), '
-        raise TypeError(msg + "or a list of the parts of a run, in their order")
+        raise InputTypeError(msg + "or a list of the parts of a run, in their order")
     if str(given[0] if given else "").startswith("@") and not Path(given[0]).exists():
         raise RecordingError(
             f"{given[0]}: such names are the command line's; `armrig ls --json` says the paths"

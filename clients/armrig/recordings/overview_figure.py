@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.canvas import BLUE, INK, NAMES, VERMILION, finish, legend, rows, shade, sign
@@ -36,7 +37,7 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
     """
     rec = found.recording
     if not rec.N:
-        raise ValueError(
+        raise InputError(
             f"{rec.path}: it has no samples, so there is nothing to draw; record again"
         )
     every = rows(ax, 4)

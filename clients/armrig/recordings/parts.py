@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from armrig_core.errors import InputError
 from armrig_core.manifest import OUTCOME, RECOVERED, RUN, Manifest
 
 from armrig.recordings.container import Content
@@ -22,12 +23,12 @@ def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Conten
     """
     for before, after in pairwise(manifests):
         if (before.rig, before.run_id) != (after.rig, after.run_id):
-            raise ValueError(
+            raise InputError(
                 f"run {after.run_id} of rig {after.rig} is not run {before.run_id} of rig "
                 f"{before.rig}: only the parts of one run are joined"
             )
         if after.part != before.part + 1:
-            raise ValueError(
+            raise InputError(
                 f"part {after.part} does not follow part {before.part}: give the parts of a run "
                 "in their order, with none left out"
             )
@@ -55,5 +56,5 @@ def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Conten
         whole.metadata[OUTCOME] = contents[-1].metadata[OUTCOME]
     k = whole.samples["k"]
     if k.size and not (k[1:] > k[:-1]).all():
-        raise ValueError("the samples of one part do not stand behind those of the part before")
+        raise InputError("the samples of one part do not stand behind those of the part before")
     return whole

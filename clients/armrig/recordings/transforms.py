@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import cos, isfinite, sin
 from typing import TYPE_CHECKING, Any
 
+from armrig_core.errors import InputError
 from armrig_core.topics import topic
 
 from armrig.recordings.export import Exported, imported
@@ -70,7 +71,7 @@ def write_transforms(recording: Exported, path: Path) -> None:
     times = recording.samples["t_host_ns"] + recording.manifest.clock_offset_ns
     if not ((times >= 0) & (times < _END_NS)).all():
         msg = f"the wall clock of the rig's machine was at {times[0] / _NS:.0f} s after 1970; "
-        raise ValueError(f"{msg}--transforms takes 1970 to 2106: export a CSV instead")
+        raise InputError(f"{msg}--transforms takes 1970 to 2106: export a CSV instead")
     with sdk.open_mcap(path, allow_overwrite=True, context=context):
         for t_ns, theta_1, alpha in zip(
             times.tolist(),

@@ -14,6 +14,7 @@ import numpy as np
 import zenoh
 from armrig_core import commands, topics
 from armrig_core.calibration_file import raw_samples, read_calibration
+from armrig_core.errors import InputError
 from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
 
@@ -390,14 +391,14 @@ class Rig:
         """Return the voltages (N,), or refuse them: they are never clamped."""
         volts = np.asarray(u, dtype=np.float64)
         if volts.ndim != 1 or volts.size == 0:
-            raise ValueError(
+            raise InputError(
                 f"u has shape {volts.shape}, it must be (N,) with N >= 1: one voltage a sample"
             )
         lowest, highest = self._limits_v
         outside = ~((volts >= lowest) & (volts <= highest))  # NaN is outside, too
         if outside.any():
             k = int(np.argmax(outside))
-            raise ValueError(
+            raise InputError(
                 f"u[{k}] = {volts[k]:g} V is outside {lowest:g} … {highest:g} V, what rig "
                 f"{self.rig} allows; beyond 0 … {U_MAX_V:g} V it is destroyed"
             )

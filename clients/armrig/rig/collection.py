@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from armrig_core.commands import MOST_SAMPLES, LastRun, RunAccepted, StatusReport
+from armrig_core.errors import InputError
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.rehearsal import Rehearsal, sentence
 from numpy.typing import NDArray
@@ -85,18 +86,18 @@ class Plan:
         """Refuse, before the daemon is asked, what is possible at no sampling time."""
         for name, value in (("--seconds", self.seconds), ("--Ts", self.Ts)):
             if value is not None and not (isfinite(value) and value > 0):
-                raise ValueError(f"{name} {value:g}: must be a number of seconds, more than 0")
+                raise InputError(f"{name} {value:g}: must be a number of seconds, more than 0")
         low, high = DEAD_MAN_S
         if self.dead_man is not None and not low <= self.dead_man <= high:
-            raise ValueError(
+            raise InputError(
                 f"--dead-man {self.dead_man:g}: must be {low:g} to {high:g} s, or 0 for none"
             )
         if self.Ts is not None and self.Ts > LONGEST_TS:
-            raise ValueError(
+            raise InputError(
                 f"--Ts {self.Ts:g}: at most {LONGEST_TS:g}, in seconds; of 10 ms it is --Ts 0.01"
             )
         if not 1 <= len(self.owner) <= LONGEST_OWNER:
-            raise ValueError(
+            raise InputError(
                 f"--owner has {len(self.owner)} characters: 1 to {LONGEST_OWNER} are allowed"
             )
         if self.seconds is None:
@@ -115,11 +116,11 @@ def number_of_samples(seconds: float, Ts: float) -> int:
     """
     N = floor(seconds / Ts + 0.5)
     if N < 1:
-        raise ValueError(
+        raise InputError(
             f"--seconds {seconds:g}: too short for one sample of {Ts:g} s; at least {Ts:g}"
         )
     if N > MOST_SAMPLES:
-        raise ValueError(
+        raise InputError(
             f"--seconds {seconds:g}: at most {MOST_SAMPLES} samples, that is "
             f"{MOST_SAMPLES * Ts:g} s at Ts = {Ts:g} s"
         )

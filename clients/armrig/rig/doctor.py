@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Literal
 
 import platformdirs
 from armrig_core.bounded import CONFIGURATION_LIMIT
+from armrig_core.errors import InputError
 from armrig_core.toml_file import read_toml
 
 from armrig.rig.bench.machine import PRIORITY, governors, granted, load, preemption, text, virtual
@@ -114,7 +115,7 @@ def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]
     where = connect or configured_endpoint(rig)
     if not where.startswith(_SOCKET):
         if connect:
-            raise ValueError(
+            raise InputError(
                 f"--connect {connect}: the doctor examines this machine: {_SOCKET}PATH is needed"
             )
         return None, ""  # `[client]` names another machine

@@ -12,6 +12,8 @@ from difflib import unified_diff
 from pathlib import Path
 from typing import Literal
 
+from armrig_core.errors import InputError
+
 SHIPPED = "/opt/armrig/bin/armrigd"
 """The program that the unit names as it is shipped; `armrig` is next to it."""
 _FOLDERS = {
@@ -255,7 +257,7 @@ def _program() -> str:
     for needed in (program, Path(sys.base_prefix)):
         hidden = next((top for top in _UNSEEN if needed.is_relative_to(top)), "")
         if hidden:
-            raise ValueError(
+            raise InputError(
                 f"{needed}: the service sees nothing of {hidden}; install armrig into "
                 "/opt/armrig with /usr/bin/python3, and run its armrig service install"
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from armrig_core.errors import InputError
 from armrig_core.recording_file.outgoing import Outgoing
 from google.protobuf.message import DecodeError
 
@@ -48,7 +49,7 @@ def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMess
     """
     try:
         if not 0 <= clock_offset_ns < _LIMIT:
-            raise ValueError(f"a clock offset of {clock_offset_ns} ns")
+            raise InputError(f"a clock offset of {clock_offset_ns} ns")
         value = decoded(stream, data)
         _check(stream, value)
     except (ValueError, DecodeError) as err:
@@ -69,10 +70,10 @@ def _check(stream: str, value: Any) -> None:
         times = [value.t_host_ns]
     for time in times:
         if not 0 <= time < _LIMIT:
-            raise ValueError(f"a time or an index of {time}")
+            raise InputError(f"a time or an index of {time}")
     # Until a rig is there it has no sampling time.
     if stream == "state" and value.Ts_s != 0 and not TS_LEAST_S <= value.Ts_s < TS_LIMIT_S:
-        raise ValueError(f"a sampling time of {value.Ts_s:g} s")
+        raise InputError(f"a sampling time of {value.Ts_s:g} s")
 
 
 def _host_ns(stream: str, value: Any, clock_offset_ns: int) -> int:

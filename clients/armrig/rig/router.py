@@ -17,6 +17,7 @@ from armrig_core import access_control, open_files
 from armrig_core.access_list import AccessList, read_access_list
 from armrig_core.credential import Credential, read_credential
 from armrig_core.endpoint import check_listen
+from armrig_core.errors import InputError
 from armrig_core.owned_session import NOT_FOUND, ROUTED_US, listening, strangers, transport
 from armrig_core.topics import EVERY_RIG
 
@@ -75,7 +76,7 @@ def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Se
     """
     if check_listen(endpoint) != "tls":
         msg = f"{endpoint!r}: a router knows rigs and people by their certificates: take "
-        raise ValueError(msg + f"tls/{endpoint.partition('/')[2]}")
+        raise InputError(msg + f"tls/{endpoint.partition('/')[2]}")
     people = read_access_list(names)
     config = router_config(endpoint, read_credential(certificate, "router"), people)
     open_files.raise_limit()

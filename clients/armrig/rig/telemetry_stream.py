@@ -11,6 +11,7 @@ from typing import Any
 
 import zenoh
 from armrig_core import protobuf, telemetry, topics
+from armrig_core.errors import InputError
 from google.protobuf.message import DecodeError
 
 from armrig.rig.live_gaps import gaps_between, told_gaps
@@ -184,7 +185,7 @@ def _gone(rig: str, where: str) -> NoReplyError:
 def _stream_of(key: str) -> tuple[str, str]:
     parts = key.split("/")
     if len(parts) != 3 or parts[0] != "rig" or parts[2] not in topics.STREAMS:
-        raise ValueError(
+        raise InputError(
             f"key {key!r}: a stream is rig/<id>/ and one of {', '.join(topics.STREAMS)}"
         )
     return topics.check_rig_id(parts[1]), parts[2]

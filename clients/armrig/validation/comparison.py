@@ -8,6 +8,7 @@ from math import sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -158,20 +159,20 @@ def compare(
         sampling time.
     """
     if not models:
-        raise ValueError("compare needs at least one model: compare(data, fit)")
+        raise InputError("compare needs at least one model: compare(data, fit)")
     for model in models:
         if not hasattr(model, "label"):
-            raise TypeError(
+            raise InputTypeError(
                 f"a {type(model).__name__} is no model: give each by itself, "
                 "compare(data, fit1, fit2); names are labels=(…)"
             )
     if isinstance(labels, str):
-        raise TypeError(
+        raise InputTypeError(
             f"labels={labels!r} must be several names, one a model, such as labels=({labels!r},)"
         )
     names = [model.label for model in models] if labels is None else list(labels)
     if len(names) != len(models):
-        raise ValueError(f"{len(names)} labels for {len(models)} models; give one each")
+        raise InputError(f"{len(names)} labels for {len(models)} models; give one each")
     integrating = data.output in INTEGRATING_OUTPUTS or any(m.integrator for m in models)
     note = "initial state" + (" and input offset" if any(m.integrator for m in models) else "")
     return ComparisonTable(

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -187,7 +188,7 @@ def _candidates(
 ) -> Iterator[Candidate]:
     for family in families:
         if family not in FAMILIES:
-            raise ValueError(f"families has {family!r}; each must be one of {', '.join(FAMILIES)}")
+            raise InputError(f"families has {family!r}; each must be one of {', '.join(FAMILIES)}")
     for n in orders:
         require_integers(orders=(n, 1))
     for nk in delays:
@@ -258,11 +259,11 @@ def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
     if not usable:
         msg = "none of the structures could be estimated"
         msg += f"; the first, {scored[0].candidate.name}: {scored[0].reason}" if scored else ""
-        raise ValueError(msg)
+        raise InputError(msg)
     # The same samples for all: one model's transient is not another's.
     both = np.all([np.isfinite(j.error) for j in usable], axis=0)
     if not both.any():
-        raise ValueError("no validation sample is predicted by all models; validate on longer data")
+        raise InputError("no validation sample is predicted by all models; validate on longer data")
     squared = np.array([j.error[both] ** 2 for j in usable])
     order = np.argsort(squared.mean(axis=1), kind="stable")
     squared, usable = squared[order], [usable[i] for i in order]

@@ -8,6 +8,7 @@ from itertools import chain
 from typing import Literal
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
@@ -147,7 +148,7 @@ def recommended(
     kinds = (False, True) if decide else (integrates,)
     first = [m for i in kinds for n in _FIRST for m in _fits(parts, n, nks, integrates=i)]
     if not first:
-        raise ValueError(
+        raise InputError(
             "u excites no model of third order: record with a richer input (telegraph, PRBS)"
         )
     D, _ = autoregression(np.concatenate(min(first, key=_bits).residuals()))

@@ -7,6 +7,7 @@ from math import sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import NDArray
 
 from armrig.data.argument import HasDataset, as_dataset
@@ -177,7 +178,7 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
     .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
     """
     if not hasattr(fit, "noise_variance"):
-        raise TypeError(
+        raise InputTypeError(
             f"the model stands first, and a {type(fit).__name__} came: residuals(fit, data)"
         )
     data = as_dataset(data)
@@ -222,7 +223,7 @@ def _possible(L: int, N: int) -> int:
     """Return the number of lags, or refuse one that N residuals do not allow."""
     longest = max(N // 2, 1)
     if not 1 <= L <= longest:
-        raise ValueError(f"lags={L} must be 1 to {longest}, half of the {N} residuals")
+        raise InputError(f"lags={L} must be 1 to {longest}, half of the {N} residuals")
     return L
 
 

@@ -8,6 +8,7 @@ from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
@@ -79,7 +80,7 @@ class Scored:
     def model(self) -> Fit:
         """The model of one that has one, as all have that are ranked."""
         if self.fit is None:
-            raise ValueError(self.reason)
+            raise InputError(self.reason)
         return self.fit
 
     @property

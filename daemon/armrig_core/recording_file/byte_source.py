@@ -6,6 +6,8 @@ import hashlib
 import zlib
 from typing import IO
 
+from armrig_core.errors import InputError
+
 _BLOCK = 1 << 18  # B that are read at once where nobody wants them
 
 
@@ -57,6 +59,6 @@ class ByteSource:
     def sha256(self) -> str:
         """Read the rest; return the hash of the file, as large as it was when it was opened."""
         if self._hash is None:
-            raise ValueError("is_hashed=True was not asked for")
+            raise InputError("is_hashed=True was not asked for")
         self.skip(self.left)
         return self._hash.hexdigest()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from math import ceil
 
+from armrig_core.errors import InputError
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import SETPOINTS_PER_FRAME, Exchange, Ping, Pong, Sample, Setpoints
 
@@ -45,7 +46,7 @@ def check(
     least = (scheduled_us if scheduled else exchange_us)(baud, conversion_us)
     if ts_us < least:
         mode = "scheduled" if scheduled else "exchange"
-        raise ValueError(
+        raise InputError(
             f"Ts={ts_us / 1e6:g} s cannot be carried at {baud} baud in {mode} mode: "
             f"at least {least / 1e6:g} s, or a higher baud rate"
         )

@@ -27,6 +27,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from armrig_core.errors import InputError
+
 _WRAP = 1 << 32
 _BACK_US = 1 << 24  # 16.8 s; leaves 71.3 min of silence before a wrap is missed
 _DRIFT_PRIOR = 1 / 3.0**2  # (ns/µs)⁻²: 3000 ppm, a ceramic resonator is good to 0.5 %
@@ -198,7 +200,7 @@ def std_ns_at(clock: ClockMap, device_us: int) -> float:
 
 def _require_exchange(clock: ClockMap) -> None:
     if clock.weight == 0:
-        raise ValueError("the map knows no exchange yet; PING the device first")
+        raise InputError("the map knows no exchange yet; PING the device first")
 
 
 def estimate(clock: ClockMap) -> Estimate:

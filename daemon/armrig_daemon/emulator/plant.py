@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 from armrig_core.arm import ArmParameters, Matrix, arm_matrices, chassis_matrices
+from armrig_core.errors import InputError
 from scipy.linalg import expm
 
 State = tuple[float, float, float, float]
@@ -81,9 +82,9 @@ def build(
     """
     for name, value in (("coulomb_nm", coulomb_nm), ("stiffening", stiffening)):
         if not isfinite(value) or value < 0:
-            raise ValueError(f"{name}={value!r} must be finite and >= 0")
+            raise InputError(f"{name}={value!r} must be finite and >= 0")
     if substep_ns < 1:
-        raise ValueError(f"substep_ns={substep_ns} must be at least 1")
+        raise InputError(f"substep_ns={substep_ns} must be at least 1")
     free, locked = _tables(arm, arm_removed)
     return Plant(
         free=free,
@@ -113,7 +114,7 @@ def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
        SIAM J. Numerical Analysis 5 (1968) 506-517.
     """
     if dt_ns < 0:
-        raise ValueError(f"dt_ns={dt_ns} must be >= 0")
+        raise InputError(f"dt_ns={dt_ns} must be >= 0")
     if plant.coulomb_nm or plant.stiffening:
         return _split(plant, x, u, dt_ns)
     return _flow(plant.free, x, u, dt_ns)

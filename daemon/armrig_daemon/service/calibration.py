@@ -6,6 +6,7 @@ from typing import Any
 
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import check_measured
+from armrig_core.errors import InputError
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config
@@ -37,17 +38,17 @@ def checked_calibration(
     uid = str(device.get("uid", made.device_uid))  # without a device the core refuses
     if (made.rig, made.device_uid) != (config.rig.id, uid):
         whose = f"rig {made.rig[:_LONGEST]}, device {made.device_uid[:_LONGEST]}"
-        raise ValueError(
+        raise InputError(
             f"the calibration is of {whose}, and this is rig {config.rig.id}, device {uid}: "
             "calibrate this one with `armrig calibrate`"
         )
     if len(made.date) > _LONGEST or not made.date.isprintable():
-        raise ValueError(f"made.date: at most {_LONGEST} characters that print are allowed")
+        raise InputError(f"made.date: at most {_LONGEST} characters that print are allowed")
     for name in ("theta_1", "alpha"):
         now, wraps = getattr(config.calibration, name).wraps, getattr(calibration, name).wraps
         if wraps != now:
             # Where alpha wraps, arming does not look for it at the end of its range.
-            raise ValueError(
+            raise InputError(
                 f"{name}.wraps = {str(wraps).lower()}: must be {str(now).lower()}, as the "
                 "configuration of this rig says"
             )

@@ -10,6 +10,7 @@ from math import inf
 from typing import NamedTuple
 
 from armrig_core.commands import Renew, Run
+from armrig_core.errors import InputError
 
 
 class ClientWatchdog(NamedTuple):
@@ -43,7 +44,7 @@ def renewed(presence: ClientWatchdog | None, sign: Renew, now_s: float) -> Clien
         There is no run in hand, it is somebody else's, or the sign is an old one.
     """
     if presence is None or sign.lease != presence.lease:
-        raise ValueError("no run of this lease is in hand")
+        raise InputError("no run of this lease is in hand")
     if sign.n <= presence.n:
-        raise ValueError(f"n={sign.n} must be greater than the last, {presence.n}")
+        raise InputError(f"n={sign.n} must be greater than the last, {presence.n}")
     return presence._replace(n=sign.n, heard_s=now_s)

@@ -13,6 +13,7 @@ from functools import partial
 from typing import Any, NamedTuple, assert_never
 
 from armrig_core import commands
+from armrig_core.errors import InputError
 from armrig_core.volts import code_of
 from msgspec.structs import replace
 
@@ -185,14 +186,14 @@ class Commands:
     def _carry_out(self, command: Command, request: commands.Requests) -> None:
         """Hand a request to the loop; raises ValueError where it is not allowed."""
         if isinstance(request, commands.Leased) and command.by != self._holder.by:
-            raise ValueError(orders.NOT_HELD)
+            raise InputError(orders.NOT_HELD)
         match request:
             case commands.Status():
                 command.answer(self._rig.status(self._runs.last))
             case commands.Arm():
                 error = self._objection()
                 if error:
-                    raise ValueError(error)
+                    raise InputError(error)
                 lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
                 owner = signed(request.owner, command.by)
                 self._order(
@@ -234,7 +235,7 @@ class Commands:
         """Publish and record a note. The loop, and so the motor, never hears of it."""
         left = take_at(_NOTES_PER_S, _MOST_NOTES, self._notes, time.monotonic())
         if left is None:
-            raise ValueError(
+            raise InputError(
                 f"too many notes came, {_NOTES_PER_S:g} a second are taken{commands.TRY_AGAIN}"
             )
         self._notes = left
@@ -245,7 +246,7 @@ class Commands:
     def _calibrate(self, command: Command, request: commands.Calibrate) -> None:
         """Hand a calibration to the loop, which needs its figures only."""
         if self._calibration is not None:
-            raise ValueError("another calibration is on its way: try again")
+            raise InputError("another calibration is on its way: try again")
         device = self._rig.state.device
         checked = checked_calibration(request.calibration, request.raw, self._config, device)
         self._order(command, Calibrate(calibration=replace(checked, made=None)))
@@ -268,18 +269,18 @@ class Commands:
     def _check_holder(self, request: commands.Run) -> None:
         """Raise ValueError where the core is sure to refuse a run, before it is rehearsed."""
         if request.lease != self._lease:
-            raise ValueError(orders.NOT_HELD)
+            raise InputError(orders.NOT_HELD)
         if request.n <= self._n:
-            raise ValueError(orders.not_newer(request.n, self._n))
+            raise InputError(orders.not_newer(request.n, self._n))
         if self._rig.state.phase == Phase.ACTIVE and self._runs.is_idle:
-            raise ValueError(orders.BY_HAND)
+            raise InputError(orders.BY_HAND)
 
     def _ts_us(self, Ts: float | None) -> int:
         """Return the sampling time asked for, in µs; 0 for the configured one."""
         if Ts is None:
             return 0
         if round(Ts * 1e6, 3) % 1:
-            raise ValueError(f"Ts={Ts} must be a whole number of microseconds")
+            raise InputError(f"Ts={Ts} must be a whole number of microseconds")
         check(round(Ts * 1e6), self._config.device.baud, scheduled=True)
         return round(Ts * 1e6)
 
@@ -290,7 +291,7 @@ class Commands:
         if who is None:
             who = self._holder.owner if isinstance(order, Leased) else signed("", command.by)
         if len(self._waiting) >= _MOST_ASKED and isinstance(order, pipe.Arm | Reset | Calibrate):
-            raise ValueError("too many commands are waiting: try again")
+            raise InputError("too many commands are waiting: try again")
         self._numbers += 1
         order = replace(order, order=self._numbers)
         until = time.monotonic() + ANSWER_S

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import msgspec
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig_daemon.config import Limits
@@ -32,11 +33,11 @@ def checked(u: Sequence[float], limits: Limits) -> NDArray[np.float64]:
     outside = ~((volts >= low) & (volts <= high))
     if outside.any():
         i = int(np.argmax(outside))
-        raise ValueError(f"u[{i}]={volts[i]:.4g} V is outside {low:.4g} … {high:.4g} V")
+        raise InputError(f"u[{i}]={volts[i]:.4g} V is outside {low:.4g} … {high:.4g} V")
     steps = np.abs(np.diff(volts, prepend=0.0))
     # What is left over is what two numbers like 0.3 and 1.3 differ from 1 by.
     far = steps > slew * (1 + 1e-9)
     if slew and far.any():
         i = int(np.argmax(far))
-        raise ValueError(f"u[{i}] steps by {steps[i]:.4g} V: at most {slew:.4g} V in a sample")
+        raise InputError(f"u[{i}] steps by {steps[i]:.4g} V: at most {slew:.4g} V in a sample")
     return volts

@@ -15,6 +15,7 @@ import numpy as np
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import raw_samples
 from armrig_core.commands import LastRun, Renew, Run, RunAccepted
+from armrig_core.errors import InputError
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Manifest
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
@@ -131,10 +132,10 @@ class Runs:
             rehearsal is outside the limits.
         """
         if not self.is_idle:
-            raise ValueError("an experiment is running: stop it first, or wait for its end")
+            raise InputError("an experiment is running: stop it first, or wait for its end")
         error = check_directory(self._directory, _ROOM_PER_SAMPLE * len(request.u) + _ROOM)
         if error:
-            raise ValueError(error)
+            raise InputError(error)
         limits, arm = self._config.limits, self._config.arm
         u = checked(request.u, limits)
         alive()

@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 from armrig_core.commands import Run
 from armrig_core.emulated import VIRTUAL_PORT
+from armrig_core.errors import InputError
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.telemetry import decode_sample
 from msgspec.structs import replace
@@ -187,5 +188,5 @@ def requests_of(text: bytes) -> list[Run]:
             fields: dict[str, Any] = msgspec.json.decode(line, type=dict[str, Any])
             runs.append(msgspec.convert({"lease": LEASE, "n": 0, **fields}, Run))
         except msgspec.MsgspecError as err:
-            raise ValueError(f"line {number} is no run: {err}") from err
+            raise InputError(f"line {number} is no run: {err}") from err
     return runs

@@ -6,6 +6,7 @@ import warnings
 from typing import overload
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.data.argument import takes_recordings
@@ -49,7 +50,7 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
         order is neither 0 nor 1.
     """
     if order not in (0, 1):
-        raise ValueError(
+        raise InputError(
             f"order={order!r} must be 0 (remove the mean) or 1 (remove a straight line)"
         )
     reason = integrating(data) if order == 1 else ""
@@ -108,7 +109,7 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
     """
     if not data.trends:
         done = "; ".join(data.history) or "no step"
-        raise ValueError(
+        raise InputError(
             "there is no trend to put back: detrend was not applied to these data, or they were "
             f"filtered after it (history: {done}); keep the data from before that step"
         )
@@ -125,7 +126,7 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
         )
     taken = column("y", y)
     if taken.size != data.N:
-        raise ValueError(
+        raise InputError(
             f"y has {taken.size} samples and the data have {data.N}; give one for each instant"
         )
     return taken + y_trend

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
@@ -76,7 +77,7 @@ def drift(
     else:
         reason = f"{data.output} was said to integrate" if integrator else ""
     if reason:
-        raise ValueError(
+        raise InputError(
             f"{reason}: its line is the answer to the mean of u, not a drift; estimate the "
             "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
         )
@@ -86,13 +87,13 @@ def drift(
 def _drift_of(part: Dataset, n: int) -> Drift:
     needed = 4 * n + 10
     if part.N - part.missing < needed:
-        raise ValueError(
+        raise InputError(
             f"an experiment has {part.N - part.missing} samples; a drift by a model of order {n} "
             f"needs {needed}: lower the order"
         )
     model = whitening([(part.u, part.y)], n, slope=True)
     if model.rows < needed - n:
-        raise ValueError(
+        raise InputError(
             f"{model.rows} samples of an experiment come after {n} others without a gap; a drift "
             f"by a model of order {n} needs {needed - n}: lower the order"
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import isclose
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.data.argument import takes_recordings
@@ -62,7 +63,7 @@ def prefilter(
         inside 0 to pi/Ts, or no sample would be left.
     """
     if (numerator is None) == (band is None):
-        raise ValueError(
+        raise InputError(
             "give either numerator (and denominator) of the filter, or band=(low, high) in rad/s"
         )
     if band is not None:
@@ -78,7 +79,7 @@ def prefilter(
         y[rows] = _from_steady(L, _held(part.y, part.valid))
         valid[rows] = _known_for(part.valid, memory)
     if not valid.any():
-        raise ValueError(
+        raise InputError(
             f"{L.name} remembers {memory} samples, and no stretch of y without a gap is that long; "
             "take a shorter filter (a wider band, a lower order, or a numerator alone)"
         )
@@ -121,7 +122,7 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     require_numbers(Ts=Ts)
     factor = round(Ts / data.Ts) if 0 < Ts < np.inf else 0
     if factor < 1 or not isclose(factor * data.Ts, Ts, rel_tol=1e-6):
-        raise ValueError(
+        raise InputError(
             f"Ts={Ts!r} s must be a whole multiple of the data's {data.Ts:g} s, for example "
             f"{2 * data.Ts:g} s; a faster rate would invent samples"
         )
@@ -132,7 +133,7 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     us, ys, masks = [], [], []
     for i, part in enumerate(data.experiments()):
         if 2 * half + 1 > part.N:
-            raise ValueError(
+            raise InputError(
                 f"experiment {i} has {part.N} samples; resampling to {Ts:g} s needs "
                 f"{2 * half + 1}: leave it out with select, or take a shorter Ts"
             )
@@ -142,7 +143,7 @@ def resample(data: Dataset, Ts: float) -> Dataset:
         masks.append(valid)
     valid = np.concatenate(masks)
     if not valid.any():
-        raise ValueError(
+        raise InputError(
             f"no stretch of y without a gap has {2 * half + 1} samples, as the anti-alias filter "
             f"for {Ts:g} s needs: record at that rate instead, or difference and average"
         )
@@ -190,7 +191,7 @@ def _rational(numerator: ArrayLike | None, denominator: ArrayLike) -> _Filter:
     b = column("numerator", () if numerator is None else numerator)
     a = column("denominator", denominator)
     if a[0] == 0 or not stable(a):
-        raise ValueError(
+        raise InputError(
             f"the filter's denominator {a.tolist()} must begin with a number that is not 0 and "
             "have its roots inside the unit circle; differences are made with difference(data)"
         )
@@ -210,7 +211,7 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
     require_integers(order=(order, 1))
     nyquist = np.pi / Ts
     if not (0 <= low < high and low < nyquist) or (low == 0 and high >= nyquist):
-        raise ValueError(
+        raise InputError(
             f"band=({low:g}, {high:g}) rad/s must lie inside 0 to {nyquist:g} rad/s (pi/Ts), "
             "with low < high and not all of it"
         )
@@ -245,7 +246,7 @@ def _memory(L: _Filter) -> int:
             return max(int(short[0]), 1)
         length *= 4
         if length > _LONGEST_MEMORY:
-            raise ValueError(
+            raise InputError(
                 f"the filter remembers more than {length // 8} samples; widen its band"
             )
 

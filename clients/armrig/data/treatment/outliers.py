@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
@@ -59,18 +60,18 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
     n = max(min(20, count // 10), 1) if order is None else order
     require_integers(order=(n, 1))
     if count < 5 * n + 10:
-        raise ValueError(
+        raise InputError(
             f"{count} samples are too few to find outliers with order={n}; "
             f"{5 * n + 10} are needed: lower the order"
         )
     limit = float(-ndtri(_FALSE_ALARM / (2 * count))) if threshold is None else threshold
     require_numbers(threshold=limit)
     if not limit > 0:
-        raise ValueError(f"threshold={threshold!r} must be > 0, in robust standard deviations")
+        raise InputError(f"threshold={threshold!r} must be > 0, in robust standard deviations")
     wrong = np.concatenate(wrong_samples([(d.u, d.y) for d in data.experiments()], n, limit))
     found = np.flatnonzero(wrong)
     if found.size > MOST * count:
-        raise ValueError(
+        raise InputError(
             f"{found.size} of {count} samples would be outliers at threshold={limit:.2f}: that "
             "is another process, not outliers; plot the data, or raise the threshold"
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Vector
@@ -133,7 +134,7 @@ def _robust_std(x: Vector, parts: Sequence[tuple[Vector, Vector]]) -> float:
     # The spread of x, not of e: where noise is no ARX model's, e is coloured and x is larger.
     known = x[np.isfinite(x)]
     if known.size == 0:
-        raise ValueError(
+        raise InputError(
             "no stretch of y is long enough for the model: there are too many gaps; lower the order"
         )
     mad = float(np.median(np.abs(known)))

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Literal
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
@@ -65,16 +66,16 @@ def predicted_std(
     """
     variance = model.noise_variance if noise_variance is None else noise_variance
     if not (np.isfinite(variance) and variance > 0):
-        raise ValueError(
+        raise InputError(
             f"noise_variance={variance!r} must be > 0; give the variance of e, for example of an "
             "earlier fit"
         )
     if initial not in ("estimate", "zero"):
-        raise ValueError(f'initial={initial!r} must be "estimate" or "zero"')
+        raise InputError(f'initial={initial!r} must be "estimate" or "zero"')
     planned = planned_data(u, model.Ts)
     output_error = model.A.size == model.C.size == model.D.size == 1
     if planned.missing and not output_error:
-        raise ValueError(
+        raise InputError(
             f"{planned.missing} samples are missing; gaps are planned for with an output-error "
             "model only: plan with the complete input"
         )

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from armrig_core.arm import ArmParameters
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
@@ -66,12 +67,12 @@ def predicted_parameter_std(
     p = ArmParameters() if fixed is None else fixed
     unknown = [name for name in free if not getattr(p, name, 0.0) > 0]
     if unknown or not free:
-        raise ValueError(
+        raise InputError(
             f"free={tuple(free)} must name parameters that are > 0, of J_1, J_2, N, K_lin, R_m, "
             "K_m and b_1"
         )
     if not noise_variance > 0:
-        raise ValueError(
+        raise InputError(
             f"noise_variance={noise_variance!r} must be > 0, in the output's unit squared"
         )
     planned = planned_data(u, Ts)
@@ -115,7 +116,7 @@ def _transfer(system: Any, Ts: float, output: str) -> tuple[Vector, Vector]:
     """Return B and F of one output of a state space, sampled under a held input."""
     labels = list(system.output_labels)
     if output not in labels:
-        raise ValueError(f"output={output!r} is none of the model's {', '.join(labels)}")
+        raise InputError(f"output={output!r} is none of the model's {', '.join(labels)}")
     i = labels.index(output)
     return transfer(np.asarray(system.A), np.asarray(system.B), np.asarray(system.C)[i], Ts)
 

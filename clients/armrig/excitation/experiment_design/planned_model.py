@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.dataset import Vector
 from armrig.numerics.checks import column
@@ -68,13 +69,13 @@ class PlannedModel:
             p = column(name, getattr(self, name))
             object.__setattr__(self, name, p)
             if name != "B" and p[0] != 1:
-                raise ValueError(f"{name}={p.tolist()} must begin with 1")
+                raise InputError(f"{name}={p.tolist()} must begin with 1")
         if not self.B.any():
-            raise ValueError("B has no coefficient but 0; give the numerator in q^-1, delay first")
+            raise InputError("B has no coefficient but 0; give the numerator in q^-1, delay first")
         name = integrating_polynomial(self)
         p = getattr(self, name or "F")
         if name and abs(np.sum(p)) > 1e-8 * np.sum(np.abs(p)):
-            raise ValueError(
+            raise InputError(
                 f"integrator=True, but {name}(1)={np.sum(p):.3g} is not 0; multiply {name} with "
                 "1 - q^-1"
             )
@@ -83,7 +84,7 @@ class PlannedModel:
             if not stable(p):
                 msg = f"{name} has a root on or outside the unit circle"
                 msg += "; an integrator is told by integrator=True" if name == "F" else ""
-                raise ValueError(msg)
+                raise InputError(msg)
 
     @property
     def nk(self) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.dataset import Dataset, Vector
@@ -68,13 +69,13 @@ class PredictedStd:
 
     def _index(self, name: str) -> int:
         if name not in self.names:
-            raise ValueError(f"{name!r} is none of the parameters {', '.join(self.names)}")
+            raise InputError(f"{name!r} is none of the parameters {', '.join(self.names)}")
         return self.names.index(name)
 
     def _times_longer(self, name: str, std: float) -> float:
         require_numbers(**{name: std})
         if not std > 0:
-            raise ValueError(f"{name}={std!r}: a standard deviation wanted must be > 0")
+            raise InputError(f"{name}={std!r}: a standard deviation wanted must be > 0")
         return float(self.std[self._index(name)] / std) ** 2
 
     def __repr__(self) -> str:
@@ -92,7 +93,7 @@ def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
         taken = column("u", u)
         return Dataset(u=taken, y=np.zeros(taken.size), Ts=Ts)
     if not np.isclose(u.Ts, Ts, rtol=1e-9, atol=0.0):
-        raise ValueError(
+        raise InputError(
             f"the model has Ts={Ts:g} s and the data have Ts={u.Ts:g} s; plan at one rate"
         )
     return u
@@ -107,7 +108,7 @@ def inverted(
     """
     basis = orthonormal(Psi)
     if basis.rank < Psi.shape[1]:
-        raise ValueError(
+        raise InputError(
             f"the planned input determines only {basis.rank} of {Psi.shape[1]} parameters; "
             "excite with a richer input (describe_input tells its order), or lower the orders"
         )

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from armrig_core.arm import ArmParameters, require_parameters
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -136,7 +137,7 @@ def _require_samples(
     needed = len(names) + (states + 1) * len(experiments) + 1
     if samples < needed or min(part.N for part in experiments) < 2:
         where = f" in {len(experiments)} experiments, two in each" if len(experiments) > 1 else ""
-        raise ValueError(
+        raise InputError(
             f"{samples} samples came, to estimate {', '.join(names)} at least {needed} are "
             f"needed{where}: record longer, or cut into fewer parts"
         )
@@ -158,7 +159,7 @@ def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:
 def _speed(physics: Physics) -> int:
     states = physics.labels()[1]
     if RATE not in states:
-        raise ValueError(f"Coulomb friction needs a state {RATE!r}, the model has {states}")
+        raise InputError(f"Coulomb friction needs a state {RATE!r}, the model has {states}")
     return states.index(RATE)
 
 
@@ -246,6 +247,6 @@ def _fit(
 def _require_seen(names: tuple[str, ...], seen: NDArray[np.bool_]) -> None:
     lost = [name for name, there in zip(names, seen, strict=True) if not there]
     if lost:
-        raise ValueError(
+        raise InputError(
             f"the data do not show {', '.join(lost)}: hold it fixed, or excite the rig more"
         )

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.dataset import Dataset
 from armrig.physics.grey_box.parameters import COULOMB, NAMES
@@ -19,26 +20,26 @@ def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...
     if isinstance(free, str):
         free = (free,)
     if friction not in (None, "viscous", "coulomb", "both"):
-        raise ValueError(f'friction={friction!r} must be None, "viscous", "coulomb" or "both"')
+        raise InputError(f'friction={friction!r} must be None, "viscous", "coulomb" or "both"')
     for name in free:
         if name not in NAMES:
             msg = f"free={name!r} is none of {', '.join(NAMES)}"
             msg += "; give several one by one" if "," in name else ""
-            raise ValueError(msg)
+            raise InputError(msg)
     names = list(free)
     if friction in ("viscous", "both") and "b_1" not in names:
         names.append("b_1")
     if friction in ("coulomb", "both"):
         names.append(COULOMB)
     if not free or len(set(names)) < len(names):
-        raise ValueError(f"free={tuple(free)} must name at least one parameter, and none twice")
+        raise InputError(f"free={tuple(free)} must name at least one parameter, and none twice")
     return tuple(names)
 
 
 def require_output(data: Dataset, output: str) -> None:
     """Refuse a recording's data of another output than the model's."""
     if data.output in _RECORDED and data.output != output:
-        raise ValueError(
+        raise InputError(
             f"the data are {data.output}, the model's output is {output}; take "
             f"recording.dataset(output={output!r})"
         )
@@ -50,7 +51,7 @@ def checked_fixed_std(fixed_std: Mapping[str, float], names: tuple[str, ...]) ->
         if name not in NAMES or name in names:
             msg = f"fixed_std={name!r} is no parameter that is held fixed; these are "
             msg += ", ".join(x for x in NAMES if x not in names)
-            raise ValueError(msg)
+            raise InputError(msg)
         if not (np.isfinite(std) and std >= 0):
-            raise ValueError(f"fixed_std[{name!r}]={std!r} must be finite and >= 0")
+            raise InputError(f"fixed_std[{name!r}]={std!r} must be finite and >= 0")
     return dict(fixed_std)

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from armrig_core.arm import ArmParameters
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -191,7 +192,7 @@ def _tried(
     if width is not None:
         s = max(width, least)
         if 2 * reach(s, data.Ts) + 1 > longest:
-            raise ValueError(
+            raise InputError(
                 f"width={width:g} s: the kernel sees {2 * reach(s, data.Ts) + 1} samples, the "
                 f"longest experiment has {longest}; give {longest * data.Ts / 10:.2g} s or less"
             )
@@ -210,7 +211,7 @@ def _tried(
         msg += "for each unknown: record longer"
         if COULOMB in names:
             msg += ', or with fewer stops; friction="viscous" leaves nothing out near a stop'
-        raise ValueError(msg)
+        raise InputError(msg)
     return found
 
 
@@ -323,13 +324,13 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
     X, target, moved = balance.X[kept], balance.target[kept], balance.moved[kept]
     columns = X.shape[1]
     if target.size < _ROWS * columns:
-        raise ValueError(
+        raise InputError(
             f"smoothing over {s:.3g} s leaves {target.size} values for {columns} "
             f"unknowns, each of which needs {_ROWS}; give longer data, or another width"
         )
     basis = orthonormal(X)
     if basis.rank < columns:
-        raise ValueError(
+        raise InputError(
             "the data do not tell torque, friction and offset apart: excite the rig more"
         )
     beta, e = basis.coefficients(target), basis.without(target)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.arm import ArmParameters
+from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import NDArray
 from scipy.linalg import expm, expm_frechet
 
@@ -69,18 +70,18 @@ class Physics:
     def check(self) -> None:
         """Refuse a model that cannot be sampled here, or that lacks the output."""
         if not callable(self.model) or hasattr(self.model, "dt"):
-            raise TypeError(
+            raise InputTypeError(
                 f"model is a {type(self.model).__name__}: give a function of the parameters, "
                 "armrig.chassis or armrig.arm, without parentheses"
             )
         system = self.model(self.fixed)
         if system.dt not in (0, None) or system.ninputs != 1:
-            raise ValueError(
+            raise InputError(
                 f"the model has dt={system.dt} and {system.ninputs} inputs; it must be in "
                 "continuous time with one input"
             )
         if self.output not in system.output_labels:
-            raise ValueError(
+            raise InputError(
                 f"output={self.output!r} is none of the model's {system.output_labels}"
             )
 

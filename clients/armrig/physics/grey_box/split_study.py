@@ -8,6 +8,7 @@ from math import isfinite, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -232,7 +233,7 @@ def split_study(
     """
     require_several(parts=parts)
     if not parts:
-        raise ValueError("parts=() is empty; give numbers of parts, such as (1, 2, 4)")
+        raise InputError("parts=() is empty; give numbers of parts, such as (1, 2, 4)")
     for k in parts:
         require_integers(parts=(k, 1))
     estimator = greybox if estimator is None else estimator
@@ -268,7 +269,7 @@ def _estimated(
         if isinstance(fit, GreyFit):
             fit.require_result()
     except ValueError as err:
-        raise ValueError(f"{part}: {err}") from err
+        raise InputError(f"{part}: {err}") from err
     return _numbers(fit, parameter)
 
 
@@ -277,14 +278,14 @@ def _numbers(fit: Any, parameter: str | None) -> tuple[str, float, float]:
     names = list(fit.names)
     name = names[0] if parameter is None else parameter
     if name not in names:
-        raise ValueError(f"parameter={name!r} is none of {', '.join(names)}")
+        raise InputError(f"parameter={name!r} is none of {', '.join(names)}")
     if hasattr(fit, "std_noise"):
         value, std = fit.values[name], fit.std_noise[name]
     else:
         i = names.index(name)
         value, std = float(fit.theta[i]), float(fit.std[i])
     if not (isfinite(value) and isfinite(std) and std > 0):
-        raise ValueError(
+        raise InputError(
             f"{name} = {value:g} ± {std:g} in a part: there is no standard deviation to study"
         )
     return name, value, std

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
@@ -21,7 +22,7 @@ def determined(Psi: Matrix) -> Basis:
     """Return the basis of the derivatives, or refuse parameters that stand in for each other."""
     basis = orthonormal(Psi)
     if basis.rank < Psi.shape[1]:
-        raise ValueError(
+        raise InputError(
             f"the data determine only {basis.rank} of {Psi.shape[1]} parameters, some stand in "
             "for each other: hold more of them fixed"
         )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import ceil, inf, sin
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.physics.integrators.exact import exact
@@ -79,7 +80,7 @@ def sinusoid(
     A_, B_, x0_ = system(A, B, x0)
     require_positive(omega=omega)
     if B_.shape[1] != 1:
-        raise ValueError(f"B has shape {B_.shape}; one input is allowed")
+        raise InputError(f"B has shape {B_.shape}; one input is allowed")
     span = 3 * 2 * np.pi / omega if span is None else span
     require_positive(span=span)
     return Sinusoid(A=A_, B=B_, amplitude=amplitude, omega=omega, x0=x0_, span=span)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
@@ -54,11 +55,11 @@ def exact(
     require_numbers(amplitude=amplitude, omega=omega)
     times = np.atleast_1d(np.asarray(t, dtype=np.float64))
     if B_.shape[1] != 1 or times.ndim != 1:
-        raise ValueError(
+        raise InputError(
             f"B has shape {B_.shape} and t {times.shape}; one input and t (N,) are allowed"
         )
     if not (np.isfinite([amplitude, omega]).all() and np.isfinite(times).all()):
-        raise ValueError(f"amplitude={amplitude!r}, omega={omega!r} and all t must be finite")
+        raise InputError(f"amplitude={amplitude!r}, omega={omega!r} and all t must be finite")
     n = A_.shape[0]
     block = np.zeros((n + 2, n + 2))
     block[:n, :n], block[:n, n] = A_, amplitude * B_[:, 0]

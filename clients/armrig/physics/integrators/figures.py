@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.canvas import (
@@ -121,7 +122,7 @@ def plot_stability_edge(
     A_, *_ = system(A, np.zeros(np.shape(A)[0]))
     limit = stability_limit(A_, method)
     if not 0 < limit < np.inf:
-        raise ValueError(
+        raise InputError(
             f"the limit of {method} on this system is {limit}: there is no edge to show"
         )
     ax, below = panels(ax, 0.5)

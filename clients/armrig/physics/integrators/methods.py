@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.numerics.polynomial import Array
 
@@ -153,7 +154,7 @@ def method_named(name: str) -> Method:
         There is none of this name.
     """
     if name not in METHODS:
-        raise ValueError(f"method={name!r} is none of {', '.join(METHODS)}")
+        raise InputError(f"method={name!r} is none of {', '.join(METHODS)}")
     return METHODS[name]
 
 

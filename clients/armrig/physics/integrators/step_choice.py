@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, inf, isfinite
 
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
 from armrig.physics.integrators.accuracy import Sinusoid, all_methods, sinusoid
@@ -104,7 +105,7 @@ def recommend_step(
     """
     require_positive(tolerance=tolerance)
     if not 1e-8 <= tolerance <= 0.5:
-        raise ValueError(f"tolerance={tolerance!r} must be from 1e-8 (rounding comes near) to 0.5")
+        raise InputError(f"tolerance={tolerance!r} must be from 1e-8 (rounding comes near) to 0.5")
     problem = sinusoid(A, B, amplitude=amplitude, omega=omega, x0=x0, span=span)
     rows = sorted(
         (_advice(problem, m, tolerance) for m in all_methods(methods)), key=lambda r: r.work
@@ -115,7 +116,7 @@ def recommend_step(
 def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
     limit = stability_limit(problem.A, method)
     if limit == 0:
-        raise ValueError(
+        raise InputError(
             f"{method} is stable on this system at no step; "
             "take another method, or a system whose motion does not grow"
         )

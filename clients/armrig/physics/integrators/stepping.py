@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lu_factor, lu_solve
 
@@ -84,7 +85,7 @@ def integrate(
 
 def _require_function(u: object) -> None:
     if not callable(u):
-        raise TypeError(
+        raise InputTypeError(
             f"u is a {type(u).__name__}: give a function of the time in s, such as lambda t: 2.5"
         )
 
@@ -93,7 +94,7 @@ def _input(u: Callable[[float], Any], t: Vector, m: int) -> Matrix:
     """Return u at each time, (len(t), m)."""
     values = np.array([np.ravel(u(float(x))) for x in t], dtype=np.float64)
     if values.shape[1] != m:
-        raise ValueError(f"u(t) gives {values.shape[1]} numbers, B takes {m}")
+        raise InputError(f"u(t) gives {values.shape[1]} numbers, B takes {m}")
     return values
 
 

@@ -10,6 +10,7 @@ from io import BytesIO, StringIO
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -108,7 +109,7 @@ def decompressed(data: bytes) -> dict[str, Readings]:
             text = packed.read(_LONGEST).decode()
         heading, *lines = text.splitlines()
         if heading != _HEADING:
-            raise ValueError(f"begins with {heading[:80]!r}")
+            raise InputError(f"begins with {heading[:80]!r}")
         rows: dict[str, list[list[float]]] = {}
         for line in lines:
             name, *fields = line.split(",")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.rig.bench import targets
 from armrig.rig.bench.machine import Machine
@@ -104,7 +105,7 @@ def check_figure(path: Path) -> None:
 
     kinds = Figure().canvas.get_supported_filetypes()
     if path.suffix.lower().removeprefix(".") not in kinds:
-        raise ValueError(f"{path}: a figure's name ends in one of {', '.join(sorted(kinds))}")
+        raise InputError(f"{path}: a figure's name ends in one of {', '.join(sorted(kinds))}")
 
 
 def write_figure(result: Result, path: Path) -> None:

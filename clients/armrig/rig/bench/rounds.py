@@ -17,6 +17,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 from armrig_core.endpoint import endpoint
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.recordings.loading import load
@@ -58,13 +59,13 @@ class Plan:
         """Refuse what the daemon cannot sample."""
         for rate in self.rates_hz:
             if not 1 <= rate <= 2000 or 1_000_000 % rate:
-                raise ValueError(
+                raise InputError(
                     f"rate {rate} Hz: 1 to 2000 with a period of whole µs, such as 100 or 1000"
                 )
         if not self.rates_hz:
-            raise ValueError("no rate to measure at: give some, such as --rates 100,1000")
+            raise InputError("no rate to measure at: give some, such as --rates 100,1000")
         if not 0.1 <= self.seconds <= MOST_S:
-            raise ValueError(f"{self.seconds:g} s for each contestant: 0.1 to {MOST_S} are allowed")
+            raise InputError(f"{self.seconds:g} s for each contestant: 0.1 to {MOST_S} are allowed")
 
     def ticks(self, rate_hz: int) -> int:
         """Return the ticks of one turn."""

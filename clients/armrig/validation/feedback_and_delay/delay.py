@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import ceil, sqrt
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -95,7 +96,7 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         later = lag_tests(data, response, determined, first=1)
         tests = tests if zero.rig and later.none_shown else later
     if tests.none_shown:
-        raise ValueError(
+        raise InputError(
             f"{data.output} shows no answer to u that can be told from noise: record longer, "
             "or with a larger input"
         )
@@ -150,7 +151,7 @@ def _lag_zero(data: Dataset) -> _LagZero:
     if loop.exact:
         msg = f"u(t) is a multiple of {data.output}(t) in every sample, as under a P controller "
         msg += "whose set point rests: such data do not tell when the rig answers; move the set "
-        raise ValueError(msg + "point")
+        raise InputError(msg + "point")
     if not loop.may_be_direct_term or data.output in SECOND_ORDER:
         return _LagZero(
             rig=False,
@@ -170,7 +171,7 @@ def _enough(data: Dataset) -> int:
     """Return how many samples came, or refuse too few."""
     samples = data.N - data.missing
     if samples < _FEWEST:
-        raise ValueError(
+        raise InputError(
             f"{samples} samples came, the test for a delay needs at least {_FEWEST}: record longer"
         )
     return samples

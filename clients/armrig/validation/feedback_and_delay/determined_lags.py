@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
@@ -34,7 +35,7 @@ def determined_lags(data: Dataset, most: int) -> int:
     own = np.abs(np.diag(R)) > _OWN * column_norms(R)
     found = int(np.argmin(np.append(own, False)))
     if found < min(_POOREST, most):
-        raise ValueError(
+        raise InputError(
             f"u determines {found} lags only: power in so narrow a band tells no delay; play a "
             "telegraph or a PRBS"
         )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
@@ -134,7 +135,7 @@ class OpenLoop:
 def require_level(level: float) -> None:
     """Refuse a level of significance that is none."""
     if not 0 < level < 1:
-        raise ValueError(f"level={level!r} must lie between 0 and 1, such as 0.05")
+        raise InputError(f"level={level!r} must lie between 0 and 1, such as 0.05")
 
 
 @takes_recordings

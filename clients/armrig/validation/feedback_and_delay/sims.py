@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import log10
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
@@ -144,7 +145,7 @@ def _lags(data: Dataset) -> int:
     if p < _LEAST_LAGS:
         needed = _ROWS_PER_PARAMETER * (2 * _LEAST_LAGS + fixed)
         msg = f"{there} samples came; the test for feedback needs at least {needed}: "
-        raise ValueError(msg + "record longer, or lose fewer")
+        raise InputError(msg + "record longer, or lose fewer")
     return p
 
 
@@ -211,7 +212,7 @@ def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
 def _require_information(R: Array, constants: int, d: int, degrees: int) -> None:
     """Refuse data of which nothing is left to test."""
     if degrees < d:
-        raise ValueError(
+        raise InputError(
             f"{degrees + d + FUTURE} samples have their past beside them; the test for feedback "
             f"needs {2 * d + FUTURE}: record longer, or lose fewer"
         )
