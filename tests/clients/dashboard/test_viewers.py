@@ -69,7 +69,7 @@ def test_each_who_is_dropped_is_counted() -> None:
         deaf = [Viewer(lambda: None) for _ in range(3)]
         for viewer in deaf:
             viewers.add(viewer)
-        for _ in range(201):
+        for _ in range(1000):
             viewers.send(b"x")
         late = Viewer(lambda: None)
         viewers.add(late)
