@@ -540,6 +540,13 @@ def armax() -> Variants:
 
 
 @variants
+def ararx() -> Variants:
+    for name in ("odd", "holes", "two"):
+        yield name, armrig.ararx(data()[name], na=2, nb=2, nd=1)
+    yield "integrator", armrig.ararx(integrating(), na=2, nb=2, nd=1, integrator=True)
+
+
+@variants
 def oe() -> Variants:
     for name in ("plain", "holes", "two", "mean"):
         yield name, armrig.oe(data()[name], nb=2, nf=2)

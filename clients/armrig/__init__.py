@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         resample,
         retrend,
     )
+    from armrig.estimation.ararx import ararx
     from armrig.estimation.armax import armax
     from armrig.estimation.arx import arx
     from armrig.estimation.bj import bj
@@ -103,6 +104,7 @@ __all__ = [
     "SubspaceFit",
     "advice",
     "agreement",
+    "ararx",
     "arm",
     "armax",
     "arx",
@@ -177,6 +179,7 @@ _MODULES = {
     "data.dataset": ("Dataset", "merge"),
     "data.files.loading": ("load_data",),
     "data.files.table": ("DataFileError",),
+    "estimation.ararx": ("ararx",),
     "estimation.armax": ("armax",),
     "estimation.arx": ("arx",),
     "estimation.bj": ("bj",),

@@ -74,7 +74,7 @@ Stable = Annotated[
 ]
 Search = Annotated[
     bool,
-    typer.Option("--search", help="Try all structures, or the one given, with several orders."),
+    typer.Option("--search", help="Try several structures, or the one given, with several orders."),
 ]
 MaxOrder = Annotated[
     int, typer.Option("--max-order", min=1, help="Highest order that --search tries.")

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-Family = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid"]
+Family = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx"]
 """A structure with a name of its own: what a command offers and a search tries."""
 FAMILIES: tuple[Family, ...] = get_args(Family)
 Name = Literal[Family, "pem"]
@@ -46,6 +46,8 @@ class Kind:
     """Arguments of its estimator, of those that not every estimator has."""
     closed_loop: bool = False
     """Feedback does not bias it, if its noise model is right."""
+    searched: bool = True
+    """A search for which no structures are given tries it."""
 
     @property
     def title(self) -> str:
@@ -116,6 +118,15 @@ _KINDS = (
         orders={"order": None},
         poles="order",
         takes=("integrator", "weights", "horizon", "focus"),
+    ),
+    Kind(
+        name="ararx",
+        equation="A y = B u + 1/D e",
+        orders={"na": _N, "nb": _N, "nd": 1},
+        poles="na",
+        takes=_SEARCHED,
+        closed_loop=True,
+        searched=False,  # IV4 and BJ cover its noise; it would make a search a quarter longer
     ),
     Kind(
         name="pem",

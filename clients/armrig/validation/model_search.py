@@ -66,8 +66,8 @@ def search(
     validation : Dataset, optional
         Other data; by default the second half of `data`, of which then the first half estimates.
     families : sequence of str, optional
-        Names of structures, such as "oe"; by default all that have a name, and in closed loop
-        those whose noise model keeps feedback from a bias.
+        Names of structures, such as "oe"; by default all but "ararx" and "pem", and in closed loop
+        those of them whose noise model keeps feedback from a bias.
     orders : iterable of int
         Numbers of poles to try, >= 1, an integrator's included.
     nk : int or iterable of int, optional
@@ -116,7 +116,11 @@ def search(
         nk = _likely_delays(known)
     delays = [nk] if isinstance(nk, int) else [*nk]
     if families is None:
-        families = [f for f in FAMILIES if OFFERED[f].closed_loop or not known.closed]
+        families = [
+            name
+            for name, kind in OFFERED.items()
+            if kind.searched and (kind.closed_loop or not known.closed)
+        ]
     if horizon is None and known.closed:
         horizon = 1
     against = doubts(data, known)

@@ -18,6 +18,7 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
     "iv4": {"na": 2, "nb": 2},
     "oe": {"nb": 2, "nf": 2, "starts": "few"},
     "armax": {"na": 2, "nb": 2, "nc": 1, "starts": "few"},
+    "ararx": {"na": 2, "nb": 2, "nd": 1, "starts": "few"},
     "bj": {"nb": 2, "nc": 1, "nd": 1, "nf": 2, "starts": "few"},
     "n4sid": {"order": 2},
 }

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import detrend
+from armrig.estimation.ararx import ararx
 from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
@@ -42,6 +43,11 @@ def armax_data(seed: int, **kwargs: float) -> Dataset:
     return data(seed, (C, A), **kwargs)  # type: ignore[arg-type]
 
 
+def ararx_data(seed: int, **kwargs: float) -> Dataset:
+    """Return A y = B u + e/D."""
+    return data(seed, (np.ones(1), np.convolve(A, D)), **kwargs)  # type: ignore[arg-type]
+
+
 def bj_data(seed: int, **kwargs: float) -> Dataset:
     """Return y = B/A u + C/D e."""
     return data(seed, (C, D), **kwargs)  # type: ignore[arg-type]
@@ -52,6 +58,7 @@ CASES: list[tuple[Callable[..., Fit], Callable[..., Dataset], dict[str, int], li
     (bj, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
     (pem, bj_data, {"nb": 2, "nc": 1, "nd": 1, "nf": 2}, [1, 0.5, 0.5, -0.7, -1.2, 0.6]),
     (pem, armax_data, {"na": 2, "nb": 2, "nc": 1}, [-1.2, 0.6, 1, 0.5, 0.5]),
+    (ararx, ararx_data, {"na": 2, "nb": 2, "nd": 1}, [-1.2, 0.6, 1, 0.5, -0.7]),
 ]
 
 
@@ -107,13 +114,16 @@ def test_without_a_noise_model_box_jenkins_is_output_error() -> None:
     np.testing.assert_allclose(same.std_robust, expected.std_robust, rtol=1e-8)
 
 
-def test_without_c_armax_is_arx() -> None:
+@pytest.mark.parametrize(("estimate", "noise"), [(armax, "nc"), (ararx, "nd")])
+def test_without_a_noise_model_an_equation_error_is_that_of_arx(
+    estimate: Callable[..., Fit], noise: str
+) -> None:
     """On the same rows: those that look back on nothing unknown."""
     seen = data(4, (np.ones(1), A))
     valid = np.random.default_rng(1).random(seen.N) > 0.05
     holed = Dataset(u=seen.u, y=seen.y, Ts=0.1, valid=valid)
 
-    same, expected = armax(holed, na=2, nb=2, nc=0), arx(holed, na=2, nb=2)
+    same, expected = estimate(holed, na=2, nb=2, **{noise: 0}), arx(holed, na=2, nb=2)
 
     assert same.N == expected.N
     np.testing.assert_allclose(same.theta, expected.theta, rtol=1e-9)
@@ -131,6 +141,30 @@ def test_the_state_before_the_first_sample_does_not_show(plant: HandoutPlant) ->
     np.testing.assert_allclose(fit.theta[:4], plant.B[1:], rtol=0, atol=1e-4)
     np.testing.assert_allclose(fit.theta[6:], plant.F[1:], rtol=0, atol=1e-2)
     assert np.count_nonzero(fit.poles().values == 1.0) == 1
+
+
+def test_an_autoregression_of_the_equation_error_may_integrate_too() -> None:
+    """(1 - q^-1) Ã y = B (u - u0) + e/D: the model of the rate, with the offset found."""
+    rate = ararx_data(5, N=3000)
+    angle = Dataset(u=rate.u + 0.3, y=np.cumsum(rate.y), Ts=0.1)
+
+    fit = ararx(angle, na=3, nb=2, nd=1, integrator=True)
+
+    assert (np.abs(fit.theta[3:] - [1, 0.5, -0.7]) < 4 * fit.std[3:]).all()
+    np.testing.assert_allclose(fit.A, np.convolve([1, -1], A), atol=0.1)
+    assert np.count_nonzero(fit.poles().values == 1.0) == 1
+    assert fit.free[0].offset == pytest.approx(0.3, abs=0.1)
+
+
+def test_the_deviations_of_an_ararx_model_hold() -> None:
+    """Errors in their deviations have a mean square of 1, both forms, over 60 runs."""
+    fits = [ararx(ararx_data(k, N=300), na=2, nb=2, nd=1, starts="few") for k in range(60)]
+    error = np.array([fit.theta for fit in fits]) - [-1.2, 0.6, 1, 0.5, -0.7]
+
+    for name in ("std", "std_robust"):
+        z = error / [getattr(fit, name) for fit in fits]
+        assert ((z**2).mean(axis=0) < 1.6).all(), name
+        assert 0.75 < (z**2).mean() < 1.25, name
 
 
 def test_an_armax_model_may_integrate_its_noise_too() -> None:
@@ -380,6 +414,12 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
         bj(seen, nb=2, nc=2, nd=2, nf=2)
     with pytest.raises(ValueError, match=r"nc=-1 must be an integer >= 0"):
         armax(seen, na=1, nb=1, nc=-1)
+    with pytest.raises(ValueError, match=r"nd=-1 must be an integer >= 0"):
+        ararx(seen, na=1, nb=1, nd=-1)
+    with pytest.raises(ValueError, match=r"na=0 must be an integer >= 1"):
+        ararx(seen, na=0, nb=1, nd=1, integrator=True)
+    with pytest.raises(ValueError, match=r"na=2, nb=2, nd=2, nk=1 needs at least \d+ samples"):
+        ararx(seen[:5], na=2, nb=2, nd=2)
     with pytest.raises(ValueError, match=r"determine only|instruments determine"):
         iv4(Dataset(u=np.ones(50), y=bj_data(1).y[:50], Ts=1), na=1, nb=2)
 

@@ -194,6 +194,17 @@ def test_orders_one_to_five_are_tried_by_default() -> None:
     assert sorted(poles) == [1, 2, 3, 4, 5]
 
 
+def test_a_structure_that_is_not_searched_by_default_is_searched_if_asked_for() -> None:
+    """ARARX, with one and two d's."""
+    data = _of_second_order()
+
+    usual = search(data, orders=(2,), nk=1)
+    asked = search(data, families=("ararx",), orders=(2,), nk=1)
+
+    assert "ararx" not in {j.candidate.family for j in (*usual.ranked, *usual.failed)}
+    assert {j.candidate.name for j in asked.ranked} == {"ARARX[2 2 1 1]", "ARARX[2 2 2 1]"}
+
+
 def test_what_cannot_be_searched_is_refused() -> None:
     """With what is allowed."""
     data = _data(1, [1.0], [1.0], 80)

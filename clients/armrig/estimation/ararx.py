@@ -1,0 +1,67 @@
+"""ARARX: the prediction-error estimate where the equation's error is an autoregression."""
+
+from __future__ import annotations
+
+from armrig.data.argument import takes_recordings
+from armrig.data.dataset import Dataset
+from armrig.estimation.prediction_error_fit import Initial, Starts, searched
+from armrig.models.fit import Fit
+from armrig.models.structure import Structure
+from armrig.numerics.checks import require_flags, require_integers
+
+
+@takes_recordings
+def ararx(
+    data: Dataset,
+    *,
+    na: int,
+    nb: int,
+    nd: int,
+    nk: int = 1,
+    integrator: bool = False,
+    offset: bool = False,
+    initial: Initial = "estimate",
+    stable: bool = False,
+    starts: Starts = "many",
+) -> Fit:
+    """Estimate A, B and D in A(q) y(t) = B(q) u(t) + 1/D(q) e(t).
+
+    The structure of generalised least squares: the error of an ARX model, whitened by D.
+
+    Parameters
+    ----------
+    data : Dataset
+        After a gap in y the noise's past is unknown again: it is estimated again.
+    na, nb, nd : int
+        Number of all a's, >= 0, of b's, >= 1, and of d's, >= 0.
+    nk, integrator, offset, initial, stable, starts
+        As in `armax`.
+
+    Returns
+    -------
+    Fit
+        `covariance` is lambda (Psi^T Psi)^-1 of (a, b, d), `covariance_robust` Newey and West's.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples for the orders, or u does not excite the model.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 4.2.
+    """
+    require_flags(integrator=integrator)
+    require_integers(na=(na, int(integrator)), nb=(nb, 1), nd=(nd, 0), nk=(nk, 0))
+    structure = Structure(
+        na=na - int(integrator),
+        nb=nb,
+        nd=nd,
+        nk=nk,
+        integrator="a" if integrator else "",
+        offset=offset,
+    )
+    orders = f"na={na}, nb={nb}, nd={nd}, nk={nk}"
+    return searched(
+        data, structure, name="ararx", orders=orders, initial=initial, stable=stable, starts=starts
+    )
