@@ -88,16 +88,11 @@ def _result(task: Task, recording: Recording, item: Item) -> Row:
 
 
 def _identified(task: Identify, recording: Recording) -> Row:
-    from armrig.estimation.estimators import ESTIMATORS
-    from armrig.estimation.orders import require_sensible
     from armrig.models.model_writing import model_text
 
     data = _treated(recording.dataset(task.signal), wanted=task.detrend)
-    asked = {name: n for name, n in task.orders.items() if n is not None}
-    require_sensible(samples=data.N - data.missing, nk=task.nk, integrator=task.integrator, **asked)
-    wanted = {"integrator": task.integrator, "offset": task.offset, "stable": task.stable}
-    more: dict[str, Any] = {name: True for name, is_wanted in wanted.items() if is_wanted}
-    fit = ESTIMATORS[task.structure](data, **task.orders, nk=task.nk, **more)
+    task.check(data)
+    fit = task.estimated(data)
     return {
         "structure": fit.structure,
         "nk": task.nk,

@@ -7,21 +7,14 @@ from typing import Literal
 
 import msgspec
 
-from armrig.models.structure_table import Family
+from armrig.estimation.request import Request
 
 Signal = Literal["theta_1", "alpha", "velocity"]
 
 
-class Identify(msgspec.Struct, frozen=True, kw_only=True, tag="identify"):
+class Identify(Request, frozen=True, kw_only=True, tag="identify"):
     """Estimate a model from each recording."""
 
-    structure: Family = "oe"
-    orders: dict[str, int | None] = {}
-    """By name; None lets the data choose."""
-    nk: int = 1
-    integrator: bool = False
-    offset: bool = False
-    stable: bool = False
     signal: Signal = "theta_1"
     """What is the output."""
     detrend: bool = False
@@ -59,8 +52,12 @@ def name_of(task: Task) -> str:
 
 
 def digest(task: Task) -> str:
-    """Return a hash of the task with all its options: results of another one are no results."""
-    return sha256(msgspec.json.encode(task, order="sorted").decode())
+    """Return a hash of the task with all its options: results of another one are no results.
+
+    What is None is left out, so that a field that is appended leaves the hash of earlier tasks.
+    """
+    asked = {name: x for name, x in msgspec.to_builtins(task).items() if x is not None}
+    return sha256(msgspec.json.encode(asked, order="sorted").decode())
 
 
 def sha256(text: str) -> str:

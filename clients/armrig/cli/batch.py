@@ -9,21 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError
+from msgspec.structs import asdict
 
-from armrig.cli.model_structures import (
-    Integrator,
-    NaOrNone,
-    NbOrNone,
-    NcOrNone,
-    NdOrNone,
-    NfOrNone,
-    Offset,
-    OrderOrNone,
-    Structure,
-    check_integrator,
-    check_single_estimate,
-    chosen_orders,
-)
+from armrig.cli.model_structures import Given, estimation_options, requested
 from armrig.cli.options import Detrend, Json, Na, Nb, Nf, Nk, OutputName, echo, print_json, tell
 
 if TYPE_CHECKING:
@@ -76,22 +64,11 @@ _NAMED = 3
     epilog="Example: armrig batch identify weeks -o models.parquet --integrator --kind blackbox",
     context_settings=_HELP,
 )
+@estimation_options(structure="oe", nk=1)
 def identify(
     folder: Folder,
     output: Table,
-    structure: Annotated[Structure, typer.Option("--structure", help="Which model.")] = "oe",
-    na: NaOrNone = None,
-    nb: NbOrNone = None,
-    nc: NcOrNone = None,
-    nd: NdOrNone = None,
-    nf: NfOrNone = None,
-    order: OrderOrNone = None,
-    nk: Nk = 1,
-    integrator: Integrator = False,
-    offset: Offset = False,
-    stable: Annotated[
-        bool, typer.Option("--stable", help="Reflect poles outside the unit circle into it.")
-    ] = False,
+    given: Given,
     signal: Annotated[OutputName, typer.Option("--signal", help="The output.")] = "theta_1",
     detrend: Detrend = False,
     rig: Rigs = None,
@@ -104,20 +81,7 @@ def identify(
     """Estimate a model from each recording: parameters, deviations, fit, and the model itself."""
     from armrig.batch.tasks import Identify
 
-    given = {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "order": order}
-    check_single_estimate(structure, offset=offset, stable=stable, search=False)
-    if integrator:
-        check_integrator(structure)
-    task = Identify(
-        structure=structure,
-        orders=chosen_orders(structure, given),
-        nk=nk,
-        integrator=integrator,
-        offset=offset,
-        stable=stable,
-        signal=signal,
-        detrend=detrend,
-    )
+    task = Identify(**asdict(requested(given)), signal=signal, detrend=detrend)
     _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
 
 

@@ -13,22 +13,11 @@ from armrig_core.errors import InputError
 from armrig.cli.chosen_recording import DataFile, recording_path
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.model_structures import (
-    Integrator,
-    NaOrNone,
-    NbOrNone,
-    NcOrNone,
-    NdOrNone,
-    NfOrNone,
-    Offset,
-    OrderOrNone,
-    Structure,
-    StructureOrNone,
-    Weights,
-    WeightsOrNone,
-    check_integrator,
-    check_single_estimate,
-    chosen_orders,
+    Given,
     estimated,
+    estimation_options,
+    requested,
+    searched_for,
 )
 from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.options import (
@@ -51,7 +40,8 @@ from armrig.cli.options import (
 )
 from armrig.cli.output_file import check_output
 from armrig.cli.recorded_data import Signals, from_recording, source_facts
-from armrig.models.structure_table import KINDS, users
+from armrig.estimation.request import Request
+from armrig.models.structure_table import users
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -61,17 +51,6 @@ if TYPE_CHECKING:
     from armrig.validation.residuals import ResidualTest
     from armrig.validation.search_result import SearchResult
 
-NkOrNone = Annotated[
-    int | None,
-    typer.Option(
-        "--nk",
-        help="Samples before u reaches y.",
-        show_default="1; --search takes what the data show",
-    ),
-]
-Stable = Annotated[
-    bool, typer.Option("--stable", help="Reflect poles that are outside the unit circle into it.")
-]
 Search = Annotated[
     bool,
     typer.Option("--search", help="Try several structures, or the one given, with several orders."),
@@ -94,20 +73,10 @@ Save = Annotated[
 ]
 
 
+@estimation_options(without_nk="1; --search takes what the data show")
 def identify(
     file: DataFile,
-    structure: StructureOrNone = None,
-    na: NaOrNone = None,
-    nb: NbOrNone = None,
-    nc: NcOrNone = None,
-    nd: NdOrNone = None,
-    nf: NfOrNone = None,
-    order: OrderOrNone = None,
-    nk: NkOrNone = None,
-    weights: WeightsOrNone = None,
-    integrator: Integrator = False,
-    offset: Offset = False,
-    stable: Stable = False,
+    given: Given,
     search: Search = False,
     most: MaxOrder = 5,
     jobs: Jobs = 1,
@@ -131,20 +100,11 @@ def identify(
 
     Says how sure each parameter is.
     """
-    given = {"na": na, "nb": nb, "nc": nc, "nd": nd, "nf": nf, "order": order}
-    check_single_estimate(structure, offset=offset, stable=stable, search=search)
-    wanted = _Wanted(
-        structure=structure,
-        orders=_checked_orders(structure, given, weights=weights, search=search),
-        weights=_checked_weights(structure, weights),
-        nk=nk,
-        integrator=_checked_integrator(structure, integrator=integrator),
-        offset=offset,
-        stable=stable,
-        search=search,
-        most=most,
-        jobs=jobs,
-    )
+    wanted: _Search | Request
+    if search:
+        wanted = _Search(fixed=searched_for(given), most=most, jobs=jobs)
+    else:
+        wanted = requested(given)
     _check_files(file, validate, plot=plot, save=save)
     signals = Signals(
         signal=signal,
@@ -152,7 +112,7 @@ def identify(
         time=time,
         Ts=Ts,
         detrend=detrend,
-        offset=offset if structure is None or "offset" in KINDS[structure].takes else None,
+        offset=given["offset"] if given["structure"] in (None, *users("offset")) else None,
         hampel=hampel,
         calibration=calibration,
         start=start,
@@ -166,7 +126,7 @@ def identify(
             tell(text)
     # Before the minutes that an estimation may take.
     other = None if validate is None else signals.of(validate)
-    if integrator:
+    if given["integrator"]:
         _warn_of_integrator(data)
     found = _found(wanted, data, other)
     if json:
@@ -181,24 +141,15 @@ def identify(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Wanted:
-    """What to estimate, by options that go with each other."""
+class _Search:
+    """What to search through."""
 
-    structure: Structure | None
-    """None in a search through all of them."""
-    orders: dict[str, int | None]
-    """By name; None lets the data choose. There are none in a search."""
-    weights: Weights | None
-    nk: int | None
-    """None: 1, and for a search what the data show."""
-    integrator: bool
-    offset: bool
-    stable: bool
-    search: bool
+    fixed: dict[str, Any]
+    """Arguments of the search; what is not among them the search itself chooses."""
     most: int
-    """Highest order that a search tries."""
+    """Highest order that is tried."""
     jobs: int
-    """Processes that a search estimates in."""
+    """Processes that estimate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -215,52 +166,12 @@ class _Found:
     """The model, and how it was come by."""
 
     fit: Fit
+    request: Request
+    """What estimates it again."""
     search: SearchResult | None
     validation: _Validation | None
     doubts: tuple[Finding, ...]
     """What speaks against the data."""
-
-
-def _checked_orders(
-    structure: Structure | None,
-    given: dict[str, int | None],
-    *,
-    weights: Weights | None,
-    search: bool,
-) -> dict[str, int | None]:
-    """Return the structure's orders; a search has none, and refuses those given."""
-    if search:
-        _check_nothing_fixed(given, weights=weights)
-        return {}
-    if structure is None:
-        raise typer.BadParameter(
-            "give --structure, such as --structure oe --integrator, or --search"
-        )
-    return chosen_orders(structure, given)
-
-
-def _check_nothing_fixed(given: dict[str, int | None], *, weights: str | None) -> None:
-    """Refuse orders beside a search for them."""
-    fixed = {name: value for name, value in (given | {"weights": weights}).items() if value}
-    for name, value in fixed.items():
-        raise typer.BadParameter(
-            f"--{name} {value} does not go with --search, which tries orders up to --max-order"
-        )
-
-
-def _checked_weights(structure: Structure | None, weights: Weights | None) -> Weights | None:
-    """Refuse weights of a projection where there is none."""
-    if weights is not None and structure not in users("weights"):
-        able = " or ".join(users("weights"))
-        raise typer.BadParameter(f"--weights {weights} goes with --structure {able}")
-    return weights
-
-
-def _checked_integrator(structure: Structure | None, *, integrator: bool) -> bool:
-    """Refuse an integrator in a structure without one."""
-    if integrator and structure is not None:
-        check_integrator(structure)
-    return integrator
 
 
 def _warn_of_integrator(data: Dataset) -> None:
@@ -284,26 +195,25 @@ def _check_files(
             raise InputError(f"{msg} (a figure's is -o)")
 
 
-def _found(wanted: _Wanted, data: Dataset, other: Dataset | None) -> _Found:
+def _found(wanted: _Search | Request, data: Dataset, other: Dataset | None) -> _Found:
     """Estimate the model, or search for it, and validate it where there are other data."""
     searched = None
-    if wanted.search or wanted.structure is None:
+    if isinstance(wanted, _Search):
         searched = _searched(wanted, data, other)
         fit = searched.fit
+        again = Request(structure=searched.chosen.candidate.family, orders={})
     else:
-        fit = estimated(
-            data,
-            wanted.structure,
-            wanted.orders,
-            nk=1 if wanted.nk is None else wanted.nk,
-            integrator=wanted.integrator,
-            offset=wanted.offset,
-            stable=wanted.stable,
-            weights=wanted.weights,
-        )
+        fit = estimated(data, wanted)
+        again = wanted
     validation = None if other is None else _validated(fit, other)
     doubts = _doubts(fit, data) if searched is None else searched.doubts
-    return _Found(fit=fit, search=searched, validation=validation, doubts=doubts)
+    return _Found(
+        fit=fit,
+        request=again.of_fit(fit),
+        search=searched,
+        validation=validation,
+        doubts=doubts,
+    )
 
 
 def _doubts(fit: Fit, data: Dataset) -> tuple[Finding, ...]:
@@ -314,7 +224,7 @@ def _doubts(fit: Fit, data: Dataset) -> tuple[Finding, ...]:
         return tuple(examine_fit_of(data, fit))
 
 
-def _searched(wanted: _Wanted, data: Dataset, other: Dataset | None) -> SearchResult:
+def _searched(wanted: _Search, data: Dataset, other: Dataset | None) -> SearchResult:
     from concurrent.futures import ProcessPoolExecutor
     from contextlib import nullcontext
 
@@ -326,14 +236,10 @@ def _searched(wanted: _Wanted, data: Dataset, other: Dataset | None) -> SearchRe
         return search(
             data,
             other,
-            families=None if wanted.structure is None else (wanted.structure,),
             orders=range(1, wanted.most + 1),
-            nk=wanted.nk,
-            # Without the option the search itself chooses.
-            integrator=True if wanted.integrator else None,
-            offset=True if wanted.offset else None,
             executor=executor,
             progress=progress,
+            **wanted.fixed,
         )
 
 
@@ -418,7 +324,7 @@ def _say_next(
     fit, given = found.fit, signals.options()
     about = model_output.to_act_on(fit, found.doubts) - ({"outliers"} if signals.hampel else set())
     options = options_after(
-        fit, about, searched=found.search is not None, detrended=signals.detrend
+        fit, found.request, about, searched=found.search is not None, detrended=signals.detrend
     )
     if validate is not None:
         validation = typed(validate)
@@ -432,7 +338,7 @@ def _say_next(
         given += " --detrend"  # the tests of the data estimate no level
     if options == CHECK:
         say_next("identify check", **(values | {"given": given}))
-    elif save is None or options != options_of(fit):
+    elif save is None or options != options_of(found.request):
         say_next("identify", **values)
     elif validation:
         say_next("identify --save", **values)

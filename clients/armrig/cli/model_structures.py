@@ -1,113 +1,166 @@
-"""The structures that a person can ask for: their options, and the model that comes of them."""
+"""The options that say what to estimate, the request that they make, and the model of it."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+import inspect
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armrig.models.structure_table import COUNTED, OFFERED, Family, users, with_article
+from armrig.estimation.request import DEFAULTS, OPTIONS, Request
+from armrig.models.structure_table import COUNTED, FAMILIES, OFFERED, Family, users, with_article
 from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.fit import Fit
 
-Structure = Family
-Weights = Literal["cva", "moesp", "n4sid"]
+Given = dict[str, Any]
+"""Values of the options below by name, None or False of those that were not given."""
+_SEARCHED = ("structure", "nk", "integrator", "offset")
+_NOT_SEARCHED = {"stable": "whose models always are"}
+_WAY_OUT = {
+    "integrator": "{model} finds its own",
+    "offset": "take the means off, --detrend",
+    **dict.fromkeys(COUNTED, "{model} has {orders}"),
+}
+"""What to do instead, where a structure does not take an option."""
+
+
+def estimation_options(
+    *, structure: Family | None = None, nk: int | None = None, without_nk: str = ""
+) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Return a decorator that puts the options of an estimation in place of the argument `given`.
+
+    Parameters
+    ----------
+    structure, nk : optional
+        What they are by default.
+    without_nk : str
+        What nk is if it is not given, for the help.
+    """
+    options = _options(structure, nk, without_nk)
+
+    def decorated(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def taking(**values: Any) -> None:
+            command(given={p.name: values.pop(p.name) for p in options}, **values)
+
+        signature = inspect.signature(command, eval_str=True)
+        taken = [
+            p
+            for one in signature.parameters.values()
+            for p in (options if one.name == "given" else [one])
+        ]
+        taking.__signature__ = signature.replace(  # type: ignore[attr-defined]
+            parameters=[p.replace(kind=p.KEYWORD_ONLY) for p in taken]
+        )
+        taking.__annotations__ = {p.name: p.annotation for p in taken}
+        return taking
+
+    return decorated
+
+
+def _options(structure: Family | None, nk: int | None, without_nk: str) -> list[inspect.Parameter]:
+    which = typer.Option("--structure", help="Which model.", show_default=structure is not None)
+    late = _option("nk", "Samples before u reaches y", without_nk)
+    others = [
+        _parameter(name, kind, _option(name, option.help, option.default), DEFAULTS[name])
+        for name, (kind, option) in OPTIONS.items()
+    ]
+    return [
+        _parameter("structure", Family if structure else Family | None, which, structure),
+        *(_parameter(name, int | None, _order(name)) for name in COUNTED),
+        _parameter("nk", int | None if nk is None else int, late, nk),
+        *others,
+    ]
+
+
+def _parameter(name: str, kind: Any, option: Any, default: Any = None) -> inspect.Parameter:
+    annotation = Annotated[kind, option]
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
 
 def _order(name: str) -> Any:
-    """Return the option of an order; an option that does not apply is refused, not ignored."""
+    """Return the option of an order."""
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
     shown = {"by the data" if n is None else str(n) for n in default.values()}
     if len(shown) > 1:
         shown = {", ".join(f"{title} {n}" for title, n in default.items())}
-    return _option(name, f"Number of {COUNTED[name]}", show_default=shown.pop())
+    return _option(name, f"Number of {COUNTED[name]}", shown.pop())
 
 
-def _option(name: str, what: str, **more: Any) -> Any:
-    """Return an option that some structures have, and say which."""
+def _option(name: str, what: str, default: str = "") -> Any:
+    """Return an option, and say which structures have it unless all do."""
     titles = ", ".join(OFFERED[user].title for user in users(name))
-    return typer.Option(f"--{name}", help=f"{what} ({titles}).", **more)
+    which = "" if len(users(name)) == len(FAMILIES) else f" ({titles})"
+    return typer.Option(f"--{name}", help=f"{what}{which}.", show_default=default or True)
 
 
-StructureOrNone = Annotated[
-    Structure | None, typer.Option("--structure", help="Which model.", show_default=False)
-]
-# None: the option was not given.
-NaOrNone = Annotated[int | None, _order("na")]
-NbOrNone = Annotated[int | None, _order("nb")]
-NcOrNone = Annotated[int | None, _order("nc")]
-NdOrNone = Annotated[int | None, _order("nd")]
-NfOrNone = Annotated[int | None, _order("nf")]
-OrderOrNone = Annotated[int | None, _order("order")]
-WeightsOrNone = Annotated[
-    Weights | None, _option("weights", "Of the projection", show_default="cva")
-]
-Integrator = Annotated[bool, _option("integrator", "One pole is 1 exactly")]
-Offset = Annotated[bool, _option("offset", "Estimate the input's offset along")]
-
-
-def chosen_orders(structure: Structure, given: dict[str, int | None]) -> dict[str, int | None]:
-    """Return the structure's orders; refuse those of another structure, without effect here."""
-    own = OFFERED[structure].orders
-    for name, value in given.items():
-        if value is not None and name not in own:
-            raise typer.BadParameter(
-                f"--{name} {value} goes with --structure {' or '.join(users(name))}; "
-                f"{with_article(structure.upper())} model has {listed([*own, 'nk'])}"
-            )
-    return {**own, **{name: value for name, value in given.items() if value is not None}}
-
-
-def check_integrator(structure: Structure) -> None:
-    """Refuse an integrator where there is none by construction."""
-    if structure not in users("integrator"):
+def requested(given: Given) -> Request:
+    """Return what the options ask for; refuse those that would do nothing with the structure."""
+    structure: Family | None = given["structure"]
+    if structure is None:
         raise typer.BadParameter(
-            f"--integrator goes with --structure {' or '.join(users('integrator'))}; "
-            f"{with_article(structure.upper())} model finds its own"
+            "give --structure, such as --structure oe --integrator, or --search"
         )
+    _check_taken(structure, given)
+    asked = _asked(given)
+    own = OFFERED[structure].orders
+    orders = {name: asked.get(name, default) for name, default in own.items()}
+    options = {name: value for name, value in asked.items() if name not in own}
+    return Request(**(options | {"orders": orders}))
 
 
-def check_single_estimate(
-    structure: Structure | None, *, offset: bool, stable: bool, search: bool
-) -> None:
-    """Refuse options that a search, or another structure, would do nothing with."""
-    if search and stable:
-        raise typer.BadParameter("--stable does not go with --search, whose models always are")
-    if offset and structure is not None and structure not in users("offset"):
-        msg = f"--offset goes with --structure {' or '.join(users('offset'))}; take the means off, "
-        raise typer.BadParameter(msg + "--detrend")
+def searched_for(given: Given) -> dict[str, Any]:
+    """Return what of a search the options fix; refuse those that it would do nothing with."""
+    asked = _asked(given)
+    for name, value in asked.items():
+        if name not in _SEARCHED:
+            why = _NOT_SEARCHED.get(name, "which tries orders up to --max-order")
+            raise typer.BadParameter(f"{_typed(name, value)} does not go with --search, {why}")
+    if structure := asked.pop("structure", None):
+        _check_taken(structure, given)
+        asked["families"] = (structure,)
+    return asked
 
 
-def estimated(
-    data: Dataset,
-    structure: Structure,
-    orders: dict[str, int | None],
-    *,
-    nk: int,
-    integrator: bool,
-    offset: bool = False,
-    stable: bool = False,
-    weights: Weights | None = None,
-) -> Fit:
+def _asked(given: Given) -> Given:
+    return {name: x for name, x in given.items() if x is not None and x is not False}
+
+
+def _typed(name: str, value: Any) -> str:
+    return f"--{name}" if value is True else f"--{name} {value}"
+
+
+def _check_taken(structure: Family, given: Given) -> None:
+    """Refuse options of other structures, without effect here."""
+    kind = OFFERED[structure]
+    for name, value in _asked(given).items():
+        able = FAMILIES if name == "structure" else users(name)
+        if structure not in able:
+            way_out = _WAY_OUT.get(name, "").format(
+                model=f"{with_article(kind.title)} model", orders=listed([*kind.orders, "nk"])
+            )
+            raise typer.BadParameter(
+                f"{_typed(name, value)} goes with --structure {' or '.join(able)}"
+                + (f"; {way_out}" if way_out else "")
+            )
+
+
+def estimated(data: Dataset, request: Request) -> Fit:
     """Return the model; orders that are too high for the data are refused."""
     import numpy as np
 
     from armrig.cli.spinner import estimating, too_high
-    from armrig.estimation.estimators import ESTIMATORS
-    from armrig.estimation.orders import require_sensible
 
-    asked = {name: n for name, n in orders.items() if n is not None}
-    require_sensible(samples=data.N - data.missing, nk=nk, integrator=integrator, **asked)
-    asked_for = {"integrator": integrator, "offset": offset, "stable": stable}
-    more: dict[str, Any] = {name: True for name, wanted in asked_for.items() if wanted}
-    if weights is not None:
-        more["weights"] = weights
-    named = listed([*orders])
+    request.check(data)
+    named = listed([*request.orders])
     with estimating(named):
-        fit = ESTIMATORS[structure](data, **orders, nk=nk, **more)
+        fit = request.estimated(data)
     if not (np.isfinite(fit.theta).all() and np.isfinite(fit.loss)):
         raise too_high(named)
     return fit

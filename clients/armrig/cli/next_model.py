@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Set
 from typing import TYPE_CHECKING
 
+from msgspec.structs import replace
+
+from armrig.estimation.request import OPTIONS, Request
 from armrig.models.structure_table import KINDS
 
 if TYPE_CHECKING:
@@ -16,19 +19,26 @@ _LOWER = {"order", "poles"}
 _CHECKED = {"feedback", "delay", "unstable"}
 
 
-def options_of(fit: Fit) -> str:
-    """Return the options by which `armrig identify` estimates the model once more."""
-    offset = fit.offset and not fit.integrator
-    return _typed(fit.structure, fit.orders, integrator=fit.integrator) + " --offset" * offset
+def options_of(request: Request) -> str:
+    """Return the options by which `armrig identify` estimates what is asked for."""
+    orders = {**request.orders, "nk": request.nk}
+    asked = {name: x for name, x in request.asked.items() if name in OPTIONS}
+    values = {name: x for name, x in (orders | asked).items() if x is not None}
+    typed = [f"--{name}" if x is True else f"--{name} {x}" for name, x in values.items()]
+    return " ".join([f"--structure {request.structure}", *typed])
 
 
-def options_after(fit: Fit, about: Set[str], *, searched: bool, detrended: bool) -> str:
+def options_after(
+    fit: Fit, request: Request, about: Set[str], *, searched: bool, detrended: bool
+) -> str:
     """Return the options of `armrig identify` that do what was said of a model.
 
     Parameters
     ----------
     fit : Fit
         The model.
+    request : Request
+        What estimates it again.
     about : set of str
         What there is to act on, by the names of the findings.
     searched : bool
@@ -39,14 +49,14 @@ def options_after(fit: Fit, about: Set[str], *, searched: bool, detrended: bool)
     Returns
     -------
     str
-        `options_of` the model itself where there is nothing to act on; `CHECK` where the data are
+        `options_of` the request itself where there is nothing to act on; `CHECK` where the data are
         to be tested first.
     """
     kind = KINDS[fit.structure]
-    orders = dict(fit.orders)
+    orders = fit.orders
     if "structure" in about:
-        orders = {"nb": orders["nb"], "nf": orders[kind.poles], "nk": fit.nk}
-        return _typed("oe", orders, integrator=True)
+        oe = request.of_structure("oe", {"nb": orders["nb"], "nf": orders[kind.poles]})
+        return options_of(replace(oe, integrator=True, offset=False))
     # A level that u does not make looks like an integrator; of an angle it is not looked for.
     level = "level" in about and not fit.integrator
     asked = "integrator" in about and not level
@@ -55,11 +65,11 @@ def options_after(fit: Fit, about: Set[str], *, searched: bool, detrended: bool)
     detrend = level and not (offset or detrended)
     # One that is seen although it is off the data, or estimated along, is an order too high.
     seen = level and not detrend and offset == fit.offset
+    after = replace(request, integrator=integrator, offset=offset)
     if about & _LOWER or seen or not fit.converged:
-        orders = _lower(fit, integrator=integrator)
-    options = _typed(fit.structure, orders, integrator=integrator)
-    options += " --offset" * offset + " --detrend" * detrend + " --hampel" * ("outliers" in about)
-    if options != options_of(fit):
+        after = replace(after, orders=_lower(fit, integrator=integrator))
+    options = options_of(after) + " --detrend" * detrend + " --hampel" * ("outliers" in about)
+    if options != options_of(request):
         return options
     if about & _CHECKED:
         return CHECK
@@ -77,9 +87,5 @@ def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
     return {
         name: max(n - many, min(n, least[name])) if name in least else n
         for name, n in fit.orders.items()
+        if name != "nk"
     }
-
-
-def _typed(structure: str, orders: dict[str, int], *, integrator: bool) -> str:
-    given = " ".join(f"--{name} {n}" for name, n in orders.items() if n is not None)
-    return f"--structure {structure} {given}" + " --integrator" * integrator

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.estimation.oe import oe
+from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
@@ -106,9 +106,13 @@ def identified(path: Path, validation: Path | None, output: Output) -> dict[str,
     else:
         estimation, other = data, _loaded(validation).dataset(output)
     hints = structure_hints(estimation)
-    fit = oe(
-        estimation, nb=hints.nb, nf=hints.nf, nk=hints.nk, integrator=hints.integrator, stable=True
-    )
+    fit = Request(
+        structure="oe",
+        orders={"nb": hints.nb, "nf": hints.nf},
+        nk=hints.nk,
+        integrator=hints.integrator,
+        stable=True,
+    ).estimated(estimation)
     table = compare(other, fit)
     tests = residuals(fit, other)
     return {

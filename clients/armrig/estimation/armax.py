@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.estimation.prediction_error_fit import Initial, Starts, searched
+from armrig.estimation.prediction_error_fit import searched
 from armrig.models.fit import Fit
 from armrig.models.structure import Structure
+from armrig.models.structure_table import Initial, Starts
 from armrig.numerics.checks import require_flags, require_integers
 
 

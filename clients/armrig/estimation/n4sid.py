@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -15,7 +15,6 @@ from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.subspace import (
-    Weights,
     Windows,
     projection,
     suggested_order,
@@ -26,13 +25,12 @@ from armrig.estimation.subspace_poles import Poles, best_poles, poles_at
 from armrig.estimation.subspace_simulation import simulating
 from armrig.models.innovations import errors, prepared, regression
 from armrig.models.structure import Structure
+from armrig.models.structure_table import Focus, Weights
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, without_integrator
-
-Focus = Literal["prediction", "simulation"]
 
 _MOST = 10  # order that is suggested at most
 _NEAR_ONE = 0.02  # distance of a pole from 1 that is worth a word

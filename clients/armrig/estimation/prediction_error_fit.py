@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -22,13 +22,11 @@ from armrig.models.fit import Fit
 from armrig.models.free_response import FreeResponse, offset_from_ramp
 from armrig.models.innovations import Errors, Unknown, prepared
 from armrig.models.structure import Structure
+from armrig.models.structure_table import Initial, Starts
 from armrig.numerics.inference import Inference, infer
 from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, roots
 from armrig.numerics.quantities import plural
-
-Initial = Literal["estimate", "backcast", "zero", "auto"]
-Starts = Literal["many", "few"]
 
 PART = 3000  # samples that the starts are searched from on, where there are more than twice these
 MANY_PULSES = 0.01  # share of the errors from which unknown pasts are worth a word

@@ -21,12 +21,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dggev
 
+from armrig.models.structure_table import Weights
 from armrig.numerics.criteria import aic, mdl
 from armrig.numerics.gram import cholesky_factor, gram_of_windows
 from armrig.numerics.least_squares import least_squares, without_span
@@ -34,7 +34,6 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.stretches import stretches
 from armrig.numerics.triangular import triangle
 
-Weights = Literal["cva", "moesp", "n4sid"]
 Integers = NDArray[np.int_]
 _BLOCK = 1024  # rows decomposed at once
 _NOTHING = 1e-10  # share of the largest singular value that is rounding

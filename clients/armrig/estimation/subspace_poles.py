@@ -9,13 +9,13 @@ import numpy as np
 from armrig.estimation.subspace import (
     Projection,
     Realisation,
-    Weights,
     Windows,
     projection,
     realised,
     shortened,
 )
 from armrig.estimation.subspace_horizon import Signals, least_loss
+from armrig.models.structure_table import Weights
 from armrig.numerics.polynomial import Array, with_roots_inside, without_integrator
 
 

@@ -16,6 +16,11 @@ Family = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx"]
 FAMILIES: tuple[Family, ...] = get_args(Family)
 Name = Literal[Family, "pem"]
 
+Initial = Literal["estimate", "backcast", "zero", "auto"]
+Weights = Literal["cva", "moesp", "n4sid"]
+Focus = Literal["prediction", "simulation"]
+Starts = Literal["many", "few"]
+
 ARM_POLES = 4
 """Poles of the arm, one of them an integrator; its numerator has as many coefficients."""
 
@@ -28,6 +33,8 @@ COUNTED = {
     "order": "states",
 }
 """What each order is the number of; nk is not among them."""
+EVERY = ("nk", "stable")
+"""Arguments that every estimator has."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +50,7 @@ class Kind:
     poles: str
     """Name of the order that counts the poles from u to y."""
     takes: tuple[str, ...] = ()
-    """Arguments of its estimator, of those that not every estimator has."""
+    """Arguments of its estimator besides the orders and those of `EVERY`."""
     closed_loop: bool = False
     """Feedback does not bias it, if its noise model is right."""
     searched: bool = True
@@ -145,4 +152,5 @@ OFFERED: dict[Family, Kind] = {name: KINDS[name] for name in FAMILIES}
 
 def users(argument: str) -> list[Family]:
     """Return the structures offered whose estimators take an order or another argument."""
-    return [name for name, kind in OFFERED.items() if argument in (*kind.orders, *kind.takes)]
+    all_of = {name: (*EVERY, *kind.orders, *kind.takes) for name, kind in OFFERED.items()}
+    return [name for name, arguments in all_of.items() if argument in arguments]

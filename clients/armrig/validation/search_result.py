@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.estimation.estimators import ESTIMATORS
+from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.structure_table import KINDS, Family
 from armrig.numerics.quantities import p_relation, plural
@@ -54,13 +54,19 @@ class Candidate:
 
     def estimated(self, data: Dataset) -> Fit:
         """Return the model of the data, poles outside the unit circle reflected into it."""
-        asked = {"integrator": self.integrator, "offset": self.offset, "stable": True}
-        known: dict[str, Any] = {name: True for name, wanted in asked.items() if wanted}
-        if self.simulates:
-            known["focus"] = "simulation"
-        if "starts" in KINDS[self.family].takes:
-            known["starts"] = "few"  # what has too many orders has many minima, and is not chosen
-        return ESTIMATORS[self.family](data, **dict(self.orders), **known)
+        orders = dict(self.orders)
+        request = Request(
+            structure=self.family,
+            nk=orders.pop("nk"),
+            orders={**orders},
+            integrator=self.integrator,
+            offset=self.offset,
+            stable=True,
+            focus="simulation" if self.simulates else None,
+            # What has too many orders has many minima, and is not chosen.
+            starts="few" if "starts" in KINDS[self.family].takes else None,
+        )
+        return request.estimated(data)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

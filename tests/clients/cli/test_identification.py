@@ -14,6 +14,7 @@ from armrig.cli import main
 from armrig.cli.model_output import to_act_on
 from armrig.cli.next_model import CHECK, options_after, options_of
 from armrig.estimation.oe import oe
+from armrig.estimation.request import Request
 from scipy.signal import lfilter
 
 
@@ -252,7 +253,13 @@ def test_a_short_answer_has_each_coefficient_with_the_deviation_to_trust(
 
 def next_of(fit: armrig.Fit, *, searched: bool = False, detrended: bool = False) -> str:
     """Return the options that are typed after a model."""
-    return options_after(fit, to_act_on(fit, []), searched=searched, detrended=detrended)
+    about = to_act_on(fit, [])
+    return options_after(fit, same(fit), about, searched=searched, detrended=detrended)
+
+
+def same(fit: armrig.Fit) -> Request:
+    """Return what estimates a model again."""
+    return Request(structure=fit.structure, orders={}).of_fit(fit)  # type: ignore[arg-type]
 
 
 def test_the_next_line_lowers_what_the_advice_says_to_lower() -> None:
@@ -266,7 +273,7 @@ def test_the_next_line_lowers_what_the_advice_says_to_lower() -> None:
     assert "order" in to_act_on(high, [])
     assert next_of(high, searched=True) == "--structure oe --nb 2 --nf 2 --nk 1"
     right = armrig.oe(data, nb=2, nf=2)
-    assert next_of(right) == options_of(right) == "--structure oe --nb 2 --nf 2 --nk 1"
+    assert next_of(right) == options_of(same(right)) == "--structure oe --nb 2 --nf 2 --nk 1"
     lost = replace(right, converged=False)
     assert next_of(lost) == "--structure oe --nb 1 --nf 1 --nk 1"
 
@@ -280,7 +287,7 @@ def test_the_next_line_searches_where_residuals_are_coloured_and_nothing_says_wh
 
     assert to_act_on(fit, []) == {"residuals"}
     assert next_of(fit) == "--structure oe --search"
-    assert next_of(fit, searched=True) == options_of(fit)
+    assert next_of(fit, searched=True) == options_of(same(fit))
 
 
 @pytest.mark.parametrize(
@@ -302,7 +309,7 @@ def test_the_next_line_does_what_is_said_of_the_data(about: str, options: str) -
     )
     fit = armrig.arx(armrig.Dataset(u=u, y=y, Ts=0.1), na=2, nb=2)
 
-    assert options_after(fit, {about}, searched=False, detrended=False) == options
+    assert options_after(fit, same(fit), {about}, searched=False, detrended=False) == options
 
 
 def test_the_next_line_estimates_a_level_along_before_it_fixes_a_pole() -> None:
@@ -315,9 +322,10 @@ def test_the_next_line_estimates_a_level_along_before_it_fixes_a_pole() -> None:
 
     assert "level" in to_act_on(fit, [])
     assert next_of(fit).endswith("--nk 1 --offset")
-    assert next_of(along) == options_of(along) == "--structure oe --nb 1 --nf 1 --nk 1 --offset"
-    again = options_after(along, {"level"}, searched=False, detrended=False)
-    assert again == options_of(along)  # one pole is the least
+    repeated = options_of(same(along))
+    assert next_of(along) == repeated == "--structure oe --nb 1 --nf 1 --nk 1 --offset"
+    again = options_after(along, same(along), {"level"}, searched=False, detrended=False)
+    assert again == repeated  # one pole is the least
 
 
 def test_the_next_line_does_what_the_advice_says(

@@ -11,9 +11,9 @@ from armrig.data.dataset import Dataset, merge
 from armrig.estimation.armax import armax
 from armrig.estimation.n4sid import _pole_std, n4sid
 from armrig.estimation.oe import oe
-from armrig.estimation.subspace import Weights
 from armrig.excitation import telegraph
 from armrig.models.model_file import load_fit
+from armrig.models.structure_table import Weights
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.polynomial import filtered
 from armrig.validation.comparison import compare

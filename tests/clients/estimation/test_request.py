@@ -1,0 +1,113 @@
+"""A request for an estimation: what reaches the estimator, and what comes back after `next:`."""
+
+from __future__ import annotations
+
+import shlex
+from typing import Any, get_args
+
+import armrig
+import numpy as np
+import pytest
+from armrig.batch.tasks import Identify, Verify, digest, sha256
+from armrig.cli import main
+from armrig.cli.model_structures import requested
+from armrig.cli.next_model import options_of
+from armrig.estimation.request import OPTIONS, Request
+from armrig.models.structure_table import OFFERED, users
+from msgspec.structs import asdict
+
+DATA = armrig.Dataset(
+    u=np.random.default_rng(0).standard_normal(200),
+    y=np.random.default_rng(1).standard_normal(200),
+    Ts=0.1,
+)
+
+
+def _with(option: str) -> Request:
+    """Return a request with an option that is not its default, and one of each kind of order."""
+    kind, _ = OPTIONS[option]
+    value = True if kind is bool else get_args(get_args(kind)[0])[-1]
+    structure = users(option)[0]
+    orders = dict.fromkeys(OFFERED[structure].orders, 2)
+    return Request(structure=structure, orders=orders, nk=0, **{option: value})
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_what_is_typed_after_a_model_asks_for_the_same(
+    option: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every option comes back in the line after `next:`; `batch` and `identify` take it alike."""
+    request, asked, tasks = _with(option), list[Any](), list[Any]()
+    monkeypatch.setattr("armrig.cli.batch._do", lambda task, *_, **__: tasks.append(task))
+    monkeypatch.setattr(
+        "armrig.cli.identification.requested", lambda given: asked.append(requested(given))
+    )
+    monkeypatch.setattr("armrig.cli.identification._check_files", _ended)
+
+    typed = shlex.split(options_of(request))
+    assert main(["batch", "identify", str(tmp_path), "-o", "t.parquet", *typed]) == 0
+    assert main(["identify", "data.csv", *typed]) == 1
+
+    assert asked == [request]
+    assert tasks == [Identify(**asdict(request))]
+
+
+def _ended(*_: Any, **__: Any) -> None:
+    raise armrig.RecordingError("no work")
+
+
+@pytest.mark.parametrize("option", OPTIONS)
+def test_an_option_of_another_structure_is_refused(
+    option: str, tmp_path: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The message says which take it; one that all take is refused for none."""
+    others = [name for name in OFFERED if name not in users(option)]
+    value = options_of(_with(option)).partition(f"--{option}")[2].strip()
+    typed = f"--{option} {value}".strip()
+
+    for structure in others:
+        arguments = ["batch", "identify", str(tmp_path), "-o", "t.parquet"]
+        assert main([*arguments, "--structure", structure, *typed.split()]) == 2
+        said = " ".join(capsys.readouterr().err.split())
+        assert f"{typed} goes with --structure {' or '.join(users(option))}" in said
+
+
+def test_an_order_and_a_delay_of_0_are_asked_for() -> None:
+    """They are no options that were left out."""
+    fit = Request(structure="armax", orders={"na": 1, "nb": 1, "nc": 0}, nk=0).estimated(DATA)
+
+    assert fit.orders == {"na": 1, "nb": 1, "nc": 0, "nk": 0}
+
+
+def test_a_model_is_asked_for_again_with_its_orders() -> None:
+    """Those that the data chose, too, and with all that else was asked for."""
+    request = Request(structure="n4sid", orders={"order": None}, weights="moesp", stable=True)
+    fit = request.estimated(DATA)
+
+    again = request.of_fit(fit)
+
+    assert again.orders == {"order": fit.orders["order"]}
+    assert (again.weights, again.stable) == ("moesp", True)
+    np.testing.assert_array_equal(again.estimated(DATA).theta, fit.theta)
+
+
+def test_another_structure_takes_what_it_can_of_a_request() -> None:
+    """An output-error model has no projection whose weights could be chosen."""
+    request = Request(structure="n4sid", orders={"order": 2}, nk=3, weights="moesp", stable=True)
+
+    other = request.of_structure("oe", {"nb": 2, "nf": 2})
+
+    assert other == Request(structure="oe", orders={"nb": 2, "nf": 2}, nk=3, stable=True)
+
+
+def test_an_appended_option_leaves_the_hash_of_a_task() -> None:
+    """A batch of an earlier release goes on: what is not asked for is not in the hash."""
+    task = Identify(structure="oe", orders={"nb": 4, "nf": 4}, integrator=True)
+
+    before = (
+        '{"detrend":false,"integrator":true,"nk":1,"offset":false,"orders":{"nb":4,"nf":4},'
+        '"signal":"theta_1","stable":false,"structure":"oe","type":"identify"}'
+    )
+    assert digest(task) == sha256(before)
+    assert digest(Verify()) == sha256('{"type":"verify"}')
+    assert digest(Identify(**{**asdict(task), "starts": "few"})) != digest(task)
