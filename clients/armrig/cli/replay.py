@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import InputError
 from armrig_core.manifest import RUN, Manifest, manifest_of
+from armrig_core.protobuf import ABSENT
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.telemetry import Sample
 from armrig_core.volts import code_of
@@ -222,7 +223,7 @@ def _same_rows(ours: Any, theirs: Any) -> int:
 
 def _version(chunk: Any) -> int:
     """Return the version of a trace; the first one was not written down."""
-    return int(chunk.version) if chunk.HasField("version") else 1
+    return 1 if chunk.version == ABSENT["fixed64"] else int(chunk.version)
 
 
 def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
