@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from struct import pack
+
 from armrig_protocol.messages import CODE_FULL_SCALE, FULL_SCALE_MV
 
 from armrig_core.errors import InputError
@@ -23,13 +26,23 @@ def code_of(volts: float) -> int:
     return round(volts / U_MAX_V * CODE_FULL_SCALE)
 
 
+def codes_of(u: Iterable[float]) -> bytes:
+    """Return the codes of the voltages, each a u16, little-endian; raises as `code_of`."""
+    codes = [code_of(volts) for volts in u]
+    return pack(f"<{len(codes)}H", *codes)
+
+
 def volts_of(code: int) -> float:
     """Return the voltage of a code, in V."""
     return code / CODE_FULL_SCALE * U_MAX_V
 
 
+def duty(code: int, pwm_bits: int) -> int:
+    """Return the steps of 2^pwm_bits that stand for `code`, to the nearest; there are no ties."""
+    return ((code << (pwm_bits + 1)) + CODE_FULL_SCALE) // (2 * CODE_FULL_SCALE)
+
+
 def applied_code(code: int, pwm_bits: int) -> int:
-    """Return the code that a device with this duty resolution latches for `code`."""
-    steps = 1 << pwm_bits
-    duty = (2 * code * steps + CODE_FULL_SCALE) // (2 * CODE_FULL_SCALE)
-    return (2 * duty * CODE_FULL_SCALE + steps) // (2 * steps)
+    """Return the code that a device with this duty resolution latches for `code`; a tie goes up."""
+    steps = duty(code, pwm_bits)
+    return (2 * steps * CODE_FULL_SCALE + (1 << pwm_bits)) >> (pwm_bits + 1)

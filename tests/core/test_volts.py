@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_core.volts import applied_code, code_of, codes_of, volts_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -38,3 +38,12 @@ def test_what_a_device_latches_is_within_half_a_step(code: int, bits: int) -> No
     assert abs(applied - code) <= 65535 / 2**bits / 2 + 0.5
     assert 0 <= applied <= 65535
     assert applied_code(applied, bits) == applied
+
+
+def test_the_codes_of_a_run_are_those_of_its_voltages() -> None:
+    """Each as `code_of` gives it, in two bytes; what is outside is refused, not clamped."""
+    assert codes_of([0.0, 1.0, 5.0]) == b"".join(
+        code_of(u).to_bytes(2, "little") for u in (0, 1, 5)
+    )
+    with pytest.raises(ValueError, match=r"5\.1 V is outside"):
+        codes_of([5.0, 5.1])

@@ -7,10 +7,9 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import pytest
-from armrig_core.volts import applied_code
+from armrig_core.volts import applied_code, duty
 from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions.budget import scheduled_us
-from armrig_daemon.emulator.board import duty
 from armrig_daemon.emulator.harness import Violation
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (

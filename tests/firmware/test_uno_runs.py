@@ -9,10 +9,9 @@ from itertools import pairwise
 
 import pytest
 from armrig_core.telemetry import Sample
-from armrig_core.volts import applied_code, code_of, volts_of
+from armrig_core.volts import applied_code, code_of, duty, volts_of
 from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions.state import Phase
-from armrig_daemon.emulator.board import duty
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
 from armrig_daemon.pipe import Arm, Run, RunEnded, RunStarted

@@ -14,7 +14,7 @@ from armrig_core.manifest import RUN, Manifest, manifest_of
 from armrig_core.protobuf import ABSENT
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.telemetry import Sample
-from armrig_core.volts import code_of
+from armrig_core.volts import codes_of
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
 from armrig_daemon.decisions.state import Action, Emit, Publish, Send
@@ -231,7 +231,7 @@ def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
     if content.input is None:
         raise InputError("no input is attached")
     u = recorded_input(path, content.input, manifest.samples)
-    return np.asarray([code_of(volts) for volts in u.tolist()], dtype="<u2").tobytes()
+    return codes_of(u.tolist())
 
 
 def _names(frames: Sequence[bytes]) -> str:

@@ -12,6 +12,7 @@ from math import radians, tau
 from typing import NamedTuple
 
 import numpy as np
+from armrig_core.volts import applied_code, duty
 from armrig_protocol.messages import CODE_FULL_SCALE, FULL_SCALE_MV, Cause, State
 
 from armrig_daemon.emulator import plant
@@ -40,18 +41,10 @@ class Change(NamedTuple):
 Witness = Callable[[Change], None]
 
 
-def duty(code: int, pwm_bits: int) -> int:
-    """Return the steps of 2^pwm_bits that stand for `code`, to the nearest; there are no ties."""
-    return ((code << (pwm_bits + 1)) + CODE_FULL_SCALE) // (2 * CODE_FULL_SCALE)
-
-
 @lru_cache
 def reported(code: int, pwm_bits: int) -> int:
-    """Return the code of what the pin really gives for `code`; a tie goes up."""
-    if not pwm_bits:
-        return code
-    steps = duty(code, pwm_bits)
-    return (2 * steps * CODE_FULL_SCALE + (1 << pwm_bits)) >> (pwm_bits + 1)
+    """Return the code of what the pin really gives for `code`."""
+    return applied_code(code, pwm_bits) if pwm_bits else code
 
 
 @lru_cache

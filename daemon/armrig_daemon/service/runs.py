@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
-import numpy as np
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import raw_samples
 from armrig_core.commands import LastRun, Renew, Run, RunAccepted
@@ -20,8 +19,8 @@ from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Ma
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
 from armrig_core.rehearsal import Rehearsal, rehearse
-from armrig_core.volts import U_MAX_V
-from armrig_protocol.messages import CODE_FULL_SCALE, SCHEMA_HASH, VERSION
+from armrig_core.volts import codes_of
+from armrig_protocol.messages import SCHEMA_HASH, VERSION
 
 from armrig_daemon import pipe
 from armrig_daemon.config import Config
@@ -151,7 +150,8 @@ class Runs:
         alive()
         text = one_a_line(u)
         alive()
-        codes = np.rint(u / U_MAX_V * CODE_FULL_SCALE).astype("<u2").tobytes()
+        codes = codes_of(u.tolist())
+        alive()
         run_id = self._circumstances.run_id(codes)
         stamp = self._circumstances.now().strftime("%Y%m%dT%H%M%S")
         name = f"{self._config.rig.id}-{request.experiment}-{stamp}-{run_id}.mcap"

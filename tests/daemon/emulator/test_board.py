@@ -6,8 +6,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from armrig_core.volts import duty
 from armrig_daemon.emulator import board as board_module
-from armrig_daemon.emulator.board import Board, Change, VoltageError, duty, reported, volts
+from armrig_daemon.emulator.board import Board, Change, VoltageError, reported, volts
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.messages import Cause, State
 from hypothesis import given
