@@ -16,6 +16,7 @@ from unittest.mock import patch
 from armrig_daemon.decisions import (
     gaps,
     orders,
+    phases,
     replies,
     sampling,
     setpoints,
@@ -24,6 +25,7 @@ from armrig_daemon.decisions import (
     transitions,
 )
 from armrig_daemon.decisions import requests as core_requests
+from armrig_daemon.decisions.phases import On
 from armrig_daemon.decisions.state import ActiveRun, Emit, Lease, Phase, Rules
 from armrig_daemon.emulator import board, firmware, requests
 from armrig_daemon.emulator.firmware import NEVER
@@ -196,6 +198,11 @@ def _out_of_fault(state: Any, now_ns: int, order: Any) -> Any:
     return _arm(state, now_ns, order)
 
 
+def _out_of_fault_in_the_table(stack: ExitStack) -> None:
+    ways = {**phases.TRANSITIONS[On.ARMED], Phase.FAULT: Phase.ARMED}
+    stack.enter_context(patch.dict(phases.TRANSITIONS, {On.ARMED: ways}))
+
+
 def _all_beats(state: Any, now_ns: int, data: bytes) -> Any:
     with patch.object(core_requests, "MOST_BEATS", 1 << 20):
         return _send(state, now_ns, data)
@@ -346,6 +353,7 @@ MUTANTS = (
     Mutant(
         name="armed in a fault",
         plant=_put(orders, "_arm", _out_of_fault),
+        without=(_out_of_fault_in_the_table,),
         breaks=frozenset({"S6"}),
         faults=("hang", "intruder"),
         first=1028,

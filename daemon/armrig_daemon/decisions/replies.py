@@ -26,6 +26,7 @@ from msgspec.structs import replace
 
 from armrig_daemon.decisions import clock_comparison, sampling, transitions
 from armrig_daemon.decisions.faults import Fault, Id, of_device
+from armrig_daemon.decisions.phases import On, moved
 from armrig_daemon.decisions.requests import Step, ask, log, say_state, send
 from armrig_daemon.decisions.state import Action, Phase, RoundTrip, State, Want
 from armrig_daemon.decisions.stopping import end_run, trip
@@ -82,7 +83,7 @@ def _rebooted(state: State, now_ns: int) -> Step:
     if was_driving:
         state, done = trip(state, now_ns, Fault(Id.RESET, "the device was reset"))
     elif state.phase is not Phase.FAULT:
-        state = replace(state, phase=Phase.INIT)
+        state = moved(state, On.LOST)
         done = [log(now_ns, "warning", "the device was reset"), say_state(state, now_ns)]
     # Whatever was played is over, and no STOP will be confirmed: HELLO takes its place.
     state, ended = end_run(state, now_ns)

@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from armrig_daemon.decisions import gaps, orders, replies, setpoints, transitions
 from armrig_daemon.decisions.faults import Fault, Id
+from armrig_daemon.decisions.phases import On, moved
 from armrig_daemon.decisions.requests import Step, ask, log, refuse, say_state, send
 from armrig_daemon.decisions.state import (
     Absent,
@@ -98,8 +99,7 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
         state, actions = trip(state, now_ns, Fault(Id.LINK, f"link lost: {reason}"))
         return state, done + actions
     state, ended = end_run(state, now_ns)  # its STOP will not be confirmed any more
-    phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
-    state = replace(state, phase=phase)
+    state = moved(state, On.LOST)
     said = [log(now_ns, "warning", f"no link: {reason}"), say_state(state, now_ns)]
     return state, [*done, *ended, *said]
 
@@ -209,9 +209,7 @@ def _stale(state: State, now_ns: int, *, driving: bool) -> Step:
         return trip(state, now_ns, Fault(Id.STALE, cause))
     if state.asked is not None:
         return state, []
-    state = replace(state, sent=(), device=None)
-    if state.phase is not Phase.FAULT:
-        state = replace(state, phase=Phase.INIT)
+    state = moved(state, On.LOST, sent=(), device=None)
     state, actions = ask(state, now_ns, Want.HELLO)
     text = f"no answer from the device for {age_ms:.0f} ms; asking who is there"
     return state, [log(now_ns, "warning", text), say_state(state, now_ns), *actions]

@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from armrig_daemon.decisions import gaps
 from armrig_daemon.decisions.faults import Fault, sentence
+from armrig_daemon.decisions.phases import On, moved
 from armrig_daemon.decisions.requests import Step, ask, log, refuse, say_state
 from armrig_daemon.decisions.state import Absent, Emit, Exit, Phase, Repace, State, Want
 from armrig_daemon.pipe import Order, RunEnded
@@ -49,20 +50,13 @@ def stop(state: State, now_ns: int, outcome: str, order: Order | None = None) ->
 
 def leave(state: State) -> Step:
     """Exit with nobody holding the rig: frames that come in the same step report no stray state."""
-    phase = Phase.FAULT if state.phase is Phase.FAULT else Phase.INIT
-    return replace(state, phase=phase, lease=None, code=0), [Exit()]
+    return moved(state, On.ENDED, lease=None, code=0), [Exit()]
 
 
 def trip(state: State, now_ns: int, fault: Fault) -> Step:
     """Go to 0 V and latch: only a reset, then arm, leads out (S6)."""
-    state = replace(
-        state,
-        phase=Phase.FAULT,
-        fault=fault,
-        lease=None,
-        code=0,
-        outcome=state.outcome or fault.cause,
-    )
+    outcome = state.outcome or fault.cause
+    state = moved(state, On.TRIPPED, fault=fault, lease=None, code=0, outcome=outcome)
     if state.link_up:
         state, done = ask(state, now_ns, Want.STOP)
     else:

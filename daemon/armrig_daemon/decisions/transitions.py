@@ -20,6 +20,7 @@ from armrig_daemon.decisions import setpoints
 from armrig_daemon.decisions.budget import check, exchange_us
 from armrig_daemon.decisions.clockmap import ClockMap
 from armrig_daemon.decisions.faults import OF_DEVICE, Fault, Id, of_device, sentence
+from armrig_daemon.decisions.phases import On, moved
 from armrig_daemon.decisions.requests import (
     MANY_TRIES,
     NO_DEVICE,
@@ -187,7 +188,7 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
     rules = state.rules
     ts_us = order.ts_us or rules.ts_us
     lease = Lease(order.lease, order.owner, ts_us, -1, now_ns, order.owner_checked)
-    state = replace(state, phase=Phase.ARMED, fault=None, lease=lease)
+    state = moved(state, On.ARMED, fault=None, lease=lease)
     granted = {
         "lease": order.lease,
         "period_s": rules.lease_ns(ts_us) / 1e9,
@@ -203,7 +204,7 @@ def _started(state: State, now_ns: int, asked: Asked) -> Step:
     if state.lease is None or not isinstance(order, Run | Set):
         return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
     # The lease counts from the command, however long its START took.
-    state = replace(state, phase=Phase.ACTIVE, outcome="", code=0, beats=())
+    state = moved(state, On.STARTED, outcome="", code=0, beats=())
     done = [say_state(state, now_ns), *answer(order, {"done": True})]
     if isinstance(order, Set):
         return replace(state, code=order.code), done
@@ -302,7 +303,7 @@ def _unfit(device: HelloReply) -> str:
 def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
     done = refuse(asked.order, fault.cause)
     if state.fault != fault:
-        state = replace(state, phase=Phase.FAULT, fault=fault)
+        state = moved(state, On.TRIPPED, fault=fault)
         done.append(log(now_ns, "error", sentence(fault), cause=fault.id))
     return state, [*done, say_state(state, now_ns)]  # in any case: the device is known again
 
@@ -349,7 +350,8 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
             done.append(say_state(state, now_ns))
         state, actions = ask(state, now_ns, Want.ARM, asked.order)
         return state, done + actions
-    state = replace(state, phase=Phase.SAFE, fault=None, lease=None)
+    on = On.RESET if isinstance(asked.order, Reset) else On.CONFIGURED
+    state = moved(state, on, fault=None, lease=None)
     return state, [*done, say_state(state, now_ns), *answer(asked.order, {"done": True})]
 
 

@@ -591,8 +591,8 @@ def test_a_refused_configuration_is_told_by_its_name() -> None:
     assert [type(m) for m in decided.sent] == [Hello]
 
 
-@pytest.mark.parametrize("order", [None, ARM])
-def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | None) -> None:
+@pytest.mark.parametrize("order", [Reset(order=5), ARM])
+def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | Reset) -> None:
     """Its CRC and nonce are what ARM carries; the pace is that of the new Ts.
 
     S4: it does not say which CONFIG it answers, and proves no round trip to who wants to drive.
@@ -606,10 +606,10 @@ def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | No
 
     after = decided.state
     assert (after.config_crc, after.nonce, after.ts_us) == (reply.config_crc, 77, 20_000)
-    assert after.fresh_ns == (55 if order is None else latched.fresh_ns)
+    assert after.fresh_ns == (55 if isinstance(order, Reset) else latched.fresh_ns)
     assert after.tick_ns == bench.ports.now
     assert decided.of(Repace) == [Repace(20_000, state.k + 1)]
-    if order is None:
+    if isinstance(order, Reset):
         assert (after.phase, after.asked, decided.sent) == (Phase.SAFE, None, [])
         assert (after.fault, after.lease) == (None, None)
     else:

@@ -64,7 +64,7 @@ def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
 
 
 def test_the_loop_hears_of_us_between_the_steps_of_a_long_plan(tmp_path: Path) -> None:
-    """Checked, rehearsed, written as text, made codes: each takes a second for millions of samples."""
+    """Checked, rehearsed, made text, made codes: millions of samples take a second each."""
     calls: list[None] = []
 
     _runs(tmp_path, Config()).plan(REQUEST, 0.01, alive=lambda: calls.append(None))

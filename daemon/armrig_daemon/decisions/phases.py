@@ -1,0 +1,41 @@
+"""Every way from phase to phase, as one table; docs/safety.md draws it."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Any
+
+from msgspec.structs import replace
+
+from armrig_daemon.decisions.state import Phase, State
+
+
+class On(Enum):
+    """What moves the daemon from phase to phase, as the diagram says it."""
+
+    CONFIGURED = "the device is at rest and has accepted its configuration"
+    ARMED = "the device is armed for an owner"
+    STARTED = "the first command of the owner has started the motor"
+    TRIPPED = "a fault"
+    RESET = "a reset, after which the device has accepted its configuration"
+    LOST = "no device answers, or it was reset"
+    ENDED = "the daemon ends"
+
+
+_INIT, _SAFE, _ARMED, _ACTIVE, _FAULT = Phase
+TRANSITIONS: dict[On, dict[Phase, Phase]] = {
+    On.CONFIGURED: {_INIT: _SAFE, _SAFE: _SAFE, _ARMED: _SAFE, _ACTIVE: _SAFE},
+    On.ARMED: {_SAFE: _ARMED},
+    On.STARTED: {_ARMED: _ACTIVE},
+    On.TRIPPED: dict.fromkeys(Phase, _FAULT),
+    On.RESET: {_FAULT: _SAFE},
+    # A device that is lost while it may turn is a fault first.
+    On.LOST: {_INIT: _INIT, _SAFE: _INIT, _FAULT: _FAULT},
+    On.ENDED: {_INIT: _INIT, _SAFE: _INIT, _ARMED: _INIT, _ACTIVE: _INIT, _FAULT: _FAULT},
+}
+"""Phase before and after. What is not here fails: the loop then stops the motor and ends."""
+
+
+def moved(state: State, on: On, **changes: Any) -> State:
+    """Return the state in the phase that follows, with further changes."""
+    return replace(state, phase=TRANSITIONS[on][state.phase], **changes)

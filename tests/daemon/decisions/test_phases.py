@@ -1,0 +1,47 @@
+"""The ways from phase to phase are one table, and docs/safety.md draws it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from armrig_daemon.decisions.phases import TRANSITIONS, On, moved
+from armrig_daemon.decisions.state import Phase
+from decision_states import rested
+from msgspec.structs import replace
+
+PAGE = Path(__file__).parents[3] / "docs" / "safety.md"
+
+
+def diagram() -> str:
+    """Return the table as a Mermaid diagram; a phase that stays what it is has no arrow."""
+    arrows = [
+        f"    {before} --> {after}: {on.value}"
+        for on, ways in TRANSITIONS.items()
+        for before, after in ways.items()
+        if before is not after
+    ]
+    return "\n".join(["```mermaid", "stateDiagram-v2", "    [*] --> init", *arrows, "```"])
+
+
+def test_the_page_draws_the_table() -> None:
+    """To draw it again, put the text that this test expects into the page."""
+    assert diagram() in PAGE.read_text(encoding="utf-8")
+
+
+def test_only_a_reset_leads_out_of_a_fault() -> None:
+    """S6: what has tripped stays so, and is armed from safe alone."""
+    out = {on for on, ways in TRANSITIONS.items() if ways.get(Phase.FAULT, Phase.FAULT) != "fault"}
+
+    assert out == {On.RESET}
+    assert TRANSITIONS[On.RESET] == {Phase.FAULT: Phase.SAFE}
+    assert {*TRANSITIONS[On.ARMED]} == {Phase.SAFE}
+    assert {*TRANSITIONS[On.STARTED]} == {Phase.ARMED}
+
+
+def test_a_way_that_is_not_in_the_table_is_not_gone() -> None:
+    """It fails instead: the loop stops the motor and ends."""
+    latched = replace(rested().loop.state, phase=Phase.FAULT)
+
+    with pytest.raises(KeyError):
+        moved(latched, On.ARMED)
