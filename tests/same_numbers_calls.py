@@ -39,15 +39,15 @@ def variants(function: Callable[[], Variants]) -> Callable[[], Variants]:
 
 
 NOT_CALLED = {
+    "ArmrigError": "an error",
     "Catalogue": "what catalogue returns",
-    "DataFileError": "an error",
+    "FileError": "an error",
     "Fit": "what arx and others return",
     "GreyFit": "what greybox returns",
+    "InputError": "an error",
     "LiveGap": "of a live rig",
-    "ModelFileError": "an error",
     "RarxState": "what rarx_step returns",
     "Recording": "what load returns",
-    "RecordingError": "an error",
     "Rig": "a live rig",
     "RigError": "an error",
     "SearchResult": "what search returns",

@@ -5,10 +5,11 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from armrig_core.errors import ArmrigError, FileError, InputError
+
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset, merge
     from armrig.data.files.loading import load_data
-    from armrig.data.files.table import DataFileError
     from armrig.data.treatment import (
         detrend,
         difference,
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
     )
     from armrig.excitation.input_description import describe_input
     from armrig.models.fit import Fit
-    from armrig.models.model_file import ModelFileError, load_fit
+    from armrig.models.model_file import load_fit
     from armrig.models.subspace_fit import SubspaceFit
     from armrig.nonparametric.bla import bla
     from armrig.nonparametric.correlation import correlation
@@ -70,7 +71,7 @@ if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue, catalogue
     from armrig.recordings.jitter import sampling_statistics
     from armrig.recordings.loading import load
-    from armrig.recordings.recording import Recording, RecordingError
+    from armrig.recordings.recording import Recording
     from armrig.recordings.usability import data_verdict
     from armrig.rig.client import Rig
     from armrig.rig.live_gaps import LiveGap
@@ -87,17 +88,17 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ArmParameters",
+    "ArmrigError",
     "Catalogue",
-    "DataFileError",
     "Dataset",
+    "FileError",
     "Fit",
     "GreyFit",
+    "InputError",
     "LiveGap",
-    "ModelFileError",
     "PlannedModel",
     "RarxState",
     "Recording",
-    "RecordingError",
     "Rig",
     "RigError",
     "SearchResult",
@@ -178,7 +179,6 @@ _MODULES = {
     "validation.advice.advice": ("advice",),
     "data.dataset": ("Dataset", "merge"),
     "data.files.loading": ("load_data",),
-    "data.files.table": ("DataFileError",),
     "estimation.ararx": ("ararx",),
     "estimation.armax": ("armax",),
     "estimation.arx": ("arx",),
@@ -235,13 +235,13 @@ _MODULES = {
     ),
     "recordings.catalogue": ("Catalogue", "catalogue"),
     "recordings.loading": ("load",),
-    "recordings.recording": ("Recording", "RecordingError"),
+    "recordings.recording": ("Recording",),
     "rig.client": ("Rig",),
     "rig.live_gaps": ("LiveGap",),
     "rig.session": ("RigError",),
     "physics.physical_model": ("physical_model",),
     "rig.telemetry_stream": ("stream",),
-    "models.model_file": ("ModelFileError", "load_fit"),
+    "models.model_file": ("load_fit",),
     "validation.model_search": ("search",),
     "validation.search_result": ("SearchResult",),
     "recordings.jitter": ("sampling_statistics",),

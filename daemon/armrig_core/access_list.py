@@ -10,7 +10,7 @@ import msgspec
 from msgspec import Meta
 
 from armrig_core.credential import RIG_PREFIX, check_name
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError
 from armrig_core.toml_file import read_toml
 
 LIMIT = 1 << 20
@@ -22,10 +22,6 @@ _HEADING = """\
 """
 
 _Names = Annotated[tuple[str, ...], Meta(max_length=10_000)]
-
-
-class AccessListError(ValueError):
-    """An access list that is refused; names the file and what is wrong."""
 
 
 class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -75,16 +71,16 @@ def read_access_list(path: Path) -> AccessList:
 
     Raises
     ------
-    AccessListError
+    FileError
         It cannot be read, is no TOML, or holds a key or a name that is not allowed.
     """
     try:
         return msgspec.convert(read_toml(path, LIMIT), AccessList)
     except FileNotFoundError as err:
-        raise AccessListError(f"{path}: there is no such file; `armrig pki ca` writes one") from err
+        raise FileError(f"{path}: there is no such file; `armrig pki ca` writes one") from err
     except OSError as err:
-        raise AccessListError(
+        raise FileError(
             f"{path}: {err.strerror}; it must be a file that this user may read"
         ) from err
     except ValueError as err:
-        raise AccessListError(f"{path}: {err}") from err
+        raise FileError(f"{path}: {err}") from err

@@ -9,6 +9,8 @@ import stat
 from collections.abc import Callable
 from pathlib import Path
 
+from armrig_core.errors import FileError
+
 CONFIGURATION_LIMIT = 1 << 16
 """Longest configuration file, in B; the time of its reader grows with the square."""
 
@@ -43,16 +45,12 @@ def read_bounded(
     return data
 
 
-class TextError(ValueError):
-    """Bytes that are no UTF-8; says so, and what to do."""
-
-
 def read_text(path: Path, most: int) -> str:
     """Return the text of a regular file, without the byte order mark of some editors.
 
     Raises
     ------
-    TextError
+    FileError
         It is saved in another encoding than UTF-8.
     OSError
         As of `read_bounded`.
@@ -65,13 +63,13 @@ def decoded(data: bytes) -> str:
 
     Raises
     ------
-    TextError
+    FileError
         They are in another encoding than UTF-8.
     """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise TextError("it is saved as UTF-16: save it as UTF-8")
+        raise FileError("it is saved as UTF-16: save it as UTF-8")
     try:
         return data.removeprefix(codecs.BOM_UTF8).decode("utf-8")
     except UnicodeDecodeError as err:
         line = err.object.count(b"\n", 0, err.start) + 1
-        raise TextError(f"line {line} is not UTF-8: save it as UTF-8") from err
+        raise FileError(f"line {line} is not UTF-8: save it as UTF-8") from err

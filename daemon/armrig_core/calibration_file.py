@@ -12,7 +12,8 @@ import msgspec
 
 from armrig_core.bounded import read_bounded
 from armrig_core.calibration import Calibration, Made
-from armrig_core.toml_file import TomlError, read_toml
+from armrig_core.errors import FileError
+from armrig_core.toml_file import read_toml
 
 RAW_LIMIT = 1 << 20
 """Most that the samples of a calibration may take, compressed, in B."""
@@ -24,10 +25,6 @@ _HEADING = (
 
 
 _TOML_LIMIT = 1 << 14  # ten times what we write; the reader's time grows with the square
-
-
-class CalibrationFileError(ValueError):
-    """A file that holds no calibration; says which and why."""
 
 
 def raw_path(path: Path) -> Path:
@@ -52,16 +49,16 @@ def tables_of(path: Path) -> dict[str, Any]:
 
     Raises
     ------
-    CalibrationFileError
+    FileError
         The file cannot be read or is no TOML, or the samples beside it are not those that it was
         estimated from.
     """
     try:
         tables = read_toml(path, _TOML_LIMIT)
     except OSError as err:
-        raise CalibrationFileError(f"{path}: {err.strerror}") from err
-    except TomlError as err:
-        raise CalibrationFileError(f"{path}: {err}") from err
+        raise FileError(f"{path}: {err.strerror}") from err
+    except FileError as err:
+        raise FileError(f"{path}: {err}") from err
     made = tables.get("made")
     if isinstance(made, dict):
         if made.get("raw_sha256"):
@@ -71,12 +68,12 @@ def tables_of(path: Path) -> dict[str, Any]:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Return the calibration in the TOML at `path`; raises CalibrationFileError."""
+    """Return the calibration in the TOML at `path`; raises FileError."""
     tables = tables_of(path)
     try:
         return msgspec.convert(tables, Calibration)
     except msgspec.ValidationError as err:
-        raise CalibrationFileError(f"{path}: {err}; `armrig calibrate` writes such files") from err
+        raise FileError(f"{path}: {err}; `armrig calibrate` writes such files") from err
 
 
 def check_measured(calibration: Calibration, raw: bytes) -> Made:
@@ -89,12 +86,12 @@ def check_measured(calibration: Calibration, raw: bytes) -> Made:
 
     Raises
     ------
-    CalibrationFileError
+    FileError
         It was not measured, is longer than a file may be, or `raw` are not its samples.
     """
     made, error = calibration.made, ""
     if made is None:
-        raise CalibrationFileError(
+        raise FileError(
             "the calibration does not say how it was made; `armrig calibrate` makes one"
         )
     if len(toml_of(calibration).encode()) > _TOML_LIMIT:
@@ -104,7 +101,7 @@ def check_measured(calibration: Calibration, raw: bytes) -> Made:
     elif (hashlib.sha256(raw).hexdigest() if raw else "") != made.raw_sha256:
         error = "the samples beside it are not those that it was estimated from"
     if error:
-        raise CalibrationFileError(f"{error}; calibrate anew with `armrig calibrate`")
+        raise FileError(f"{error}; calibrate anew with `armrig calibrate`")
     return made
 
 
@@ -113,7 +110,7 @@ def raw_samples(calibration: Calibration) -> bytes:
 
     Raises
     ------
-    CalibrationFileError
+    FileError
         They are not there, too long, or not those that it was estimated from.
     """
     made = calibration.made
@@ -128,11 +125,9 @@ def _raw(path: Path, sha256: str) -> bytes:
     try:
         data = read_bounded(beside, RAW_LIMIT)
     except OSError as err:
-        raise CalibrationFileError(f"{beside}: {err.strerror}; {way_out}") from err
+        raise FileError(f"{beside}: {err.strerror}; {way_out}") from err
     if hashlib.sha256(data).hexdigest() != sha256:
-        raise CalibrationFileError(
-            f"{beside}: not the samples that {path.name} was estimated from; {way_out}"
-        )
+        raise FileError(f"{beside}: not the samples that {path.name} was estimated from; {way_out}")
     return data
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.endpoint import anchored
-from armrig_core.errors import InputError
-from armrig_core.toml_file import TomlError, read_toml
+from armrig_core.errors import FileError, InputError
+from armrig_core.toml_file import read_toml
 
 _PREFIX = "ARMRIG_CLIENT_"
 
@@ -61,7 +61,7 @@ def _table(path: Path) -> Any:
         return {}
     except OSError as err:
         raise InputError(f"{path}: {err.strerror}") from err
-    except TomlError as err:
+    except FileError as err:
         raise InputError(f"{path}: {err}") from err
     return _anchored(tables.get("client", {}), path.absolute().parent)
 

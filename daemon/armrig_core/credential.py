@@ -18,7 +18,7 @@ from shlex import quote
 from typing import Any, Literal
 
 from armrig_core.bounded import CONFIGURATION_LIMIT, read_bounded
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError
 from armrig_core.printable import printable
 
 Purpose = Literal["rig", "client", "router", "rig at a router"]
@@ -39,10 +39,6 @@ _BLOCK = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----.*?-----END \1-----\n?", re.D
 _NAME = re.compile(r"[a-z0-9-]{1,40}")
 # X509_V_ERR_… of OpenSSL, x509_vfy.h
 _NOT_YET, _EXPIRED, _PURPOSE = 9, 10, 26
-
-
-class CredentialError(ValueError):
-    """A credential that cannot be used; names the file, what is wrong, and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,7 +114,7 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
 
     Raises
     ------
-    CredentialError
+    FileError
         The file cannot be read, or not by its owner alone; something is missing in it; the key is
         not that of the certificate; the certificate is not signed by the authority in the file,
         not of this time, or for another purpose.
@@ -128,22 +124,22 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
     keys = [text for label, text in blocks if label.endswith(b"PRIVATE KEY")]
     certificates = [text for label, text in blocks if label == b"CERTIFICATE"]
     if len(keys) != 1 or len(certificates) < 2:
-        raise CredentialError(
+        raise FileError(
             f"{path}: {len(keys)} private keys and {len(certificates)} certificates: one key, its "
             f"certificate and that of its authority are needed, as `{_MADE_BY[purpose]}` writes it"
         )
     if b"ENCRYPTED" in keys[0]:
-        raise CredentialError(f"{path}: the key is encrypted: a key without a passphrase is needed")
+        raise FileError(f"{path}: the key is encrypted: a key without a passphrase is needed")
     authority = certificates[-1]
     try:
         shown = _shown(path, authority, purpose)
         authorities = _contents(authority)
     except (ssl.SSLError, ValueError) as err:
-        raise CredentialError(f"{path}: {_what_is_wrong(err, purpose)}") from err
+        raise FileError(f"{path}: {_what_is_wrong(err, purpose)}") from err
     ends = (_end(certificate) for certificate in (shown, *authorities))
     name = _common_name(path, shown)
     if purpose == "client" and name.startswith(RIG_PREFIX):  # it connects to a router
-        raise CredentialError(f"{path}: {_other_purpose(purpose)}")
+        raise FileError(f"{path}: {_other_purpose(purpose)}")
     return Credential(
         name=name,
         expires=min(ends),
@@ -156,16 +152,14 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
 def _read(path: Path, purpose: Purpose) -> bytes:
     def check(found: os.stat_result) -> None:
         if error := exposed(path, found, "the key"):
-            raise CredentialError(error)
+            raise FileError(error)
 
     try:
         return read_bounded(path, CONFIGURATION_LIMIT, check)
     except FileNotFoundError as err:
-        raise CredentialError(
-            f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one"
-        ) from err
+        raise FileError(f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one") from err
     except OSError as err:
-        raise CredentialError(
+        raise FileError(
             f"{path}: {err.strerror}; it must be a file that this user may read"
         ) from err
 
@@ -213,7 +207,7 @@ def _common_name(path: Path, certificate: dict[str, Any]) -> str:
     try:
         return check_name(names[0] if names else "")
     except ValueError as err:
-        raise CredentialError(f"{path}: common name in the certificate: {err}") from err
+        raise FileError(f"{path}: common name in the certificate: {err}") from err
 
 
 def _what_is_wrong(err: ssl.SSLError | ValueError, purpose: Purpose) -> str:

@@ -1,4 +1,4 @@
-"""What armrig raises on purpose: every such error is an ArmrigError, and no other one is."""
+"""What armrig raises on purpose, as few classes as callers tell apart; all are ArmrigErrors."""
 
 
 class ArmrigError(Exception):
@@ -11,3 +11,15 @@ class InputError(ArmrigError, ValueError):
 
 class InputTypeError(ArmrigError, TypeError):
     """An argument of a type that cannot be used: the message says what to give."""
+
+
+class FileError(InputError):
+    """A file that does not contain what it should: the message names the file."""
+
+
+class MalformedReplyError(ArmrigError, ValueError):
+    """No reply of a daemon of this version."""
+
+
+class OperationError(ArmrigError, RuntimeError):
+    """A program, a port or a service that is needed fails: the message says what to do."""

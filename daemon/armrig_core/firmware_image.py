@@ -12,17 +12,13 @@ from pathlib import Path
 from zlib import crc32
 
 from armrig_core.bounded import read_bounded
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError
 
 UNO = "armrig-uno.hex"
 _LONGEST_FILE = 1 << 20  # B; 256 KiB of flash, the most of its kind, are 0.7 MiB of text
 _DATA, _END, _SEGMENT, _LINEAR = 0, 1, 2, 4
 _STARTS = (3, 5)  # where the processor begins: an AVR begins at 0
 _ERASED = 0xFF
-
-
-class ImageError(ValueError):
-    """The file is no firmware; says which file, and what is wrong with it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +50,7 @@ def read_image(path: Path) -> FirmwareImage:
 
     Raises
     ------
-    ImageError
+    FileError
         It is none, is spoilt or cut off, or does not begin at address 0.
     OSError
         It cannot be read.
@@ -63,7 +59,7 @@ def read_image(path: Path) -> FirmwareImage:
     try:
         data = _flash(text.decode("ascii").split())
     except ValueError as err:
-        raise ImageError(f"{path}: no firmware in Intel HEX: {err}") from err
+        raise FileError(f"{path}: no firmware in Intel HEX: {err}") from err
     return FirmwareImage(path=path, data=data, sha256=sha256(text).hexdigest())
 
 

@@ -15,6 +15,7 @@ from typing import Annotated, NamedTuple
 import msgspec
 from msgspec import Meta
 
+from armrig_core.errors import MalformedReplyError
 from armrig_core.topics import STREAMS
 
 REPLY_LIMIT = 64 << 10
@@ -32,10 +33,6 @@ class HistoryRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     first: Annotated[int, Meta(ge=0, lt=NUMBER_LIMIT)] = 0
     """Number of the first message wanted; 0 is the oldest that is kept."""
-
-
-class HistoryError(ValueError):
-    """Bytes that are no answer; says why."""
 
 
 class Past(NamedTuple):
@@ -66,11 +63,11 @@ def decode_past(data: bytes) -> Past:
 
     Raises
     ------
-    HistoryError
+    MalformedReplyError
         They are none.
     """
     if len(data) > ANSWER_LIMIT:
-        raise HistoryError(f"{len(data)} B are no history, which has at most {ANSWER_LIMIT}")
+        raise MalformedReplyError(f"{len(data)} B are no history, which has at most {ANSWER_LIMIT}")
     try:
         life, first, offset_ns = _HEAD.unpack_from(data)
         at = _HEAD.size
@@ -79,11 +76,11 @@ def decode_past(data: bytes) -> Past:
             stream, length = _MESSAGE.unpack_from(data, at)
             at += _MESSAGE.size
             if stream >= len(STREAMS) or length > len(data) - at:
-                raise HistoryError(f"a message of stream {stream} and {length} B is none")
+                raise MalformedReplyError(f"a message of stream {stream} and {length} B is none")
             messages.append((STREAMS[stream], data[at : at + length]))
             at += length
     except error as err:
-        raise HistoryError(f"{len(data)} B are no history") from err
+        raise MalformedReplyError(f"{len(data)} B are no history") from err
     if first + len(messages) > NUMBER_LIMIT:
-        raise HistoryError(f"there is no message of number {first}")
+        raise MalformedReplyError(f"there is no message of number {first}")
     return Past(life, first, offset_ns, tuple(messages))

@@ -8,15 +8,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, decoded, read_bounded
+from armrig_core.bounded import CONFIGURATION_LIMIT, decoded, read_bounded
 from armrig_core.credential import check_name, exposed
+from armrig_core.errors import FileError
 
 SHORTEST = 12
 """A password that is guessed in no time protects nobody."""
-
-
-class PasswordError(ValueError):
-    """A file of passwords that is refused; names the file and what is wrong, and no password."""
 
 
 def read_users(path: Path) -> dict[str, str]:
@@ -24,23 +21,25 @@ def read_users(path: Path) -> dict[str, str]:
 
     Raises
     ------
-    PasswordError
+    FileError
         It cannot be read, or not by its owner alone; a line is not user:password, a password is
         too short, or a user stands there twice.
     """
 
     def check(found: os.stat_result) -> None:
         if error := exposed(path, found, "a password"):
-            raise PasswordError(error)
+            raise FileError(error)
 
     try:
-        lines = decoded(read_bounded(path, CONFIGURATION_LIMIT, check)).splitlines()
+        data = read_bounded(path, CONFIGURATION_LIMIT, check)
     except OSError as err:
-        raise PasswordError(
+        raise FileError(
             f"{path}: {err.strerror}; a line user:password for each user is needed there"
         ) from err
-    except TextError as err:
-        raise PasswordError(f"{path}: {err}") from err
+    try:
+        lines = decoded(data).splitlines()
+    except FileError as err:
+        raise FileError(f"{path}: {err}") from err
     users: dict[str, str] = {}
     for number, line in enumerate(lines, 1):
         if not line.strip():
@@ -48,12 +47,10 @@ def read_users(path: Path) -> dict[str, str]:
         name, _, password = (part.strip() for part in line.partition(":"))
         wrong = _wrong(name, password, users)
         if wrong:
-            raise PasswordError(f"{path}: line {number}: {wrong}")
+            raise FileError(f"{path}: line {number}: {wrong}")
         users[name] = password
     if not users:
-        raise PasswordError(
-            f"{path}: nobody is in it; a line user:password for each user is needed"
-        )
+        raise FileError(f"{path}: nobody is in it; a line user:password for each user is needed")
     return users
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import platformdirs
 
 from armrig_core.bounded import CONFIGURATION_LIMIT
-from armrig_core.errors import InputError
-from armrig_core.toml_file import TomlError, read_toml
+from armrig_core.errors import FileError, InputError
+from armrig_core.toml_file import read_toml
 
 SYSTEM = Path("/etc/armrig/armrig.toml")
 VARIABLE = "ARMRIG_RECORDING_DIRECTORY"
@@ -101,7 +101,7 @@ def _named_in(path: Path, otherwise: str) -> str:
         table: Any = read_toml(path, CONFIGURATION_LIMIT).get("recording", {})
     except OSError as err:
         raise InputError(f"{path}: {err.strerror}") from err
-    except TomlError as err:
+    except FileError as err:
         raise InputError(f"{path}: {err}") from err
     given = table.get("directory", otherwise) if isinstance(table, dict) else None
     if not isinstance(given, str):

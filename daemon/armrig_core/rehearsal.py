@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from armrig_core.errors import InputError
+
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
@@ -31,10 +33,6 @@ class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
     """Angle by which the chassis has turned at the end, in rad."""
     theta_1_rad: float | None = None
     """Where the chassis then is, turns counted from its start, in rad; None if that is unknown."""
-
-
-class RehearsalError(ValueError):
-    """The model leaves a limit; names it, the value, the sample and what to do."""
 
 
 def rehearse(
@@ -70,7 +68,7 @@ def rehearse(
 
     Raises
     ------
-    RehearsalError
+    InputError
         A limit is reached: the device stops at as many turns, too, not beyond them.
     """
     volts = np.asarray(u, dtype=np.float64)
@@ -113,7 +111,7 @@ def _check(key: str, values: _Array, limit: float, does: str, unit: str, Ts: flo
     if not limit or not reached.any():
         return
     i = int(np.argmax(reached))
-    raise RehearsalError(
+    raise InputError(
         f"the rehearsal {does} up to {values.max():.3g} {unit}: limits.{key} = {limit:g} is "
         f"reached at u[{i}], {i * Ts:.3g} s; shorten the input or lower its voltages, "
         f"or raise limits.{key}"

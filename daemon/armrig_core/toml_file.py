@@ -7,7 +7,8 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
-from armrig_core.bounded import TextError, read_text
+from armrig_core.bounded import read_text
+from armrig_core.errors import FileError
 
 _DEEPEST, _MOST_LEVELS = 16, 64
 # The reader's time grows with the square of the depth, and what it returns cannot be printed.
@@ -15,29 +16,17 @@ _PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
 _TOO_DEEP = re.compile(rf"(?:{_PART}[ \t]*\.[ \t]*){{{_DEEPEST}}}{_PART}")
 
 
-class TomlError(ValueError):
-    """A text that is no TOML; says why."""
-
-    def __init__(self, what: str, why: str) -> None:
-        super().__init__(f"{what}{why}")
-        self.why = why
-        """As the reader says it."""
-
-
 def read_toml(path: Path, most: int) -> dict[str, Any]:
     """Return the tables of a regular file of at most so many bytes.
 
     Raises
     ------
-    TomlError
+    FileError
         It is no TOML, is saved in another encoding than UTF-8, or is nested too deeply.
     OSError
         It cannot be read, or is too long.
     """
-    try:
-        return toml_tables(read_text(path, most))
-    except TextError as err:
-        raise TomlError("", str(err)) from err
+    return toml_tables(read_text(path, most))
 
 
 def toml_tables(text: str) -> dict[str, Any]:
@@ -45,17 +34,17 @@ def toml_tables(text: str) -> dict[str, Any]:
 
     Raises
     ------
-    TomlError
+    FileError
         It is no TOML, or is nested too deeply.
     """
     if _TOO_DEEP.search(text):
-        raise TomlError("", f"nested too deeply: a key has at most {_DEEPEST} parts")
+        raise FileError(f"nested too deeply: a key has at most {_DEEPEST} parts")
     try:
         tables = tomllib.loads(text)
     except RecursionError as err:
-        raise TomlError("", "nested too deeply") from err
+        raise FileError("nested too deeply") from err
     except ValueError as err:  # TOMLDecodeError is one
-        raise TomlError("not a TOML file: ", str(err)) from err
+        raise FileError(f"not a TOML file: {err}") from err
     _check_depth(tables)
     return tables
 
@@ -68,4 +57,4 @@ def _check_depth(tables: dict[str, Any]) -> None:
         level = [x for values in inner for x in values if isinstance(x, dict | list)]
         if not level:
             return
-    raise TomlError("", f"nested too deeply: at most {_MOST_LEVELS} levels are read")
+    raise FileError(f"nested too deeply: at most {_MOST_LEVELS} levels are read")

@@ -18,12 +18,13 @@ import msgspec
 import typer
 from armrig_core.emulator_stall import held_up
 from armrig_core.endpoint import distrust, endpoint, socket_directory
+from armrig_core.errors import InputError, OperationError
 from armrig_core.printable import brief, printable
 from armrig_core.signal_pipe import held_back
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
-from armrig_daemon.config import MEND, Config, ConfigError
+from armrig_daemon.config import MEND, Config
 from armrig_daemon.config import Device as DeviceSettings
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def run(
     with held_back():  # an exception in the midst of an import may be passed over
         from armrig_daemon import config as configuration
         from armrig_daemon.loop.realtime import end_with_parent
-        from armrig_daemon.service.emulated_rig import EmulatorError, emulated
+        from armrig_daemon.service.emulated_rig import emulated
         from armrig_daemon.service.service import Service
         from armrig_daemon.service.systemd import Notifier
 
@@ -98,7 +99,7 @@ def run(
     try:
         with emulated(loaded, _socket_directory()) as (device, stalls_fd):
             code = Service(device, where, directory, stalls_fd, *of_systemd).run()
-    except EmulatorError as err:
+    except OperationError as err:
         _refuse(str(err))
     _end(code)
 
@@ -143,7 +144,7 @@ def estop(
     try:
         device = _configuration(config, port, rig, {}, system=system)().device
         stopped = send_estop(device.port, device.baud)
-    except ConfigError as err:
+    except InputError as err:
         _refuse(f"estop: nothing sent: {err}", MEND)
     except TakenPortError as err:
         _refuse(f"estop: nothing sent: {err}; a daemon that runs is stopped by `armrig stop`")
@@ -204,8 +205,6 @@ def emulate(
 ) -> None:
     """Emulate a rig behind a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
     from armrig_daemon.emulator.device import Device
-    from armrig_daemon.emulator.harness import HarnessError
-    from armrig_daemon.emulator.line import PortError
     from armrig_daemon.emulator.real_time import emulate as run_emulator
     from armrig_daemon.emulator.settings import EmulatorSettings, load
 
@@ -226,7 +225,7 @@ def emulate(
         code = run_emulator(
             port, chosen, switch_on=switch_on, trace=trace, started=started, held_up=tell
         )
-    except (ValueError, PortError, HarnessError) as err:
+    except (ValueError, OperationError) as err:
         _refuse(str(err), MEND)
     raise typer.Exit(code)
 
@@ -305,7 +304,6 @@ def conformance(
     from armrig_daemon.conformance.host import Host
     from armrig_daemon.conformance.rule import Result
     from armrig_daemon.conformance.suite import run as try_rules
-    from armrig_daemon.emulator.harness import HarnessError
     from armrig_daemon.loop.link import LinkError
 
     is_simulated = firmware or image is not None
@@ -326,7 +324,7 @@ def conformance(
             line, rules = _tried_over(device, image, baud, stack)
             host = Host(line, baud)
             results = try_rules(host, tell, rules)
-    except (LinkError, HarnessError) as err:
+    except (LinkError, OperationError) as err:
         _refuse(f"conformance: {err}")
     except Broken as err:
         where = f"{device} at {baud} baud: {err}; see that it is the device's port"
@@ -387,12 +385,7 @@ def virtual(
     The same seed, runs and configuration give the same bytes.
     """
     from armrig_daemon.emulator.device import Device
-    from armrig_daemon.emulator.harness import HarnessError
-    from armrig_daemon.service.virtual_service import (
-        VirtualRunError,
-        VirtualService,
-        requests_of,
-    )
+    from armrig_daemon.service.virtual_service import VirtualService, requests_of
 
     try:
         loaded = _configuration(config, None, None, _FOR_EMULATED, system=False)()
@@ -400,7 +393,7 @@ def virtual(
         service = VirtualService(loaded, directory.absolute(), seed=seed, switch_on=switch_on)
         for request in requests_of(sys.stdin.buffer.read()):
             typer.echo(service.record(request))
-    except (ValueError, VirtualRunError, HarnessError, OSError) as err:
+    except (ValueError, OperationError, OSError) as err:
         _refuse(str(err))
 
 

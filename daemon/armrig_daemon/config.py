@@ -16,15 +16,15 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
-from armrig_core.bounded import CONFIGURATION_LIMIT, TextError, read_text
+from armrig_core.bounded import CONFIGURATION_LIMIT, read_text
 from armrig_core.calibration import Calibration
-from armrig_core.calibration_file import CalibrationFileError, tables_of
+from armrig_core.calibration_file import tables_of
 from armrig_core.emulator_socket import socket_path
 from armrig_core.endpoint import anchored, check_listen, network_address
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError
 from armrig_core.printable import printable
 from armrig_core.recording_directory import SYSTEM, directory_of, installed, of_rig
-from armrig_core.toml_file import TomlError, toml_tables
+from armrig_core.toml_file import toml_tables
 from armrig_core.topics import check_own_id
 from armrig_core.volts import U_MAX_V, code_of
 from armrig_protocol.messages import (
@@ -39,7 +39,7 @@ from armrig_daemon.decisions.budget import check
 from armrig_daemon.decisions.state import Rules
 from armrig_daemon.emulator.firmware_files import VARIABLE as HARNESS
 from armrig_daemon.emulator.settings import EmulatorSettings
-from armrig_daemon.tables import TableError, convert
+from armrig_daemon.tables import convert
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
@@ -291,16 +291,12 @@ class Config(Table, frozen=True, kw_only=True):
         )
 
 
-class ConfigError(ValueError):
-    """A configuration that is refused; names file, key, value and what is allowed."""
-
-
 def recordings(config: Config) -> Path:
     """Return the directory that recordings go to."""
     try:
         return directory_of(config.recording.directory)
     except ValueError as err:
-        raise ConfigError(str(err)) from err
+        raise InputError(str(err)) from err
 
 
 def load(
@@ -325,7 +321,7 @@ def load(
 
     Raises
     ------
-    ConfigError
+    InputError
         A file cannot be read, or a key or value is not allowed.
     """
     tables = dict(below)
@@ -344,7 +340,7 @@ def load(
     try:
         check(config.ts_us, config.device.baud)
     except ValueError as err:
-        raise ConfigError(f"[timing] {err}") from err
+        raise InputError(f"[timing] {err}") from err
     return config
 
 
@@ -366,21 +362,21 @@ def load_installed(
 
     Raises
     ------
-    ConfigError
+    InputError
         As of `load`; the rig's own file is missing, or is of another rig.
     """
     first = load(installed(system=system), environ, overrides, below=below)
     own = of_rig(first.rig.id)
     if own == SYSTEM or not own.exists():
         if system:
-            raise ConfigError(
+            raise InputError(
                 f"{own}: there is no such file; write one, `armrigd config --example` prints all "
                 "keys; at least [device] port"
             )
         return first
     named = load([own], {}, {}, below={"rig": {"id": first.rig.id}}).rig.id
     if named != first.rig.id:
-        raise ConfigError(f"{own}: rig.id = {named!r}: this is the file of rig {first.rig.id!r}")
+        raise InputError(f"{own}: rig.id = {named!r}: this is the file of rig {first.rig.id!r}")
     return load(installed(first.rig.id, system=system), environ, overrides, below=below)
 
 
@@ -391,19 +387,19 @@ def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str,
         return layer
     file, beside = given["file"], [key for key in given if key != "file"]
     if not isinstance(file, str) or not file:
-        raise ConfigError(
+        raise InputError(
             f"{where}: calibration.file = {file!r}: must be the path of a calibration's TOML"
         )
     if beside:
-        raise ConfigError(
+        raise InputError(
             f"{where}: calibration.{beside[0]} is given beside calibration.file: give one of them"
         )
     try:
         path = directory / Path(file).expanduser()
         calibration = tables_of(path)
         _check({"calibration": calibration}, str(path))
-    except (CalibrationFileError, RuntimeError) as err:
-        raise ConfigError(f"{where}: calibration.file = {file!r}: {err}") from err
+    except (FileError, RuntimeError) as err:
+        raise InputError(f"{where}: calibration.file = {file!r}: {err}") from err
     return {**layer, "calibration": calibration}
 
 
@@ -413,15 +409,13 @@ def _read(path: Path) -> dict[str, Any]:
         text = read_text(path, CONFIGURATION_LIMIT)
         return toml_tables(text + "\n")  # so that an error at the end has a line, too
     except FileNotFoundError as err:
-        raise ConfigError(f"{path}: there is no such file") from err
+        raise InputError(f"{path}: there is no such file") from err
     except PermissionError as err:
-        raise ConfigError(f"{path}: {err.strerror}; let the daemon's user read it") from err
+        raise InputError(f"{path}: {err.strerror}; let the daemon's user read it") from err
     except OSError as err:
-        raise ConfigError(f"{path}: {err.strerror}") from err
-    except TextError as err:
-        raise ConfigError(f"{path}: {err}") from err
-    except TomlError as err:
-        raise ConfigError(f"{path}: {_duplicate(text, err.why) or err}") from err
+        raise InputError(f"{path}: {err.strerror}") from err
+    except FileError as err:
+        raise InputError(f"{path}: {_duplicate(text, str(err.__cause__)) or err}") from err
 
 
 def _duplicate(text: str, error: str) -> str:
@@ -438,8 +432,8 @@ def _duplicate(text: str, error: str) -> str:
 def _check(tables: Mapping[str, Any], where: str) -> Config:
     try:
         return convert(dict(tables), Config)
-    except TableError as err:
-        raise ConfigError(f"{where}: {err}") from err
+    except InputError as err:
+        raise InputError(f"{where}: {err}") from err
 
 
 def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -465,12 +459,12 @@ def _from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
         known = {field.lower(): field for field in fields}
         if not key or not known:
             allowed = ", ".join(Config.__struct_fields__)
-            raise ConfigError(
+            raise InputError(
                 f"environment: {name}={text!r}: must be ARMRIG_<TABLE>_<KEY>; tables: {allowed}"
             )
         variable, name = name, known.get(key, key)
         if name in tables.get(table, {}):
-            raise ConfigError(
+            raise InputError(
                 f"environment: {variable}={text!r}: {table}.{name} is given twice; once is allowed"
             )
         tables.setdefault(table, {})[name] = text if fields.get(name) is str else _value(text)
@@ -490,5 +484,5 @@ def _value(text: str) -> Any:
     """Return what TOML makes of the text, or the text itself."""
     try:
         return toml_tables(f"value = {text}")["value"]
-    except TomlError:
+    except FileError:
         return text

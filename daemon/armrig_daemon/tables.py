@@ -6,13 +6,10 @@ import re
 from typing import Any, TypeVar
 
 import msgspec
+from armrig_core.errors import InputError
 
 T = TypeVar("T", bound=msgspec.Struct)
 Table = dict[str, Any]
-
-
-class TableError(ValueError):
-    """A key or value that is not allowed; says which, what came and what is allowed."""
 
 
 def convert(table: Table, kind: type[T]) -> T:
@@ -20,13 +17,13 @@ def convert(table: Table, kind: type[T]) -> T:
 
     Raises
     ------
-    TableError
+    InputError
         An unknown key, a wrong type, or a value out of its range.
     """
     try:
         return msgspec.convert(table, kind)
     except msgspec.ValidationError as err:
-        raise TableError(_explain(str(err), table, kind)) from err
+        raise InputError(_explain(str(err), table, kind)) from err
 
 
 def _explain(message: str, table: Table, kind: type[msgspec.Struct]) -> str:

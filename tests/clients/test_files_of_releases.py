@@ -15,7 +15,8 @@ from armrig.cli.replay import replay
 from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
 from armrig.recordings.verification import verify
-from armrig_core.calibration_file import CalibrationFileError, raw_path, read_calibration
+from armrig_core.calibration_file import raw_path, read_calibration
+from armrig_core.errors import FileError
 from armrig_core.manifest import CALIBRATION_RAW
 from armrig_core.volts import applied_code, volts_of
 from files_of_today import PACINGS, answers, facts
@@ -117,7 +118,7 @@ def test_a_calibration_with_other_samples_beside_it_is_refused(
     samples[-1] ^= 1
     raw_path(path).write_bytes(samples)
 
-    with pytest.raises(CalibrationFileError):
+    with pytest.raises(FileError):
         read_calibration(path)
 
 

@@ -33,7 +33,7 @@ def _entered(rig: str) -> None:
 a: Any = armrig  # mypy would find most of these mistakes before Python does
 MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     # Files.
-    ("load('@last')", lambda: a.load("@last"), armrig.RecordingError, "`armrig ls --json` says"),
+    ("load('@last')", lambda: a.load("@last"), armrig.FileError, "`armrig ls --json` says"),
     ("load(3)", lambda: a.load(3), TypeError, 'armrig.load("F.mcap")'),
     ("load(data)", lambda: a.load(DATA), TypeError, "give the name of a file"),
     ("load('nofile')", lambda: a.load("nofile"), FileNotFoundError, "nofile"),
@@ -165,7 +165,7 @@ def test_a_file_that_is_no_recording_is_refused(
     """It says what came, and what is read."""
     path = written(tmp_path, content, name)
 
-    with pytest.raises(armrig.RecordingError, match=way_out):
+    with pytest.raises(armrig.FileError, match=way_out):
         armrig.load(path)
 
 
@@ -173,7 +173,7 @@ def test_a_recording_is_no_model(tmp_path: Path) -> None:
     """It says what writes models."""
     path = written(tmp_path, of_the_arm(U[:50]))
 
-    with pytest.raises(armrig.ModelFileError, match=r"a model is what .armrig identify --save"):
+    with pytest.raises(armrig.FileError, match=r"a model is what .armrig identify --save"):
         armrig.load_fit(path)
 
 

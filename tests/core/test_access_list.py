@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig_core.access_list import AccessList, AccessListError, read_access_list
+from armrig_core.access_list import AccessList, read_access_list
+from armrig_core.errors import FileError
 
 
 def test_a_list_is_read_as_it_was_written(tmp_path: Path) -> None:
@@ -45,11 +46,11 @@ def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) ->
     path = tmp_path / "access.toml"
     path.write_text(text)
 
-    with pytest.raises(AccessListError, match=rf"access.toml: .*{says}"):
+    with pytest.raises(FileError, match=rf"access.toml: .*{says}"):
         read_access_list(path)
 
 
 def test_a_list_that_is_not_there_is_told(tmp_path: Path) -> None:
     """With what writes one."""
-    with pytest.raises(AccessListError, match="there is no such file; `armrig pki ca` writes one"):
+    with pytest.raises(FileError, match="there is no such file; `armrig pki ca` writes one"):
         read_access_list(tmp_path / "access.toml")

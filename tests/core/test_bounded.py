@@ -6,7 +6,8 @@ import os
 from pathlib import Path
 
 import pytest
-from armrig_core.bounded import TextError, read_bounded, read_text
+from armrig_core.bounded import read_bounded, read_text
+from armrig_core.errors import FileError
 
 TEXT = "[rig]\r\nid = '1' # Prüfstand\r\n"
 
@@ -33,7 +34,7 @@ def test_another_encoding_is_told_with_the_way_out(tmp_path: Path, data: bytes, 
     path = tmp_path / "text"
     path.write_bytes(data)
 
-    with pytest.raises(TextError) as refused:
+    with pytest.raises(FileError) as refused:
         read_text(path, 100)
     assert str(refused.value) == said
 

@@ -9,13 +9,13 @@ import pytest
 from armrig_core.calibration import Calibration, Driver, Figure, Made, Potentiometer
 from armrig_core.calibration_file import (
     RAW_LIMIT,
-    CalibrationFileError,
     check_measured,
     raw_path,
     raw_samples,
     read_calibration,
     toml_of,
 )
+from armrig_core.errors import FileError
 from msgspec.structs import replace
 
 SAMPLES = b"samples"
@@ -77,7 +77,7 @@ def test_samples_that_are_not_its_own_are_refused(
     else:
         raw_path(path).write_bytes(samples)
 
-    with pytest.raises(CalibrationFileError, match=said) as refused:
+    with pytest.raises(FileError, match=said) as refused:
         read_calibration(path)
     assert "calibration.csv.gz" in str(refused.value)
     assert "calibrate" in str(refused.value)
@@ -103,7 +103,7 @@ def test_a_file_that_is_no_calibration_is_refused(text: str, said: str, tmp_path
     path = tmp_path / "c.toml"
     path.write_text(text)
 
-    with pytest.raises(CalibrationFileError, match=said) as refused:
+    with pytest.raises(FileError, match=said) as refused:
         read_calibration(path)
     assert str(path) in str(refused.value)
 
@@ -115,7 +115,7 @@ def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
 
     assert read_calibration(path) == plain
     path.write_text(toml_of(plain), encoding="utf-16")
-    with pytest.raises(CalibrationFileError, match=r"toml: it is saved as UTF-16: save it as"):
+    with pytest.raises(FileError, match=r"toml: it is saved as UTF-16: save it as"):
         read_calibration(path)
 
 
@@ -137,7 +137,7 @@ def test_what_comes_by_a_command_is_held_to_what_a_file_may_be(
     calibration: Calibration, raw: bytes, said: str
 ) -> None:
     """Measured, as long at most, and with its own samples; the way out is told."""
-    with pytest.raises(CalibrationFileError, match=said) as refused:
+    with pytest.raises(FileError, match=said) as refused:
         check_measured(calibration, raw)
     assert "`armrig calibrate`" in str(refused.value)
 

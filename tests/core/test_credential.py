@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 from armrig.rig import pki
-from armrig_core.credential import CredentialError, Purpose, read_credential
+from armrig_core.credential import Purpose, read_credential
+from armrig_core.errors import FileError
 from cryptography import x509
 
 DAY = timedelta(days=1)
@@ -29,7 +30,7 @@ def _blocks(path: Path) -> list[str]:
 
 
 def _refused(path: Path, purpose: Purpose = "client") -> str:
-    with pytest.raises(CredentialError) as caught:
+    with pytest.raises(FileError) as caught:
         read_credential(path, purpose)
     assert str(caught.value).startswith(f"{path}: ")
     return str(caught.value).removeprefix(f"{path}: ")

@@ -8,7 +8,8 @@ from math import ceil, degrees, inf, pi, tau
 import numpy as np
 import pytest
 from armrig_core.arm import ArmParameters
-from armrig_core.rehearsal import RehearsalError, rehearse, sentence
+from armrig_core.errors import InputError
+from armrig_core.rehearsal import rehearse, sentence
 from armrig_daemon.emulator.plant import REST, advance, build
 from numpy.typing import NDArray
 
@@ -90,9 +91,9 @@ def test_a_limit_is_refused_when_it_is_reached_and_not_before() -> None:
     at = int(np.argmax(_played(u, 0.01, 1)[:, 0] >= pi * 2))  # the first whole turn
 
     rehearse(u, 0.01, revolutions=turns * 1.0001)
-    with pytest.raises(RehearsalError, match=r"reached at u\[999\].* raise limits.revolutions"):
+    with pytest.raises(InputError, match=r"reached at u\[999\].* raise limits.revolutions"):
         rehearse(u, 0.01, revolutions=turns)
-    with pytest.raises(RehearsalError) as refusal:
+    with pytest.raises(InputError) as refusal:
         rehearse(u, 0.01, revolutions=1.0)
 
     text = str(refusal.value)
@@ -106,7 +107,7 @@ def test_a_deflection_is_refused_where_it_first_happens() -> None:
     most = rehearse(u, 0.01).alpha_rad
 
     rehearse(u, 0.01, alpha_rad=most * 1.001)
-    with pytest.raises(RehearsalError, match=r"deflects the arm by up to .* rad") as refusal:
+    with pytest.raises(InputError, match=r"deflects the arm by up to .* rad") as refusal:
         rehearse(u, 0.01, alpha_rad=most / 100)
 
     assert "limits.alpha_rad" in str(refusal.value)

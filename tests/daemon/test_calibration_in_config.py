@@ -11,8 +11,9 @@ from armrig.recordings.container import read
 from armrig_core.calibration import Calibration, Made, Potentiometer
 from armrig_core.calibration_file import raw_path, toml_of
 from armrig_core.commands import Run
+from armrig_core.errors import InputError
 from armrig_core.manifest import CALIBRATION_RAW
-from armrig_daemon.config import Config, ConfigError, load
+from armrig_daemon.config import Config, load
 from armrig_daemon.pipe import RunStarted, State
 from armrig_daemon.service.runs import Runs
 
@@ -91,7 +92,7 @@ def test_a_calibration_that_cannot_be_used_is_refused(text: str, said: str, tmp_
     _calibration(tmp_path)
     _config(tmp_path, "[beta]", "bad.toml")
 
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(InputError, match=said):
         load([_config(tmp_path, text)], {}, {})
 
 

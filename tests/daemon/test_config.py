@@ -11,9 +11,10 @@ import pytest
 from armrig_core import recording_directory
 from armrig_core.arm import ArmParameters
 from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.errors import InputError
 from armrig_core.volts import code_of
 from armrig_daemon import config as config_module
-from armrig_daemon.config import Config, ConfigError, Limits, load, load_installed
+from armrig_daemon.config import Config, Limits, load, load_installed
 from armrig_daemon.decisions.state import Rules
 
 
@@ -78,7 +79,7 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
 )
 def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
     """The message names file, key, value and what is allowed."""
-    with pytest.raises(ConfigError, match=complaint) as refusal:
+    with pytest.raises(InputError, match=complaint) as refusal:
         _load(tmp_path, text)
 
     assert "armrig.toml" in str(refusal.value) or "[timing]" in str(refusal.value)
@@ -87,7 +88,7 @@ def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, complaint: st
 
 def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
     """The path is in the message."""
-    with pytest.raises(ConfigError, match=r"nowhere\.toml: there is no such file"):
+    with pytest.raises(InputError, match=r"nowhere\.toml: there is no such file"):
         load([tmp_path / "nowhere.toml"], {}, {})
 
 
@@ -128,7 +129,7 @@ def test_what_lies_below_gives_way_to_whatever_is_said(tmp_path: Path) -> None:
 )
 def test_a_mistyped_variable_is_refused(name: str, text: str, complaint: str) -> None:
     """It would else be ignored in silence."""
-    with pytest.raises(ConfigError, match=complaint) as refusal:
+    with pytest.raises(InputError, match=complaint) as refusal:
         load([], {name: text}, {})
 
     assert str(refusal.value).startswith("environment: ")
@@ -145,7 +146,7 @@ def test_a_variable_that_is_given_twice_is_refused() -> None:
     """In another spelling it is another variable, and the same key."""
     environ = {"ARMRIG_TIMING_TS": "0.01", "ARMRIG_TIMING_Ts": "0.02"}
 
-    with pytest.raises(ConfigError, match=r"ARMRIG_TIMING_Ts='0.02': timing.Ts is given twice"):
+    with pytest.raises(InputError, match=r"ARMRIG_TIMING_Ts='0.02': timing.Ts is given twice"):
         load([], environ, {})
 
 
@@ -211,7 +212,7 @@ def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
 
     assert load([path], {}, {}).timing.Ts == 0.02
     path.write_text(text, encoding="utf-16")
-    with pytest.raises(ConfigError, match=r"toml: it is saved as UTF-16: save it as UTF-8$"):
+    with pytest.raises(InputError, match=r"toml: it is saved as UTF-16: save it as UTF-8$"):
         load([path], {}, {})
 
 
@@ -220,7 +221,7 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
     path = tmp_path / "armrig.toml"
     os.mkfifo(path)
 
-    with pytest.raises(ConfigError, match=r"armrig\.toml: not a regular file$"):
+    with pytest.raises(InputError, match=r"armrig\.toml: not a regular file$"):
         load([path], {}, {})
 
 
@@ -260,7 +261,7 @@ def test_a_service_reads_the_machines_files_alone(machine: Path, tmp_path: Path)
 
 def test_a_service_whose_rig_has_no_file_is_refused(machine: Path) -> None:
     """A name with a typing error must not start on another's port."""
-    with pytest.raises(ConfigError, match=rf"^{machine}/l\.toml: there is no such file; write one"):
+    with pytest.raises(InputError, match=rf"^{machine}/l\.toml: there is no such file; write one"):
         load_installed({}, {"rig": {"id": "l"}}, system=True)
 
 
@@ -268,5 +269,5 @@ def test_a_file_that_is_another_rigs_is_refused(machine: Path) -> None:
     """It was copied, and its id not changed."""
     (machine / "2.toml").write_text("[rig]\nid = '1'")
 
-    with pytest.raises(ConfigError, match=r"2\.toml: rig\.id = '1': this is the file of rig '2'"):
+    with pytest.raises(InputError, match=r"2\.toml: rig\.id = '1': this is the file of rig '2'"):
         load_installed({"ARMRIG_RIG_ID": "2"}, {})

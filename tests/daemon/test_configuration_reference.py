@@ -12,7 +12,8 @@ from typing import Any
 import msgspec
 import pytest
 from armrig_core.calibration import Made
-from armrig_daemon.config import Config, ConfigError, load
+from armrig_core.errors import InputError
+from armrig_daemon.config import Config, load
 from armrig_daemon.configuration_reference import BEGIN, END, PAGE, example, page_tables, tables
 from armrig_daemon.emulator.settings import CHOICES, RANGES, EmulatorSettings
 
@@ -80,7 +81,7 @@ def test_a_range_that_is_told_is_the_one_that_is_kept(
     path = tmp_path / "armrig.toml"
     path.write_text(f"[{table}]\n{name} = {float(allowed.split(' to ')[1]) * 2:.0f}\n")
 
-    with pytest.raises(ConfigError, match=name):
+    with pytest.raises(InputError, match=name):
         load([path], {}, {})
 
 

@@ -6,9 +6,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from armrig_core.errors import OperationError
 from armrig_daemon.command_line import app
 from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
-from armrig_daemon.emulator.harness import Harness, HarnessError
+from armrig_daemon.emulator.harness import Harness
 from tools import needs
 
 from firmware.uno_host import HEX, ROOT
@@ -32,7 +33,7 @@ def test_the_committed_image_is_what_the_sources_give(tmp_path: Path) -> None:
 
 def test_without_a_harness_it_is_said_how_to_build_one(tmp_path: Path) -> None:
     """In one line; a file that ARMRIG_FIL names is taken."""
-    with pytest.raises(HarnessError, match="build it in a checkout by `make fil`") as error:
+    with pytest.raises(OperationError, match="build it in a checkout by `make fil`") as error:
         harness_program({}, tmp_path)
     assert "\n" not in str(error.value)
 
@@ -46,7 +47,7 @@ def test_a_harness_that_has_ended_is_closed_without_an_error(tmp_path: Path) -> 
     harness = Harness(Path("/bin/true"), tmp_path, baud=500_000)
     assert harness._process.wait(30) == 0
 
-    with pytest.raises(HarnessError, match="the harness ended with exit code 0"):
+    with pytest.raises(OperationError, match="the harness ended with exit code 0"):
         harness.reset()
 
     harness.close()
@@ -54,7 +55,7 @@ def test_a_harness_that_has_ended_is_closed_without_an_error(tmp_path: Path) -> 
 
 def test_an_image_that_is_not_there_is_named(tmp_path: Path) -> None:
     """Which file was looked for."""
-    with pytest.raises(HarnessError, match=r"other\.hex: no such firmware"):
+    with pytest.raises(OperationError, match=r"other\.hex: no such firmware"):
         firmware_image(tmp_path / "other.hex")
 
 

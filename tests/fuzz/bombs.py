@@ -32,7 +32,7 @@ armrig.recordings.loading.load(sys.argv[1])  # an honest one: what reading costs
 before = peak()
 try:
     armrig.recordings.loading.load(sys.argv[2])
-except armrig.recordings.recording.RecordingError:
+except armrig.FileError:
     pass
 print(before, peak() - before)
 """

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 from armrig.recordings.loading import load
-from armrig.recordings.recording import Recording, RecordingError
+from armrig.recordings.recording import Recording
 from armrig_core import telemetry
+from armrig_core.errors import FileError
 from armrig_core.manifest import CONFIG, INPUT, Manifest, Outcome
 from armrig_core.recording_file import file_records
 from armrig_core.recording_file.outgoing import Outgoing
@@ -132,7 +133,7 @@ def check(path: Path, last: Flushed | None) -> str:
 def _loaded(path: Path) -> Recording | None:
     try:
         return load(path)
-    except RecordingError as err:
+    except FileError as err:
         in_one_line(err)
         return None
 

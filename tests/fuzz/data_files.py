@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from armrig.data.files.loading import load_data
-from armrig.data.files.table import DataFileError
+from armrig_core.errors import FileError
 from scipy.io import savemat
 
 from fuzz.files import in_memory, in_one_line
@@ -48,7 +48,7 @@ def _mat(values: dict[str, Any], **how: Any) -> bytes:
     return out.getvalue()
 
 
-def _short(err: DataFileError, path: Path) -> None:
+def _short(err: FileError, path: Path) -> None:
     """Assert that a person can read it at once."""
     in_one_line(err)
     assert len(str(err)) - len(str(path)) < _LONGEST, str(err)
@@ -67,7 +67,7 @@ def fuzz(most: int, seed: int) -> Counter[str]:
             found["inputs"] += 1
             try:
                 read = load_data(path, Ts=1.0)
-            except DataFileError as err:
+            except FileError as err:
                 _short(err, path)
                 found["refused"] += 1
                 continue

@@ -14,9 +14,10 @@ from typing import Any
 import msgspec
 import numpy as np
 from armrig.recordings.loading import load
-from armrig.recordings.recording import Recording, RecordingError
+from armrig.recordings.recording import Recording
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration
+from armrig_core.errors import FileError
 from armrig_core.manifest import CALIBRATION, OUTCOME, RUN, Manifest, Outcome
 from armrig_core.topics import topic
 from mcap.writer import CompressionType, Writer
@@ -107,7 +108,7 @@ def used(found: Recording) -> None:
     for output in ("theta_1", "alpha"):
         try:
             found.dataset(output=output)  # type: ignore[arg-type]
-        except RecordingError as err:
+        except FileError as err:
             in_one_line(err)
 
 
@@ -123,7 +124,7 @@ def fuzz(most: int, seed: int) -> Counter[str]:
             found["inputs"] += 1
             try:
                 loaded = load(path)
-            except RecordingError as err:
+            except FileError as err:
                 in_one_line(err)
                 found["refused"] += 1
                 continue

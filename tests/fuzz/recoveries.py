@@ -8,7 +8,8 @@ from pathlib import Path
 from random import Random
 
 from armrig.recordings.loading import load
-from armrig.recordings.recording import Recording, RecordingError
+from armrig.recordings.recording import Recording
+from armrig_core.errors import FileError
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.recording_file.unfinished import RecoveryError
 
@@ -60,5 +61,5 @@ def check(data: bytes, path: Path, *, checked: bool) -> str:
 def _loaded(path: Path) -> Recording | None:
     try:
         return load(path)
-    except RecordingError:
+    except FileError:
         return None

@@ -9,8 +9,8 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.cli.replay import replay
-from armrig.recordings.recording import RecordingError
 from armrig.rig.client import RunEndedError
+from armrig_core.errors import FileError
 from armrig_daemon.decisions import setpoints
 from processes import Bench
 from sampling import sampled
@@ -61,7 +61,7 @@ def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
     assert "the file is cut off" in partly.until
     assert partly.difference == all_of_it.difference == all_of_it.until == ""
     assert 100 < partly.samples < all_of_it.samples
-    with pytest.raises(RecordingError, match="core: the file is cut off"):
+    with pytest.raises(FileError, match="core: the file is cut off"):
         replay(half)
 
 
@@ -93,5 +93,5 @@ def test_a_recording_without_steps_is_told(tmp_path: object) -> None:
     """A missing file is the system's error, as of every command; another kind of file is told."""
     with pytest.raises(FileNotFoundError, match=r"nowhere\.mcap"):
         replay(f"{tmp_path}/nowhere.mcap")
-    with pytest.raises(RecordingError, match=r"test_replay\.py: is no MCAP file"):
+    with pytest.raises(FileError, match=r"test_replay\.py: is no MCAP file"):
         replay(__file__)

@@ -8,6 +8,7 @@ from pathlib import Path
 from types import TracebackType
 
 import msgspec
+from armrig_core.errors import OperationError
 from armrig_core.recording_file.file_lock import lock
 
 from armrig.batch.items import Item
@@ -20,10 +21,6 @@ OTHER = (
 """What is said of results that are not mixed with those of another header."""
 SUFFIX = ".progress"
 """Behind the name of the table while it is not complete."""
-
-
-class ProgressError(RuntimeError):
-    """What is there is no use, another process is at it, or the disk is full; says what to do."""
 
 
 class Progress:
@@ -39,14 +36,14 @@ class Progress:
 
         Raises
         ------
-        ProgressError
+        OperationError
             It is of another task, is no file, or is open elsewhere; the disk is full.
         OSError
             It cannot be opened.
         """
         self.path = table.with_name(table.name + SUFFIX)
         if self.path.exists() and not self.path.is_file():  # such as a link to what never ends
-            raise ProgressError(
+            raise OperationError(
                 f"{self.path} is there and is no file; remove it, or give another -o"
             )
         self._file = self.path.open("a+b")
@@ -54,7 +51,7 @@ class Progress:
             lock(self._file)
         except BlockingIOError as err:
             self._file.close()
-            raise ProgressError(
+            raise OperationError(
                 f"{self.path}: another armrig batch is at it; wait for it, or give another -o"
             ) from err
         self._file.seek(0)
@@ -69,7 +66,7 @@ class Progress:
             return
         if _decoded(first) != header:
             self._file.close()
-            raise ProgressError(f"{self.path} {OTHER}")
+            raise OperationError(f"{self.path} {OTHER}")
         if torn:  # the process was killed within a line
             self._file.truncate(len(content) - len(torn))
         self.rows = [row for line in lines if (row := _decoded(line)) is not None]
@@ -101,7 +98,7 @@ class Progress:
             self._file.write(msgspec.json.encode(value) + b"\n")
             self._file.flush()
         except OSError as err:
-            raise ProgressError(
+            raise OperationError(
                 f"{self.path}: {err.strerror}; what is done is kept, and the same command goes on"
             ) from err
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from armrig_core.errors import ArmrigError
 
 from armrig.batch.columns import columns_of
 from armrig.batch.items import Item
@@ -19,7 +20,7 @@ from armrig.data.treatment import detrend
 from armrig.models.fit import Fit
 from armrig.recordings.doubts import doubts, doubts_of_estimation, doubts_of_pair
 from armrig.recordings.loading import load
-from armrig.recordings.recording import Recording, RecordingError
+from armrig.recordings.recording import Recording
 
 Row = dict[str, Any]
 
@@ -47,7 +48,7 @@ def row_of(task: Task, item: Item) -> Row:
     except OSError as err:
         said = ": ".join(str(part) for part in (err.filename, err.strerror) if part)
         row["problem"] = _in_a_line(said or str(err))
-    except (RecordingError, ValueError, RuntimeError) as err:
+    except ArmrigError as err:
         row["problem"] = _in_a_line(str(err) or type(err).__name__)
     except Exception as err:
         row["problem"] = _in_a_line(f"{type(err).__name__}: {err}")

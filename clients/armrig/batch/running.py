@@ -15,7 +15,7 @@ from concurrent.futures import (
 from contextlib import AbstractContextManager
 from typing import TypeVar
 
-from armrig.batch.workers import ClusterError
+from armrig_core.errors import OperationError
 
 MOST_DEATHS = 2
 """So many workers may die of an item that runs alone; then it is given up."""
@@ -51,7 +51,7 @@ def results(
 
     Raises
     ------
-    ClusterError
+    OperationError
         The executor has dropped its work.
     """
     waiting, alone = deque(items), deque[T]()
@@ -94,4 +94,4 @@ def _is_broken(future: Future[R]) -> bool:
         return isinstance(future.exception(), BrokenExecutor)
     except CancelledError as err:
         msg = "the cluster has dropped its work: its scheduler or all workers are gone; what is "
-        raise ClusterError(f"{msg}done is kept, and the same command goes on from there") from err
+        raise OperationError(f"{msg}done is kept, and the same command goes on from there") from err

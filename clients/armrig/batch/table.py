@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from armrig_core.errors import OperationError
 
 from armrig.batch.columns import Kind, columns_of
-from armrig.batch.progress import OTHER, SUFFIX, ProgressError
+from armrig.batch.progress import OTHER, SUFFIX
 from armrig.batch.rows import Row
 from armrig.batch.tasks import Task, Validate, digest, name_of, sha256
 from armrig.recordings.export import imported
@@ -66,7 +67,7 @@ def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
 
     Raises
     ------
-    ProgressError
+    OperationError
         What is there is no table, or one with another header.
     """
     if not path.exists():
@@ -77,11 +78,11 @@ def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
             table = parquet.read_table(file)
         found = msgspec.json.decode((table.schema.metadata or {})[KEY], type=dict[str, str])
     except (pyarrow.ArrowException, KeyError, msgspec.DecodeError, OSError) as err:
-        raise ProgressError(
+        raise OperationError(
             f"{path} is there and is no table of armrig batch; give another -o"
         ) from err
     if found != header:
-        raise ProgressError(f"{path} {OTHER}")
+        raise OperationError(f"{path} {OTHER}")
     rows: list[Row] = table.to_pylist()
     return rows
 
@@ -91,7 +92,7 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
 
     Raises
     ------
-    ProgressError
+    OperationError
         The disk is full, or a row is not what it was when it was kept.
     """
     pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
@@ -106,11 +107,11 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
             parquet.write_table(pyarrow.Table.from_pylist(ordered, schema=schema), file)
         made.replace(path)
     except OSError as err:
-        raise ProgressError(
+        raise OperationError(
             f"{path}: {err.strerror or err}; all results are kept, and the same command writes it"
         ) from err
     except (pyarrow.ArrowException, TypeError) as err:
-        raise ProgressError(
+        raise OperationError(
             f"{path}{SUFFIX}: a row in it was changed by somebody; --force begins anew"
         ) from err
     finally:

@@ -12,13 +12,11 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
+from armrig_core.errors import OperationError
+
 from armrig.recordings.export import imported
 
 _CONNECT_S = 10.0
-
-
-class ClusterError(RuntimeError):
-    """The cluster cannot be reached, or was lost; says what to do."""
 
 
 @contextmanager
@@ -52,7 +50,7 @@ def cluster(address: str) -> Iterator[Executor]:
     ------
     ImportError
         dask.distributed is not installed.
-    ClusterError
+    OperationError
         No scheduler answers.
     """
     distributed = imported("distributed", "dask")
@@ -70,7 +68,7 @@ def _connected(distributed: Any, address: str) -> Any:
         return distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as err:
         msg = f"--scheduler {address}: no Dask scheduler answers; `dask scheduler` starts one and "
-        raise ClusterError(f"{msg}says its address, such as tcp://127.0.0.1:8786") from err
+        raise OperationError(f"{msg}says its address, such as tcp://127.0.0.1:8786") from err
 
 
 def _begin() -> None:

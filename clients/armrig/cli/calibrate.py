@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError
 
 from armrig.cli.calibration_in_use import take_into_use
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
@@ -226,14 +226,14 @@ def _default(rig: str) -> Path:
 
 def _checked(path: Path) -> Path:
     """Refuse, before any work, a file that cannot or must not be written."""
-    from armrig_core.calibration_file import CalibrationFileError, read_calibration
+    from armrig_core.calibration_file import read_calibration
 
     if path.suffix != ".toml":
         raise InputError(f"--save {path}: a calibration is a TOML; give a name that ends in .toml")
     if path.exists():
         try:
             made = read_calibration(path).made
-        except CalibrationFileError as err:
+        except FileError as err:
             if "csv.gz" not in str(err):  # a calibration that has lost its samples may be replaced
                 raise InputError(
                     f"--save {path}: is there already, and no calibration; give another name"

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.errors import OperationError
 from armrig_core.recording_file.part_names import part_paths
 
 from armrig.cli.options import tell
@@ -25,7 +26,7 @@ _LISTED = 4
 """How many are named where several answer to a name."""
 
 
-class NoSuchRecordingError(RuntimeError):
+class NoSuchRecordingError(OperationError):
     """A name that no recording answers to, or several; says which there are."""
 
 

@@ -9,7 +9,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError, OperationError
 
 from armrig.cli.next_step import naming, say_next, step_again, typed
 from armrig.cli.options import echo, print_json, tell
@@ -183,7 +183,7 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
             where = "the recording is on the daemon's machine: `armrig info` there says what it"
             tell(f"{kept}{where} holds")
         elif not verdict.usable:
-            raise RuntimeError(verdict.summary)
+            raise OperationError(verdict.summary)
         else:
             tell(f"{kept}{verdict.summary}")
     if first is not None and not run.json:
@@ -193,11 +193,10 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
 def _say_next(kind: str, first: Path, rig: str) -> None:
     """Say what comes after a collection: a step whose rise is hidden is made again."""
     from armrig.recordings.loading import load
-    from armrig.recordings.recording import RecordingError
 
     again = ""
     if kind == "step":
-        with suppress(RecordingError, OSError):  # the verdict is out: this is a hint
+        with suppress(FileError, OSError):  # the verdict is out: this is a hint
             again = step_again(load(first))
     if again:
         say_next("step hidden", again=f"{rig}{again}")

@@ -9,11 +9,9 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from armrig_core.errors import OperationError
+
 from armrig.cli.demo_plan import Experiment
-
-
-class VirtualTimeError(RuntimeError):
-    """`armrigd virtual` did not record what it was to; says why."""
 
 
 def record_in_virtual_time(
@@ -40,7 +38,7 @@ def record_in_virtual_time(
 
     Raises
     ------
-    VirtualTimeError
+    OperationError
         They could not be recorded.
     """
     # Where a pipe is not of UTF-8 by itself, the name of a folder would not come through.
@@ -64,7 +62,7 @@ def record_in_virtual_time(
         raise
     if player.returncode:
         lines = complaint.decode(errors="replace").strip().splitlines()
-        raise VirtualTimeError(
+        raise OperationError(
             lines[-1] if lines else f"armrigd virtual ended with exit code {player.returncode}"
         )
     return [Path(line) for line in said.decode().splitlines()]

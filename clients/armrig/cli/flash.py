@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, OperationError
 
 from armrig.cli.options import Json, agree, echo, print_json, say
 
@@ -111,7 +111,7 @@ def _program() -> str:
 
     program = avrdude.find()
     if program is None:
-        raise avrdude.FlashError(avrdude.INSTALL)
+        raise OperationError(avrdude.INSTALL)
     return program
 
 
@@ -184,7 +184,7 @@ def _written(
     with spinner("waiting for the board"):
         device = greeting(board.port, baud)
     if device is None:
-        raise avrdude.FlashError(
+        raise OperationError(
             f"{board.port}: the firmware was written, and does not answer at {baud} baud; was it "
             "built for another speed (--baud), or is another board there?"
         )
@@ -204,10 +204,9 @@ def _written(
 
 
 def _check_firmware(device: HelloReply, firmware: FirmwareImage) -> None:
-    from armrig.rig.flash.avrdude import FlashError
 
     if device.firmware != firmware.crc:
-        raise FlashError(
+        raise OperationError(
             f"the board says that it runs the firmware {device.firmware:08x}, and not "
             f"{firmware.crc:08x}, which was written; flash it again"
         )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, OperationError
 from armrig_core.signal_pipe import SignalPipe
 
 from armrig.cli.options import echo, print_json, tell, tell_error
@@ -82,9 +82,9 @@ def _say(recorded: list[RigRecorded], where: str, *, json: bool) -> None:
             echo(f"{file.path}: {file.samples} samples, {file.missing} missing, {file.outcome}")
     if failed:
         names = ", ".join(one.rig for one in failed)
-        raise RuntimeError(
+        raise OperationError(
             f"of {len(recorded)} rigs the recording of {names} ended early; see above"
         )
     if not files:
         msg = f"no rig at {where} published a sample: there is nothing to record; "
-        raise RuntimeError(msg + "`armrig ls --live` shows which rigs are there")
+        raise OperationError(msg + "`armrig ls --live` shows which rigs are there")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TextIO
 
 import typer
+from armrig_core.errors import OperationError
 from armrig_core.journal import log_prefix
 from armrig_core.printable import brief, json_printable, printable
 
@@ -156,11 +157,11 @@ def agree(text: str, *, yes: bool) -> None:
     if yes:
         return
     if not sys.stdin.isatty():
-        raise RuntimeError(
+        raise OperationError(
             "nobody is there to agree to this: --yes does it, --dry-run only shows it"
         )
     if not typer.confirm(question(text), err=True):
-        raise RuntimeError("nothing was done")
+        raise OperationError("nothing was done")
 
 
 def folded(text: str, columns: int, indent: int | None = None) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, OperationError
 from armrig_core.signal_pipe import SignalPipe, until_signal
 
 from armrig.cli.chosen_recording import COMPLETE
@@ -113,7 +113,9 @@ def _record_one(
         finally:
             _finish(recording, outcome)
     if not recording.done:
-        raise RuntimeError(f"rig {rig} at {where} published no sample: there is nothing to record")
+        raise OperationError(
+            f"rig {rig} at {where} published no sample: there is nothing to record"
+        )
     _say(recording, json=json)
 
 

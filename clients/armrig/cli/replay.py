@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError
 from armrig_core.manifest import RUN, Manifest, manifest_of
 from armrig_core.protobuf import ABSENT
 from armrig_core.recording_file.budget import DamageError
@@ -26,7 +26,6 @@ from armrig.numerics.quantities import plural
 from armrig.recordings.container import Content, read, streamed
 from armrig.recordings.loading import files_of, run_content
 from armrig.recordings.recorded_input import recorded_input
-from armrig.recordings.recording import RecordingError
 from armrig.recordings.sample_rows import SAMPLE_DTYPE
 
 MOST_CHUNK = 4096
@@ -75,7 +74,7 @@ def replay(path: str | Path) -> Replay:
 
     Raises
     ------
-    RecordingError
+    FileError
         The file is no recording of armrig, holds no steps, or those of another release.
     OSError
         The file cannot be read.
@@ -85,22 +84,20 @@ def replay(path: str | Path) -> Replay:
         paths = files_of(path)
         content = read(path) if paths == [path] else run_content(paths, digest=False).content
     except DamageError as err:
-        raise RecordingError(f"{path}: {err}") from err
+        raise FileError(f"{path}: {err}") from err
     if content is None:
-        raise RecordingError(
-            f"{path}: is no MCAP file; replay reads what armrigd has recorded (*.mcap)"
-        )
+        raise FileError(f"{path}: is no MCAP file; replay reads what armrigd has recorded (*.mcap)")
     first = next(_chunks_of(paths), None)
     if first is None or not first.state:
         why = "recorded before replay was built?"
         if content.damage:
             why = f"{content.damage}, and they would stand behind it"
-        raise RecordingError(f"{path}: holds no steps of the daemon's core: {why}")
+        raise FileError(f"{path}: holds no steps of the daemon's core: {why}")
     try:
         return _replayed(paths, content, first.state)
     except Exception as err:  # the core runs on what somebody wrote there: anything may be raised
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
-        raise RecordingError(
+        raise FileError(
             f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
         ) from err
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.errors import OperationError
 
 from armrig.cli.options import Json, agree, echo, print_json
 
@@ -120,7 +121,7 @@ def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
     if dry_run:
         return False
     if root == _SYSTEM and os.geteuid() != 0:
-        raise RuntimeError(
+        raise OperationError(
             "only root may do this: the same with sudo, and the whole path of armrig"
         )
     agree("Do this?", yes=yes)

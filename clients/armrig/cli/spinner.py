@@ -9,6 +9,7 @@ from threading import Timer
 from time import monotonic
 
 import numpy as np
+from armrig_core.errors import InputError
 from armrig_core.printable import printable
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
@@ -23,10 +24,6 @@ _WAITING = SpinnerColumn(), TextColumn("{task.description} …", markup=False)
 _COUNTING = *_WAITING, BarColumn(30), TextColumn("{task.fields[left]}", markup=False)
 
 
-class OrdersTooHighError(ValueError):
-    """A matrix could not be decomposed, or the model has an infinite or undefined parameter."""
-
-
 @contextmanager
 def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
     """Show a spinner during an estimation, without warnings of libraries.
@@ -38,7 +35,7 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
 
     Raises
     ------
-    OrdersTooHighError
+    InputError
         A matrix of the estimation could not be decomposed.
     """
     with (
@@ -95,6 +92,6 @@ def remaining(done: int, total: int, elapsed_s: float) -> str:
     return f"{told}, about " + (f"{left_s:.0f} s" if left_s < 100 else f"{left_s / 60:.0f} min")
 
 
-def too_high(orders: str) -> OrdersTooHighError:
+def too_high(orders: str) -> InputError:
     """Return what says that these orders are too high."""
-    return OrdersTooHighError(f"the orders are too high for these data: lower {orders}")
+    return InputError(f"the orders are too high for these data: lower {orders}")

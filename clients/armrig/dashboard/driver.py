@@ -13,6 +13,7 @@ from math import inf
 from typing import Any
 
 import msgspec
+from armrig_core.errors import OperationError
 
 from armrig.rig.client import Progress, Rig
 from armrig.rig.collection import Plan, collect
@@ -36,7 +37,7 @@ class RunState(msgspec.Struct, frozen=True, kw_only=True):
     """Why it did not end well."""
 
 
-class BusyDriverError(RuntimeError):
+class BusyDriverError(OperationError):
     """The page does something to the rig already."""
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import AsyncIterator, Callable
 
+from armrig_core.errors import OperationError
+
 MOST_VIEWERS = 64
 """At one door."""
 _MOST_WAITING = 250  # messages: the past, and five seconds at 30 Hz
 
 
-class TooManyViewersError(RuntimeError):
+class TooManyViewersError(OperationError):
     """There are as many viewers as are allowed."""
 
 

@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 import numpy as np
-from armrig_core.bounded import TextError, read_text
+from armrig_core.bounded import read_text
 from armrig_core.calls import checked_call
-from armrig_core.errors import InputError
+from armrig_core.errors import FileError, InputError
 
 from armrig.excitation.limits import HIGHEST_V, LOWEST_V, Vector, require_levels
 from armrig.numerics.checks import require_numbers
@@ -56,7 +56,7 @@ def from_csv(
     _require_figures(Ts, low, high)
     try:
         text = read_text(path, MOST_BYTES)
-    except TextError as err:
+    except FileError as err:
         raise InputError(f"{path}: {err}, as a CSV") from err
     return from_text(text, Ts, name=path, low=low, high=high)
 

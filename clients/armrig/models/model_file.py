@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from armrig_core.bounded import TextError, read_text
+from armrig_core.bounded import read_text
+from armrig_core.errors import FileError
 
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
@@ -25,16 +26,12 @@ _SINGULAR = ("singular_values", "canonical_correlations")
 _FIGURES = ("noise_variance", "loss", "Ts", "fit_percent", "whiteness")
 
 
-class ModelFileError(ValueError):
-    """The file holds no model that this version can read."""
-
-
 def load_fit(path: str | PathLike[str]) -> Fit:
     """Return the model that `Fit.save` has written, equal to it in every number.
 
     Raises
     ------
-    ModelFileError
+    FileError
         The file is no model, is of a later format, or is damaged.
     OSError
         The file cannot be read.
@@ -42,8 +39,8 @@ def load_fit(path: str | PathLike[str]) -> Fit:
     path = Path(path)
     try:
         text = read_text(path, MOST_BYTES)
-    except TextError as err:
-        raise ModelFileError(
+    except FileError as err:
+        raise FileError(
             f"{path}: {err}; a model is what `armrig identify --save` and fit.save(path) write"
         ) from err
     return fit_of(text, str(path))
@@ -59,32 +56,32 @@ def fit_of(text: str, path: str) -> Fit:
 
     Raises
     ------
-    ModelFileError
+    FileError
         As for `load_fit`.
     """
     try:
         content = json.loads(text) if text.lstrip().startswith("{") else None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise ModelFileError(
+            raise FileError(
                 f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
             )
         if content.get("version") != VERSION:
-            raise ModelFileError(
+            raise FileError(
                 f"{path} has format version {content.get('version')!r}, this armrig reads "
                 f"{VERSION}; it was written by armrig {content.get('armrig')}"
             )
         fit = _restored(content)
         d = fit.theta.size
         if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
-            raise ModelFileError(
+            raise FileError(
                 f"{path} is a damaged model: {d} parameters and covariances of another size; "
                 "save it again"
             )
         repr(fit), fit.poles()  # what is no model shows when it is used
-    except ModelFileError:
+    except FileError:
         raise
     except Exception as err:
-        raise ModelFileError(
+        raise FileError(
             f"{path} is a damaged model: {type(err).__name__}: {err}; save it again"
         ) from err
     return fit

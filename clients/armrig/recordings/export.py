@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
+from armrig_core.errors import InputError
 from armrig_core.manifest import Manifest
 from numpy.typing import NDArray
 
@@ -186,7 +187,7 @@ def imported(module: str, extra: str) -> Any:
         ) from err
 
 
-class MissingPackageError(ImportError, ValueError):
+class MissingPackageError(InputError, ImportError):
     """A package that is not needed otherwise is not installed; says how to install it."""
 
     def __init__(self, msg: str, name: str) -> None:

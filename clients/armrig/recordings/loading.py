@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 from armrig_core import manifest as records
 from armrig_core.calibration import Calibration, Driver, Potentiometer
-from armrig_core.calibration_file import CalibrationFileError, read_calibration
-from armrig_core.errors import InputTypeError
+from armrig_core.calibration_file import read_calibration
+from armrig_core.errors import FileError, InputTypeError
 from armrig_core.manifest import Manifest, Outcome, Recovered
 from armrig_core.protobuf import ABSENT
 from armrig_core.recording_file.budget import DamageError
@@ -35,7 +35,7 @@ from armrig.recordings.daemon_reports import (
 )
 from armrig.recordings.grid import Grid, grid
 from armrig.recordings.parts import joined
-from armrig.recordings.recording import Recording, RecordingError, Vector
+from armrig.recordings.recording import Recording, Vector
 from armrig.recordings.sampling_time import check_sampling_time
 from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
 
@@ -79,7 +79,7 @@ def load(
 
     Raises
     ------
-    RecordingError
+    FileError
         The file is no MCAP, no recording, or damaged before its first sample; the calibration
         cannot be read; the parts are not of one run; or nothing lies between start and stop.
     OSError
@@ -90,31 +90,28 @@ def load(
         msg = f'path is a {type(path).__name__}: give the name of a file, armrig.load("F.mcap"), '
         raise InputTypeError(msg + "or a list of the parts of a run, in their order")
     if str(given[0] if given else "").startswith("@") and not Path(given[0]).exists():
-        raise RecordingError(
+        raise FileError(
             f"{given[0]}: such names are the command line's; `armrig ls --json` says the paths"
         )
     paths = [part for one in given for part in files_of(Path(one))]
     if not paths:
-        raise RecordingError("no file to load")
+        raise FileError("no file to load")
     name = Path(given[0]) if len(given) == 1 else paths[0]
-    try:
-        if isinstance(calibration, (str, Path)):
-            _check_is_calibration(Path(calibration), paths[0])
-            calibration = read_calibration(Path(calibration))
-    except CalibrationFileError as err:
-        raise RecordingError(str(err)) from err
+    if isinstance(calibration, (str, Path)):
+        _check_is_calibration(Path(calibration), paths[0])
+        calibration = read_calibration(Path(calibration))
     found = run_content(paths, start, stop)
     recording = _assembled(name, found, calibration or found.calibration)
     if found.between != EVERYTHING and not recording.N:
         msg = f"{name}: nothing of it lies from {start or 0:g} s"
         msg += f" to {stop:g} s" if stop is not None else " on"
         asked_s = found.manifest.samples * found.manifest.Ts
-        raise RecordingError(f"{msg}; its run has {asked_s:g} s" if asked_s > 0 else msg)
+        raise FileError(f"{msg}; its run has {asked_s:g} s" if asked_s > 0 else msg)
     return recording
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return the files that a path stands for; raises RecordingError where a part is missing.
+    """Return the files that a path stands for; raises FileError where a part is missing.
 
     The last ones may be missing all the same: the outcome is then that the run is continued.
     """
@@ -125,14 +122,14 @@ def files_of(path: Path) -> list[Path]:
     for number in range(1, numbers[-1]):
         if number not in numbers:
             msg = f"{path}: part {number} of this run is missing; those that are there are read by "
-            raise RecordingError(f"{msg}their own names, such as {paths[0].name}")
+            raise FileError(f"{msg}their own names, such as {paths[0].name}")
     return paths
 
 
 def _check_is_calibration(path: Path, first: Path) -> None:
     if RECORDING in path.suffixes:
         msg = f"{path}: a recording, where a calibration is wanted; the parts of a run are given "
-        raise RecordingError(f'{msg}as a list, armrig.load(["{first.name}", "{path.name}"])')
+        raise FileError(f'{msg}as a list, armrig.load(["{first.name}", "{path.name}"])')
 
 
 class RunContent(NamedTuple):
@@ -163,7 +160,7 @@ def run_content(
         try:
             content = joined([f[0] for f in files], [f[1] for f in files])
         except ValueError as err:
-            raise RecordingError(f"{paths[0]}: {err}") from err
+            raise FileError(f"{paths[0]}: {err}") from err
         ended = files[-1][2]
     return RunContent(content, manifest, ended, attached, between)
 
@@ -185,17 +182,17 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
     try:
         content = read(path, part=part, digest=digest)
     except DamageError as err:
-        raise RecordingError(f"{path}: {err}; {_READ}") from err
+        raise FileError(f"{path}: {err}; {_READ}") from err
     if content is None and not path.stat().st_size:
-        raise RecordingError(f"{path}: is empty, 0 B: nothing was recorded; record again")
+        raise FileError(f"{path}: is empty, 0 B: nothing was recorded; record again")
     if content is None:
         table = path.suffix.lower() in DATA
         why = _OF_A_TABLE.format(path=path) if table else f"not an MCAP file; {_READ}"
-        raise RecordingError(f"{path}: {why}")
+        raise FileError(f"{path}: {why}")
     entries = content.metadata.get(records.RUN)
     if entries is None:
         why = content.damage or "it holds no metadata named armrig.run"
-        raise RecordingError(f"{path}: not a recording of a run: {why}")
+        raise FileError(f"{path}: not a recording of a run: {why}")
     try:
         manifest = records.manifest_of(entries)
         outcome = content.metadata.get(records.OUTCOME)
@@ -207,13 +204,13 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
         if recovered is not None:
             records.check_whole_numbers(recovered)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
-        raise RecordingError(
+        raise FileError(
             f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
         ) from err
     try:
         check_sampling_time(manifest)
     except DamageError as err:
-        raise RecordingError(f"{path}: {err}") from err
+        raise FileError(f"{path}: {err}") from err
     return content, manifest, ended, attached
 
 
@@ -226,7 +223,7 @@ def beginning(path: Path) -> tuple[Path, Content]:
 def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]:
     """Return the indices of the samples in a range of time, and what to read for them."""
     if not 0 <= start < stop:
-        raise RecordingError(f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed")
+        raise FileError(f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed")
     content, manifest, _, _ = _read(path, _BEGINNING, digest=False)
     k_first = origin_of(content, manifest)
     first, end = (k_first + ceil(min(t / manifest.Ts, _LATEST) - _ROUNDING) for t in (start, stop))
@@ -267,7 +264,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         ended = None if content.damage else outcome
         rows = grid(content.samples["k"], manifest, ended, spots, between)
     except ValueError as err:
-        raise RecordingError(f"{path}: {err}") from err
+        raise FileError(f"{path}: {err}") from err
     origin = origin_of(content, manifest)
     origin = rows.k_first if origin < 0 else origin
     clock = clock_of(content, manifest, origin)

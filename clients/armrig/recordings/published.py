@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from armrig_core.errors import FileError
 from armrig_core.manifest import Manifest
 from armrig_core.telemetry import Sample, encode_sample
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from numpy.typing import NDArray
 from armrig.recordings.container import Content
 from armrig.recordings.daemon_reports import Clock
 from armrig.recordings.loading import EVERYTHING, clock_of, files_of, origin_of, run_content
-from armrig.recordings.recording import RecordingError
 
 _AT_ONCE = 4096  # samples that are made into Python's numbers at once
 
@@ -84,7 +84,7 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
 
     Raises
     ------
-    RecordingError
+    FileError
         As of `armrig.load`, or there is nothing to publish.
     OSError
         The file cannot be opened or read.
@@ -100,7 +100,7 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
         low, high = start or 0.0, np.inf if stop is None else stop
         others = [message for message in others if low <= message.t < high]
     if not (samples.size or others):
-        raise RecordingError(f"{path}: there is nothing in it to publish")
+        raise FileError(f"{path}: there is nothing in it to publish")
     return PublishedRun(
         manifest=manifest,
         damage=content.damage,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from armrig_core.calibration import Calibration
+from armrig_core.errors import FileError, InputError
 from armrig_core.manifest import Manifest, Outcome, Recovered
 from numpy.typing import NDArray
 
@@ -26,10 +27,6 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 OUTPUTS = ("theta_1", "alpha", "velocity")
-
-
-class RecordingError(ValueError):
-    """A file that cannot be read as a recording; says what it is instead."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -142,17 +139,17 @@ class Recording:
 
         Raises
         ------
-        RecordingError
+        FileError
             There is no valid sample, or no such output.
         """
         if output not in OUTPUTS:
-            raise RecordingError(f"output={output!r}: a recording has {', '.join(OUTPUTS)}")
+            raise InputError(f"output={output!r}: a recording has {', '.join(OUTPUTS)}")
         y, valid = (
             (self.alpha, self.valid_alpha) if output == "alpha" else (self.theta_1, self.valid)
         )
         known = np.isfinite(self.u)
         if not (valid & known).any():
-            raise RecordingError(
+            raise FileError(
                 f"{self.path}: none of its {self.N} samples shows {output}; record again"
             )
         begins = ~known

@@ -88,7 +88,7 @@ def verify(path: str | Path) -> Verification:
 
     Raises
     ------
-    RecordingError, OSError
+    FileError, OSError
         It cannot be loaded at all.
     """
     return verify_recording(load(path))

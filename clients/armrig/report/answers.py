@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from armrig_core.bounded import CONFIGURATION_LIMIT
+from armrig_core.errors import FileError
 from armrig_core.printable import printable
-from armrig_core.toml_file import TomlError, read_toml
+from armrig_core.toml_file import read_toml
 
 from armrig.report.questions import QUESTIONS
 
@@ -18,10 +19,6 @@ MAX_NAME, MAX_REASONS = 80, 4000
 """In characters; ten pages hold no more."""
 _KEYS: Final = ("name", "registration_number")
 _QUOTED: Final = 'each value is a text in quotes, such as registration_number = "900101-1234"'
-
-
-class AnswersError(ValueError):
-    """A file of answers that is refused; says what is wrong and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,35 +43,35 @@ def read_answers(path: Path) -> Answers:
 
     Raises
     ------
-    AnswersError
+    FileError
         The file cannot be read, has an unknown key, or a value is no text or too long.
     """
     try:
         tables = read_toml(path, CONFIGURATION_LIMIT)
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file; `armrig report --handout --questions {path}` "
-        raise AnswersError(f"{msg}writes one") from err
-    except TomlError as err:
-        raise AnswersError(f"{path}: {err}; {_QUOTED}") from err
+        raise FileError(f"{msg}writes one") from err
+    except FileError as err:
+        raise FileError(f"{path}: {err}; {_QUOTED}") from err
     except OSError as err:
-        raise AnswersError(f"{path}: {err.strerror or err}") from err
+        raise FileError(f"{path}: {err.strerror or err}") from err
     try:
         return _answers(tables)
-    except AnswersError as err:
-        raise AnswersError(f"{path}: {err}") from err
+    except FileError as err:
+        raise FileError(f"{path}: {err}") from err
 
 
 def _answers(tables: dict[str, Any]) -> Answers:
     _check_keys(tables, ("students", "reasons"), "")
     students, reasons = tables.get("students", []), tables.get("reasons", {})
     if not isinstance(students, list) or not all(isinstance(s, dict) for s in students):
-        raise AnswersError("students: give a table [[students]] for each student")
+        raise FileError("students: give a table [[students]] for each student")
     if len(students) > MAX_STUDENTS:
-        raise AnswersError(
+        raise FileError(
             f"{len(students)} students: the handout's cover has room for {MAX_STUDENTS}"
         )
     if not isinstance(reasons, dict):
-        raise AnswersError('reasons: give a table [reasons] with a text for each, such as "2.1"')
+        raise FileError('reasons: give a table [reasons] with a text for each, such as "2.1"')
     for student in students:
         _check_keys(student, _KEYS, "students: ")
     _check_keys(reasons, tuple(QUESTIONS), "reasons: ")
@@ -91,19 +88,17 @@ def _answers(tables: dict[str, Any]) -> Answers:
 def _check_keys(table: dict[str, Any], known: tuple[str, ...], where: str) -> None:
     for key in table:
         if key not in known:
-            raise AnswersError(
-                f'{where}unknown key "{printable(key)}"; known are {", ".join(known)}'
-            )
+            raise FileError(f'{where}unknown key "{printable(key)}"; known are {", ".join(known)}')
 
 
 def _text(table: dict[str, Any], key: str, most: int) -> str:
     """Return a text without the space around it."""
     value = table[key]
     if not isinstance(value, str):
-        raise AnswersError(f"{key} = {value!r:.40}: {_QUOTED}, of at most {most} characters")
+        raise FileError(f"{key} = {value!r:.40}: {_QUOTED}, of at most {most} characters")
     text = value.strip()
     if len(text) > most:
-        raise AnswersError(f"{key} has {len(text)} characters: at most {most} are allowed")
+        raise FileError(f"{key} has {len(text)} characters: at most {most} are allowed")
     if not all(c.isprintable() or c.isspace() for c in text):
-        raise AnswersError(f"{key} has characters that cannot be printed: give plain text")
+        raise FileError(f"{key} has characters that cannot be printed: give plain text")
     return text

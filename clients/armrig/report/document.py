@@ -60,7 +60,7 @@ def report(
 
     Raises
     ------
-    ReportError
+    OperationError
         The compiler refuses, which is a fault of this module; or the folder of the source contains
         files already.
     OSError

@@ -10,6 +10,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+from armrig_core.errors import OperationError
+
 from armrig.numerics.quantities import milliseconds
 from armrig.recordings.doubts import different_calibrations, early_ends, emulation
 from armrig.report.answers import Answers
@@ -21,16 +23,12 @@ from armrig.report.physical_sections import numerical_sections, physical_section
 from armrig.report.questions import QUESTIONS
 from armrig.report.recording_facts import notes, run_name
 from armrig.report.section import Section
-from armrig.report.typesetting import ReportError, recorded, source_folder, typeset
+from armrig.report.typesetting import recorded, source_folder, typeset
 
 TEMPLATE = "handout.typ"
 MOST_PAGES = 10
 """Of the handout, its cover included (section 5)."""
 _NAMED = 3  # sections that are named where there are too many pages
-
-
-class TooLongError(ReportError):
-    """More pages than the handout allows; names the longest sections."""
 
 
 def handout_report(
@@ -55,9 +53,9 @@ def handout_report(
 
     Raises
     ------
-    TooLongError
+    OperationError
         There are more than `MOST_PAGES`; the source is written all the same.
-    ReportError
+    OperationError
         The folder of the source contains files already.
     OSError
         The PDF cannot be written.
@@ -132,7 +130,7 @@ def check_length(places: Sequence[tuple[str, float]]) -> None:
         it that is above.
     """
     if not places:
-        raise ReportError(
+        raise OperationError(
             f"{TEMPLATE}: has no #mark of a section, which tells how long it is: leave them in"
         )
     pages = int(places[-1][1])
@@ -141,7 +139,7 @@ def check_length(places: Sequence[tuple[str, float]]) -> None:
     lengths = {name: end - begin for (name, begin), (_, end) in pairwise(places)}
     longest = sorted(lengths, key=lambda name: -lengths[name])[:_NAMED]
     named = ", ".join(f"{name} ({lengths[name]:.1f})" for name in longest)
-    raise TooLongError(
+    raise OperationError(
         f"the report has {pages} pages, and the handout allows {MOST_PAGES}; the longest sections "
         f"are {named}: shorten your reasons, or give models of lower order (--na, --nb, --nf)"
     )

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from armrig_core.arm import ArmParameters
+from armrig_core.errors import FileError
 
 from armrig.data.dataset import Dataset, Vector
 from armrig.estimation.arx import arx
@@ -18,7 +19,7 @@ from armrig.models.model import Model
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.physical_model import physical_model
 from armrig.recordings.jitter import SamplingStatistics, sampling_statistics
-from armrig.recordings.recording import Recording, RecordingError
+from armrig.recordings.recording import Recording
 from armrig.recordings.timing_disturbances import Disturbances, disturbances
 from armrig.validation.comparison import Comparison, compare
 from armrig.validation.residuals import ResidualTest, residuals
@@ -163,7 +164,7 @@ def study(
     orders = orders or Orders()
     excited = [r for r in recordings if kind_of(r) not in (STEP, STAIRCASE)]
     if not excited:
-        raise RecordingError(
+        raise FileError(
             "nothing to identify from: give a recording whose input is no single step, such as "
             "one of `armrig collect blackbox`"
         )

@@ -16,16 +16,13 @@ from typing import Any
 
 import matplotlib as mpl
 import typst
+from armrig_core.errors import OperationError
 
 from armrig.recordings.recording import Recording
 
 Places = list[tuple[str, float]]
 """Begin of each section: page, from 1, and the share of the page above it."""
 _NEVER = datetime(1970, 1, 1, tzinfo=UTC)
-
-
-class ReportError(RuntimeError):
-    """The report cannot be typeset."""
 
 
 def recorded(recordings: Iterable[Recording]) -> datetime:
@@ -61,7 +58,7 @@ def typeset(
 
     Raises
     ------
-    ReportError
+    OperationError
         The compiler refuses, which is a fault of this package.
     """
     made_on = [made.year, made.month, made.day]  # without it typst takes the time of day
@@ -78,7 +75,7 @@ def source_folder(folder: Path | None) -> Iterator[Path]:
 
     Raises
     ------
-    ReportError
+    OperationError
         The folder contains something, or cannot be made.
     """
     if folder is None:
@@ -88,9 +85,9 @@ def source_folder(folder: Path | None) -> Iterator[Path]:
     try:
         folder.mkdir(exist_ok=True)
         if any(folder.iterdir()):
-            raise ReportError(f"{folder}: contains files already; name a new folder")
+            raise OperationError(f"{folder}: contains files already; name a new folder")
     except OSError as err:
-        raise ReportError(
+        raise OperationError(
             f"{folder}: {err.strerror}; name a new folder in a folder that you can write to"
         ) from err
     yield folder
@@ -103,7 +100,7 @@ def compiled(source: Path) -> tuple[bytes, Places]:
 
     Raises
     ------
-    ReportError
+    OperationError
         The compiler refuses, a link leads out of the folder, or a mark of a section is another one
         than the template's.
     """
@@ -112,7 +109,7 @@ def compiled(source: Path) -> tuple[bytes, Places]:
     try:
         return pdf, [(str(name), float(page)) for name, page in json.loads(told)]
     except (TypeError, ValueError) as err:
-        raise ReportError(
+        raise OperationError(
             f"{source}: a <place> there is not the template's: leave #mark as it was written"
         ) from err
 
@@ -122,7 +119,7 @@ def _check_links(folder: Path) -> None:
     inside = folder.resolve()
     for path in folder.rglob("*"):
         if path.is_symlink() and not path.resolve().is_relative_to(inside):
-            raise ReportError(
+            raise OperationError(
                 f"{path}: a link that leads out of the folder: give a copy of its file"
             )
 
@@ -153,9 +150,9 @@ def _compiled(source: Path) -> tuple[bytes, str]:
         )
         pdf = compiler.compile()
         if not isinstance(pdf, bytes):  # never: a list is of pictures, None of a file
-            raise ReportError(source.name)
+            raise OperationError(source.name)
         return pdf, compiler.query("<place>", field="value")
     except RuntimeError as err:
         place = re.search(r"([^/\s]+):(\d+):\d+\n", str(getattr(err, "diagnostic", "")))
         at = f"{source.with_name(place[1])}, line {place[2]}" if place else str(source)
-        raise ReportError(f"{at}: the report cannot be typeset: {err}") from err
+        raise OperationError(f"{at}: the report cannot be typeset: {err}") from err

@@ -14,11 +14,11 @@ import numpy as np
 import zenoh
 from armrig_core import commands, topics
 from armrig_core.calibration_file import raw_samples, read_calibration
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, MalformedReplyError
 from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.rig.replies import MalformedReplyError, refusal_of, reply_of
+from armrig.rig.replies import refusal_of, reply_of
 from armrig.rig.session import (
     RigError,
     configured_endpoint,

@@ -12,7 +12,7 @@ from difflib import unified_diff
 from pathlib import Path
 from typing import Literal
 
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, OperationError
 
 SHIPPED = "/opt/armrig/bin/armrigd"
 """The program that the unit names as it is shipped; `armrig` is next to it."""
@@ -238,11 +238,11 @@ def run_command(command: Sequence[str]) -> None:
     try:
         code = subprocess.run(command, check=False).returncode
     except FileNotFoundError as err:
-        raise RuntimeError(
+        raise OperationError(
             f"{command[0]}: not found; the service needs systemd (`apt install systemd`)"
         ) from err
     if code != 0:
-        raise RuntimeError(f"{' '.join(command)}: ended with {code}")
+        raise OperationError(f"{' '.join(command)}: ended with {code}")
 
 
 def _deploy() -> Path:

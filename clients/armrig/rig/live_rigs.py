@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import msgspec
 import zenoh
 from armrig_core.commands import Status, StatusReport
+from armrig_core.errors import MalformedReplyError
 from armrig_core.topics import EVERY_RIG, alive_key, command_key, rig_of_alive
 
-from armrig.rig.replies import MalformedReplyError, refusal_of, reply_of
+from armrig.rig.replies import refusal_of, reply_of
 from armrig.rig.session import (
     Connection,
     RigError,

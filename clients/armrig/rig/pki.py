@@ -19,6 +19,7 @@ from typing import Any, Literal, NamedTuple
 
 from armrig_core.access_list import AccessList, read_access_list
 from armrig_core.credential import RIG_PREFIX, ROUTER, check_name, rig_name
+from armrig_core.errors import InputError
 from armrig_core.topics import check_rig_id
 
 Role = Literal["operators", "observers"]
@@ -27,10 +28,6 @@ AUTHORITY_DAYS = 3650
 _BEFORE = timedelta(hours=1)  # so much may the clock of another machine be behind
 _KEY, _CERTIFICATE, ACCESS_LIST = "authority.key", "authority.pem", "access.toml"
 _HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)(\.(?!-)[A-Za-z0-9-]{1,63}(?<!-))*")
-
-
-class PkiError(ValueError):
-    """What the authority refuses; says what to do."""
 
 
 class Issued(NamedTuple):
@@ -48,12 +45,12 @@ def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool =
 
     Raises
     ------
-    PkiError
+    InputError
         There is one already: whatever it has signed would count no more.
     """
     x509, ec, _, hashes = _library()
     if not force and (directory / _KEY).exists():
-        raise PkiError(
+        raise InputError(
             f"{directory / _KEY}: there is an authority already; --force makes another, and all "
             "certificates of the first count no more"
         )
@@ -82,7 +79,7 @@ def issue_to_rig(
 
     Raises
     ------
-    PkiError
+    InputError
         There is no authority; the rig was revoked, or has a credential already; or a host is no
         name.
     """
@@ -100,11 +97,13 @@ def issue_to_router(
 
     Raises
     ------
-    PkiError
+    InputError
         There is no authority, or there is such a credential already; or a host is no name.
     """
     if not hosts:
-        raise PkiError("name the hosts under which the router is reached, such as --host lab.local")
+        raise InputError(
+            "name the hosts under which the router is reached, such as --host lab.local"
+        )
     return _issue(directory, ROUTER, ROUTER, [_host(host) for host in hosts], days, force=force)
 
 
@@ -115,12 +114,12 @@ def issue_to_person(
 
     Raises
     ------
-    PkiError
+    InputError
         There is no authority; the name is not allowed, was revoked, or has a credential already.
     """
     _refuse_revoked(directory, name)
     if name.startswith(RIG_PREFIX) or name in ("authority", ROUTER):
-        raise PkiError(f"{name!r} would be taken for a rig's or a router's: take another name")
+        raise InputError(f"{name!r} would be taken for a rig's or a router's: take another name")
     issued = _issue(directory, name, role, [], days, force=force)
     _put_on_list(directory, name, role)
     return issued
@@ -131,18 +130,20 @@ def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
 
     Raises
     ------
-    PkiError
+    InputError
         There is no such credential, or its name was revoked.
     """
     x509, *_ = _library()
     path = directory / f"{check_name(name)}.pem"
     if not path.exists():
-        raise PkiError(f"{path}: there is nothing to renew; `armrig pki list` shows what there is")
+        raise InputError(
+            f"{path}: there is nothing to renew; `armrig pki list` shows what there is"
+        )
     role = read_access_list(directory / ACCESS_LIST).role(name)
     if role in ("operators", "observers"):
         return issue_to_person(directory, name, role, days=days, force=True)  # type: ignore[arg-type]
     if role == "revoked" or not (name.startswith(RIG_PREFIX) or name == ROUTER):
-        raise PkiError(f"{name!r} was revoked, or is not on the access list: nothing is renewed")
+        raise InputError(f"{name!r} was revoked, or is not on the access list: nothing is renewed")
     hosts: list[Any] = []
     with suppress(x509.ExtensionNotFound):
         old = _read_certificates(path)[0].extensions
@@ -158,12 +159,12 @@ def revoke(directory: Path, name: str) -> None:
 
     Raises
     ------
-    PkiError
+    InputError
         The name is on no list.
     """
     people = read_access_list(directory / ACCESS_LIST)
     if people.role(check_name(name)) not in ("operators", "observers", "rigs"):
-        raise PkiError(
+        raise InputError(
             f"{name!r} is neither an operator nor an observer nor a rig, such as rig-1; "
             "`armrig pki list` shows who is"
         )
@@ -189,7 +190,7 @@ def issued(directory: Path) -> list[Issued]:
 
 def _refuse_revoked(directory: Path, name: str) -> None:
     if read_access_list(directory / ACCESS_LIST).role(check_name(name)) == "revoked":
-        raise PkiError(
+        raise InputError(
             f"{name!r} was revoked: the stolen certificate would count again; take another "
             f"name, such as {name[:38]}-2"
         )
@@ -206,14 +207,14 @@ def _issue(
     x509, ec, serialization, hashes = _library()
     path = directory / f"{name}.pem"
     if path.exists() and not force:
-        raise PkiError(
+        raise InputError(
             f"{path}: is there already; `armrig pki renew {name}` gives it a new key, --force too"
         )
     try:
         signing = serialization.load_pem_private_key((directory / _KEY).read_bytes(), None)
         authority = _read_certificates(directory / _CERTIFICATE)[0]
     except FileNotFoundError as err:
-        raise PkiError(
+        raise InputError(
             f"{err.filename}: there is no authority here; `armrig pki ca` makes one"
         ) from err
     key = ec.generate_private_key(ec.SECP256R1())
@@ -243,7 +244,7 @@ def _library() -> Any:
         from cryptography.hazmat.primitives import hashes, serialization
         from cryptography.hazmat.primitives.asymmetric import ec
     except ModuleNotFoundError as err:
-        raise PkiError(
+        raise InputError(
             "certificates are made with cryptography: pip install 'armrig[pki]'"
         ) from err
     return x509, ec, serialization, hashes
@@ -289,7 +290,9 @@ def _host(host: str) -> Any:
     with suppress(ValueError):
         return x509.IPAddress(ipaddress.ip_address(host))
     if len(host) > 253 or not _HOST.fullmatch(host):
-        raise PkiError(f"--host {host!r}: a name such as lab-1.example.edu or an address is needed")
+        raise InputError(
+            f"--host {host!r}: a name such as lab-1.example.edu or an address is needed"
+        )
     return x509.DNSName(host)
 
 
@@ -315,7 +318,7 @@ def _read_certificates(path: Path) -> list[Any]:
     try:
         found: list[Any] = x509.load_pem_x509_certificates(data)
     except ValueError as err:
-        raise PkiError(f"{path}: holds no certificate") from err
+        raise InputError(f"{path}: holds no certificate") from err
     return found
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import msgspec
 import zenoh
-from armrig_core.history import REPLY_LIMIT, HistoryError, HistoryRequest, Past, decode_past
+from armrig_core.errors import MalformedReplyError
+from armrig_core.history import REPLY_LIMIT, HistoryRequest, Past, decode_past
 from armrig_core.topics import history_key
 
 from armrig.rig.session import RigError
@@ -87,7 +88,7 @@ class RemoteSource:
                 continue
             try:
                 past = decode_past(reply.ok.payload.to_bytes())
-            except HistoryError as err:
+            except MalformedReplyError as err:
                 raise RigError(f"{self._key}: {err}; {_NO_DAEMON} of this version") from err
             if past.life == life:
                 return past

@@ -6,16 +6,13 @@ from typing import TypeVar
 
 import msgspec
 from armrig_core import commands
+from armrig_core.errors import MalformedReplyError
 
 MOST_BYTES = 1 << 20
 """Longest reply that is read, in B; a daemon's longest have a few thousand."""
 _LONGEST_ERROR = 1000  # characters that are shown
 
 _R = TypeVar("_R")
-
-
-class MalformedReplyError(ValueError):
-    """No reply of a daemon of this version."""
 
 
 def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:

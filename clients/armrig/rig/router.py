@@ -17,17 +17,13 @@ from armrig_core import access_control, open_files
 from armrig_core.access_list import AccessList, read_access_list
 from armrig_core.credential import Credential, read_credential
 from armrig_core.endpoint import check_listen
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, OperationError
 from armrig_core.owned_session import NOT_FOUND, ROUTED_US, listening, strangers, transport
 from armrig_core.topics import EVERY_RIG
 
 MOST_LINKS = 500
 """Rigs and people at a time."""
 _OS_ERROR = re.compile(r"os error (\d+)")
-
-
-class RouterError(RuntimeError):
-    """A router that cannot be; says what to do."""
 
 
 def router_config(endpoint: str, credential: Credential, people: AccessList) -> dict[str, Any]:
@@ -71,7 +67,7 @@ def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Se
     ------
     ValueError
         The endpoint is not tls/HOST:PORT, or one of the files cannot be used.
-    RouterError
+    OperationError
         It cannot listen there.
     """
     if check_listen(endpoint) != "tls":
@@ -85,6 +81,6 @@ def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Se
     except zenoh.ZError as err:
         found = _OS_ERROR.search(str(err))
         why = os.strerror(int(found[1])) if found else str(err).splitlines()[0][:200]
-        raise RouterError(
+        raise OperationError(
             f"{endpoint}: {why}; see that host and port are this machine's, and free"
         ) from err

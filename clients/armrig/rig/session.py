@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 from armrig_core.client_settings import ClientSettings, client_settings
-from armrig_core.credential import CredentialError, read_credential
+from armrig_core.credential import read_credential
 from armrig_core.endpoint import (
     SERVICE_USER,
     SERVICES,
@@ -22,7 +22,8 @@ from armrig_core.endpoint import (
     network_address,
     socket_directory,
 )
-from armrig_core.passwords import PasswordError, read_users
+from armrig_core.errors import FileError, OperationError
+from armrig_core.passwords import read_users
 from armrig_core.printable import printable
 from armrig_core.recording_directory import installed, of_rig
 from armrig_core.topics import PLAYED, check_rig_id, is_rig_id
@@ -35,7 +36,7 @@ MOST_RECEIVED = 16 << 20
 """Longest message that is received, in B; beyond it the connection ends."""
 
 
-class RigError(RuntimeError):
+class RigError(OperationError):
     """A rig, or the way to it, refuses; the message says what to do."""
 
     def __init__(self, message: str) -> None:
@@ -211,7 +212,7 @@ def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -
                 )
             proof = ("transport/auth/usrpwd", {"user": user, "password": password})
             return _Way(where, user, (proof,))
-    except (CredentialError, PasswordError) as err:
+    except FileError as err:
         raise RigError(str(err)) from err
     return _Way(where)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from armrig_core.errors import ArmrigError
+
 MESSAGES_LIMIT, MESSAGES_PER_BYTE = 40 << 20, 16
 """Of messages other than samples a file of n B may cost the first plus the second times n, in B."""
 UNPACKED_LIMIT, UNPACKED_PER_BYTE, UNPACKED_MORE = 64 << 20, 64, 4 << 30
@@ -18,7 +20,7 @@ WORK, KEPT = "units of work with records", "B of messages other than samples"
 UNPACKED = "B in its chunks, unpacked"
 
 
-class DamageError(Exception):
+class DamageError(ArmrigError):
     """Reading cannot go on from here; says why."""
 
 

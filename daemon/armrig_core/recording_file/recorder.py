@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
+from armrig_core.errors import ArmrigError
 from armrig_core.manifest import INPUT, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import ACTIVE, CONTINUED, part_path
@@ -26,7 +27,7 @@ SYNC_S = 1.0
 QUEUE = 10_000  # batches; what finds no room is counted and reported
 
 
-class RecordingError(OSError):
+class RecordingError(ArmrigError, OSError):
     """A recording cannot be begun; says where and why."""
 
 

@@ -9,12 +9,13 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
+from armrig_core.errors import ArmrigError
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.opening import no_link
 from armrig_core.recording_file.part_names import ACTIVE, COPY
 
 
-class RecoveryError(Exception):
+class RecoveryError(ArmrigError):
     """A file cannot be recovered and stays as it is; says which, why, and what to do."""
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from armrig_core.firmware_image import ImageError, read_image, shipped_image
-
-from armrig_daemon.emulator.harness import HarnessError
+from armrig_core.errors import FileError, OperationError
+from armrig_core.firmware_image import read_image, shipped_image
 
 VARIABLE = "ARMRIG_FIL"
 _PROTOCOL = Path(__file__).parents[3] / "firmware_protocol"  # of a checkout
@@ -18,12 +17,12 @@ def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> P
 
     Raises
     ------
-    HarnessError
+    OperationError
         There is none; says how to build it.
     """
     program = Path(environ.get(VARIABLE) or checkout / "simavr" / "fil")
     if not program.is_file():
-        raise HarnessError(
+        raise OperationError(
             f"{program}: no such program; build it in a checkout by `make fil` (Debian's "
             f"libsimavr-dev), or say by {VARIABLE} where it is"
         )
@@ -35,16 +34,16 @@ def firmware_image(image: Path | None) -> Path:
 
     Raises
     ------
-    HarnessError
+    OperationError
         The file does not exist, cannot be read, or is not a complete Intel HEX file.
     """
     found = image or shipped_image()
     if not found.is_file():
-        raise HarnessError(f"{found}: no such firmware; `make firmware` builds it in a checkout")
+        raise OperationError(f"{found}: no such firmware; `make firmware` builds it in a checkout")
     try:
         read_image(found)  # simavr runs a file that was cut off, up to the cut
-    except ImageError as err:
-        raise HarnessError(str(err)) from err
+    except FileError as err:
+        raise OperationError(str(err)) from err
     except OSError as err:
-        raise HarnessError(f"{found}: {err.strerror}") from err
+        raise OperationError(f"{found}: {err.strerror}") from err
     return found

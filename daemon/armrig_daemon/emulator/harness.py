@@ -13,15 +13,13 @@ from pathlib import Path
 from struct import Struct
 from typing import IO, Final, NamedTuple
 
+from armrig_core.errors import OperationError
+
 CYCLES_PER_US: Final = 16
 _ORDER = Struct("<cQI")
 _RECORD = Struct("<BQI")
 _READING = Struct("<H")
 _FIGURES = Struct("<6Q")
-
-
-class HarnessError(RuntimeError):
-    """The harness cannot be run, or has ended; says why."""
 
 
 class Violation(IntEnum):
@@ -116,7 +114,7 @@ class Harness:
                 start_new_session=True,  # Ctrl-C is for us, who end it
             )
         except OSError as err:
-            raise HarnessError(f"{program}: {err.strerror}") from err
+            raise OperationError(f"{program}: {err.strerror}") from err
         self.cycle = 0
 
     def advance(
@@ -192,7 +190,7 @@ class Harness:
     @property
     def _in(self) -> IO[bytes]:
         if self._process.stdin is None:
-            raise HarnessError("the harness has no input")
+            raise OperationError("the harness has no input")
         return self._process.stdin
 
     def _order(self, order: bytes, cycle: int, n: int, data: bytes = b"") -> None:
@@ -200,13 +198,15 @@ class Harness:
             self._in.write(_ORDER.pack(order, cycle, n) + data)
             self._in.flush()
         except BrokenPipeError as err:
-            raise HarnessError(f"the harness ended with exit code {self._process.wait()}") from err
+            raise OperationError(
+                f"the harness ended with exit code {self._process.wait()}"
+            ) from err
 
     def _read(self, n: int) -> bytes:
         pipe = self._process.stdout
         data = pipe.read(n) if pipe is not None else b""
         if len(data) < n:
-            raise HarnessError(f"the harness ended with exit code {self._process.wait()}")
+            raise OperationError(f"the harness ended with exit code {self._process.wait()}")
         return data
 
     def _data(self) -> bytes:

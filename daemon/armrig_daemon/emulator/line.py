@@ -11,6 +11,7 @@ from pathlib import Path
 from select import EPOLLHUP, EPOLLOUT
 from struct import Struct
 
+from armrig_core.errors import OperationError
 from armrig_core.waiting import Waiter
 
 from armrig_daemon.emulator.backlog import Backlog
@@ -19,10 +20,6 @@ IN_CLOSE, IN_OPEN = 0x08 | 0x10, 0x20  # <sys/inotify.h>
 READ_BYTES = 64  # what a USB bridge's buffer holds; the rest waits in the kernel
 _INOTIFY_EVENT = Struct("iIII")
 _libc = ctypes.CDLL(None, use_errno=True)
-
-
-class PortError(Exception):
-    """The port cannot be made; says which and why."""
 
 
 class Line:
@@ -50,7 +47,7 @@ class Line:
 
         Raises
         ------
-        PortError, OSError
+        OperationError, OSError
             The port cannot be made.
         """
         raise NotImplementedError
@@ -141,7 +138,7 @@ class Terminal(Line):
     def offer(self, port: Path, stack: ExitStack) -> None:
         """Make the link in one step, over one that an emulator left behind."""
         if port.exists() and not port.is_symlink():
-            raise PortError(f"{port}: is there and no link; choose another --port")
+            raise OperationError(f"{port}: is there and no link; choose another --port")
         fresh = port.with_name(f"{port.name}.{os.getpid()}")
         fresh.symlink_to(self.slave)
         fresh.replace(port)
@@ -184,5 +181,5 @@ def _watch(path: Path) -> int:
         msg = f"{path}: inotify: {os.strerror(ctypes.get_errno())}"
         if fd >= 0:
             os.close(fd)
-        raise PortError(msg)
+        raise OperationError(msg)
     return fd

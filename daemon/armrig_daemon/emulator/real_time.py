@@ -20,6 +20,7 @@ from time import monotonic_ns
 from typing import Protocol, TextIO
 
 from armrig_core.emulator_socket import socket_path
+from armrig_core.errors import OperationError
 from armrig_core.signal_pipe import SignalPipe
 from armrig_core.waiting import Waiter
 from armrig_protocol.messages import Cause, State
@@ -28,7 +29,7 @@ from armrig_daemon.emulator.board import Board, Change, Witness
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Violated, Violation
 from armrig_daemon.emulator.host_time import HostTime
-from armrig_daemon.emulator.line import READ_BYTES, Line, PortError, Terminal
+from armrig_daemon.emulator.line import READ_BYTES, Line, Terminal
 from armrig_daemon.emulator.pin import sentence
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
@@ -111,7 +112,7 @@ def emulate(
 
     Raises
     ------
-    PortError
+    OperationError
         `port` or `trace` cannot be made.
     """
     with ExitStack() as stack:
@@ -217,7 +218,7 @@ def _naming(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as err:
-        raise PortError(f"{path}: {err.strerror}") from err
+        raise OperationError(f"{path}: {err.strerror}") from err
 
 
 def _line(port: Path, stack: ExitStack) -> Line:
@@ -225,7 +226,7 @@ def _line(port: Path, stack: ExitStack) -> Line:
     try:
         path = socket_path(str(port))
     except ValueError as err:
-        raise PortError(str(err)) from err
+        raise OperationError(str(err)) from err
     return Terminal(stack) if path is None else SocketLine(path, stack)
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import msgspec
 from armrig_core.bounded import CONFIGURATION_LIMIT
+from armrig_core.errors import InputError
 from armrig_core.toml_file import read_toml
 from armrig_protocol.messages import QUEUE_CAPACITY, SETPOINTS_PER_FRAME
 
@@ -43,10 +44,6 @@ CHOICES: dict[str, tuple[int, ...]] = {
     "pwm_bits": (0, 8, 9, 10, 11, 12, 13, 14, 15, 16),
     "adc_bits": (0, 10, 12),
 }
-
-
-class SettingsError(ValueError):
-    """Settings that the emulator refuses; says which key, what it was and what is allowed."""
 
 
 class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -124,13 +121,13 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         for key, (least, greatest) in RANGES.items():
             value = getattr(self, key)
             if not least <= value <= greatest:
-                raise SettingsError(f"{key}={value!r} must be from {least} to {greatest}")
+                raise InputError(f"{key}={value!r} must be from {least} to {greatest}")
         for key, choices in CHOICES.items():
             if getattr(self, key) not in choices:
                 allowed = ", ".join(map(str, choices))
-                raise SettingsError(f"{key}={getattr(self, key)!r} must be one of {allowed}")
+                raise InputError(f"{key}={getattr(self, key)!r} must be one of {allowed}")
         if self.alpha_zero_deg > self.alpha_range_deg:
-            raise SettingsError(
+            raise InputError(
                 f"alpha_zero_deg={self.alpha_zero_deg!r} must lie on the track, "
                 f"from 0 to alpha_range_deg={self.alpha_range_deg!r}"
             )
@@ -146,13 +143,13 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         allowed = ArmParameters.__dataclass_fields__
         for key in self.arm:
             if key not in allowed:
-                raise SettingsError(
+                raise InputError(
                     f"arm.{key}={self.arm[key]!r}: no such key; allowed are {', '.join(allowed)}"
                 )
         try:
             return ArmParameters(**self.arm)
         except ValueError as err:
-            raise SettingsError(f"arm.{err}") from err
+            raise InputError(f"arm.{err}") from err
 
 
 class _File(msgspec.Struct, frozen=True, kw_only=True):
@@ -166,13 +163,13 @@ def load(path: Path) -> EmulatorSettings:
 
     Raises
     ------
-    SettingsError
+    InputError
         The file cannot be read, is no TOML, or holds a key or value that is not allowed.
     """
     try:
         tables = read_toml(path, CONFIGURATION_LIMIT)
         return convert({"emulator": tables.get("emulator", {})}, _File).emulator
     except OSError as err:
-        raise SettingsError(f"{path}: {err.strerror}") from err
+        raise InputError(f"{path}: {err.strerror}") from err
     except ValueError as err:
-        raise SettingsError(f"{path}: {err}") from err
+        raise InputError(f"{path}: {err}") from err

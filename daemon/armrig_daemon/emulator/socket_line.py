@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Final
 
 from armrig_core.emulator_socket import folder_fault, is_socket, lock_path, peer_fault
+from armrig_core.errors import OperationError
 from armrig_core.waiting import Waiter
 
-from armrig_daemon.emulator.line import Line, PortError
+from armrig_daemon.emulator.line import Line
 
 _MOST_WAITING: Final = 8
 """Connections that wait to be accepted, at most; the kernel refuses more."""
@@ -34,9 +35,9 @@ class SocketLine(Line):
         """Make the socket in one step, in place of one at which no emulator answers."""
         path = self._path
         if fault := folder_fault(path):
-            raise PortError(f"{port}: {fault}")
+            raise OperationError(f"{port}: {fault}")
         if fault := _occupied(path):
-            raise PortError(f"{port}: {fault}; choose another --port")
+            raise OperationError(f"{port}: {fault}; choose another --port")
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         os.close(os.open(lock_path(path), flags, 0o600))
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)

@@ -21,6 +21,7 @@ from armrig_core.emulator_socket import (
     peer_fault,
     socket_path,
 )
+from armrig_core.errors import ArmrigError
 from armrig_core.waiting import TERMINAL_BYTES, Waiter
 
 READ = 2048
@@ -38,7 +39,7 @@ _TAKEN = (
 )
 
 
-class LinkError(OSError):
+class LinkError(ArmrigError, OSError):
     """The port cannot be opened or is gone; says which and why."""
 
 

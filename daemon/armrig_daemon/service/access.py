@@ -8,17 +8,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from armrig_core import access_control
-from armrig_core.access_list import AccessList, AccessListError, read_access_list
-from armrig_core.bounded import TextError
-from armrig_core.credential import Credential, CredentialError, read_credential, rig_name
+from armrig_core.access_list import AccessList, read_access_list
+from armrig_core.credential import Credential, read_credential, rig_name
 from armrig_core.endpoint import check_listen
-from armrig_core.passwords import PasswordError, read_passwords
+from armrig_core.errors import FileError, InputError
+from armrig_core.passwords import read_passwords
 
 from armrig_daemon.config import Access, Config
-
-
-class AccessError(ValueError):
-    """An `[access]` that is refused; says what is wrong and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,7 +50,7 @@ def networks_of(config: Config) -> Networks:
 
     Raises
     ------
-    AccessError
+    InputError
         A key is missing or does not fit the others, or a file cannot be used.
     """
     return Networks(network_of(config), router_of(config))
@@ -65,7 +61,7 @@ def router_of(config: Config) -> Network | None:
 
     Raises
     ------
-    AccessError
+    InputError
         The rig's certificate is missing or cannot be used.
     """
     access, rig = config.access, config.rig.id
@@ -73,14 +69,14 @@ def router_of(config: Config) -> Network | None:
         return None
     if not access.certificate:
         msg = f"[access] router = {access.router!r}: needs certificate, too; "
-        raise AccessError(msg + "`armrig pki rig` makes one")
+        raise InputError(msg + "`armrig pki rig` makes one")
     try:
         credential = read_credential(Path(access.certificate), "rig at a router")
-    except CredentialError as err:
-        raise AccessError(f"[access] {err}") from err
+    except FileError as err:
+        raise InputError(f"[access] {err}") from err
     if credential.name != rig_name(rig):
         msg = f"[access] {access.certificate}: is that of {credential.name}; the router takes this "
-        raise AccessError(f"{msg}rig by that of {rig_name(rig)} alone")
+        raise InputError(f"{msg}rig by that of {rig_name(rig)} alone")
     return Network(
         endpoint=access.router,
         known_by="certificate",
@@ -99,7 +95,7 @@ def network_of(config: Config) -> Network | None:
 
     Raises
     ------
-    AccessError
+    InputError
         A key is missing or does not fit the others, or a file cannot be used.
     """
     access = config.access
@@ -111,8 +107,8 @@ def network_of(config: Config) -> Network | None:
         if access.certificate:
             return _by_certificate(config, people, read_credential(Path(access.certificate), "rig"))
         users = read_passwords(Path(access.passwords))
-    except (AccessListError, CredentialError, PasswordError, TextError) as err:
-        raise AccessError(f"[access] {err}") from err
+    except FileError as err:
+        raise InputError(f"[access] {err}") from err
     return _by_password(config, people, users)
 
 
@@ -122,7 +118,7 @@ def _check_keys(access: Access) -> None:
         if access.router:
             given = [key for key in given if key != "certificate"]
         if given:
-            raise AccessError(
+            raise InputError(
                 f"[access] {given[0]} is given and listen is not: nobody could connect; give "
                 "listen, such as tls/0.0.0.0:7447"
             )
@@ -133,10 +129,10 @@ def _check_keys(access: Access) -> None:
     for key in needed:
         if key not in given:
             made = f"; `{makes[key]}` makes one" if key in makes else ": a line user:password each"
-            raise AccessError(f"[access] listen = {access.listen!r}: needs {key}, too{made}")
+            raise InputError(f"[access] listen = {access.listen!r}: needs {key}, too{made}")
     for key in given:
         if key not in needed:
-            raise AccessError(
+            raise InputError(
                 f"[access] {key} does not go with listen = {access.listen!r}: take it away"
             )
 

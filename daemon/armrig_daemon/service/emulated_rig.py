@@ -12,15 +12,12 @@ from pathlib import Path
 
 import msgspec
 from armrig_core.emulator_socket import port_of
+from armrig_core.errors import OperationError
 from armrig_core.signal_pipe import held_back
 
 from armrig_daemon.config import Config
 
 _START_S = 30.0  # on a busy machine a program takes seconds to load
-
-
-class EmulatorError(RuntimeError):
-    """The emulator did not start."""
 
 
 @contextmanager
@@ -38,7 +35,7 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
 
     Raises
     ------
-    EmulatorError
+    OperationError
         It ended, or took too long.
     """
     path = directory / f"{config.rig.id}-{os.getpid()}.line"
@@ -59,7 +56,7 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
         until = time.monotonic() + _START_S
         while not path.exists():
             if child.poll() is not None or time.monotonic() > until:
-                raise EmulatorError(f"the emulator did not start behind {path}")
+                raise OperationError(f"the emulator did not start behind {path}")
             time.sleep(0.01)
         device = msgspec.structs.replace(config.device, port=port_of(path))
         yield msgspec.structs.replace(config, device=device), stalls_out

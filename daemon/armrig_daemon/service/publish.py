@@ -13,6 +13,7 @@ from typing import Self
 
 import zenoh
 from armrig_core.commands import Calibrate, Renew, Status, Stop
+from armrig_core.errors import OperationError
 
 from armrig_daemon.service import admission
 from armrig_daemon.service.access import Network
@@ -23,7 +24,7 @@ from armrig_daemon.service.uplink import Uplink
 MOST_WAITING = 64  # commands of a kind that nobody has looked at yet; more are refused
 
 
-class NetworkError(RuntimeError):
+class NetworkError(OperationError):
     """The endpoint of a network cannot be listened at; says why."""
 
 

@@ -20,6 +20,7 @@ from pathlib import Path
 import zenoh
 from armrig_core import commands, open_files
 from armrig_core.emulator_stall import held_up
+from armrig_core.errors import InputError
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import RecordingError
 from armrig_core.signal_pipe import SignalPipe
@@ -46,7 +47,7 @@ from armrig_daemon.pipe import (
     Trace,
 )
 from armrig_daemon.service import child, pressure
-from armrig_daemon.service.access import AccessError, networks_of
+from armrig_daemon.service.access import networks_of
 from armrig_daemon.service.commands import Commands
 from armrig_daemon.service.network_guard import NetworkGuard
 from armrig_daemon.service.protobuf_out import outgoing
@@ -125,7 +126,7 @@ class Service:
         config = self._config
         try:
             network, router = networks_of(config)
-        except AccessError as err:
+        except InputError as err:
             print_line("error", str(err))
             return MEND
         loop = child.start(
@@ -371,7 +372,7 @@ class Service:
             return
         try:
             networks_of(check_configuration())
-        except ValueError as err:  # AccessError is one
+        except ValueError as err:  # InputError is one
             self._say("error", f"configuration not read anew, the one in force stays: {err}")
             return
         self._begins_anew = True

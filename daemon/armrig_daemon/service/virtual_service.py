@@ -15,7 +15,7 @@ from typing import Any
 import msgspec
 from armrig_core.commands import Run
 from armrig_core.emulated import VIRTUAL_PORT
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, OperationError
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.telemetry import decode_sample
 from msgspec.structs import replace
@@ -50,10 +50,6 @@ _SEEDS = 10 * 365 * 86_400  # beyond so many the beginnings come again
 _STEP_NS = 500_000_000
 _SETTLE_NS = 10_000_000_000
 _FINISH_S = 60.0
-
-
-class VirtualRunError(RuntimeError):
-    """A run in virtual time was refused, or ended early; says why."""
 
 
 class VirtualService:
@@ -92,7 +88,7 @@ class VirtualService:
 
         Raises
         ------
-        VirtualRunError
+        OperationError
             The run was refused, or ended before its last sample.
         ValueError
             A voltage or the rehearsal is outside the limits, or nothing can be recorded.
@@ -109,7 +105,7 @@ class VirtualService:
         level, text = self._runs.finished(_FINISH_S)
         last = self._runs.last
         if level != "info" or last is None or last.outcome != "complete":
-            raise VirtualRunError(text or f"the recording is not complete after {_FINISH_S:g} s")
+            raise OperationError(text or f"the recording is not complete after {_FINISH_S:g} s")
         return Path(last.recording)
 
     def _ask(self, order: Orders) -> Answer:
@@ -120,7 +116,7 @@ class VirtualService:
         self._until(lambda: number in self._answers, "does not answer")
         answer = self._answers.pop(number)
         if answer.error:
-            raise VirtualRunError(answer.error)
+            raise OperationError(answer.error)
         return answer
 
     def _until(self, what: Callable[[], bool], failing: str, seconds: float = 0.0) -> None:
@@ -129,7 +125,7 @@ class VirtualService:
         end_ns = ports.now + round(seconds * 1e9) + _SETTLE_NS
         while not what():
             if ports.now >= end_ns or self._rig.loop.ended:
-                raise VirtualRunError(f"the emulated rig {failing}: {self._state}")
+                raise OperationError(f"the emulated rig {failing}: {self._state}")
             self._take(self._rig.run_until(min(end_ns, ports.now + _STEP_NS)))
             self._rig.records.clear()
 
@@ -165,7 +161,7 @@ class VirtualService:
 
     def _begin(self, started: RunStarted) -> None:
         if self._state is None:
-            raise VirtualRunError("a run started on a rig that has told no state")
+            raise OperationError("a run started on a rig that has told no state")
         self._runs.begin(started, self._state, {}, self._offset_ns)
 
 

@@ -24,13 +24,14 @@ from armrig.batch import running, workers
 from armrig.batch.batch import batch
 from armrig.batch.columns import OF_THE_FILE, OF_THE_RESULT, OF_THE_RUN, OF_THE_TASK, columns_of
 from armrig.batch.items import Item, items_in
-from armrig.batch.progress import SUFFIX, Progress, ProgressError, still_right
+from armrig.batch.progress import SUFFIX, Progress, still_right
 from armrig.batch.rows import row_of
 from armrig.batch.table import header_of
 from armrig.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
 from armrig.cli import main
 from armrig.models.model_writing import model_text
 from armrig.recordings.verification import verify
+from armrig_core.errors import OperationError
 from batches import SHORT, kept, started, telegraph, wait_for_rows
 from deadly import deadly
 
@@ -296,10 +297,10 @@ def test_results_of_other_options_are_refused(folder: Path, tmp_path: Path) -> N
     """Neither a table nor what a killed start has left is mixed with another task's rows."""
     table = tmp_path / "models.parquet"
     done(folder, ARX, table, kinds=["step"])
-    with pytest.raises(ProgressError, match="other options"):
+    with pytest.raises(OperationError, match="other options"):
         done(folder, Identify(structure="arx", orders={"na": 3, "nb": 4}), table)
     (tmp_path / f"checks.parquet{SUFFIX}").write_bytes(msgspec.json.encode({"task": "x"}) + b"\n")
-    with pytest.raises(ProgressError, match="--force"):
+    with pytest.raises(OperationError, match="--force"):
         done(folder, Verify(), tmp_path / "checks.parquet")
     done(folder, Verify(), tmp_path / "checks.parquet", anew=True, kinds=["step"])
 
@@ -309,12 +310,12 @@ def test_results_of_another_folder_or_choice_are_not_replaced(folder: Path, tmp_
     table = tmp_path / "models.parquet"
     done(folder, ARX, table, rigs=["2"])
     before = table.read_bytes()
-    with pytest.raises(ProgressError, match="another folder, task or choice"):
+    with pytest.raises(OperationError, match="another folder, task or choice"):
         done(folder, ARX, table, kinds=["step"])
     other = tmp_path / "other"
     other.mkdir()
     shutil.copy2(folder / OTHER_RIG, other)
-    with pytest.raises(ProgressError, match="another folder, task or choice"):
+    with pytest.raises(OperationError, match="another folder, task or choice"):
         done(other, ARX, table, rigs=["2"])
     assert table.read_bytes() == before
 
@@ -324,7 +325,7 @@ def test_force_leaves_another_start_its_rows(folder: Path, tmp_path: Path) -> No
     table = tmp_path / "models.parquet"
     with Progress(table, {"digest": "held"}) as progress:
         progress.add({"recording": "a"})
-        with pytest.raises(ProgressError, match="is at it"):
+        with pytest.raises(OperationError, match="is at it"):
             done(folder, ARX, table, anew=True)
     with Progress(table, {"digest": "held"}) as progress:
         assert progress.rows == [{"recording": "a"}]
@@ -342,7 +343,7 @@ def test_a_model_of_something_else_is_not_judged_by_an_angle(folder: Path, tmp_p
 def test_two_at_one_table_are_refused(folder: Path, tmp_path: Path) -> None:
     """The second says so before it does any work."""
     table = tmp_path / "models.parquet"
-    with Progress(table, {"digest": "held"}), pytest.raises(ProgressError, match="is at it"):
+    with Progress(table, {"digest": "held"}), pytest.raises(OperationError, match="is at it"):
         done(folder, ARX, table)
 
 
@@ -375,7 +376,7 @@ def test_a_row_with_another_kind_of_value_is_refused(folder: Path, tmp_path: Pat
     row = row_of(Verify(), items_in(folder, rigs=["2"])[0]) | {"passed": {"no": 1}}
     with Progress(table, header_of(Verify(), folder, ["2"], [])) as progress:
         progress.add(row)
-    with pytest.raises(ProgressError, match="changed by somebody; --force"):
+    with pytest.raises(OperationError, match="changed by somebody; --force"):
         done(folder, Verify(), table, rigs=["2"])
     assert done(folder, Verify(), table, rigs=["2"], anew=True)[0]["passed"] is not None
 
@@ -389,7 +390,7 @@ def test_what_is_no_file_is_not_read_as_one(what: str, folder: Path, tmp_path: P
         there.mkdir()
     else:
         there.symlink_to("/dev/null")  # as good as /dev/zero, were it read
-    with pytest.raises(ProgressError, match="is no file; remove it"):
+    with pytest.raises(OperationError, match="is no file; remove it"):
         done(folder, Verify(), table)
 
 
@@ -408,7 +409,7 @@ def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
     """It is said in words which file; with more room the same command goes on, and repeats none."""
     table = tmp_path / "models.parquet"
     said = f"{table.name}{SUFFIX}: File too large; what is done is kept"
-    with no_file_above(20_000), pytest.raises(ProgressError, match=said):
+    with no_file_above(20_000), pytest.raises(OperationError, match=said):
         done(folder, ARX, table)
     again: list[str] = []
     done(folder, ARX, table, count=lambda n, total, name: again.append(name))
@@ -419,7 +420,7 @@ def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: P
     """All rows are kept; with more room the table is written of them."""
     table = tmp_path / "v.parquet"
     said = f"{table.name}: File too large; all results are kept"
-    with no_file_above(8000), pytest.raises(ProgressError, match=said):
+    with no_file_above(8000), pytest.raises(OperationError, match=said):
         done(folder, Verify(), table, rigs=["2"])
     assert [file.name for file in tmp_path.iterdir()] == [f"v.parquet{SUFFIX}"]
     again: list[str] = []

@@ -16,12 +16,12 @@ import pytest
 from armrig.cli import main
 from armrig.cli.calibrate import _measured, _Wanted
 from armrig.recordings.loading import load
-from armrig.recordings.recording import RecordingError
 from armrig.rig import collection
 from armrig.rig.collection import Collected, Plan
 from armrig_core import commands
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
+from armrig_core.errors import FileError
 from calibration_rig import recording_of
 from fake_daemon import FakeDaemon
 from made_recordings import recorded, sample, written
@@ -316,7 +316,7 @@ def test_a_recording_is_read_with_another_calibration(tmp_path: Path) -> None:
         assert rec.theta_1.tolist() == pytest.approx([0.0, -2e-3, -4e-3])
         assert rec.calibration == OTHER
     assert armrig.load(path).u.tolist() == [0.0, 1.0, 2.0]
-    with pytest.raises(RecordingError, match=r"nowhere\.toml: No such file"):
+    with pytest.raises(FileError, match=r"nowhere\.toml: No such file"):
         armrig.load(path, tmp_path / "nowhere.toml")
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from armrig.cli import main
 from armrig_core.access_list import read_access_list
-from armrig_core.credential import CredentialError, read_credential
+from armrig_core.credential import read_credential
+from armrig_core.errors import FileError
 from cryptography import x509
 
 
@@ -202,7 +203,7 @@ def test_a_router_and_its_rigs(here: Path) -> None:
     assert read_credential(here / "rig-7.pem", "rig at a router").name == "rig-7"
     assert read_access_list(here / "access.toml").rigs[-1] == "rig-7"
     for path, purpose in (("router.pem", "rig at a router"), ("rig-7.pem", "rig")):
-        with pytest.raises(CredentialError, match="for another purpose"):
+        with pytest.raises(FileError, match="for another purpose"):
             read_credential(here / path, purpose)  # type: ignore[arg-type]
     assert main(["pki", "revoke", "rig-7"]) == 0
     assert main(["pki", "rig", "7", "--force"]) == 1

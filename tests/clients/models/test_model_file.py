@@ -15,9 +15,10 @@ from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
-from armrig.models.model_file import ModelFileError, load_fit
+from armrig.models.model_file import load_fit
 from armrig.numerics.polynomial import filtered
 from armrig.validation.residuals import residuals
+from armrig_core.errors import FileError
 
 
 def data(seed: int) -> Dataset:
@@ -98,7 +99,7 @@ def test_what_is_no_model_is_refused(
     fit.save(path)
     path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | change))
 
-    with pytest.raises(ModelFileError, match=f"model.json .*{said}"):
+    with pytest.raises(FileError, match=f"model.json .*{said}"):
         load_fit(path)
 
 
@@ -110,7 +111,7 @@ def test_a_file_that_is_cut_off_is_refused(fit: Fit, tmp_path: Path) -> None:
     for content in (text[: len(text) // 2], "", "[]", "3", "\0"):
         path.write_text(content, encoding="utf-8")
 
-        with pytest.raises(ModelFileError):
+        with pytest.raises(FileError):
             load_fit(path)
 
 
@@ -152,6 +153,6 @@ def test_a_model_of_a_windows_editor_is_read(fit: Fit, tmp_path: Path) -> None:
     assert repr(load_fit(path)) == repr(fit)
     path.write_text(path.read_text(encoding="utf-8-sig"), encoding="utf-16")
     with pytest.raises(
-        ModelFileError, match=r"json: it is saved as UTF-16: save it as UTF-8; a model is"
+        FileError, match=r"json: it is saved as UTF-16: save it as UTF-8; a model is"
     ):
         load_fit(path)

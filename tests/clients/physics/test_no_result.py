@@ -12,8 +12,8 @@ import pages
 import pytest
 from armrig.cli import main
 from armrig.data.dataset import Dataset
-from armrig.physics.grey_box.fit import NoResultError
 from armrig.physics.grey_box.split_study import Split, SplitStudy
+from armrig_core.errors import InputError
 from chassis_data import Make
 
 INPUTS = {"three": [1.0, 4.0, 1.0], "ten": [1.0, 4.0] * 5, "zero": [0.0] * 500}
@@ -83,7 +83,7 @@ def test_a_search_that_did_not_end_has_no_result(make: Make) -> None:
     fit = armrig.greybox(make(N=1000))
     fit.require_result()
 
-    with pytest.raises(NoResultError, match="J_1 did not converge, so there is no result"):
+    with pytest.raises(InputError, match="J_1 did not converge, so there is no result"):
         replace(fit, converged=False).require_result()
 
 

@@ -9,7 +9,6 @@ from math import degrees, erf, sqrt, tau
 import numpy as np
 import pytest
 from armrig.recordings.calibration import (
-    CalibrationError,
     Readings,
     compressed,
     decompressed,
@@ -21,6 +20,7 @@ from armrig.recordings.calibration.motor import TerminalVoltage, speeds, termina
 from armrig.recordings.calibration.rest import mean_reading, rounding_variance, spread
 from armrig.recordings.calibration.rotation import Turning, turning
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
+from armrig_core.errors import InputError
 from calibration_rig import REST, TURNS, calibrated, runs, truth, unknown_rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -106,7 +106,7 @@ def test_a_run_that_shows_no_turns_is_refused_with_the_way_out(
     change: dict[str, np.ndarray], said: str
 ) -> None:
     """Slowly, one way, three turns."""
-    with pytest.raises(CalibrationError, match=said) as refused:
+    with pytest.raises(InputError, match=said) as refused:
         turning(replace(made_turns(), **change), 64.0)
     assert "three turns or more: see --volts" in str(refused.value)
 
@@ -119,7 +119,7 @@ def test_a_voltage_at_which_one_sample_shows_an_angle_is_refused() -> None:
     theta_1[last] = 0.0
     theta_1[last[-1]] = 30_000.0
 
-    with pytest.raises(CalibrationError, match="too few angles at one of the voltages"):
+    with pytest.raises(InputError, match="too few angles at one of the voltages"):
         turning(replace(readings, theta_1=theta_1), 64.0)
 
 
@@ -128,7 +128,7 @@ def test_a_worn_track_is_told() -> None:
     readings = made_turns(noise=32.0)
     worn = (readings.theta_1 > 20_000) & (readings.theta_1 < 26_000)
 
-    with pytest.raises(CalibrationError, match=r"showed a rail at .* % of its track"):
+    with pytest.raises(InputError, match=r"showed a rail at .* % of its track"):
         turning(replace(readings, theta_1=np.where(worn, 0.0, readings.theta_1)), 64.0)
 
 
@@ -202,14 +202,14 @@ def test_the_deviation_of_a_spread_holds_in_monte_carlo() -> None:
 )
 def test_a_rest_that_is_none_is_refused(change: dict[str, np.ndarray], said: str) -> None:
     """With what to do."""
-    with pytest.raises(CalibrationError, match=said):
+    with pytest.raises(InputError, match=said):
         estimate(replace(still(), **change))
 
 
 @pytest.mark.parametrize(("t", "alpha"), [(np.zeros(3), np.zeros(2)), (np.zeros(0), np.zeros(0))])
 def test_readings_are_columns_of_as_many_samples(t: np.ndarray, alpha: np.ndarray) -> None:
     """Refused where they are made, not where two columns meet."""
-    with pytest.raises(CalibrationError, match="all four must have as many, and at least one"):
+    with pytest.raises(InputError, match="all four must have as many, and at least one"):
         Readings(t=t, u=t, theta_1=t, alpha=alpha)
 
 
@@ -252,7 +252,7 @@ def test_a_meter_gives_the_line_through_its_readings() -> None:
         Figure(value=0.0, std=0.0),
     )
     assert terminal_voltage([], 0.01) is None
-    with pytest.raises(CalibrationError, match="read it at another code, too"):
+    with pytest.raises(InputError, match="read it at another code, too"):
         terminal_voltage([(1.0, 1.0), (1.0, 1.1)], 0.01)
 
 
@@ -323,7 +323,7 @@ def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
             assert np.array_equal(getattr(back[name], column), getattr(readings, column))
         assert back[name].t == pytest.approx(readings.t, abs=1e-9)
     for damaged in (data[:-20], b"", b"recording"):
-        with pytest.raises(CalibrationError, match="no samples of a calibration"):
+        with pytest.raises(InputError, match="no samples of a calibration"):
             decompressed(damaged)
 
 
@@ -363,5 +363,5 @@ def test_a_calibration_shows_its_track_and_the_motors_line() -> None:
     below = ax.figure.axes[1]
     [points] = [c for c in below.containers if c.get_label() == "measured"]
     assert len(points.lines[0].get_xdata()) == 3
-    with pytest.raises(CalibrationError, match="without turns"):
+    with pytest.raises(InputError, match="without turns"):
         estimate(rest).plot(turns)

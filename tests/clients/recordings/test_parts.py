@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from armrig.recordings.loading import load
-from armrig.recordings.recording import RecordingError
+from armrig_core.errors import FileError
 from armrig_core.manifest import Outcome
 from armrig_core.recording_file.chunks import Unpacker
 from hypothesis import example, given, settings
@@ -129,5 +129,5 @@ def test_a_range_without_samples_is_refused(
     long: Path, start: float, stop: float | None, why: str
 ) -> None:
     """In one line, with what is allowed."""
-    with pytest.raises(RecordingError, match=why):
+    with pytest.raises(FileError, match=why):
         load(long, start=start, stop=stop)

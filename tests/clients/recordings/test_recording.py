@@ -22,10 +22,11 @@ from armrig.numerics.quantities import NBSP
 from armrig.recordings import container, grid, sample_rows
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.loading import load
-from armrig.recordings.recording import Recording, RecordingError
+from armrig.recordings.recording import Recording
 from armrig.recordings.timing_disturbances import disturbances
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.errors import FileError
 from armrig_core.manifest import INPUT, RUN, Manifest, Outcome
 from armrig_core.recording_file import budget, file_records
 from armrig_core.recording_file.budget import DamageError
@@ -81,7 +82,7 @@ def tried(path: Path) -> tuple[Recording | None, str]:
     """Return the recording, or what is said where there is none."""
     try:
         return load(path), ""
-    except RecordingError as err:
+    except FileError as err:
         return None, str(err)
 
 
@@ -270,14 +271,14 @@ def test_a_sample_outside_its_run_is_told(tmp_path: Path, k: int) -> None:
     """Such a file was not written by a daemon."""
     messages = sorted([sample(50), sample(k)])
 
-    with pytest.raises(RecordingError, match=r"those of the run from 40 to 139"):
+    with pytest.raises(FileError, match=r"those of the run from 40 to 139"):
         load(written(tmp_path, recorded(messages, manifest=a_run())))
 
 
 @pytest.mark.parametrize("claimed", [{"samples": 10**15}, {"k_first": 2**80}, {"Ts": 1e300}])
 def test_a_manifest_cannot_ask_for_all_memory(tmp_path: Path, claimed: dict[str, Any]) -> None:
     """What it says of the run is checked against what came."""
-    with pytest.raises(RecordingError, match=r"run\.mcap: "):
+    with pytest.raises(FileError, match=r"run\.mcap: "):
         load(written(tmp_path, recorded([sample(50)], manifest=a_run(**claimed))))
 
 
@@ -541,7 +542,7 @@ def test_what_is_no_mcap_is_told_in_one_line(tmp_path: Path, content: bytes) -> 
     """It says which file, and what is read."""
     path = written(tmp_path, content)
 
-    with pytest.raises(RecordingError, match=r"run\.mcap: not an MCAP file.*armrigd") as caught:
+    with pytest.raises(FileError, match=r"run\.mcap: not an MCAP file.*armrigd") as caught:
         load(path)
 
     assert "\n" not in str(caught.value)
@@ -554,7 +555,7 @@ def test_an_mcap_of_something_else_is_told_so(tmp_path: Path) -> None:
     writer.start()
     writer.finish()
 
-    with pytest.raises(RecordingError, match=r"not a recording of a run.*armrig\.run"):
+    with pytest.raises(FileError, match=r"not a recording of a run.*armrig\.run"):
         load(written(tmp_path, out.getvalue()))
 
 
@@ -566,7 +567,7 @@ def test_a_manifest_of_another_shape_is_told_so(tmp_path: Path) -> None:
     writer.add_metadata(RUN, {"rig": '"1"'})
     writer.finish()
 
-    with pytest.raises(RecordingError, match="run_id"):
+    with pytest.raises(FileError, match="run_id"):
         load(written(tmp_path, out.getvalue()))
 
 
@@ -594,7 +595,7 @@ def test_an_index_beyond_any_ends_the_reading(tmp_path: Path, k: int) -> None:
 @pytest.mark.parametrize("Ts", [5e-324, 0.9e-6, 86_400.0, -1.0])
 def test_a_sampling_time_that_none_has_is_told(tmp_path: Path, Ts: float) -> None:
     """It would make numbers of times that no program has."""
-    with pytest.raises(RecordingError, match="from 1 µs to below a day"):
+    with pytest.raises(FileError, match="from 1 µs to below a day"):
         load(written(tmp_path, recorded([sample(0)], manifest=manifest(Ts=Ts))))
 
 
@@ -603,7 +604,7 @@ def test_a_recording_without_samples_says_so_when_asked_for_data(tmp_path: Path)
     rec = load(written(tmp_path, recorded([])))
 
     assert rec.N == 0
-    with pytest.raises(RecordingError, match="none of its 0 samples"):
+    with pytest.raises(FileError, match="none of its 0 samples"):
         rec.dataset()
 
 
@@ -633,7 +634,7 @@ def test_a_break_in_k_cannot_ask_for_all_memory(tmp_path: Path) -> None:
     """Two samples, 10^15 rows apart."""
     messages = [sample(0), sample(1)._replace(k=10**15)]
 
-    with pytest.raises(RecordingError, match="too many for a recording"):
+    with pytest.raises(FileError, match="too many for a recording"):
         load(written(tmp_path, recorded(messages)))
 
 
@@ -803,7 +804,7 @@ def test_a_grid_has_no_more_rows_than_a_run(
     monkeypatch.setattr(grid, "SAMPLES_LIMIT", 250)
 
     assert load(written(tmp_path, recorded([sample(k) for k in (0, 1, 249)]))).N == 250
-    with pytest.raises(RecordingError, match="too many for a recording"):
+    with pytest.raises(FileError, match="too many for a recording"):
         load(written(tmp_path, recorded([sample(k) for k in (0, 1, 250)])))
 
 
@@ -860,7 +861,7 @@ def test_a_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     os.mkfifo(path)
 
-    with pytest.raises(RecordingError, match=r"run\.mcap: not a regular file"):
+    with pytest.raises(FileError, match=r"run\.mcap: not a regular file"):
         load(path)
 
 
@@ -869,7 +870,7 @@ def test_a_device_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.symlink_to("/dev/zero")
 
-    with pytest.raises(RecordingError, match="not a regular file"):
+    with pytest.raises(FileError, match="not a regular file"):
         load(path)
 
 
@@ -896,7 +897,7 @@ def test_a_manifest_that_overstrains_is_told_in_a_line(
     writer.add_metadata(RUN, entries)
     writer.finish()
 
-    with pytest.raises(RecordingError, match=why) as caught:
+    with pytest.raises(FileError, match=why) as caught:
         load(written(tmp_path, out.getvalue()))
 
     assert "\n" not in str(caught.value)

@@ -10,8 +10,8 @@ from armrig.cli import main
 from armrig.cli.replay import replay
 from armrig.recordings.loading import load
 from armrig.recordings.published import published
-from armrig.recordings.recording import RecordingError
 from armrig.recordings.verification import verify
+from armrig_core.errors import FileError
 from armrig_core.manifest import RUN, Outcome, manifest_of
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
@@ -65,7 +65,7 @@ def test_a_run_one_of_whose_parts_is_missing_is_not_taken_for_whole(tmp_path: Pa
     for missing, number in ((one, 1), (two, 2)):
         missing.unlink()
         for read in (load, verify, published, replay):
-            with pytest.raises(RecordingError, match=f"part {number} of this run is missing"):
+            with pytest.raises(FileError, match=f"part {number} of this run is missing"):
                 read(run)
         missing.write_bytes(kept[missing])
     one.unlink()
@@ -99,7 +99,7 @@ def test_a_second_part_given_as_a_calibration_is_told_how_parts_are_given(tmp_pa
     """As who calls `load` with one part behind the other does."""
     one, two, _ = _parts(tmp_path)
 
-    with pytest.raises(RecordingError, match=r"a recording, where a calibration.*as a list"):
+    with pytest.raises(FileError, match=r"a recording, where a calibration.*as a list"):
         load(one, two)
 
 
@@ -164,7 +164,7 @@ def test_a_run_in_parts_is_replayed_as_one(tmp_path: Path, pacing: str) -> None:
 
     assert len(part_paths(tmp_path / "run.mcap")) > 2
     assert again == replay(whole)
-    with pytest.raises(RecordingError, match="holds no steps"):
+    with pytest.raises(FileError, match="holds no steps"):
         replay(tmp_path / "run.part-0002.mcap")
 
 
@@ -185,7 +185,7 @@ def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None
         ([one, of_another_rig], "of rig 2 is not run"),
         ([one, before], "do not stand behind those of the part before"),
     ):
-        with pytest.raises(RecordingError, match=why):
+        with pytest.raises(FileError, match=why):
             load(given_paths)
     with pytest.raises(TypeError, match="or a list of the parts of a run"):
         load({one, two})  # type: ignore[arg-type]

@@ -6,10 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
-from armrig.report.answers import MAX_REASONS, Answers, AnswersError, Student, read_answers
+from armrig.report.answers import MAX_REASONS, Answers, Student, read_answers
 from armrig.report.handout import handout_report
 from armrig.report.handout_study import handout_study
 from armrig.report.questions import QUESTIONS, questions_toml
+from armrig_core.errors import FileError
 
 
 def answers(tmp_path: Path, text: str) -> Answers:
@@ -73,13 +74,13 @@ def test_names_and_reasons_are_read(tmp_path: Path) -> None:
 )
 def test_what_is_no_answer_is_refused(text: str, message: str, tmp_path: Path) -> None:
     """The error names the file, what came and what is allowed."""
-    with pytest.raises(AnswersError, match=rf"reasons\.toml: {message}"):
+    with pytest.raises(FileError, match=rf"reasons\.toml: {message}"):
         answers(tmp_path, text)
 
 
 def test_a_missing_file_is_refused_with_the_command_that_writes_it(tmp_path: Path) -> None:
     """The way out is part of the error."""
-    with pytest.raises(AnswersError, match=r"`armrig report --handout --questions .*` writes one"):
+    with pytest.raises(FileError, match=r"`armrig report --handout --questions .*` writes one"):
         read_answers(tmp_path / "none.toml")
 
 

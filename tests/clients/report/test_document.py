@@ -17,7 +17,6 @@ from armrig.numerics.quantities import NBSP
 from armrig.physics.physical_model import physical_model
 from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
-from armrig.recordings.recording import RecordingError
 from armrig.report.conclusions import abstract, conclusions
 from armrig.report.data_facts import treatment
 from armrig.report.document import content, report
@@ -27,6 +26,7 @@ from armrig.report.typesetting import recorded as recorded_at
 from armrig.report.typesetting import typeset
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made
+from armrig_core.errors import FileError
 from made_recordings import of_the_arm, recorded, sample, written
 
 NOTE = Note(t=1.5, text='#panic() *x* $y$ `#eval("1")` \\ [z] @nobody', owner="#panic() <b>")
@@ -170,7 +170,7 @@ def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
 
 def test_a_step_alone_is_nothing_to_identify_from(three_recordings: tuple[Path, ...]) -> None:
     """It says what to record."""
-    with pytest.raises(RecordingError, match="armrig collect blackbox"):
+    with pytest.raises(FileError, match="armrig collect blackbox"):
         study([load(three_recordings[0])])
 
 

@@ -23,7 +23,8 @@ import uno_with_optiboot
 from armrig.cli import flash as command
 from armrig.cli import main
 from armrig.rig.flash import avrdude, boards
-from armrig.rig.flash.boards import Board, PortError, chosen
+from armrig.rig.flash.boards import Board, chosen
+from armrig_core.errors import OperationError
 from armrig_core.firmware_image import read_image, shipped_image
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
@@ -288,7 +289,7 @@ def test_which_board_is_meant(port: str | None, there: list[Board], found: Board
     if isinstance(found, Board):
         assert chosen(port, there) == found
         return
-    with pytest.raises(PortError) as refused:
+    with pytest.raises(OperationError) as refused:
         chosen(port, there)
     assert found in str(refused.value)
     assert ("--port" in str(refused.value)) == (port is None)
@@ -362,7 +363,7 @@ def test_what_avrdude_really_says_of_no_port_becomes_a_line(tmp_path: Path) -> N
     """Its own parser takes our options; it fails at the port."""
     call = avrdude.command(str(avrdude.find()), port=str(tmp_path / "no"), image=shipped_image())
 
-    with pytest.raises(avrdude.FlashError, match="boot loader does not answer"):
+    with pytest.raises(OperationError, match="boot loader does not answer"):
         avrdude.write(call, lambda done, total, name: None)
 
 

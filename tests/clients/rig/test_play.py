@@ -18,7 +18,6 @@ import zenoh
 from armrig.cli import main
 from armrig.recordings import published as publishing
 from armrig.recordings.published import published
-from armrig.recordings.recording import RecordingError
 from armrig.rig import play as playing
 from armrig.rig.client import Rig
 from armrig.rig.live_gaps import LiveGap
@@ -26,6 +25,7 @@ from armrig.rig.play import play, staged
 from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import stream
 from armrig_core import telemetry
+from armrig_core.errors import FileError
 from armrig_core.topics import PLAYED, check_own_id, played_id
 from armrig_daemon.config import Rig as RigTable
 from made_recordings import event, gap, manifest, recorded, sample, timing, written
@@ -96,7 +96,7 @@ def test_a_part_is_played_alone(run: Path) -> None:
     assert ks == [*range(10, 20), *range(25, 30)]
     assert [m.stream for m in messages if m.stream != "sample"] == ["gap"]
     assert [m.stream for m in published(run, 0.3).messages() if m.stream != "sample"] == ["timing"]
-    with pytest.raises(RecordingError, match="nothing in it to publish"):
+    with pytest.raises(FileError, match="nothing in it to publish"):
         published(run, 5.0, 6.0)
 
 

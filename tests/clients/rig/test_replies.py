@@ -13,9 +13,10 @@ import pytest
 import zenoh
 from armrig.cli import main
 from armrig.rig.client import RefusedError, Rig
-from armrig.rig.replies import MOST_BYTES, MalformedReplyError, refusal_of, reply_of
+from armrig.rig.replies import MOST_BYTES, refusal_of, reply_of
 from armrig.rig.session import MOST_RECEIVED, NoReplyError, RigError
 from armrig_core.commands import Done, LeaseGranted, StatusReport
+from armrig_core.errors import MalformedReplyError
 from fake_daemon import FakeDaemon
 
 HOSTILE = "\x1b]0;mine\x07\x1b[2Ja rig\r\x9b[red]\u202e"

@@ -14,8 +14,9 @@ from typing import Any, TypeVar
 
 import pytest
 import serial
+from armrig_core.errors import OperationError
 from armrig_daemon.emulator.line import Terminal, _watch
-from armrig_daemon.emulator.real_time import PortError, emulate
+from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import decoder, frame
 from armrig_protocol.frame import Spoilt, Unknown
@@ -285,7 +286,7 @@ def test_a_port_that_cannot_be_watched_says_why(tmp_path: Path) -> None:
     """In the kernel's words, with no descriptor left open."""
     before = {*Path("/proc/self/fd").iterdir()}
 
-    with pytest.raises(PortError, match=r"gone: inotify: No such file or directory"):
+    with pytest.raises(OperationError, match=r"gone: inotify: No such file or directory"):
         _watch(tmp_path / "gone")
 
     assert {*Path("/proc/self/fd").iterdir()} <= before
@@ -295,9 +296,9 @@ def test_a_port_or_trace_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     """One line, and nothing is left behind."""
     settings = EmulatorSettings()
 
-    with pytest.raises(PortError, match=r"absent/rig: No such file"):
+    with pytest.raises(OperationError, match=r"absent/rig: No such file"):
         emulate(tmp_path / "absent" / "rig", settings)
-    with pytest.raises(PortError, match=r"absent/trace: No such file"):
+    with pytest.raises(OperationError, match=r"absent/trace: No such file"):
         emulate(tmp_path / "rig", settings, trace=tmp_path / "absent" / "trace")
 
     assert list(tmp_path.iterdir()) == []

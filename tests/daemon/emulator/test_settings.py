@@ -8,14 +8,15 @@ import sys
 from pathlib import Path
 
 import pytest
-from armrig_daemon.emulator.settings import EmulatorSettings, SettingsError, load
+from armrig_core.errors import InputError
+from armrig_daemon.emulator.settings import EmulatorSettings, load
 
 
 def refusal(tmp_path: Path, text: str) -> str:
     """Return what `load` says about `text`."""
     path = tmp_path / "rig.toml"
     path.write_text(text)
-    with pytest.raises(SettingsError) as caught:
+    with pytest.raises(InputError) as caught:
         load(path)
     return str(caught.value)
 
@@ -120,7 +121,7 @@ def test_a_value_of_the_wrong_type_is_refused(tmp_path: Path) -> None:
 def test_a_file_that_is_no_toml_is_refused(tmp_path: Path) -> None:
     """So is one that is not there."""
     assert "rig.toml: " in refusal(tmp_path, "[emulator\n")
-    with pytest.raises(SettingsError, match=r"absent\.toml"):
+    with pytest.raises(InputError, match=r"absent\.toml"):
         load(tmp_path / "absent.toml")
 
 
@@ -146,7 +147,7 @@ def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
 
     assert load(path).seed == 7
     path.write_text("[emulator]", encoding="utf-16")
-    with pytest.raises(SettingsError, match=r"toml: it is saved as UTF-16: save it as UTF-8$"):
+    with pytest.raises(InputError, match=r"toml: it is saved as UTF-16: save it as UTF-8$"):
         load(path)
 
 
@@ -155,5 +156,5 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
     path = tmp_path / "rig.toml"
     os.mkfifo(path)
 
-    with pytest.raises(SettingsError, match=r"rig\.toml: not a regular file$"):
+    with pytest.raises(InputError, match=r"rig\.toml: not a regular file$"):
         load(path)

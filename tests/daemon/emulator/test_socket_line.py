@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 from armrig_core.emulator_socket import lock_path
+from armrig_core.errors import OperationError
 from armrig_core.waiting import Waiter
 from armrig_daemon.emulator import socket_line
-from armrig_daemon.emulator.line import PortError
 from armrig_daemon.emulator.real_time import emulate
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
@@ -321,7 +321,9 @@ def test_the_socket_of_another_emulator_is_not_taken_over(emulator: Emulator, ho
     """Its host goes on, and its device is not reset."""
     with (
         ExitStack() as stack,
-        pytest.raises(PortError, match=r"rig\.sock: another emulator answers there; choose anoth"),
+        pytest.raises(
+            OperationError, match=r"rig\.sock: another emulator answers there; choose anoth"
+        ),
     ):
         Emulator(emulator.path, stack)
 
@@ -334,7 +336,7 @@ def test_a_folder_that_others_can_write_to_is_refused(emulator: Emulator) -> Non
     """By either end; a symbolic link to a folder, too."""
     folder, complaint = emulator.path.parent, "its folder can be written by other users"
     folder.chmod(0o777)
-    with ExitStack() as stack, pytest.raises(PortError, match=complaint):
+    with ExitStack() as stack, pytest.raises(OperationError, match=complaint):
         Emulator(folder / "another", stack)
     with pytest.raises(LinkError, match=complaint):
         emulator.host()
@@ -352,7 +354,9 @@ def test_what_is_no_socket_is_left_alone(tmp_path: Path) -> None:
 
     with pytest.raises(LinkError, match="it is no socket; give that of an emulator"):
         open_link(f"unix:{path}", 115_200)
-    with pytest.raises(PortError, match=r"notes: is there and no socket; choose another --port"):
+    with pytest.raises(
+        OperationError, match=r"notes: is there and no socket; choose another --port"
+    ):
         emulate(Path(f"unix:{path}"), EmulatorSettings())
 
     assert path.read_text() == "mine"
@@ -364,7 +368,7 @@ def test_a_path_that_is_too_long_is_refused_by_either_end(tmp_path: Path) -> Non
 
     with pytest.raises(LinkError, match="a socket's has 1 to 107; choose a shorter folder"):
         open_link(port, 115_200)
-    with pytest.raises(PortError, match="a socket's has 1 to 107; choose a shorter folder"):
+    with pytest.raises(OperationError, match="a socket's has 1 to 107; choose a shorter folder"):
         emulate(Path(port), EmulatorSettings())
 
 

@@ -9,8 +9,9 @@ import pytest
 from armrig.rig import pki
 from armrig_core.access_control import at_router, of_router, remote, size_limits
 from armrig_core.access_list import AccessList
-from armrig_daemon.config import Access, Config, ConfigError, load
-from armrig_daemon.service.access import AccessError, network_of, router_of
+from armrig_core.errors import InputError
+from armrig_daemon.config import Access, Config, load
+from armrig_daemon.service.access import network_of, router_of
 
 TLS, TCP = "tls/0.0.0.0:7447", "tcp/127.0.0.1:7447"
 
@@ -75,7 +76,7 @@ def test_what_is_missing_is_told(
     files: dict[str, str], listen: str, keys: list[str], says: str
 ) -> None:
     """Nobody is let in by less than all of it."""
-    with pytest.raises(AccessError, match=rf"^\[access\] .*{says}"):
+    with pytest.raises(InputError, match=rf"^\[access\] .*{says}"):
         _network(listen=listen, **_chosen(files, *keys))
 
 
@@ -101,7 +102,7 @@ def test_what_is_missing_is_told(
 )
 def test_an_endpoint_without_encryption_is_for_this_machine_alone(listen: str, says: str) -> None:
     """Whatever else stands in the configuration: zenoh would take what stands behind a #, too."""
-    with pytest.raises(ConfigError, match=says):
+    with pytest.raises(InputError, match=says):
         load([], {"ARMRIG_ACCESS_LISTEN": listen}, {})
 
 
@@ -130,7 +131,7 @@ def test_a_file_that_cannot_be_used_is_refused(
     files[key] = str(tmp_path / "nothing")
     listen, keys = (TCP, ["names", "passwords"]) if key == "passwords" else (TLS, [])
 
-    with pytest.raises(AccessError, match=rf"^\[access\] {tmp_path}/nothing: "):
+    with pytest.raises(InputError, match=rf"^\[access\] {tmp_path}/nothing: "):
         _network(listen=listen, **_chosen(files, *(keys or ["certificate", "names"])))
 
 
@@ -138,7 +139,7 @@ def test_a_client_s_certificate_does_not_serve(files: dict[str, str], tmp_path: 
     """It is told before zenoh, which would start, and nobody could connect."""
     files["certificate"] = str(tmp_path / "alice.pem")
 
-    with pytest.raises(AccessError, match="is for another purpose: `armrig pki rig` makes"):
+    with pytest.raises(InputError, match="is for another purpose: `armrig pki rig` makes"):
         _network(listen=TLS, **_chosen(files, "certificate", "names"))
 
 
@@ -162,7 +163,7 @@ def test_passwords_that_protect_nobody_are_refused(
     path.write_text(text)
     path.chmod(mode)
 
-    with pytest.raises(AccessError, match=says) as caught:
+    with pytest.raises(InputError, match=says) as caught:
         _network(listen=TCP, **_chosen(files, "names", "passwords"))
     assert "horse" not in str(caught.value)
 
@@ -244,14 +245,14 @@ def test_a_router_needs_the_certificate_of_this_rig(files: dict[str, str], tmp_p
         (other, "is that of rig-2; the router takes this rig by that of rig-1 alone"),
         (str(tmp_path / "router.pem"), "there is no such file; `armrig pki rig` writes one"),
     ):
-        with pytest.raises(AccessError, match=says):
+        with pytest.raises(InputError, match=says):
             router_of(Config(access=Access(router=router, certificate=certificate)))
-    with pytest.raises(AccessError, match="names is given and listen is not"):
+    with pytest.raises(InputError, match="names is given and listen is not"):
         _network(router=router, **_chosen(files, "certificate", "names"))
 
 
 @pytest.mark.parametrize("router", ["tcp/127.0.0.1:7447", "tls/lab.local", "lab.local:7447"])
 def test_a_router_is_reached_by_tls(router: str) -> None:
     """By host and port."""
-    with pytest.raises(ConfigError, match="must be tls/HOST:PORT"):
+    with pytest.raises(InputError, match="must be tls/HOST:PORT"):
         load([], {"ARMRIG_ACCESS_ROUTER": router}, {})

@@ -11,7 +11,8 @@ import armrig
 import msgspec
 import numpy as np
 from armrig_core.commands import Run
-from armrig_daemon.service.virtual_service import LEASE, VirtualRunError, VirtualService
+from armrig_core.errors import OperationError
+from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
 from odd_bench import CONFIG, show
 from said import compare
@@ -54,7 +55,7 @@ def test_what_an_odd_rig_s_runs_leave_is_what_they_left(tmp_path: Path) -> None:
         before = {*tmp_path.iterdir()}
         try:
             rig.record(Run(lease=LEASE, n=0, **run))
-        except (VirtualRunError, ValueError) as err:
+        except (OperationError, ValueError) as err:
             lines.append(f"  {type(err).__name__}: {err}")
         for path in sorted({*tmp_path.iterdir()} - before):
             lines += _lines(path)

@@ -9,13 +9,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig_core.commands import Run
+from armrig_core.errors import OperationError
 from armrig_daemon.config import Config, Limits
-from armrig_daemon.service.virtual_service import (
-    LEASE,
-    VirtualRunError,
-    VirtualService,
-    requests_of,
-)
+from armrig_daemon.service.virtual_service import LEASE, VirtualService, requests_of
 from msgspec.structs import replace
 
 REQUEST = Run(lease=LEASE, n=0, u=[0.0, *np.linspace(0.5, 4.5, 149)], experiment="ramp")
@@ -76,7 +72,7 @@ def test_a_run_that_ends_early_is_told(tmp_path: Path) -> None:
     service = VirtualService(config, tmp_path, seed=1)
     service._runs._config = Config()  # else the rehearsal sees it coming
 
-    with pytest.raises(VirtualRunError, match="REV_LIMIT"):
+    with pytest.raises(OperationError, match="REV_LIMIT"):
         service.record(REQUEST)
 
     [path] = tmp_path.glob("*.mcap")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import codecs
 
-from armrig_core.bounded import TextError, decoded
+from armrig_core.bounded import decoded
+from armrig_core.errors import FileError
 
 from armrig.data.files import matlab, npz, text
-from armrig.data.files.table import DataFileError, Table
+from armrig.data.files.table import Table
 
 _READ = "armrig reads CSV and other tables of text, .mat (to -v7) and .npz"
 _AGAIN = "save it there with save('data.mat', 'u', 'y', '-v7')"
@@ -31,19 +32,20 @@ def table_of(data: bytes, suffix: str) -> Table:
 
     Raises
     ------
-    DataFileError
+    FileError
         It is of another kind, or damaged.
     """
     for beginning, what in _OTHERS:
         if data.startswith(beginning):
-            raise DataFileError(what)
+            raise FileError(what)
     if data.startswith(b"PK\x03\x04"):
         return npz.read(data)
     if data.startswith(b"MATLAB 5.0") or (suffix == ".mat" and b"\0" in data[:128]):
         return matlab.read(data)
     if b"\0" in data:
-        raise DataFileError(f"is no text, and no other kind of file that is known; {_READ}")
+        raise FileError(f"is no text, and no other kind of file that is known; {_READ}")
     try:
-        return text.table_of(decoded(data))
-    except TextError as err:
-        raise DataFileError(f'{err} (in Excel: "CSV UTF-8")') from err
+        content = decoded(data)
+    except FileError as err:
+        raise FileError(f'{err} (in Excel: "CSV UTF-8")') from err
+    return text.table_of(content)

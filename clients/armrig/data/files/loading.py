@@ -11,19 +11,12 @@ from pathlib import Path
 import numpy as np
 from armrig_core.bounded import read_bounded
 from armrig_core.calls import checked_call
+from armrig_core.errors import FileError
 
 from armrig.data.dataset import Dataset, require_size
 from armrig.data.files.kinds import table_of
 from armrig.data.files.sampling import sampling_time
-from armrig.data.files.table import (
-    DataFileError,
-    NoColumnError,
-    Table,
-    Vector,
-    chosen,
-    listed,
-    shown,
-)
+from armrig.data.files.table import NoColumnError, Table, Vector, chosen, listed, shown
 
 MOST_BYTES = 1 << 27
 """Longest file, in B: a million rows of eight numbers have less."""
@@ -70,7 +63,7 @@ def load_data(
 
     Raises
     ------
-    DataFileError
+    FileError
         It cannot be read as data; says what came, what is read, and what to do.
     OSError
         The file cannot be read.
@@ -81,12 +74,12 @@ def load_data(
         source = f"{SOURCE}:{hashlib.sha256(data).hexdigest()}"
         table = table_of(data, path.suffix.lower())
         return _dataset(table, {"input": input, "signal": signal}, time, Ts, source)
-    except DataFileError as err:
-        raise DataFileError(f"{path}: {err}") from err
+    except FileError as err:
+        raise FileError(f"{path}: {err}") from err
     except OSError as err:
         if err.errno != errno.EFBIG:
             raise
-        raise DataFileError(
+        raise FileError(
             f"{path}: has more than {MOST_BYTES >> 20} MiB; cut it into several files"
         ) from err
 
@@ -101,7 +94,7 @@ def _dataset(
     has_times = time is not None or Ts is not None or table.Ts is not None or _named_times(table)
     at = _chosen(table, columns, has_times=bool(has_times))
     if at["input"] == at["signal"]:
-        raise DataFileError(
+        raise FileError(
             f"input and signal are both column {at['input'] + 1}; {listed(table, 'signal')}"
         )
     notes = list(table.notes)
@@ -111,14 +104,14 @@ def _dataset(
         notes += _other_times(table, time, set(at.values()), Ts)
     u, y = (_values(table, i, what) for what, i in at.items())
     if u.size != y.size:
-        raise DataFileError(
+        raise FileError(
             f"the input has {u.size} samples and the signal {y.size}; both need one an instant"
         )
     for name, x in (("input", u), ("signal", y)):
         try:
             require_size(name, x[~np.isnan(x)])
         except ValueError as err:
-            raise DataFileError(str(err)) from err
+            raise FileError(str(err)) from err
     known = ~np.isnan(u)
     begins = known & ~np.append(False, known[:-1])
     left_out = int(u.size - np.count_nonzero(known))
@@ -153,7 +146,7 @@ def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[s
         said += ": there are no such columns" if len(missing) > 1 else ": there is no such column"
         said += "" if has_times else ", and the sampling time is not known (or give --Ts, in s)"
         options = " and --".join([*missing, *(() if has_times else ("time",))])
-        raise DataFileError(f"{said}; {listed(table, options)}")
+        raise FileError(f"{said}; {listed(table, options)}")
     for refused in missing.values():
         raise refused
     return at
@@ -168,7 +161,7 @@ def _other_times(table: Table, time: str | None, taken: set[int], Ts: float) -> 
     """Return what to note where the file says another sampling time than the one given."""
     try:
         said = _sampling_time(table, time, taken)
-    except DataFileError:
+    except FileError:
         return []  # the way out of times that cannot be read
     if isclose(said, Ts, rel_tol=_OTHER):
         return []
@@ -187,7 +180,7 @@ def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:
             msg = "the sampling time is not known: give it in s (--Ts)"
             if len(table.columns) > len(taken):
                 msg += f", or the column of times: {listed(table, 'time')}"
-            raise DataFileError(msg)
+            raise FileError(msg)
         i = named[0]
     return sampling_time(table.numbers(i), table.columns[i], table.place)
 
@@ -198,11 +191,11 @@ def _values(table: Table, i: int, what: str) -> Vector:
     infinite = np.isinf(values)
     if infinite.any():
         k = int(np.argmax(infinite))
-        raise DataFileError(
+        raise FileError(
             f"{table.place(k)}: the {what} is {values[k]} there, and in {infinite.sum()} samples "
             "in all; leave a value that is not known empty, or write NaN"
         )
     if np.isnan(values).all():
         msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "
-        raise DataFileError(msg + listed(table, what))
+        raise FileError(msg + listed(table, what))
     return values

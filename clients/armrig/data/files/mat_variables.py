@@ -15,6 +15,7 @@ from math import prod
 from typing import Any
 
 import numpy as np
+from armrig_core.errors import FileError
 
 _HEADER = 128  # B before the first element of version 5
 _DEEPEST = 8  # structures inside each other; iddata have three
@@ -43,11 +44,11 @@ class Unread:
     """What it is instead, and what to do."""
 
 
-class DamageError(ValueError):
+class DamageError(FileError):
     """Bytes that are no MAT-file after all."""
 
 
-class TooLongError(ValueError):
+class TooLongError(FileError):
     """More bytes once unpacked than were allowed."""
 
 

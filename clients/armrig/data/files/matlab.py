@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from armrig_core.errors import FileError
+
 from armrig.data.files.arrays import ArrayTable, most_unpacked, table_of
 from armrig.data.files.mat_variables import DamageError, TooLongError, Unread, variables
-from armrig.data.files.table import DataFileError
 
 _FIELDS = {"OutputData": "y", "InputData": "u"}  # those of iddata, by our names
 _AGAIN = "save it in MATLAB as save('data.mat', 'u', 'y', 'Ts', '-v7')"
@@ -17,7 +18,7 @@ def read(data: bytes) -> ArrayTable:
 
     Raises
     ------
-    DataFileError
+    FileError
         It is damaged, or too large once unpacked.
     """
     arrays: dict[str, Any] = {}
@@ -27,9 +28,9 @@ def read(data: bytes) -> ArrayTable:
         for name, value in variables(data, most):
             _sort(name, value, arrays, refused)
     except DamageError as err:
-        raise DataFileError(f"is a damaged MAT-file ({err}); {_AGAIN}") from err
+        raise FileError(f"is a damaged MAT-file ({err}); {_AGAIN}") from err
     except TooLongError as err:
-        raise DataFileError(f"unpacked it has more than {most >> 20} MiB; {_AGAIN}") from err
+        raise FileError(f"unpacked it has more than {most >> 20} MiB; {_AGAIN}") from err
     return table_of(arrays, refused)
 
 

@@ -8,9 +8,9 @@ from typing import IO, Any
 from zipfile import ZipFile
 
 import numpy as np
+from armrig_core.errors import FileError
 
 from armrig.data.files.arrays import ArrayTable, most_unpacked, table_of
-from armrig.data.files.table import DataFileError
 
 _PICKLED = "holds Python objects, which are programs and never loaded; save numbers instead"
 
@@ -20,7 +20,7 @@ def read(data: bytes) -> ArrayTable:
 
     Raises
     ------
-    DataFileError
+    FileError
         It is a ZIP archive of other things, is damaged, or is too large once unpacked.
     """
     arrays: dict[str, Any] = {}
@@ -31,7 +31,7 @@ def read(data: bytes) -> ArrayTable:
             most = most_unpacked(len(data))
             if sum(_size(archive, member) for member in members) > most:
                 msg = f"unpacked it has more than {most >> 20} MiB; save only input and "
-                raise DataFileError(msg + "output")
+                raise FileError(msg + "output")
             for member in members:
                 with archive.open(member) as file:
                     array = _array(file)
@@ -40,14 +40,14 @@ def read(data: bytes) -> ArrayTable:
                     refused[name] = _PICKLED
                 else:
                     arrays[name] = array
-    except DataFileError:
+    except FileError:
         raise
     except Exception as err:  # whatever a damaged archive makes of its reader
-        raise DataFileError(
+        raise FileError(
             f"is a damaged .npz: {type(err).__name__}; save it again with numpy.savez"
         ) from err
     if not (arrays or refused):
-        raise DataFileError(
+        raise FileError(
             "is a ZIP archive without arrays, such as an Excel workbook; save its sheet as CSV"
         )
     return table_of(arrays, refused)

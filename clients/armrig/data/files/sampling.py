@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from armrig_core.errors import FileError
 
-from armrig.data.files.table import Column, DataFileError, Vector
+from armrig.data.files.table import Column, Vector
 
 _UNEVEN = 0.05
 """Share of Ts by which an interval may differ from it."""
@@ -30,26 +31,26 @@ def sampling_time(t: Vector, column: Column, place: Callable[[int], str]) -> flo
 
     Raises
     ------
-    DataFileError
+    FileError
         A time is missing, or an interval differs from the mean by more than a twentieth.
     """
     name = f"the times in column {column.name}" if column.name else "the times"
     if column.unit.casefold() not in _SECONDS:
         known = ", ".join(unit for unit in _SECONDS if unit)
-        raise DataFileError(f"{name} are in {column.unit}, known are {known}; give Ts in s (--Ts)")
+        raise FileError(f"{name} are in {column.unit}, known are {known}; give Ts in s (--Ts)")
     missing = ~np.isfinite(t)
     if missing.any():
         msg = f"{place(int(np.argmax(missing)))}: {name} have none here; fill it in, or give Ts in "
-        raise DataFileError(msg + "s (--Ts)")
+        raise FileError(msg + "s (--Ts)")
     if t.size < 2:
-        raise DataFileError(f"{name} are {t.size}, which tells no interval; give Ts in s (--Ts)")
+        raise FileError(f"{name} are {t.size}, which tells no interval; give Ts in s (--Ts)")
     t = t * _SECONDS[column.unit.casefold()]
     intervals = np.diff(t)
     usual = float(np.median(intervals))
     wrong = ~(np.abs(intervals - usual) <= _UNEVEN * usual)
     if wrong.any() or usual <= 0:
         k = int(np.argmax(wrong)) + 1
-        raise DataFileError(
+        raise FileError(
             f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, usual is {usual:.6g} s; "
             "sample evenly, cut the file, or give Ts in s (--Ts) if the times are wrong"
         )

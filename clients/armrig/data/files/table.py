@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from armrig_core.errors import FileError
 from armrig_core.printable import printable
 from numpy.typing import NDArray
 
@@ -19,11 +20,7 @@ _MOST_DIGITS = 9  # of the number of a column
 _UNIT = re.compile(r"(?P<name>.+?)(?:\s*\[(?P<unit>[^][]*)\]|\s+\((?P<other>[^()]*)\))")
 
 
-class DataFileError(ValueError):
-    """A file that cannot be read as data; says what came, what is read, and what to do."""
-
-
-class NoColumnError(DataFileError):
+class NoColumnError(FileError):
     """A column that was asked for is not there."""
 
 
@@ -61,7 +58,7 @@ class Table(Protocol):
 
         Raises
         ------
-        DataFileError
+        FileError
             One is no number; the first such place is named.
         """
 
@@ -92,7 +89,7 @@ def chosen(table: Table, wanted: str, what: str) -> int:
     ------
     NoColumnError
         There is no such column.
-    DataFileError
+    FileError
         There are several.
     """
     asked = wanted.strip()
@@ -102,13 +99,13 @@ def chosen(table: Table, wanted: str, what: str) -> int:
             return found[0]
         if found:
             numbers = " and ".join(str(i + 1) for i in found[:_LISTED])
-            raise DataFileError(
+            raise FileError(
                 f"{what} {shown(asked)}: columns {numbers} are named so; give the number"
             )
     if asked.isdecimal() and len(asked) <= _MOST_DIGITS and 1 <= int(asked) <= len(table.columns):
         return int(asked) - 1
     if asked in table.refused:
-        raise DataFileError(f"{what} {shown(asked)}: {table.refused[asked]}")
+        raise FileError(f"{what} {shown(asked)}: {table.refused[asked]}")
     raise NoColumnError(f"{what} {shown(asked)}: there is no such column; {listed(table, what)}")
 
 

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from armrig_core.errors import FileError
 
-from armrig.data.files.table import Column, DataFileError, Vector, shown, titled
+from armrig.data.files.table import Column, Vector, shown, titled
 
 _REMARKS = ("#", "%")
 _MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none"})
@@ -46,7 +47,7 @@ class TextTable:
 
         Raises
         ------
-        DataFileError
+        FileError
             One is no number; its line is named.
         """
         values = np.empty(len(self.rows))
@@ -54,7 +55,7 @@ class TextTable:
             cell = _cells(row, self.separator)[i]
             value = number(cell, self.separator)
             if value is None:
-                raise DataFileError(self._no_number(i, k, cell))
+                raise FileError(self._no_number(i, k, cell))
             values[k] = value
         return values
 
@@ -80,7 +81,7 @@ def table_of(text: str) -> TextTable:
 
     Raises
     ------
-    DataFileError
+    FileError
         There is no row of values, or one has more cells or fewer than the others.
     """
     numbered = [
@@ -100,7 +101,7 @@ def table_of(text: str) -> TextTable:
         notes = [f"read line {numbered.pop(0)[0]} as units"]
     if not numbered:
         names = f" below its names, {shown(', '.join(header))}" if header else ""
-        raise DataFileError(f"there is no row of numbers{names}; a row for each sample is needed")
+        raise FileError(f"there is no row of numbers{names}; a row for each sample is needed")
     lines, rows = [number for number, _ in numbered], [line for _, line in numbered]
     if header and not header[-1]:
         del header[-1]
@@ -110,7 +111,7 @@ def table_of(text: str) -> TextTable:
     for k, row in enumerate(rows):
         cells = len(_cells(row, separator))
         if cells != width:
-            raise DataFileError(_ragged(lines[k], cells, width, separator, names=bool(header)))
+            raise FileError(_ragged(lines[k], cells, width, separator, names=bool(header)))
     columns = [_column(*named) for named in zip(header, units, strict=False)]
     columns = columns or [Column(name="")] * width
     return TextTable(
@@ -139,7 +140,7 @@ def _cells(line: str, separator: str) -> list[str]:
     try:
         return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
     except csv.Error as err:
-        raise DataFileError(f"'{shown(line)}' cannot be parted into cells: {err}") from err
+        raise FileError(f"'{shown(line)}' cannot be parted into cells: {err}") from err
 
 
 def _are_names(cells: Sequence[str]) -> bool:

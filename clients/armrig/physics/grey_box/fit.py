@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_core.arm import ArmParameters
+from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.checks import column
@@ -27,10 +28,6 @@ _SURE = 2.0  # standard deviations that a parameter must be from 0
 _WAY_OUT = (
     "free fewer parameters, begin nearer to them, or record longer with an input that changes often"
 )
-
-
-class NoResultError(ValueError):
-    """The estimation ended without one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -134,16 +131,16 @@ class GreyFit:
 
         Raises
         ------
-        NoResultError
+        InputError
             With what to do.
         """
         if lost := self.undetermined:
-            raise NoResultError(
+            raise InputError(
                 f"{', '.join(map(self._figure, lost))}: not identifiable from these {self.N} "
                 f"samples, 2 standard deviations reach 0; {_WAY_OUT}"
             )
         if not self.converged:
-            raise NoResultError(
+            raise InputError(
                 f"the search for {', '.join(self.names)} did not converge, so there is no "
                 f"result; {_WAY_OUT}"
             )

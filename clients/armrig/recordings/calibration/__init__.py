@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from armrig.recordings.calibration.estimate import Estimate, estimate
-from armrig.recordings.calibration.readings import (
-    CalibrationError,
-    Readings,
-    compressed,
-    decompressed,
-)
+from armrig.recordings.calibration.readings import Readings, compressed, decompressed
 from armrig.recordings.calibration.staleness import STALE_DAYS, remarks
 
 __all__ = [
     "STALE_DAYS",
-    "CalibrationError",
     "Estimate",
     "Readings",
     "compressed",

@@ -8,6 +8,7 @@ from math import degrees, hypot, sqrt, tau
 from typing import TYPE_CHECKING
 
 from armrig_core.calibration import Calibration, Driver, Figure, Made, Potentiometer
+from armrig_core.errors import InputError
 from armrig_core.volts import U_MAX_V
 from msgspec.structs import replace
 
@@ -20,7 +21,7 @@ from armrig.recordings.calibration.motor import (
     speeds,
     terminal_voltage,
 )
-from armrig.recordings.calibration.readings import CalibrationError, Readings, readings_of
+from armrig.recordings.calibration.readings import Readings, readings_of
 from armrig.recordings.calibration.rest import (
     at_rail,
     mean_reading,
@@ -175,7 +176,7 @@ def estimate(
 
     Raises
     ------
-    CalibrationError
+    InputError
         The recordings cannot say it: the shaft did not turn on, or stood in the dead band.
     """
     still = _at_rest(rest)
@@ -216,15 +217,15 @@ def _at_rest(rest: Recording | Readings) -> Readings:
     """Return the readings at rest; refuse a rest that was driven, or shows no angle."""
     still = readings_of(rest)
     if (still.u != 0).any():
-        raise CalibrationError("the recording at rest was driven: it must be at 0 V throughout")
+        raise InputError("the recording at rest was driven: it must be at 0 V throughout")
     if still.N < 2:
-        raise CalibrationError(f"the rest has {plural(still.N, 'sample')}: record a second or more")
+        raise InputError(f"the rest has {plural(still.N, 'sample')}: record a second or more")
     for name, counts, way_out in (
         ("theta_1", still.theta_1, "turn the chassis out of the dead band"),
         ("alpha", still.alpha, "see to its wires, and that the arm hangs free"),
     ):
         if at_rail(counts).any():
-            raise CalibrationError(
+            raise InputError(
                 f"{name} reads {counts.mean():.0f} of 65535 at rest, an end of its range: "
                 f"{way_out}, then record the rest again"
             )

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from armrig_core.calibration import Figure
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.canvas import BLUE, GREY, INK, VERMILION, finish, legend, panels
 from armrig.numerics.quantities import scaled, with_std
 from armrig.recordings.calibration.motor import IDEAL_DRIVER, Speeds, TerminalVoltage
-from armrig.recordings.calibration.readings import CalibrationError, Readings, readings_of
+from armrig.recordings.calibration.readings import Readings, readings_of
 from armrig.recordings.calibration.rotation import Turning
 
 if TYPE_CHECKING:
@@ -47,14 +48,12 @@ def plot_calibration(
 
     Raises
     ------
-    CalibrationError
+    InputError
         The estimate is of a rest only.
     """
     turned, size = estimate.turned, estimate.rad_per_count
     if turned is None or size is None:
-        raise CalibrationError(
-            "there is no figure of a calibration without turns: record them, --volts"
-        )
+        raise InputError("there is no figure of a calibration without turns: record them, --volts")
     ax, below = panels(ax, 0.45, sharex=False)
     readings = readings_of(turns)
     ax.plot(readings.t, readings.theta_1, ".", color=BLUE, ms=1.5)

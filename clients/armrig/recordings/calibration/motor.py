@@ -8,12 +8,12 @@ from math import isfinite, pi, sqrt
 
 import numpy as np
 from armrig_core.calibration import Figure
+from armrig_core.errors import InputError
 from armrig_core.volts import U_MAX_V
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from armrig.numerics.least_squares import orthonormal
-from armrig.recordings.calibration.readings import CalibrationError
 from armrig.recordings.calibration.rotation import Turning
 
 Vector = NDArray[np.float64]
@@ -72,26 +72,24 @@ def terminal_voltage(
 
     Raises
     ------
-    CalibrationError
+    InputError
         A voltage is not possible, or all readings are at the same one.
     """
     if not meter:
         return None
     if not 0 < meter_std_v < U_MAX_V:
-        raise CalibrationError(
-            f"a meter's standard deviation of {meter_std_v:g} V: must be more than 0"
-        )
+        raise InputError(f"a meter's standard deviation of {meter_std_v:g} V: must be more than 0")
     u, y = np.array(meter, dtype=np.float64).T
     for volts, shown in meter:
         if not (0 < volts <= U_MAX_V and isfinite(shown) and 0 < shown < 2 * U_MAX_V):
-            raise CalibrationError(
+            raise InputError(
                 f"{shown:g} V at a code of {volts:g} V: must be more than 0 V at a code above 0"
             )
     if u.size == 1:
         gain, std = y[0] / u[0], meter_std_v / u[0]
         return TerminalVoltage(line=np.array([0.0, gain]), covariance=np.diag([0.0, std**2]))
     if np.ptp(u) == 0:
-        raise CalibrationError(
+        raise InputError(
             f"all readings of the meter are at {u[0]:g} V: read it at another code, too"
         )
     basis = orthonormal(np.column_stack([np.ones(u.size), u]))

@@ -24,10 +24,6 @@ _HEADING = "recording,t_device_us,u_v,theta_1_counts,alpha_counts"
 _LONGEST = 8 << 20  # B of a compact form unpacked
 
 
-class CalibrationError(ValueError):
-    """Recordings that no calibration can be estimated from; says why and what to do."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Readings:
     """Raw readings of the samples that came."""
@@ -46,7 +42,7 @@ class Readings:
         sizes = {column.size for column in (self.t, self.u, self.theta_1, self.alpha)}
         if len(sizes) != 1 or 0 in sizes:
             found = ", ".join(map(str, sorted(sizes)))
-            raise CalibrationError(
+            raise InputError(
                 f"columns of {found} samples: all four must have as many, and at least one"
             )
 
@@ -62,7 +58,7 @@ def readings_of(source: Recording | Readings) -> Readings:
         return source
     samples = source.samples
     if not samples.size:
-        raise CalibrationError(f"{source.path}: has no samples: record again")
+        raise InputError(f"{source.path}: has no samples: record again")
     return Readings(
         t=_seconds(samples["t_device_us"].astype(np.int64)),
         u=samples["u_applied_v"].astype(np.float64),
@@ -76,7 +72,7 @@ def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
 
     Raises
     ------
-    CalibrationError
+    InputError
         There are more than `MOST_ROWS`.
     """
     out = StringIO()
@@ -86,7 +82,7 @@ def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
         readings = readings_of(source)
         rows += readings.N
         if rows > MOST_ROWS:
-            raise CalibrationError(
+            raise InputError(
                 f"more than {MOST_ROWS} samples: shorten the runs, or take a longer --Ts"
             )
         t_us = np.rint(readings.t * 1e6).astype(np.int64)
@@ -101,7 +97,7 @@ def decompressed(data: bytes) -> dict[str, Readings]:
 
     Raises
     ------
-    CalibrationError
+    InputError
         It is damaged, or something else.
     """
     try:
@@ -116,7 +112,7 @@ def decompressed(data: bytes) -> dict[str, Readings]:
             t_us, u, theta_1, alpha = (float(field) for field in fields)
             rows.setdefault(name, []).append([t_us * 1e-6, u, theta_1, alpha])
     except (OSError, EOFError, ValueError, zlib.error) as err:
-        raise CalibrationError(
+        raise InputError(
             f"no samples of a calibration: {err}; the first line must be {_HEADING}"
         ) from err
     return {name: _readings(np.array(table)) for name, table in rows.items()}

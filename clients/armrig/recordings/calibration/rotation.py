@@ -16,11 +16,12 @@ from math import sqrt
 
 import numpy as np
 from armrig_core.calibration import Figure
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.stretches import Mask, constant
-from armrig.recordings.calibration.readings import CalibrationError, Readings
+from armrig.recordings.calibration.readings import Readings
 from armrig.recordings.calibration.rest import FULL_COUNTS, RAIL_COUNTS
 
 Vector = NDArray[np.float64]
@@ -87,13 +88,13 @@ def turning(readings: Readings, step: float) -> Turning:
 
     Raises
     ------
-    CalibrationError
+    InputError
         No voltage was held for long enough, or the shaft did not turn on, one way.
     """
     settled = _settled(readings)
     live = settled.live
     if np.count_nonzero(live) < 10 * (settled.volts.size + 1):
-        raise CalibrationError(f"theta_1 shows no angle: see to its wires, then {_WAY_OUT}")
+        raise InputError(f"theta_1 shows no angle: see to its wires, then {_WAY_OUT}")
     turns, direction = _turns(settled)
     counts = settled.counts
     low, high = float(counts[live].min()), float(counts[live].max())
@@ -110,7 +111,7 @@ def turning(readings: Readings, step: float) -> Turning:
         inside = (place > low + margin) & (place < high - margin)
         misread = float(np.mean(~live[inside])) if inside.any() else 1.0
         if misread > _MOST_MISREAD:
-            raise CalibrationError(
+            raise InputError(
                 f"theta_1 showed a rail at {100 * misread:.0f} % of its track: {_WAY_OUT}"
             )
         inside &= live
@@ -148,9 +149,7 @@ def _settled(readings: Readings) -> _Settled:
         if u[part.start] > 0 and t[part.stop - 1] - t[part.start] > SETTLE_S + LEAST_S
     ]
     if not held:
-        raise CalibrationError(
-            f"no voltage was held for more than {SETTLE_S + LEAST_S:g} s: {_WAY_OUT}"
-        )
+        raise InputError(f"no voltage was held for more than {SETTLE_S + LEAST_S:g} s: {_WAY_OUT}")
     rows = [np.arange(part.start, part.stop)[t[part] - t[part.start] > SETTLE_S] for part in held]
     level = np.repeat(np.arange(len(rows)), [r.size for r in rows])
     chosen = np.concatenate(rows)
@@ -172,11 +171,9 @@ def _turns(settled: _Settled) -> tuple[Vector, int]:
     far = np.abs(change) > np.ptp(counts) / 2
     direction = 1 if change[~far].sum() >= 0 else -1
     if np.count_nonzero(far) < LEAST_TURNS:
-        raise CalibrationError(
-            f"theta_1 passed its dead band {np.count_nonzero(far)} times: {_WAY_OUT}"
-        )
+        raise InputError(f"theta_1 passed its dead band {np.count_nonzero(far)} times: {_WAY_OUT}")
     if (change[far] * direction > 0).any():
-        raise CalibrationError(f"theta_1 did not turn one way at a constant voltage: {_WAY_OUT}")
+        raise InputError(f"theta_1 did not turn one way at a constant voltage: {_WAY_OUT}")
     return np.r_[0.0, np.cumsum(far)], direction
 
 
@@ -197,7 +194,7 @@ def _fitted(
     X[:, -1] = -direction * n[rows]
     basis = orthonormal(X)
     if basis.rank < X.shape[1] or t.size <= X.shape[1]:
-        raise CalibrationError(f"theta_1 shows too few angles at one of the voltages: {_WAY_OUT}")
+        raise InputError(f"theta_1 shows too few angles at one of the voltages: {_WAY_OUT}")
     residuals = basis.without(settled.counts[rows])
     variance = float(residuals @ residuals) / (t.size - basis.rank)
     return basis.coefficients(settled.counts[rows]), variance * basis.W @ basis.W.T, variance

@@ -10,6 +10,7 @@ import re
 import shutil
 
 import numpy as np
+from armrig_core.errors import OperationError
 from numpy.typing import NDArray
 
 MOST_US = 20_000
@@ -17,10 +18,6 @@ MOST_US = 20_000
 _LINE = re.compile(r"^(\d+)\s+(\d+)\s*$", re.MULTILINE)
 _OVERFLOWS = re.compile(r"^# Histogram Overflows:\s*(\d+)", re.MULTILINE)
 _GREATEST = re.compile(r"^# Max Latencies:\s*(\d+)", re.MULTILINE)
-
-
-class OutputError(RuntimeError):
-    """Not what cyclictest says."""
 
 
 def find() -> str | None:
@@ -41,14 +38,14 @@ def lateness_us(output: str) -> NDArray[np.float64]:
 
     Raises
     ------
-    OutputError
+    OperationError
         There is no histogram of one thread in `output`.
     """
     bins = np.array(_LINE.findall(output), np.int64).reshape(-1, 2)
     greatest = _GREATEST.search(output)
     if not bins.size or not bins[:, 1].any() or greatest is None:
         end = " ".join(output.split())[-120:] or "nothing"
-        raise OutputError(f"cyclictest printed no histogram of one thread: {end}")
+        raise OperationError(f"cyclictest printed no histogram of one thread: {end}")
     late = np.repeat(bins[:, 0], bins[:, 1]).astype(np.float64)
     overflows = _OVERFLOWS.search(output)
     over = np.full(int(overflows[1]) if overflows else 0, float(MOST_US))

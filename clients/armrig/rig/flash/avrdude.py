@@ -12,6 +12,8 @@ from selectors import EVENT_READ, DefaultSelector
 from tempfile import TemporaryFile
 from time import monotonic
 
+from armrig_core.errors import OperationError
+
 CHIP = "ATmega328P"
 FLASH_BYTES = 32256
 """What an Uno's boot loader (Optiboot, 512 B) leaves of 32 KiB, in B."""
@@ -55,10 +57,6 @@ _OLD_LOADER = (
 )
 
 
-class FlashError(RuntimeError):
-    """avrdude did not write the program; says why, and what to do."""
-
-
 Moved = Callable[[int, int, str], None]
 """Takes how many blocks of how many are done, and what is being done."""
 
@@ -73,20 +71,20 @@ def loader(program: str, port: str) -> str:
 
     Raises
     ------
-    FlashError
+    OperationError
         The boot loader does not answer, or is another one.
     """
     try:
         said = _run(_question(program, port, LOADER_BAUD), _ignore, _UNTOUCHED)[1]
-    except FlashError as silent:
+    except OperationError as silent:
         try:
             _run(_question(program, port, OLD_LOADER_BAUD), _ignore, _UNTOUCHED)
-        except FlashError:
+        except OperationError:
             raise silent from None
-        raise FlashError(_OLD_LOADER) from None
+        raise OperationError(_OLD_LOADER) from None
     found = re.search(r"Firmware Version *: *(\d+)\.(\d+)", said)
     if found is None or int(found[1]) < OPTIBOOT_MAJOR:
-        raise FlashError(_OLD_LOADER)
+        raise OperationError(_OLD_LOADER)
     return f"{found[1]}.{found[2]}"
 
 
@@ -101,22 +99,22 @@ def fuse(program: str, programmer: str, port: str | None) -> int:
 
     Raises
     ------
-    FlashError
+    OperationError
         It cannot be read.
     """
     at = [] if port is None else ["-P", port]
     call = [program, "-p", CHIP.lower(), "-c", programmer, *at, "-U", "efuse:r:-:h"]
     try:
         out = _run(call, _ignore, _UNTOUCHED)[0].split()
-    except FlashError as err:
+    except OperationError as err:
         msg = (
             f"avrdude reads nothing by {programmer}: plug the programmer in, and connect it to the "
         )
-        raise FlashError(f"{msg}board's ISP pins; --port names its port if it has one") from err
+        raise OperationError(f"{msg}board's ISP pins; --port names its port if it has one") from err
     value = int(out[-1], 16) if out and re.fullmatch("0x[0-9a-f]{1,2}", out[-1]) else 0
     if not value:
         msg = f"avrdude reads no extended fuse by {programmer}: a boot loader answers 0 to it; "
-        raise FlashError(msg + "an ISP programmer is needed, such as usbasp")
+        raise OperationError(msg + "an ISP programmer is needed, such as usbasp")
     return value
 
 
@@ -136,7 +134,7 @@ def write(call: Sequence[str], moved: Moved) -> None:
 
     Raises
     ------
-    FlashError
+    OperationError
         It failed, or did not end.
     """
     _run(call, moved, _NOT_WHOLE)
@@ -152,7 +150,7 @@ def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
             said = _read(avrdude, moved)
             code = avrdude.wait(timeout=_LONGEST_S)
         except subprocess.TimeoutExpired as err:
-            raise FlashError(f"avrdude did not end within {_LONGEST_S:.0f} s; {after}") from err
+            raise OperationError(f"avrdude did not end within {_LONGEST_S:.0f} s; {after}") from err
         except KeyboardInterrupt as err:
             raise KeyboardInterrupt(f"interrupted; {after}") from err
         finally:
@@ -161,7 +159,7 @@ def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
             if avrdude.stderr is not None:
                 avrdude.stderr.close()
         if code:
-            raise FlashError(reason(said, after))
+            raise OperationError(reason(said, after))
         printed.seek(0)
         return printed.read(4096).decode("ascii", "replace"), said
 

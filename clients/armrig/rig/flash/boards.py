@@ -9,6 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from armrig_core.errors import OperationError
+
 _UNOS = {
     (0x2341, 0x0043): "Arduino Uno R3",
     (0x2341, 0x0001): "Arduino Uno",
@@ -20,10 +22,6 @@ _FREE_PORT = (
     "end it first, which leaves the motor at 0 V: Ctrl-C where `armrig lab` or `armrigd run` runs, "
     "or `systemctl stop armrigd@ID`"
 )
-
-
-class PortError(RuntimeError):
-    """No board can be written to; says why, and what to do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +54,7 @@ def chosen(port: str | None, boards: Sequence[Board]) -> Board:
 
     Raises
     ------
-    PortError
+    OperationError
         There is no such port; or none is given, and no Uno or more than one is there.
     """
     if port is not None:
@@ -70,7 +68,7 @@ def chosen(port: str | None, boards: Sequence[Board]) -> Board:
         msg = f"no Uno is plugged in, but {_list(boards)}; if it is one, say so by --port"
     else:
         msg = "no board is plugged in by USB; plug an Uno in, or give its port by --port"
-    raise PortError(msg)
+    raise OperationError(msg)
 
 
 @contextmanager
@@ -82,27 +80,27 @@ def held(board: Board) -> Iterator[None]:
 
     Raises
     ------
-    PortError
+    OperationError
         The port cannot be opened, or somebody holds it.
     """
     port = board.port
     try:
         fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     except PermissionError as err:
-        raise PortError(
+        raise OperationError(
             f"{port}: not permitted; add this user to the group of the port (dialout)"
         ) from err
     except OSError as err:
-        raise PortError(f"{port} cannot be opened: {err.strerror}") from err
+        raise OperationError(f"{port} cannot be opened: {err.strerror}") from err
     try:
         if not os.isatty(fd):
-            raise PortError(
+            raise OperationError(
                 f"{port} is no serial port; give that of the board, such as /dev/ttyACM0"
             )
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as err:
-            raise PortError(
+            raise OperationError(
                 f"{port} is held by another program, such as a rig's daemon; {_FREE_PORT}"
             ) from err
         yield
@@ -113,7 +111,7 @@ def held(board: Board) -> Iterator[None]:
 def _at(port: str, boards: Sequence[Board]) -> Board:
     if not Path(port).exists():
         there = f"; there is {_list(boards)}" if boards else ""
-        raise PortError(f"{port} is not there{there}")
+        raise OperationError(f"{port} is not there{there}")
     real = str(Path(port).resolve())  # of /dev/armrig-SERIAL
     for board in boards:
         if board.port == real:

@@ -7,11 +7,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import serial
+from armrig_core.errors import OperationError
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
-
-from armrig.rig.flash.boards import PortError
 
 WITHIN_S = 6.0
 """How long a board may take: its boot loader listens for a second or two, in s."""
@@ -26,7 +25,7 @@ def greeting(port: str, baud: int, within_s: float = WITHIN_S) -> HelloReply | N
 
     Raises
     ------
-    PortError
+    OperationError
         The port cannot be opened, or is gone.
     """
     until_s = time.monotonic() + within_s
@@ -50,4 +49,4 @@ def _opened(port: str, baud: int) -> Iterator[serial.Serial]:
         with serial.Serial(port, baudrate=baud, timeout=0.02, write_timeout=1.0) as line:
             yield line
     except (OSError, ValueError) as err:  # also SerialException, of a board that is unplugged
-        raise PortError(f"{port}: {' '.join(str(err).split())}") from err
+        raise OperationError(f"{port}: {' '.join(str(err).split())}") from err

@@ -31,7 +31,7 @@ _NOISELESS = 1e-20  # share of y's power below which its past says all of it
 _BLOCK = 4096  # rows that are held in memory at a time
 
 
-class CannotTellError(ValueError):
+class CannotTellError(InputError):
     """The data could be recorded with or without feedback."""
 
 

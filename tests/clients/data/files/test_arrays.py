@@ -12,7 +12,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 import pytest
-from armrig import DataFileError, load_data
+from armrig import FileError, load_data
 from armrig.data.files.arrays import most_unpacked
 from scipy.io import savemat
 from scipy.io.matlab import MatlabObject
@@ -125,7 +125,7 @@ def test_complex_numbers_are_not_cut_in_half(tmp_path: Path) -> None:
     """Their imaginary part would be lost."""
     path = npz(tmp_path, u=U, y=Y + 0j)
 
-    with pytest.raises(DataFileError, match="signal y: is complex; save its real part"):
+    with pytest.raises(FileError, match="signal y: is complex; save its real part"):
         load_data(path, Ts=1)
 
 
@@ -143,7 +143,7 @@ def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
     objects[0] = Bomb()
     path = npz(tmp_path, u=U, y=objects, z=Y)
 
-    with pytest.raises(DataFileError, match="signal y: holds Python objects, which are programs"):
+    with pytest.raises(FileError, match="signal y: holds Python objects, which are programs"):
         load_data(path, Ts=1)
     np.testing.assert_array_equal(load_data(path, signal="z", Ts=1).y, Y)
 
@@ -161,9 +161,9 @@ def test_an_archive_that_unpacks_without_end_is_refused(
     np.savez_compressed(whole, u=np.arange(n - 50.0).astype(kind), y=np.ones(50, kind))
     np.savez_compressed(bomb, u=np.zeros(n - 50, kind), y=np.ones(51, kind))
 
-    with pytest.raises(DataFileError, match="unpacked it has more than 1 MiB; save only input"):
+    with pytest.raises(FileError, match="unpacked it has more than 1 MiB; save only input"):
         load_data(bomb, Ts=1)
-    with pytest.raises(DataFileError, match="both need one"):  # unequal lengths: it was read
+    with pytest.raises(FileError, match="both need one"):  # unequal lengths: it was read
         load_data(whole, Ts=1)
 
 
@@ -224,7 +224,7 @@ def test_a_number_that_is_cut_within_is_damage(tmp_path: Path) -> None:
     path = tmp_path / "data.mat"
     path.write_bytes(mat5(element(14, head + element(1, b"u") + element(9, b"\1" * 7))))
 
-    with pytest.raises(DataFileError, match="an element of kind 9 where numbers are due"):
+    with pytest.raises(FileError, match="an element of kind 9 where numbers are due"):
         load_data(path, Ts=1)
 
 
@@ -234,7 +234,7 @@ def test_a_shape_below_nothing_is_damage(tmp_path: Path) -> None:
     path = tmp_path / "data.mat"
     path.write_bytes(mat5(element(14, head + element(1, b"u") + element(2, bytes(6)))))
 
-    with pytest.raises(DataFileError, match=r"6 numbers in a shape of \(-2, -3, 1\)"):
+    with pytest.raises(FileError, match=r"6 numbers in a shape of \(-2, -3, 1\)"):
         load_data(path, Ts=1)
 
 
@@ -274,7 +274,7 @@ def test_cells_inside_each_other_without_end_are_refused(tmp_path: Path) -> None
     path = tmp_path / "deep.mat"
     path.write_bytes(mat5(cells_inside_each_other(100_000)))
 
-    with pytest.raises(DataFileError, match="too many inside each other"):
+    with pytest.raises(FileError, match="too many inside each other"):
         load_data(path, Ts=1)
 
 
@@ -289,7 +289,7 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
     path = tmp_path / "bomb.mat"
     path.write_bytes(mat5(struct.pack("<II", 15, len(packed)) + packed))
 
-    with pytest.raises(DataFileError, match="unpacked it has more than 1 MiB"):
+    with pytest.raises(FileError, match="unpacked it has more than 1 MiB"):
         load_data(path, Ts=1)
 
 
@@ -322,7 +322,7 @@ def test_what_is_no_column_is_told_with_what_to_save(
     values: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
     """Only where it is asked for."""
-    with pytest.raises(DataFileError, match=said):
+    with pytest.raises(FileError, match=said):
         load_data(mat(tmp_path, values), Ts=1)
 
 
@@ -332,7 +332,7 @@ def test_a_sparse_matrix_is_told(tmp_path: Path) -> None:
 
     path = mat(tmp_path, {"u": U, "y": csc_array(Y.reshape(-1, 1))})
 
-    with pytest.raises(DataFileError, match=r"signal y: is sparse; save full\(…\) of it"):
+    with pytest.raises(FileError, match=r"signal y: is sparse; save full\(…\) of it"):
         load_data(path, Ts=1)
 
 
@@ -341,7 +341,7 @@ def test_matlab_7_3_is_told_with_how_to_save(tmp_path: Path) -> None:
     path = tmp_path / "data.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n")
 
-    with pytest.raises(DataFileError, match=r"7\.3, which only MATLAB reads; save it there .*-v7"):
+    with pytest.raises(FileError, match=r"7\.3, which only MATLAB reads; save it there .*-v7"):
         load_data(path)
 
 
@@ -354,9 +354,7 @@ def test_an_opaque_object_is_told_with_what_to_save(tmp_path: Path) -> None:
     path = tmp_path / "data.mat"
     path.write_bytes(mat5(element(14, opaque + element(14, numbers))))
 
-    with pytest.raises(
-        DataFileError, match=r"object that only MATLAB reads; there u = data\.u; y ="
-    ):
+    with pytest.raises(FileError, match=r"object that only MATLAB reads; there u = data\.u; y ="):
         load_data(path, Ts=1)
 
 
@@ -386,9 +384,7 @@ def test_a_mat_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
     path = mat(tmp_path, {"u": U, "y": Y})
     path.write_bytes(path.read_bytes()[:-1])
 
-    with pytest.raises(
-        DataFileError, match=r"is a damaged MAT-file \(it ends too early\); save it"
-    ):
+    with pytest.raises(FileError, match=r"is a damaged MAT-file \(it ends too early\); save it"):
         load_data(path, Ts=1)
 
 
@@ -396,7 +392,7 @@ def _refusal(path: Path) -> str:
     """Return what is said of a file; "" where it is read after all."""
     try:
         load_data(path)
-    except DataFileError as err:
+    except FileError as err:
         return str(err)
     return ""
 
@@ -423,9 +419,7 @@ def test_an_archive_of_other_things_is_told(tmp_path: Path) -> None:
     path = tmp_path / "data.xlsx"
     path.write_bytes(buffer.getvalue())
 
-    with pytest.raises(
-        DataFileError, match="is a ZIP archive without arrays, such as an Excel wor"
-    ):
+    with pytest.raises(FileError, match="is a ZIP archive without arrays, such as an Excel wor"):
         load_data(path, Ts=1)
 
 

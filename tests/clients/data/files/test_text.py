@@ -8,7 +8,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig import DataFileError, load_data
+from armrig import FileError, load_data
 from armrig.data.files import kinds, loading, text
 from hypothesis import given
 from hypothesis import strategies as st
@@ -83,7 +83,7 @@ def test_a_column_ends_where_the_rows_do_with_names_or_without(tmp_path: Path) -
     last = written(tmp_path, "u,y\n1,\n2,\n3,\n", "last.csv")
     none = written(tmp_path, "1,5,\n2,6,\n", "none.csv")
 
-    with pytest.raises(DataFileError, match="the signal, column 2, has no value in any of 3 rows"):
+    with pytest.raises(FileError, match="the signal, column 2, has no value in any of 3 rows"):
         load_data(last, Ts=1)
     assert load_data(none, input="1", signal="2", Ts=1).y.tolist() == [5, 6]
 
@@ -180,7 +180,7 @@ def test_what_is_no_table_is_told_with_its_line_and_the_way_out(
     """What came, what is allowed, what to do."""
     path = written(tmp_path, text)
 
-    with pytest.raises(DataFileError, match=f"^{path}: .*{said}"):
+    with pytest.raises(FileError, match=f"^{path}: .*{said}"):
         load_data(path, Ts=1)
 
 
@@ -209,7 +209,7 @@ def test_another_kind_of_file_is_told_with_what_to_do(
     path = tmp_path / "data.csv"
     path.write_bytes(data)
 
-    with pytest.raises(DataFileError, match=said):
+    with pytest.raises(FileError, match=said):
         load_data(path, Ts=1)
 
 
@@ -222,7 +222,7 @@ def test_garbage_is_refused_or_read_and_never_more(data: bytes) -> None:
             read = kinds.table_of(data, suffix)
             for i in range(len(read.columns)):
                 read.numbers(i)
-        except DataFileError as err:
+        except FileError as err:
             said = str(err)
         assert len(said) < 300
 
@@ -233,7 +233,7 @@ def test_a_file_that_is_too_long_is_not_read(tmp_path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(loading.MOST_BYTES + 1)
 
-    with pytest.raises(DataFileError, match="has more than 128 MiB; cut it into several files"):
+    with pytest.raises(FileError, match="has more than 128 MiB; cut it into several files"):
         load_data(path)
 
 
@@ -290,7 +290,7 @@ def test_times_that_give_no_sampling_time_are_told(text: str, said: str, tmp_pat
     """With the place; a Ts that is given overrides them."""
     path = written(tmp_path, text)
 
-    with pytest.raises(DataFileError, match=said):
+    with pytest.raises(FileError, match=said):
         load_data(path)
     assert load_data(path, Ts=0.5).Ts == 0.5
 
@@ -300,7 +300,7 @@ def test_input_and_signal_are_two_columns(tmp_path: Path) -> None:
     path = written(tmp_path, "u,y\n1,2\n")
 
     with pytest.raises(
-        DataFileError, match="input and signal are both column 1; give --signal a name or"
+        FileError, match="input and signal are both column 1; give --signal a name or"
     ):
         load_data(path, input="u", signal="1", Ts=1)
 
@@ -338,7 +338,7 @@ def test_a_line_of_units_below_the_names_is_read_as_such(units: str, tmp_path: P
     assert (data.input_unit, data.unit, data.Ts) == ("V", "°C", 0.5)
     assert data.y.tolist() == [2.0, 4.0, 6.0]
     assert data.history == ("read line 2 as units",)
-    with pytest.raises(DataFileError, match="line 5, column y: 'x' is no number"):
+    with pytest.raises(FileError, match="line 5, column y: 'x' is no number"):
         load_data(path)
 
 
