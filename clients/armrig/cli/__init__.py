@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
+from traceback import format_exception
 from typing import Annotated, Any
 
 import typer
 import typer.core
+from armrig_core.errors import ArmrigError
 from armrig_core.loading import is_interrupt
 
 from armrig.cli import (
@@ -121,6 +125,7 @@ for _command, _example in (
 
 # What talks to a rig, or measures the host of one; Windows has none of it.
 _WITH_A_RIG = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty", "zenoh")
+_DEBUG = "--debug"
 _SIGPIPE = 13  # Windows has no such signal, and its name is not there
 
 # typer brings a click of its own, and does not give this class another name.
@@ -141,8 +146,11 @@ def _options(
             "--version", is_eager=True, callback=_print_version, help="Say the version, and exit."
         ),
     ] = False,
+    debug: Annotated[
+        bool, typer.Option(_DEBUG, help="Print the traceback of an internal error.")
+    ] = False,
 ) -> None:
-    """Take the options before the command."""
+    """Take the options before the command; `_internal` reads `debug` from what was given."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -221,16 +229,39 @@ def _run(arguments: Sequence[str] | None) -> int:
         return 128 + _SIGPIPE
     except OSError as err:
         return _failed(_of_file(err), 1)
-    except (ValueError, RuntimeError) as err:
+    except ArmrigError as err:
+        return _failed(str(err), 1)
+    except Exception as err:
         if is_interrupt(err):
             return _failed("interrupted", 130)
-        return _failed(str(err), 1)
-    except ModuleNotFoundError as err:
-        if err.name not in _WITH_A_RIG:
-            raise
-        what = f"armrig {' '.join(given[:1])}"
-        return _failed(f"{what} needs Linux, where the rig is driven: no {err.name} here", 1)
+        if isinstance(err, ModuleNotFoundError) and err.name in _WITH_A_RIG:
+            what = f"armrig {' '.join(given[:1])}"
+            return _failed(f"{what} needs Linux, where the rig is driven: no {err.name} here", 1)
+        return _internal(err, given)
     return 0
+
+
+def _internal(err: Exception, given: Sequence[str]) -> int:
+    """Report a fault of armrig's own, and write its traceback to a file of this user's."""
+    text = "".join(format_exception(err))
+    if _DEBUG in given:
+        typer.echo(text, err=True, nl=False)
+    head = f"armrig {version('armrig')}, Python {sys.version}\n$ armrig {shlex.join(given)}\n"
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w",
+            encoding="utf-8",
+            errors="backslashreplace",
+            prefix="armrig-error-",
+            suffix=".txt",
+            delete=False,
+        ) as file:
+            file.write(head + text)
+        where = file.name
+    except OSError:  # a full disk: the screen is left
+        where = f"what `armrig {_DEBUG} …` prints"
+    what = " ".join(f"{type(err).__name__}: {err}".split())
+    return _failed(f"internal error, please report it with {where}: {what}", 1)
 
 
 def _failed(message: str, code: int) -> int:

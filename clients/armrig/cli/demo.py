@@ -96,12 +96,14 @@ def _record(plan: list[Experiment], config: Path, console: Console, done: list[P
     """Put recordings made in real time into `done`; return why they are not all, or nothing."""
     if sys.platform != "linux":
         return "an emulated rig in real time is for Linux"
+    from armrig_core.errors import InputError
+
     from armrig.cli.demo_rig import record_in_real_time
     from armrig.rig.session import RigError
 
     try:
         record_in_real_time(plan, config, console, done)
-    except (RigError, ValueError) as err:  # ValueError: no place for the daemon's socket
+    except (RigError, InputError) as err:  # InputError: no place for the daemon's socket
         return str(err)
     return ""
 
