@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Annotated, Any
 
 import msgspec
+from armrig_core.errors import InputError
 from msgspec import Meta
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -159,7 +160,11 @@ def application(routes: list[Route]) -> Starlette:
         status = err.status_code if isinstance(err, HTTPException) else 404
         return error(status, "there is nothing here" if status == 404 else str(err))
 
-    return Starlette(routes=routes, exception_handlers={404: unknown, 405: unknown})
+    async def internal(_: Request, err: Exception) -> Response:
+        return error(500, f"internal error, please report it: {type(err).__name__}: {err}")
+
+    handlers: Any = {404: unknown, 405: unknown, Exception: internal}
+    return Starlette(routes=routes, exception_handlers=handlers)
 
 
 def answered(does: Callable[[bytes], Any]) -> Answer:
@@ -169,7 +174,7 @@ def answered(does: Callable[[bytes], Any]) -> Answer:
         body = await request.body()
         try:
             return value(await asyncio.to_thread(does, body))
-        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, ValueError) as err:
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, InputError) as err:
             return error(400, str(err))
         except BusyDriverError as err:
             return error(409, str(err))

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
-from armrig_core.errors import InputError
+from armrig_core.errors import ArmrigError, FileError, InputError
 from armrig_core.recording_directory import directory_to_look_in, installed
-from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import MAGIC
 from armrig_core.recording_file.opening import regular_file
 from msgspec import Meta
@@ -125,13 +124,7 @@ class RecordingRoutes:
             try:
                 asked = msgspec.json.decode(await request.body(), type=_Asked)
                 response: Response = await does(self._path(asked.file), asked)
-            except (
-                msgspec.DecodeError,
-                UnicodeDecodeError,
-                ValueError,
-                OSError,
-                DamageError,
-            ) as err:
+            except (msgspec.DecodeError, UnicodeDecodeError, OSError, ArmrigError) as err:
                 return error(400, str(err))
             except BrokenProcessPool:
                 self._worker = None
@@ -183,7 +176,7 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
     size = os.fstat(file.fileno()).st_size
     if file.read(len(MAGIC)) != MAGIC:
         file.close()
-        raise DamageError(f"{path.name}: not an MCAP file")
+        raise FileError(f"{path.name}: not an MCAP file")
 
     def pieces() -> Iterator[bytes]:
         with file:
