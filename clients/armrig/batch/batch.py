@@ -74,7 +74,7 @@ def batch(
 
     Raises
     ------
-    ProgressError, ClusterError, ImportError, OSError
+    OperationError, ImportError, OSError
         What is there is of another task, or the disk is full; the workers are gone; pyarrow is
         missing; a file cannot be read or written.
     """

@@ -52,7 +52,7 @@ def demo(
 
     Raises
     ------
-    VirtualTimeError
+    OperationError
         Nothing can be recorded, in virtual time either.
     """
     console = console or Console()

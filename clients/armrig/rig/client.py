@@ -364,7 +364,7 @@ class Rig:
 
         Raises
         ------
-        CalibrationFileError
+        FileError
             The file holds no calibration; a ValueError.
         RefusedError
             Somebody has the rig, it is in a fault, or the calibration is of another one.
