@@ -8,6 +8,7 @@ import msgspec
 from msgspec import Meta
 
 from armrig_core.calibration import Calibration
+from armrig_core.codes import RefusalCode
 from armrig_core.errors import InputError
 from armrig_core.printable import printable
 from armrig_core.rehearsal import Rehearsal
@@ -233,15 +234,33 @@ class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
 
 
 _FILLERS = "\u115f\u1160\u3164\uffa0"
-TRY_AGAIN = ": try again"
-"""How an `error` ends that passes by itself."""
 
 
 class Refused(msgspec.Struct, frozen=True, kw_only=True):
     """The command had no effect."""
 
     error: str
-    """What came, what is allowed, what to do."""
+    """What came, what is allowed, what to do; for a person."""
+    code: str = ""
+    """Why, for programs: a `RefusalCode`; empty from a daemon that sends none."""
+    passes: bool | None = None
+    """Whether it passes by itself; None from a daemon that sends no code."""
+    parameters: dict[str, Fact] = {}
+    """What the sentence is about, by name, such as the owner who holds the rig."""
+
+
+def refused(code: RefusalCode, error: str, **parameters: Fact) -> Refused:
+    """Return a refusal for a reason that has a code."""
+    return Refused(error=error, code=code, passes=code.passes, parameters=parameters)
+
+
+class CommandRefusedError(InputError):
+    """A command is refused for a reason that has a code."""
+
+    def __init__(self, refusal: Refused) -> None:
+        """Take the refusal, whose sentence is the message."""
+        super().__init__(refusal.error)
+        self.refusal = refusal
 
 
 def parse(name: str, payload: bytes) -> Requests:

@@ -12,6 +12,7 @@ from typing import Any
 
 import msgspec
 from armrig_core.calibration import Calibration
+from armrig_core.codes import RefusalCode
 
 _HEAD = Struct("<IB")
 _SAMPLE, _RECORD = 0, 1
@@ -142,6 +143,10 @@ class Answer(Tagged, frozen=True, kw_only=True):
     order: int
     body: dict[str, Any] = {}
     error: str = ""
+    code: RefusalCode | None = None
+    """Why, of an error; else None."""
+    parameters: dict[str, str | int | float] = {}
+    """What the error is about."""
 
 
 class Host(Tagged, frozen=True, kw_only=True):

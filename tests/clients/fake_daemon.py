@@ -38,7 +38,7 @@ class FakeDaemon:
         self.limits_v = (0.0, 5.0)
         self.outcome = "complete"
         self.recording = "/nowhere/run.mcap"
-        self.refusals: dict[str, str] = {}
+        self.refusals: dict[str, str | commands.Refused] = {}
         self.fault = self.remedy = ""
         self.arm_removed = False
         self.rehearsal: Rehearsal | None = None
@@ -107,7 +107,10 @@ class FakeDaemon:
             payload = query.payload.to_bytes() if query.payload else b""
             try:
                 answer = self._carry_out(commands.parse(name, payload))
-            except ValueError as err:
+            except commands.CommandRefusedError as err:
+                query.reply_err(msgspec.json.encode(err.refusal))
+                return
+            except ValueError as err:  # as a daemon of an earlier release refuses
                 query.reply_err(msgspec.json.encode(commands.Refused(error=str(err))))
                 return
             query.reply(query.key_expr, msgspec.json.encode(answer))
@@ -115,7 +118,10 @@ class FakeDaemon:
     def _carry_out(self, request: commands.Request) -> Any:
         self.asked.append(request)
         if request.name in self.refusals:
-            raise ValueError(self.refusals[request.name])
+            refusal = self.refusals[request.name]
+            if isinstance(refusal, commands.Refused):
+                raise commands.CommandRefusedError(refusal)
+            raise ValueError(refusal)
         if isinstance(request, commands.Status):
             self._polls += self._run is not None
             if self._run is not None:

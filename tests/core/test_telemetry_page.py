@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core import commands, protobuf, topics
+from armrig_core.codes import RefusalCode
 from armrig_protocol.messages import Flag
 from google.protobuf import descriptor_pb2
 
@@ -79,3 +80,11 @@ def test_every_command_is_told_with_its_fields() -> None:
     told = {row[0]: [field for field in row[1].split(", ") if field] for row in _table("Commands")}
 
     assert told == {name: list(kind.__struct_fields__) for name, kind in commands.REQUESTS.items()}
+
+
+def test_every_refusal_is_told_with_whether_it_passes() -> None:
+    """In the order of the codes."""
+    rows = [row for row in _table("Refusals") if len(row) == 3 and row[0] != "---"]
+
+    told = {code: passes for code, _, passes in rows if code != "code"}
+    assert told == {code.value: "yes" if code.passes else "no" for code in RefusalCode}

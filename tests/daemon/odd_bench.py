@@ -93,7 +93,7 @@ def _fields(value: Any) -> str:
     if isinstance(value, Sample):
         return "sample " + ", ".join(show(x) for x in value)
     named = msgspec.structs.asdict(value) if not is_dataclass(value) else _asdict(value)
-    return ", ".join(f"{name}={show(x)}" for name, x in named.items() if x not in ("", {}))
+    return ", ".join(f"{name}={show(x)}" for name, x in named.items() if x not in ("", {}, None))
 
 
 def _asdict(value: Any) -> dict[str, Any]:

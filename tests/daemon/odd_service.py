@@ -12,11 +12,11 @@ from armrig_core.telemetry import SAMPLE_FIELDS, Sample
 from armrig_daemon.config import Config
 from armrig_daemon.config import Recording as RecordingConfig
 from armrig_daemon.pipe import Clock, Distribution, Gap, Log, State, Timing, Trace
-from armrig_daemon.service import client_watchdog, readings, token_bucket
+from armrig_daemon.service import client_watchdog, pressure, readings, token_bucket
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.history import History
 from armrig_daemon.service.played_input import checked, one_a_line
-from armrig_daemon.service.pressure import outcome, untimely
+from armrig_daemon.service.pressure import outcome
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import part_limits
 from armrig_daemon.service.sentences import (
@@ -62,6 +62,12 @@ def odd_state(**changes: Any) -> State:
     """Return the state of a rig that Ada has."""
     state = State(t_host_ns=5, phase="armed", reason="", owner="Ada\n", ts_us=8_000, device={})
     return replace(state, **changes)
+
+
+def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> str:
+    """Return why a host is not to drive a motor, as a person is told."""
+    refusal = pressure.untimely(timing, watchdog_ms, load)
+    return refusal.error if refusal else ""
 
 
 def late(p99_us: float) -> Timing:
@@ -113,12 +119,12 @@ def odd_readings() -> None:
         for k in range(until.stop):
             known = readings.updated(known, _sample(k, **changes, theta_1_counts=500 + k % 2 * 256))
             if k in until:
-                told = readings.objection(known, turns_per_volt_s=0.4, alpha_is_read=True)
-                print(
-                    k, told or "may be armed", readings.theta_1_rad(known), round(known.volt_s, 6)
-                )
+                refusal = readings.objection(known, turns_per_volt_s=0.4, alpha_is_read=True)
+                told = refusal.error if refusal else "may be armed"
+                print(k, told, readings.theta_1_rad(known), round(known.volt_s, 6))
 
-    print(readings.objection(readings.Readings(), turns_per_volt_s=0.4, alpha_is_read=True))
+    unread = readings.objection(readings.Readings(), turns_per_volt_s=0.4, alpha_is_read=True)
+    print(unread.error if unread else "")
     objections({"u_applied_v": 3.5}, range(124, 127))
     objections({"u_applied_v": 1.0}, range(200, 201))
     objections({"flags": int(Flag.ADC1_RAIL), "theta_1_rad": float("nan")}, range(24, 27))
@@ -184,7 +190,7 @@ def odd_questions() -> None:
         while (after := token_bucket.take(bucket, now_s)) is not None:
             bucket, taken = after, taken + 1
         print(now_s, taken)
-    print(token_bucket.refusal("status"))
+    print(token_bucket.refusal("status").error)
 
 
 def odd_history() -> None:

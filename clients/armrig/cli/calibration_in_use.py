@@ -35,7 +35,7 @@ def take_into_use(
         The daemon refuses it, or does not answer where `wanted` is true.
     """
     from armrig.rig.client import RefusedError, Rig
-    from armrig.rig.collection import with_reset_command
+    from armrig.rig.collection import refusal_sentence, reset_command
     from armrig.rig.session import NoReplyError, RigError
 
     named, is_used = "", False
@@ -46,7 +46,7 @@ def take_into_use(
             if is_used:
                 opened.calibrate(path)
     except RefusedError as err:
-        why = with_reset_command(str(err), rig, connect)
+        why = refusal_sentence(err, reset_command(rig, connect))
         raise RigError(f"{path} is written, but not in use: {why}") from err
     except NoReplyError:
         if wanted:

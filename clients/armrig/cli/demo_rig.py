@@ -6,7 +6,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from armrig_core.commands import TRY_AGAIN
+from armrig_core.codes import TRY_AGAIN
 from rich.console import Console
 
 from armrig.cli.demo_plan import RIG, Experiment, Ts
@@ -98,7 +98,7 @@ def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patie
                 raise
             if has_ended:
                 patience.run_ended()
-            why, _, _ = str(err).partition("; recorded in ")
+            why = err.why if isinstance(err, RunEndedError) else str(err)
             if patience.is_over:
                 raise TooBusyError(why) from err
             again = f"  {experiment.name} once more: {why.removesuffix(TRY_AGAIN)}"

@@ -125,13 +125,13 @@ def note(
 def _opened(rig: str, connect: str | None) -> Iterator[Any]:
     """Give the rig; a refusal of its daemon names the whole command that helps."""
     from armrig.rig.client import RefusedError, Rig
-    from armrig.rig.collection import with_reset_command
+    from armrig.rig.collection import refusal_sentence, reset_command
 
     with Rig(rig, connect=connect) as opened:
         try:
             yield opened
         except RefusedError as err:
-            raise RefusedError(with_reset_command(str(err), rig, connect)) from err
+            raise RefusedError(refusal_sentence(err, reset_command(rig, connect))) from err
 
 
 _WATCH_HEADING = f"{'k':>10} {'u [V]':>8} {'theta_1 [°]':>12} {'alpha [°]':>10} {'late [µs]':>10}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import threading
 import time
 from collections.abc import Iterator
@@ -168,11 +167,12 @@ class Driver:
                 connect=self._connect,
                 tell=self._tell,
                 shown=partial(self._shown, asked_s),
+                way_out="press Reset",
             )
             verdict = done.verdict.summary if done.verdict else ""
             self._note(done=done.samples, recording=done.path.name, verdict=verdict)
         except Exception as err:  # told on the page, whatever it is
-            self._note(error=_on_the_page(str(err)) or repr(err))
+            self._note(error=str(err) or repr(err))
         finally:
             self._note(is_going=False)
             self._one.release()
@@ -218,11 +218,6 @@ class Driver:
         stopper, self._stopper = self._stopper, None
         if stopper is not None:
             stopper.__exit__()
-
-
-def _on_the_page(error: str) -> str:
-    """Return an error with the page's button in place of a command to type."""
-    return re.sub(r"then (`armrig reset[^`]*`|`?reset\b`?)", "then press Reset", error)
 
 
 _ENDS = "the dashboard ends"

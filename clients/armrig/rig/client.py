@@ -49,6 +49,16 @@ _TIMEOUT = b"Timeout"  # of zenoh: the daemon's own answers are JSON
 class RefusedError(RigError):
     """The daemon refuses a command, which had no effect."""
 
+    def __init__(
+        self, message: str, code: str = "", parameters: Mapping[str, commands.Fact] | None = None
+    ) -> None:
+        """Take the message, and what a daemon of today says beside it."""
+        super().__init__(message)
+        self.code = code
+        """Why, for programs: an `armrig_core.codes.RefusalCode`; "" where it is not known."""
+        self.parameters = parameters or {}
+        """What the message is about, by name."""
+
 
 class BusyError(RefusedError):
     """The daemon refuses a command for the moment, and may take the same a little later."""
@@ -57,8 +67,11 @@ class BusyError(RefusedError):
 class RunEndedError(RigError):
     """A run ended before its last sample."""
 
-    def __init__(self, message: str, recording: Path) -> None:
-        super().__init__(message)
+    def __init__(self, why: str, recording: Path, *, is_named: bool = False) -> None:
+        """Take the reason; the message says where the recording is, unless the reason does."""
+        super().__init__(why if is_named else f"{why}; recorded in {recording}")
+        self.why = why
+        """How many samples were taken, and why the run ended."""
         self.recording = recording
 
 
@@ -467,10 +480,9 @@ def _complete_recording(last: commands.LastRun, asked: int) -> Path:
     """Return the recording of a run that has played all samples asked for."""
     recording = Path(last.recording)
     if last.outcome != "complete":
-        msg = f"the run ended after {last.samples} of {asked} samples: {last.outcome}"
-        if last.recording not in last.outcome:  # else what became of the file is said there
-            msg += f"; recorded in {recording}"
-        raise RunEndedError(msg, recording)
+        why = f"the run ended after {last.samples} of {asked} samples: {last.outcome}"
+        # Where the file failed, the outcome says what became of it.
+        raise RunEndedError(why, recording, is_named=last.recording in last.outcome)
     return recording
 
 
@@ -482,5 +494,6 @@ def this_user() -> str:
         return ""
 
 
-def _refused(error: str) -> RefusedError:
-    return BusyError(error) if error.endswith(commands.TRY_AGAIN) else RefusedError(error)
+def _refused(refusal: commands.Refused) -> RefusedError:
+    kind = BusyError if refusal.passes else RefusedError
+    return kind(refusal.error, refusal.code, refusal.parameters)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
@@ -12,6 +11,7 @@ from math import floor, isclose, isfinite
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from armrig_core.codes import RefusalCode
 from armrig_core.commands import MOST_SAMPLES, LastRun, RunAccepted, StatusReport
 from armrig_core.errors import InputError
 from armrig_core.recording_file.part_names import part_paths
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from armrig.recordings.loading import load
 from armrig.recordings.usability import DataVerdict, data_verdict
-from armrig.rig.client import Progress, Rig, RunEndedError
+from armrig.rig.client import Progress, RefusedError, Rig, RunEndedError
 from armrig.rig.progress import bar, timing_note
 from armrig.rig.session import NoReplyError, RigError, service_has_stopped
 
@@ -141,8 +141,14 @@ def collect(
     connect: str | None,
     tell: Callable[[str], None],
     shown: Shown = on_the_terminal,
+    way_out: str = "",
 ) -> Collected:
     """Arm, play, record, and return what was recorded; tell the rehearsal when the run begins.
+
+    Parameters
+    ----------
+    way_out : str, optional
+        What a person does to leave a fault; by default the command that resets this rig.
 
     Raises
     ------
@@ -172,7 +178,7 @@ def collect(
         except NoReplyError:
             raise
         except RigError as err:
-            raise RigError(_reason(opened, err, connect)) from err
+            raise RigError(_reason(opened, err, way_out or reset_command(rig, connect))) from err
     verdict = data_verdict(load(path)) if _is_readable(path) else None
     synced = opened.last_run.synced if opened.last_run else 0
     return Collected(path, u.size, granted.Ts, verdict, run_id, rehearsal, synced)
@@ -255,9 +261,11 @@ def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray
     return u
 
 
-def with_reset_command(text: str, rig: str, connect: str | None) -> str:
-    """Return the daemon's message with the whole command in place of a bare `reset`."""
-    return re.sub(r"then `?reset\b`?", f"then {reset_command(rig, connect)}", text)
+def refusal_sentence(err: RigError, way_out: str) -> str:
+    """Return why a command was refused; of a latched fault with the whole way out of it."""
+    if isinstance(err, RefusedError) and err.code == RefusalCode.IN_FAULT:
+        return f"in fault ({err.parameters.get('reason', '')}): mend it, then {way_out}"
+    return str(err)
 
 
 def reset_command(rig: str, connect: str | None) -> str:
@@ -270,7 +278,7 @@ def reset_command(rig: str, connect: str | None) -> str:
     return f"`{' '.join(words)}`"
 
 
-def _reason(rig: Rig, err: RigError, connect: str | None) -> str:
+def _reason(rig: Rig, err: RigError, way_out: str) -> str:
     """Return why a collection failed. Of a trip the error shows only that lease or run are gone."""
     try:
         status = rig.status()
@@ -281,11 +289,11 @@ def _reason(rig: Rig, err: RigError, connect: str | None) -> str:
         return str(err)
     if status.phase != "fault":
         again = "; nothing is latched: repeat the command" if isinstance(err, RunEndedError) else ""
-        return with_reset_command(str(err), rig.rig, connect) + again
-    way_out = f"{status.remedy or 'mend it'}; then {reset_command(rig.rig, connect)}"
+        return refusal_sentence(err, way_out) + again
+    remedy = f"{status.remedy or 'mend it'}; then {way_out}"
     if isinstance(err, RunEndedError):
-        return f"{err}; {way_out}"
-    return f"rig {rig.rig} is in fault: {status.reason}; {way_out}"
+        return f"{err}; {remedy}"
+    return f"rig {rig.rig} is in fault: {status.reason}; {remedy}"
 
 
 def _interrupted_sentence(rig: Rig, before: LastRun | None) -> str:

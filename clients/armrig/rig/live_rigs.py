@@ -104,7 +104,7 @@ def _answered(rig: str, endpoint: str, replies: Iterable[zenoh.Reply]) -> LiveRi
                 status = reply_of(Status.name, reply.ok.payload.to_bytes(), StatusReport)
                 return LiveRig(rig=rig, endpoint=endpoint, status=status)
             if reply.err is not None and str(reply.err.payload) != "Timeout":
-                why = refusal_of(Status.name, reply.err.payload.to_bytes())
+                why = refusal_of(Status.name, reply.err.payload.to_bytes()).error
     except MalformedReplyError as err:
         why = f"is no armrigd of this version: {err}"
     return LiveRig(rig=rig, endpoint=endpoint, status=None, why=why)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import TypeVar
 
 import msgspec
-from armrig_core import commands
+from armrig_core import commands, version_1
 from armrig_core.errors import MalformedReplyError
+from msgspec.structs import replace
 
 MOST_BYTES = 1 << 20
 """Longest reply that is read, in B; a daemon's longest have a few thousand."""
@@ -35,16 +36,22 @@ def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
         ) from err
 
 
-def refusal_of(name: str, payload: bytes) -> str:
-    """Return why the command `name` was refused; raises as `reply_of`, but not for plain text."""
+def refusal_of(name: str, payload: bytes) -> commands.Refused:
+    """Return why the command `name` was refused; raises as `reply_of`, but not for plain text.
+
+    A daemon of an earlier release sends a sentence alone: of that one `version_1` says whether it
+    passes by itself, and its code stays empty.
+    """
     _check_length(name, payload)
     try:
-        error = reply_of(name, payload, commands.Refused).error
+        refusal = reply_of(name, payload, commands.Refused)
     except MalformedReplyError:
-        error = f"{name}: {payload[:200].decode(errors='replace')}"
-    if len(error) > _LONGEST_ERROR:
-        error = f"{error[:_LONGEST_ERROR]} …"
-    return error
+        refusal = commands.Refused(error=f"{name}: {payload[:200].decode(errors='replace')}")
+    if refusal.passes is None:
+        refusal = replace(refusal, passes=version_1.passes(refusal.error))
+    if len(refusal.error) > _LONGEST_ERROR:
+        refusal = replace(refusal, error=f"{refusal.error[:_LONGEST_ERROR]} …")
+    return refusal
 
 
 def _check_length(name: str, payload: bytes) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from armrig_core.codes import RefusalCode
 from armrig_core.volts import volts_of
 from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon.decisions.requests import NO_DEVICE, Step, answer, ask, refuse
-from armrig_daemon.decisions.state import Phase, Rules, State, Want
+from armrig_daemon.decisions.state import Action, Asked, Lease, Phase, Rules, State, Want
 from armrig_daemon.decisions.stopping import end_run, leave, stop
 from armrig_daemon.decisions.transitions import begin_arming, state_name
 from armrig_daemon.pipe import (
@@ -85,9 +86,9 @@ def _reset(state: State, now_ns: int, order: Reset) -> Step:
     if state.phase is not Phase.FAULT:
         return state, answer(order, {"done": False})  # nothing is latched
     if state.device is None:
-        return state, refuse(order, NO_DEVICE)
+        return state, refuse(order, NO_DEVICE, RefusalCode.NO_DEVICE)
     if state.asked is not None:
-        return state, refuse(order, f"busy with {state.asked.want}: try again")
+        return state, _refuse_as_busy(order, state.asked)
     latched = state.device_state in (DeviceState.FAULT, DeviceState.ESTOP)
     return ask(state, now_ns, Want.CLEAR if latched else Want.HELLO, order)
 
@@ -97,44 +98,42 @@ def _calibrate(state: State, order: Calibrate) -> Step:
 
     Only the conversion of samples reads it: it leads to no frame, and changes no limit.
     """
-    error = ""
     if state.phase is Phase.FAULT:
-        error = f"in fault ({state.reason}): mend it, then reset"
-    elif state.lease is not None:
-        error = held_by(state.lease.owner)
-    elif state.phase is Phase.INIT:
-        error = NO_DEVICE
-    elif state.phase is not Phase.SAFE or state.asked is not None:
-        error = "the rig is not at rest yet: try again"
-    if error:
-        return state, refuse(order, error)
+        return state, _refuse_in_fault(order, state)
+    if state.lease is not None:
+        return state, _refuse_as_held(order, state.lease)
+    if state.phase is Phase.INIT:
+        return state, refuse(order, NO_DEVICE, RefusalCode.NO_DEVICE)
+    if state.phase is not Phase.SAFE or state.asked is not None:
+        text = "the rig is not at rest yet: try again"
+        return state, refuse(order, text, RefusalCode.NOT_AT_REST)
     rules = replace(state.rules, calibration=order.calibration)
     return replace(state, rules=rules), answer(order, {"done": True})
 
 
 def _arm(state: State, now_ns: int, order: Arm) -> Step:
     if state.quitting:
-        return state, refuse(order, "the daemon is ending")
+        return state, refuse(order, "the daemon is ending", RefusalCode.ENDING)
     if state.phase is Phase.FAULT:
-        return state, refuse(order, f"in fault ({state.reason}): mend it, then reset")
+        return state, _refuse_in_fault(order, state)
     if state.lease is not None:
-        return state, refuse(order, held_by(state.lease.owner))
+        return state, _refuse_as_held(order, state.lease)
     if state.phase is not Phase.SAFE or state.device is None:
-        return state, refuse(order, NO_DEVICE)
+        return state, refuse(order, NO_DEVICE, RefusalCode.NO_DEVICE)
     if state.asked is not None:
-        return state, refuse(order, f"busy with {state.asked.want}: try again")
+        return state, _refuse_as_busy(order, state.asked)
     age_ns, limit_ns = now_ns - state.fresh_ns, state.rules.age_ns(state.ts_us)
     if age_ns > limit_ns:
         text = f"no answer from the device for {age_ns / 1e6:.0f} ms: try again"
-        return state, refuse(order, text)
+        return state, refuse(order, text, RefusalCode.STALE, age_ms=age_ns / 1e6)
     if not state.sampled_ns or now_ns - state.sampled_ns > limit_ns:
         text = f"no sample of the device in the last {limit_ns / 1e6:.0f} ms: try again"
-        return state, refuse(order, text)
+        return state, refuse(order, text, RefusalCode.STALE, limit_ms=limit_ns / 1e6)
     if state.device_state not in _AT_REST:
         # HELLO finds out what it is at, and leads back to rest.
         error = f"the device is in {state_name(state.device_state)}, not at rest: try again"
         state, actions = ask(state, now_ns, Want.HELLO)
-        return state, [*refuse(order, error), *actions]
+        return state, [*refuse(order, error, RefusalCode.NOT_AT_REST), *actions]
     return begin_arming(state, now_ns, order)
 
 
@@ -142,14 +141,15 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
     lease = state.lease
     held = lease is not None and state.phase in (Phase.ARMED, Phase.ACTIVE)
     if lease is None or not held or order.lease != lease.lease:
-        return state, refuse(order, NOT_HELD)
+        return state, refuse(order, NOT_HELD, RefusalCode.NOT_HELD)
     if order.n <= lease.n:
-        return state, refuse(order, not_newer(order.n, lease.n))
+        text = not_newer(order.n, lease.n)
+        return state, refuse(order, text, RefusalCode.NOT_NEWER, n=order.n, last=lease.n)
     if state.asked is not None and not isinstance(order, Disarm):
-        return state, refuse(order, f"busy with {state.asked.want}: try again")
-    error = _error(state, order)
-    if error:
-        return state, refuse(order, error)
+        return state, _refuse_as_busy(order, state.asked)
+    refusal = _refusal(state, order)
+    if refusal:
+        return state, refusal
     state = replace(state, lease=replace(lease, n=order.n, renewed_ns=now_ns))
     if isinstance(order, Disarm):
         return stop(state, now_ns, "disarmed", order)
@@ -161,29 +161,48 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
     return ask(state, now_ns, Want.START, order)
 
 
-def _error(state: State, order: Leased) -> str:
-    """Return why the order is not allowed, or nothing."""
+def _refuse_as_busy(order: Order, asked: Asked) -> list[Action]:
+    text = f"busy with {asked.want}: try again"
+    return refuse(order, text, RefusalCode.BUSY, want=asked.want)
+
+
+def _refuse_as_held(order: Order, lease: Lease) -> list[Action]:
+    return refuse(order, held_by(lease.owner), RefusalCode.HELD, owner=lease.owner)
+
+
+def _refuse_in_fault(order: Order, state: State) -> list[Action]:
+    text = f"in fault ({state.reason}): mend it, then reset"
+    fault = state.fault.id if state.fault else ""
+    return refuse(order, text, RefusalCode.IN_FAULT, fault=fault, reason=state.reason)
+
+
+def _refusal(state: State, order: Leased) -> list[Action]:
+    """Return the refusal of an order that is not allowed, or nothing."""
     match order:
         case Set():
             if state.run is not None:
-                return f"the experiment {state.run.run_id} is running: stop it first"
+                text = f"the experiment {state.run.run_id} is running: stop it first"
+                return refuse(order, text, RefusalCode.RUNNING)
             if state.lease is not None and state.ts_us != state.lease.ts_us:
-                return _too_short_for_exchange(state)
-            return _out_of_range(state.code, order.code, state.rules)
+                return refuse(order, _too_short_for_exchange(state), RefusalCode.CANNOT_PACE)
+            error = _out_of_range(state.code, order.code, state.rules)
+            return refuse(order, error) if error else []
         case Run():
             if state.phase is not Phase.ARMED:
-                return BY_HAND
+                return refuse(order, BY_HAND, RefusalCode.BY_HAND)
             if state.run is not None:
-                return f"the experiment {state.run.run_id} is about to start: stop it first"
+                text = f"the experiment {state.run.run_id} is about to start: stop it first"
+                return refuse(order, text, RefusalCode.RUNNING)
             error = _cannot_pace(state, order)
             if error:
-                return error
+                return refuse(order, error, RefusalCode.CANNOT_PACE)
             # Each code is checked when it is sent: a million at once would hold up the tick.
-            return "" if order.codes else "the experiment is empty"
-    return ""
+            return [] if order.codes else refuse(order, "the experiment is empty")
+    return []
 
 
 def _cannot_pace(state: State, order: Run) -> str:
+    """Return why the device cannot pace a run as it was asked for, or nothing."""
     if order.scheduled:
         able = state.device is not None and state.device.capabilities & Capability.SCHEDULED
         return "" if able else "this device has no scheduled mode: ask for exchange"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from armrig_core.codes import RefusalCode
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
     SCHEMA_HASH,
@@ -66,9 +67,16 @@ def answer(order: Order | None, body: dict[str, object]) -> list[Action]:
     return [] if order is None else [Emit(Answer(order=order.order, body=body))]
 
 
-def refuse(order: Order | None, error: str) -> list[Action]:
+def refuse(
+    order: Order | None,
+    error: str,
+    code: RefusalCode = RefusalCode.NOT_ALLOWED,
+    **parameters: str | int | float,
+) -> list[Action]:
     """Return the refusal of an order, if there was one."""
-    return [] if order is None else [Emit(Answer(order=order.order, error=error))]
+    if order is None:
+        return []
+    return [Emit(Answer(order=order.order, error=error, code=code, parameters=parameters))]
 
 
 def device_facts(device: HelloReply | None) -> dict[str, object]:
@@ -209,4 +217,5 @@ def _overtaken(order: Order | None, want: Want, outcome: str) -> list[Action]:
     if isinstance(order, pipe.Stop | pipe.Disarm):
         return answer(order, {"done": True})
     stopped = want is Want.STOP and outcome
-    return refuse(order, f"not begun: {outcome}" if stopped else f"overtaken by {want}")
+    text = f"not begun: {outcome}" if stopped else f"overtaken by {want}"
+    return refuse(order, text, RefusalCode.OVERTAKEN)

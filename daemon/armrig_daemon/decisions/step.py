@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from armrig_core.codes import RefusalCode
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import Spoilt, Unknown, encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
@@ -90,7 +91,8 @@ def _one(state: State, now_ns: int, event: Event) -> Step:
 
 
 def _link_down(state: State, now_ns: int, reason: str) -> Step:
-    done = refuse(state.asked.order if state.asked else None, f"link lost: {reason}")
+    order = state.asked.order if state.asked else None
+    done = refuse(order, f"link lost: {reason}", RefusalCode.NO_LINK)
     state = replace(state, link_up=False, device=None, asked=None, sent=(), pending=b"")
     if state.quitting:
         state, actions = leave(state)

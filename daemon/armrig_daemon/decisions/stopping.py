@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from armrig_core.codes import RefusalCode
 from msgspec.structs import replace
 
 from armrig_daemon.decisions import gaps
@@ -15,7 +16,7 @@ from armrig_daemon.pipe import Order, RunEnded
 def end_run(state: State, now_ns: int) -> Step:
     """Say that the run is over, once no sample of it can come any more."""
     queue, run = state.queue, state.run
-    done = refuse(queue.order, state.outcome or "stopped") if queue else []
+    done = refuse(queue.order, state.outcome or "stopped", RefusalCode.OVERTAKEN) if queue else []
     state = replace(state, queue=None, beats=())
     if run is None:
         return replace(state, outcome=""), done

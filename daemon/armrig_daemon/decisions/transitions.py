@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from armrig_core.codes import RefusalCode
 from armrig_core.volts import volts_of
 from armrig_protocol.frame import config_crc
 from armrig_protocol.messages import (
@@ -70,7 +71,9 @@ def retry(state: State, now_ns: int) -> Step:
     if asked is None or now_ns < retry_ns(asked):
         return state, []
     if not state.link_up:
-        return replace(state, asked=None), refuse(asked.order, "the link is down")
+        return replace(state, asked=None), refuse(
+            asked.order, "the link is down", RefusalCode.NO_LINK
+        )
     if asked.want is Want.HELLO or asked.tries < _TRIES:
         state, actions = ask(
             state,
@@ -100,7 +103,7 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
     """Give up what was asked for."""
     asked = state.asked
     state = replace(state, asked=None)
-    done = refuse(asked.order if asked else None, error)
+    done = refuse(asked.order if asked else None, error, RefusalCode.NO_EFFECT)
     if asked is not None and asked.want is Want.STOP:
         # More cannot be done from here: the device's own watchdog is next.
         state, actions = end_run(state, now_ns)
@@ -301,7 +304,7 @@ def _unfit(device: HelloReply) -> str:
 
 
 def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
-    done = refuse(asked.order, fault.cause)
+    done = refuse(asked.order, fault.cause, RefusalCode.NO_EFFECT)
     if state.fault != fault:
         state = moved(state, On.TRIPPED, fault=fault)
         done.append(log(now_ns, "error", sentence(fault), cause=fault.id))
@@ -366,7 +369,7 @@ def begin_arming(state: State, now_ns: int, order: Arm) -> Step:
     device = state.device
     ts_us = order.ts_us or state.rules.ts_us
     if device is None:
-        return state, refuse(order, NO_DEVICE)
+        return state, refuse(order, NO_DEVICE, RefusalCode.NO_DEVICE)
     scheduled = bool(device.capabilities & Capability.SCHEDULED)
     try:
         check(ts_us, state.rules.baud, device.skew_us, scheduled=scheduled)

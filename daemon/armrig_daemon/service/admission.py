@@ -7,7 +7,8 @@ is let in is judged anew, by the service and by the core; the core alone decides
 from __future__ import annotations
 
 from armrig_core.access_control import MOST_BYTES, MOST_OF_CALIBRATION
-from armrig_core.commands import REQUESTS, Calibrate, Leased, Run
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import REQUESTS, Calibrate, Leased, Refused, Run, refused
 
 from armrig_daemon.decisions.orders import NOT_HELD
 
@@ -15,8 +16,8 @@ LEASED = frozenset(name for name, kind in REQUESTS.items() if issubclass(kind, L
 """Names of the commands that carry a lease."""
 
 
-def refusal(name: str, payload: bytes, lease: bytes) -> str:
-    """Return why a command is turned away, or nothing.
+def refusal(name: str, payload: bytes, lease: bytes) -> Refused | None:
+    """Return why a command is turned away, or None.
 
     Parameters
     ----------
@@ -29,8 +30,9 @@ def refusal(name: str, payload: bytes, lease: bytes) -> str:
         The one in force, as far as the service knows; empty where there is none.
     """
     if name in LEASED and not (lease and lease in payload):
-        return NOT_HELD
+        return refused(RefusalCode.NOT_HELD, NOT_HELD)
     most = MOST_OF_CALIBRATION if name == Calibrate.name else MOST_BYTES
     if name != Run.name and len(payload) > most:
-        return f"{name}: {len(payload)} B, at most {most} B are allowed"
-    return ""
+        text = f"{name}: {len(payload)} B, at most {most} B are allowed"
+        return refused(RefusalCode.TOO_LONG, text, bytes=len(payload), most_bytes=most)
+    return None

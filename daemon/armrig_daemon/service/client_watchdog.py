@@ -9,8 +9,10 @@ from __future__ import annotations
 from math import inf
 from typing import NamedTuple
 
-from armrig_core.commands import Renew, Run
-from armrig_core.errors import InputError
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import CommandRefusedError, Renew, Run, refused
+
+from armrig_daemon.decisions import orders
 
 
 class ClientWatchdog(NamedTuple):
@@ -35,16 +37,23 @@ def begun(run: Run, now_s: float) -> ClientWatchdog:
     return ClientWatchdog(run.lease, run.n, run.dead_man or inf, now_s)
 
 
+def not_newer(n: int, last: int) -> CommandRefusedError:
+    """Return the refusal of a command whose number does not exceed the last."""
+    text = orders.not_newer(n, last)
+    return CommandRefusedError(refused(RefusalCode.NOT_NEWER, text, n=n, last=last))
+
+
 def renewed(presence: ClientWatchdog | None, sign: Renew, now_s: float) -> ClientWatchdog:
     """Return the presence after a sign.
 
     Raises
     ------
-    ValueError
+    CommandRefusedError
         There is no run in hand, it is somebody else's, or the sign is an old one.
     """
     if presence is None or sign.lease != presence.lease:
-        raise InputError("no run of this lease is in hand")
+        text = "no run of this lease is in hand"
+        raise CommandRefusedError(refused(RefusalCode.NOT_HELD, text))
     if sign.n <= presence.n:
-        raise InputError(f"n={sign.n} must be greater than the last, {presence.n}")
+        raise not_newer(sign.n, presence.n)
     return presence._replace(n=sign.n, heard_s=now_s)

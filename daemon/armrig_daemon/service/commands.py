@@ -13,6 +13,8 @@ from functools import partial
 from typing import Any, NamedTuple, assert_never
 
 from armrig_core import commands
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import CommandRefusedError
 from armrig_core.errors import InputError
 from armrig_core.volts import code_of
 from msgspec.structs import replace
@@ -25,17 +27,22 @@ from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Alive, Answer, Calibrate, Leased, Orders, Reset
 from armrig_daemon.service.calibration import checked_calibration
 from armrig_daemon.service.child import LoopChild
+from armrig_daemon.service.client_watchdog import not_newer
 from armrig_daemon.service.identity import signed
 from armrig_daemon.service.listener import Command
 from armrig_daemon.service.played_input import checked
-from armrig_daemon.service.publish import Kind, Session
+from armrig_daemon.service.publish import TOO_MANY, Kind, Session
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.token_bucket import Bucket, take_at
 
 ANSWER_S = 3.0
 """How long the loop may take to answer a command, in s."""
-_SILENT = f"the loop did not answer within {ANSWER_S:g} s: ask again, or start armrigd anew"
+_SILENT = commands.refused(
+    RefusalCode.NO_ANSWER,
+    f"the loop did not answer within {ANSWER_S:g} s: ask again, or start armrigd anew",
+)
+_NOT_HELD = commands.refused(RefusalCode.NOT_HELD, orders.NOT_HELD)
 _SOMEBODY = "somebody on this machine"
 _MOST_AT_ONCE = 16  # commands of a kind, between two looks at the loop and at the run's client
 _MOST_ASKED = 16  # orders without an answer yet, beyond which a stranger's are not passed on
@@ -142,7 +149,10 @@ class Commands:
         if waiting is None:
             return  # it came too late: who asked has been told so
         if answer.error:
-            self._give_up(waiting, answer.error)
+            refusal = commands.refused(
+                answer.code or RefusalCode.NOT_ALLOWED, answer.error, **answer.parameters
+            )
+            self._give_up(waiting, refusal)
             return
         if isinstance(waiting.order, pipe.Arm):
             self._Ts = answer.body["Ts"]
@@ -169,31 +179,34 @@ class Commands:
         for number in [n for n, w in self._waiting.items() if now > w.until]:
             self._give_up(self._waiting.pop(number), _SILENT)
 
-    def _give_up(self, waiting: _Waiting, error: str) -> None:
+    def _give_up(self, waiting: _Waiting, refusal: commands.Refused) -> None:
         if isinstance(waiting.order, pipe.Run):
             self._runs.forget(waiting.order.run_id)
-        waiting.command.refuse(error)
+        waiting.command.refuse(refusal)
 
     def _try(self, command: Command) -> None:
         try:
             self._carry_out(command, commands.parse(command.name, command.payload))
+        except CommandRefusedError as err:
+            command.refuse(err.refusal)
         except ValueError as err:
-            command.refuse(str(err))
+            command.refuse(commands.refused(RefusalCode.NOT_ALLOWED, str(err)))
         except Exception as err:
-            command.refuse(f"{command.name}: {err!r}")
-            self._say("error", f"{command.name}: {err!r}")
+            text = f"{command.name}: {err!r}"
+            command.refuse(commands.refused(RefusalCode.INTERNAL, text))
+            self._say("error", text)
 
     def _carry_out(self, command: Command, request: commands.Requests) -> None:
         """Hand a request to the loop; raises ValueError where it is not allowed."""
         if isinstance(request, commands.Leased) and command.by != self._holder.by:
-            raise InputError(orders.NOT_HELD)
+            raise CommandRefusedError(_NOT_HELD)
         match request:
             case commands.Status():
                 command.answer(self._rig.status(self._runs.last))
             case commands.Arm():
-                error = self._objection()
-                if error:
-                    raise InputError(error)
+                objection = self._objection()
+                if objection is not None:
+                    raise CommandRefusedError(objection)
                 lease, ts_us = secrets.token_hex(16), self._ts_us(request.Ts)
                 owner = signed(request.owner, command.by)
                 self._order(
@@ -235,8 +248,9 @@ class Commands:
         """Publish and record a note. The loop, and so the motor, never hears of it."""
         left = take_at(_NOTES_PER_S, _MOST_NOTES, self._notes, time.monotonic())
         if left is None:
-            raise InputError(
-                f"too many notes came, {_NOTES_PER_S:g} a second are taken{commands.TRY_AGAIN}"
+            text = f"too many notes came, {_NOTES_PER_S:g} a second are taken: try again"
+            raise CommandRefusedError(
+                commands.refused(RefusalCode.TOO_MANY, text, per_s=_NOTES_PER_S)
             )
         self._notes = left
         who = signed(request.owner, command.by) or _SOMEBODY
@@ -246,7 +260,8 @@ class Commands:
     def _calibrate(self, command: Command, request: commands.Calibrate) -> None:
         """Hand a calibration to the loop, which needs its figures only."""
         if self._calibration is not None:
-            raise InputError("another calibration is on its way: try again")
+            text = "another calibration is on its way: try again"
+            raise CommandRefusedError(commands.refused(RefusalCode.TOO_MANY, text))
         device = self._rig.state.device
         checked = checked_calibration(request.calibration, request.raw, self._config, device)
         self._order(command, Calibrate(calibration=replace(checked, made=None)))
@@ -259,21 +274,25 @@ class Commands:
         now = self._rig.status(None)
         self._say("info", f"calibration: {now.calibration}, sha256 {now.calibration_sha256[:8]}")
 
-    def _objection(self) -> str:
-        """Return why the rig is not to be armed, as far as the loop cannot know it, or nothing."""
+    def _objection(self) -> commands.Refused | None:
+        """Return why the rig is not to be armed, as far as the loop cannot know it, or None."""
         owner = self._rig.state.owner
         if owner:
-            return orders.held_by(owner)
-        return self._rig.line or self._runs.no_room() or self._rig.objection()
+            return commands.refused(RefusalCode.HELD, orders.held_by(owner), owner=owner)
+        if line := self._rig.line:
+            return commands.refused(RefusalCode.NO_RIG, line)
+        if no_room := self._runs.no_room():
+            return commands.refused(RefusalCode.NO_ROOM, no_room)
+        return self._rig.objection()
 
     def _check_holder(self, request: commands.Run) -> None:
-        """Raise ValueError where the core is sure to refuse a run, before it is rehearsed."""
+        """Raise CommandRefusedError if the core is sure to refuse a run, before its rehearsal."""
         if request.lease != self._lease:
-            raise InputError(orders.NOT_HELD)
+            raise CommandRefusedError(_NOT_HELD)
         if request.n <= self._n:
-            raise InputError(orders.not_newer(request.n, self._n))
+            raise not_newer(request.n, self._n)
         if self._rig.state.phase == Phase.ACTIVE and self._runs.is_idle:
-            raise InputError(orders.BY_HAND)
+            raise CommandRefusedError(commands.refused(RefusalCode.BY_HAND, orders.BY_HAND))
 
     def _ts_us(self, Ts: float | None) -> int:
         """Return the sampling time asked for, in µs; 0 for the configured one."""
@@ -291,7 +310,7 @@ class Commands:
         if who is None:
             who = self._holder.owner if isinstance(order, Leased) else signed("", command.by)
         if len(self._waiting) >= _MOST_ASKED and isinstance(order, pipe.Arm | Reset | Calibrate):
-            raise InputError("too many commands are waiting: try again")
+            raise CommandRefusedError(TOO_MANY)
         self._numbers += 1
         order = replace(order, order=self._numbers)
         until = time.monotonic() + ANSWER_S

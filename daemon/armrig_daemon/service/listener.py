@@ -16,7 +16,8 @@ from typing import Any
 import msgspec
 import zenoh
 from armrig_core import access_control, protobuf
-from armrig_core.commands import REQUESTS, Refused, Renew, Stop, json_schema
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import REQUESTS, Refused, Renew, Stop, json_schema, refused
 from armrig_core.group_socket import group_may_open
 from armrig_core.history import HistoryRequest
 from armrig_core.owned_session import (
@@ -99,11 +100,11 @@ class Command:
             query.reply(self._key, msgspec.json.encode(body), encoding="application/json")
             query.drop()
 
-    def refuse(self, error: str) -> None:
-        """Answer with an error for a person."""
+    def refuse(self, refusal: Refused) -> None:
+        """Answer with a refusal."""
         query, self._query = self._query, None
         if query is not None:
-            _refuse(query, error)
+            _refuse(query, refusal)
 
 
 class Listener:
@@ -195,7 +196,8 @@ class Listener:
         try:
             asked = msgspec.json.decode(payload, type=HistoryRequest)
         except (msgspec.DecodeError, UnicodeDecodeError) as err:
-            _refuse(query, f'history: {err}; ask with {{"first": 0}}')
+            text = f'history: {err}; ask with {{"first": 0}}'
+            _refuse(query, refused(RefusalCode.NOT_ALLOWED, text))
             return
         offset_ns = time.time_ns() - time.monotonic_ns()
         reply = self._past(asked.first, offset_ns)
@@ -232,7 +234,6 @@ class Listener:
         return left is None
 
 
-def _refuse(query: zenoh.Query, error: str) -> None:
-    refused = msgspec.json.encode(Refused(error=error))
-    query.reply_err(refused, encoding="application/json")
+def _refuse(query: zenoh.Query, refusal: Refused) -> None:
+    query.reply_err(msgspec.json.encode(refusal), encoding="application/json")
     query.drop()

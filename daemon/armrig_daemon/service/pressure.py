@@ -8,6 +8,8 @@ from math import nan
 from pathlib import Path
 from time import monotonic_ns
 
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import Refused, refused
 from armrig_protocol.messages import Cause
 
 from armrig_daemon.decisions.faults import Id
@@ -72,16 +74,19 @@ def load(path: Path = CPU) -> str:
     return text
 
 
-def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> str:
-    """Return why a host whose last second was like this is not to drive a motor, or nothing."""
+def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> Refused | None:
+    """Return why a host whose last second was like this is not to drive a motor, or None."""
     # One late tick among a hundred is no reason: only a pause that comes again and again.
     late_ms = timing.wake_lateness_us.p99 / 1e3 if timing else 0.0
     most_ms = min(watchdog_ms, LATENESS_MOST_MS)
     if late_ms <= most_ms:
-        return ""
-    return (
+        return None
+    return refused(
+        RefusalCode.LATE,
         f"the host woke up to {late_ms:.0f} ms late in the last second, at most {most_ms} ms are "
-        f"allowed ({load}; see `armrig doctor`): try again"
+        f"allowed ({load}; see `armrig doctor`): try again",
+        late_ms=round(late_ms),
+        most_ms=most_ms,
     )
 
 

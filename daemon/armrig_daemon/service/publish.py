@@ -12,7 +12,8 @@ from functools import partial
 from typing import Self
 
 import zenoh
-from armrig_core.commands import Calibrate, Renew, Status, Stop
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import Calibrate, Renew, Status, Stop, refused
 from armrig_core.errors import OperationError
 
 from armrig_daemon.service import admission
@@ -21,6 +22,8 @@ from armrig_daemon.service.history import History
 from armrig_daemon.service.listener import Command, Listener
 from armrig_daemon.service.uplink import Uplink
 
+TOO_MANY = refused(RefusalCode.TOO_MANY, "too many commands are waiting: try again")
+"""What is said to those that there is no room for."""
 MOST_WAITING = 64  # commands of a kind that nobody has looked at yet; more are refused
 
 
@@ -155,12 +158,12 @@ class Session:
         return self._history.reply(first, clock_offset_ns)
 
     def _admit(self, command: Command) -> None:
-        error = admission.refusal(command.name, command.payload, self.lease)
-        if error:
-            command.refuse(error)
+        refusal = admission.refusal(command.name, command.payload, self.lease)
+        if refusal is not None:
+            command.refuse(refusal)
             return
         try:
             self._waiting[kind_of(command.name)].put_nowait(command)
         except queue.Full:
-            command.refuse("too many commands are waiting: try again")
+            command.refuse(TOO_MANY)
         self._wake()

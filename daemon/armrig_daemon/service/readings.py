@@ -12,6 +12,8 @@ from __future__ import annotations
 from math import isnan
 from typing import NamedTuple
 
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import Refused, refused
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
 
@@ -62,8 +64,10 @@ def theta_1_rad(readings: Readings) -> float | None:
     return None if newest is None or isnan(newest.theta_1_rad) else newest.theta_1_rad
 
 
-def objection(readings: Readings, *, turns_per_volt_s: float, alpha_is_read: bool) -> str:
-    """Return why a rig with these readings is not armed, or nothing.
+def objection(
+    readings: Readings, *, turns_per_volt_s: float, alpha_is_read: bool
+) -> Refused | None:
+    """Return why a rig with these readings is not armed, or None.
 
     Parameters
     ----------
@@ -74,18 +78,20 @@ def objection(readings: Readings, *, turns_per_volt_s: float, alpha_is_read: boo
     """
     newest = readings.newest
     if newest is None:
-        return "no sample has come from the rig yet: try again"
+        return refused(RefusalCode.STALE, "no sample has come from the rig yet: try again")
     railed_ns = newest.t_host_ns - readings.alpha_free_ns
     if alpha_is_read and railed_ns >= RAIL_NS:
-        return (
+        return refused(
+            RefusalCode.READINGS,
             f"alpha reads {newest.alpha_counts} of 65535, the end of its range: see to its wires, "
-            "and that the arm hangs free"
+            "and that the arm hangs free",
         )
     turns = readings.volt_s * turns_per_volt_s
     if turns >= 1:
-        return (
+        return refused(
+            RefusalCode.READINGS,
             f"theta_1 reads {newest.theta_1_counts} of 65535 and did not move while the motor was "
             f"driven for {turns:.1f} turns: see to its wires and to the motor's, then turn the "
-            "chassis by hand"
+            "chassis by hand",
         )
-    return ""
+    return None

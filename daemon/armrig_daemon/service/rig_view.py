@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core.calibration import Calibration
-from armrig_core.commands import LastRun, StatusReport
+from armrig_core.commands import LastRun, Refused, StatusReport
 from armrig_core.telemetry import Sample
 from msgspec.structs import replace
 
@@ -88,8 +88,8 @@ class RigView:
         self._timing = replace(timing, cpu_pressure_percent=share, run_queue=runnable)
         return self._timing
 
-    def objection(self) -> str:
-        """Return why neither the readings nor the host allow to arm, or nothing."""
+    def objection(self) -> Refused | None:
+        """Return why the readings or the host do not allow to arm, or None."""
         config = self._config
         return readings.objection(
             self._readings,

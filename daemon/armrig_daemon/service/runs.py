@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import msgspec
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import raw_samples
-from armrig_core.commands import LastRun, Renew, Run, RunAccepted
-from armrig_core.errors import InputError
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import CommandRefusedError, LastRun, Renew, Run, RunAccepted, refused
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Manifest
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
@@ -126,15 +126,17 @@ class Runs:
 
         Raises
         ------
+        CommandRefusedError
+            Another run is in hand, or there is no room for the recording; a ValueError.
         ValueError
-            Another run is in hand, there is no room for the recording, or a voltage or the
-            rehearsal is outside the limits.
+            A voltage or the rehearsal is outside the limits.
         """
         if not self.is_idle:
-            raise InputError("an experiment is running: stop it first, or wait for its end")
+            busy = "an experiment is running: stop it first, or wait for its end"
+            raise CommandRefusedError(refused(RefusalCode.RUNNING, busy))
         error = check_directory(self._directory, _ROOM_PER_SAMPLE * len(request.u) + _ROOM)
         if error:
-            raise InputError(error)
+            raise CommandRefusedError(refused(RefusalCode.NO_ROOM, error))
         limits, arm = self._config.limits, self._config.arm
         u = checked(request.u, limits)
         alive()

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import Refused, refused
+
 PER_S = 200
 """Questions of a kind that are answered each second, by whomever they are asked."""
 BURST = 100
@@ -33,6 +36,7 @@ def take_at(per_s: float, burst: float, bucket: Bucket, now_s: float) -> Bucket 
     return Bucket(tokens - 1, now_s) if tokens >= 1 else None
 
 
-def refusal(name: str) -> str:
+def refusal(name: str) -> Refused:
     """Return what one too many is told."""
-    return f"{name}: too many queries, at most {PER_S} a second are answered: try again"
+    text = f"{name}: too many queries, at most {PER_S} a second are answered: try again"
+    return refused(RefusalCode.TOO_MANY, text, per_s=PER_S)

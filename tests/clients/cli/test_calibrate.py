@@ -21,6 +21,7 @@ from armrig.rig.collection import Collected, Plan
 from armrig_core import commands
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
+from armrig_core.codes import RefusalCode
 from armrig_core.errors import FileError
 from calibration_rig import recording_of
 from fake_daemon import FakeDaemon
@@ -161,7 +162,9 @@ def test_a_daemon_that_refuses_leaves_the_file_and_an_exit_code(
     """Its reason is told, with the whole command that helps."""
     output = tmp_path / "c.toml"
     given = ["calibrate", *_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint]
-    daemon.refusals["calibrate"] = "in fault (link lost): mend it, then reset"
+    daemon.refusals["calibrate"] = commands.refused(
+        RefusalCode.IN_FAULT, "in fault (link lost): mend it, then reset", reason="link lost"
+    )
 
     assert main([*given, "--use"]) == 1
 

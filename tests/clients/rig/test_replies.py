@@ -12,10 +12,11 @@ import msgspec
 import pytest
 import zenoh
 from armrig.cli import main
-from armrig.rig.client import RefusedError, Rig
+from armrig.rig.client import BusyError, RefusedError, Rig
 from armrig.rig.replies import MOST_BYTES, refusal_of, reply_of
 from armrig.rig.session import MOST_RECEIVED, NoReplyError, RigError
-from armrig_core.commands import Done, LeaseGranted, StatusReport
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import Done, LeaseGranted, Refused, StatusReport, refused
 from armrig_core.errors import MalformedReplyError
 from fake_daemon import FakeDaemon
 
@@ -100,13 +101,46 @@ def test_an_answer_that_does_not_say_done_is_none(body: bytes) -> None:
 )
 def test_a_refusal_is_told_in_any_form(payload: bytes, error: str) -> None:
     """Not more of it than a person reads."""
-    assert refusal_of("stop", payload) == error
+    assert refusal_of("stop", payload).error == error
 
 
 def test_a_refusal_that_is_too_long_is_not_read() -> None:
     """Like any other reply."""
     with pytest.raises(MalformedReplyError, match=f"at most {MOST_BYTES} B are read"):
         refusal_of("stop", b" " * (MOST_BYTES + 1))
+
+
+@pytest.mark.parametrize(
+    ("body", "passes", "code"),
+    [
+        (refused(RefusalCode.LATE, "sleepy"), True, "late"),
+        (refused(RefusalCode.HELD, "a student said: try again"), False, "held"),
+        (Refused(error="new", code="a code of tomorrow", passes=True), True, "a code of tomorrow"),
+        (Refused(error="busy with STOP: try again"), True, ""),
+        (Refused(error="in fault: mend it, then reset"), False, ""),
+    ],
+    ids=["passes", "does not", "a later daemon", "an earlier daemon", "another"],
+)
+def test_what_passes_by_itself_is_what_the_daemon_says(
+    rogue: Rogue, where: str, body: Refused, passes: bool, code: str
+) -> None:
+    """By a field; the sentence alone is read where an earlier daemon sends nothing else."""
+    rogue.body, rogue.refuses = msgspec.json.encode(body), True
+
+    with Rig(connect=where) as rig, pytest.raises(RefusedError) as refusal:
+        rig.stop()
+
+    assert isinstance(refusal.value, BusyError) == passes
+    assert refusal.value.code == code
+    assert str(refusal.value) == body.error
+
+
+def test_a_client_of_yesterday_reads_a_refusal_of_today() -> None:
+    """Its sentence is where it was, and the fields behind it are not looked at."""
+    yesterday = msgspec.defstruct("Refused", [("error", str)], frozen=True)
+    told = msgspec.json.encode(refused(RefusalCode.HELD, "Ada has the rig", owner="Ada"))
+
+    assert msgspec.json.decode(told, type=yesterday).error == "Ada has the rig"
 
 
 @pytest.mark.parametrize("command", ["status", "stop", "reset"])

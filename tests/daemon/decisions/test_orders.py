@@ -38,6 +38,8 @@ def _refusal(bench: Bench, order: Order, state: State | None = None) -> str:
     assert len(decided.actions) == 1
     before = state or bench.loop.state
     assert decided.state == replace(before, service_ns=bench.ports.now)
+    assert answer.code is not None
+    assert answer.code.passes == answer.error.endswith(": try again")
     return str(answer.error)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from armrig_core.codes import RefusalCode
 from armrig_daemon.decisions.state import Emit, Queue
 from armrig_daemon.decisions.stopping import end_run
 from armrig_daemon.pipe import Answer
@@ -19,5 +20,6 @@ def test_a_run_that_never_began_is_refused_with_a_reason(outcome: str, error: st
 
     state, done = end_run(state, 0)
 
-    assert [a.record for a in done if isinstance(a, Emit)] == [Answer(order=73, error=error)]
+    refusal = Answer(order=73, error=error, code=RefusalCode.OVERTAKEN)
+    assert [a.record for a in done if isinstance(a, Emit)] == [refusal]
     assert (state.queue, state.outcome) == (None, "")

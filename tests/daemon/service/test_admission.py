@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 import pytest
 from armrig_core.calibration_file import RAW_LIMIT
+from armrig_core.codes import RefusalCode
 from armrig_core.commands import REQUESTS, Renew, Run, Set
 from armrig_daemon.service.admission import LEASED, refusal
 
@@ -17,7 +18,10 @@ OTHER = "f" * 32
 def test_a_command_without_the_lease_in_force_is_turned_away(name: str, lease: str) -> None:
     """Another one, none at all, no JSON; and all of them while nobody holds the rig."""
     for payload in (b'{"lease": "%s", "n": 1}' % OTHER.encode(), b"", b"\xff" * 10_000):
-        assert refusal(name, payload, lease.encode()) == "not the lease in force: arm first"
+        found = refusal(name, payload, lease.encode())
+        assert found is not None
+        assert found.error == "not the lease in force: arm first"
+        assert (found.code, found.passes) == (RefusalCode.NOT_HELD, False)
 
 
 @pytest.mark.parametrize(
@@ -30,7 +34,7 @@ def test_a_command_without_the_lease_in_force_is_turned_away(name: str, lease: s
 )
 def test_the_holder_is_let_in(request_: Run | Set | Renew) -> None:
     """Long runs, too."""
-    assert refusal(request_.name, msgspec.json.encode(request_), LEASE.encode()) == ""
+    assert refusal(request_.name, msgspec.json.encode(request_), LEASE.encode()) is None
 
 
 @pytest.mark.parametrize("name", sorted({*REQUESTS, "explode"} - {"run", "calibrate"}))
@@ -38,24 +42,25 @@ def test_no_command_but_a_run_and_a_calibration_is_long(name: str) -> None:
     """What waits takes memory; the longest sensible command has a hundred bytes."""
     payload = LEASE.encode().ljust(4096)
 
-    assert refusal(name, payload, LEASE.encode()) == ""
-    assert refusal(name, payload + b" ", LEASE.encode()) == (
-        f"{name}: 4097 B, at most 4096 B are allowed"
-    )
+    assert refusal(name, payload, LEASE.encode()) is None
+    found = refusal(name, payload + b" ", LEASE.encode())
+    assert found is not None
+    assert found.error == f"{name}: 4097 B, at most 4096 B are allowed"
+    assert found.parameters == {"bytes": 4097, "most_bytes": 4096}
 
 
 @pytest.mark.parametrize("name", ["arm", "status", "stop", "reset", "explode"])
 def test_what_needs_no_lease_is_let_in(name: str) -> None:
     """A stop above all; and a command that there is not, which is told so inside."""
-    assert refusal(name, b"", b"") == ""
-    assert refusal(name, b"{}", LEASE.encode()) == ""
+    assert refusal(name, b"", b"") is None
+    assert refusal(name, b"{}", LEASE.encode()) is None
 
 
 def test_a_calibration_is_as_long_as_its_samples_may_be() -> None:
     """R1: 1 MiB of them in base64, and 64 KiB for the rest; only one such waits."""
     longest = msgspec.json.encode(bytes(RAW_LIMIT))[2:] + bytes(1 << 16)
 
-    assert refusal("calibrate", longest, b"") == ""
-    assert refusal("calibrate", longest + b" ", b"") == (
-        f"calibrate: {len(longest) + 1} B, at most {len(longest)} B are allowed"
-    )
+    assert refusal("calibrate", longest, b"") is None
+    found = refusal("calibrate", longest + b" ", b"")
+    assert found is not None
+    assert found.error == (f"calibrate: {len(longest) + 1} B, at most {len(longest)} B are allowed")

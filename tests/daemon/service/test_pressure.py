@@ -6,7 +6,7 @@ from math import isnan
 from pathlib import Path
 
 import pytest
-from armrig_core.commands import TRY_AGAIN
+from armrig_core.codes import RefusalCode
 from armrig_daemon.pipe import Distribution, State, Timing
 from armrig_daemon.service import pressure
 from msgspec.structs import replace
@@ -63,19 +63,23 @@ def test_a_host_that_pauses_again_and_again_is_not_armed(
     timing = _timing(replace(QUIET, p99=p99_us, p999=150_000.0, max=150_000.0))
 
     assert bool(pressure.untimely(timing, watchdog_ms, "load 3 on 2 processors")) is refused
-    assert pressure.untimely(None, watchdog_ms, "load 3 on 2 processors") == ""
+    assert pressure.untimely(None, watchdog_ms, "load 3 on 2 processors") is None
 
 
 def test_a_host_that_woke_late_may_be_armed_a_second_later() -> None:
     """The client asks again by itself; what is told names lateness, what is allowed, and load."""
     timing = _timing(replace(QUIET, p99=264e3, p999=264e3, max=264e3, missed=26))
 
-    error = pressure.untimely(timing, 250, "load 3 on 2 processors")
+    refusal = pressure.untimely(timing, 250, "load 3 on 2 processors")
 
+    assert refusal is not None
+    assert (refusal.code, refusal.passes) == (RefusalCode.LATE, True)
+    assert refusal.parameters == {"late_ms": 264, "most_ms": 100}
+    error = refusal.error
     assert "264 ms late in the last second, at most 100 ms" in error
     assert "load 3 on 2 processors" in error
     assert "`armrig doctor`" in error
-    assert error.endswith(TRY_AGAIN)
+    assert error.endswith(": try again")
 
 
 @pytest.mark.parametrize(

@@ -200,7 +200,7 @@ def test_a_flood_is_answered_up_to_a_bound(
             _until(lambda: asking.sent - asking.answers.total() < MOST_AT_ONCE)
         _until(lambda: asking.answers.total() == asking.sent)
 
-    assert asking.answers == {"": BURST, token_bucket.refusal(name): asking.sent - BURST}
+    assert asking.answers == {"": BURST, token_bucket.refusal(name).error: asking.sent - BURST}
     assert let_in[name] == (0 if name == "schema" else BURST)
 
 

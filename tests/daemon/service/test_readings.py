@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import nan
 
 import pytest
+from armrig_core.codes import RefusalCode
 from armrig_core.telemetry import Sample
 from armrig_daemon.service.readings import Readings, objection, theta_1_rad, updated
 from armrig_protocol.messages import Flag
@@ -37,7 +38,13 @@ def _after(
 
 
 def _objection(readings: Readings, *, alpha_is_read: bool = True) -> str:
-    return objection(readings, turns_per_volt_s=0.3, alpha_is_read=alpha_is_read)
+    found = objection(readings, turns_per_volt_s=0.3, alpha_is_read=alpha_is_read)
+    if found is None:
+        return ""
+    passes = found.error.endswith(": try again")
+    assert found.code == (RefusalCode.STALE if passes else RefusalCode.READINGS)
+    assert found.passes == passes
+    return found.error
 
 
 def test_a_rig_at_rest_may_be_armed() -> None:

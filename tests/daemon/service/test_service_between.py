@@ -18,6 +18,7 @@ import msgspec
 import pytest
 from armrig.rig.session import open_session
 from armrig_core.calibration import Calibration, Made, Potentiometer
+from armrig_core.codes import RefusalCode
 from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop
 from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Reset as AskedReset
@@ -138,7 +139,10 @@ def narrow(tmp_path: Path) -> Iterator[Between]:
 def _refusal(replies: Any) -> str:
     error = next(iter(replies)).err
     assert error is not None, "it was not refused"
-    return str(msgspec.json.decode(error.payload.to_bytes())["error"])
+    told = msgspec.json.decode(error.payload.to_bytes())
+    assert told["passes"] == RefusalCode(told["code"]).passes
+    assert told["passes"] == told["error"].endswith(": try again")
+    return str(told["error"])
 
 
 def _finished(between: Between) -> Path:
@@ -292,7 +296,7 @@ def test_a_run_is_planned_as_the_newest_lease_was_granted(
 ) -> None:
     """At its sampling time, and with numbers of its own; nothing is left of the lease before."""
     planned: list[float] = []
-    monkeypatch.setattr(between.commands, "_objection", lambda: "")
+    monkeypatch.setattr(between.commands, "_objection", lambda: None)
     monkeypatch.setattr(between.service._runs, "plan", lambda _, Ts, *__: planned.append(Ts))
     between.commands._n = 9
     between.ask(Arm(owner="a test", Ts=0.02))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_core.commands import TRY_AGAIN
+from armrig_core.codes import RefusalCode
 from armrig_daemon.service.token_bucket import BURST, PER_S, Bucket, refusal, take
 from hypothesis import given
 from hypothesis import strategies as st
@@ -61,5 +61,6 @@ def test_one_too_many_is_told_the_bound_and_that_it_passes() -> None:
     """A client asks again by itself."""
     told = refusal("status")
 
-    assert told == "status: too many queries, at most 200 a second are answered: try again"
-    assert told.endswith(TRY_AGAIN)
+    assert told.error == "status: too many queries, at most 200 a second are answered: try again"
+    assert (told.code, told.passes) == (RefusalCode.TOO_MANY, True)
+    assert told.parameters == {"per_s": 200}
