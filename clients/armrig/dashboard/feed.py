@@ -40,6 +40,8 @@ class News:
 
     rows: Rows
     """New bins."""
+    at_s: float
+    """When they were taken, in s of the server's monotonic clock."""
     age_s: float
     """How long ago the newest sample came, in s; inf before the first."""
     newest: Sample | None
@@ -195,8 +197,14 @@ class Feed:
         with self._lock:
             fresh = [*islice(reversed(self._rows), self._pieces - after)][::-1]
             rows = np.concatenate(fresh) if fresh else np.zeros((0, COLUMNS))
-            age_s = time.monotonic() - self._came_s
-            return News(rows=rows, age_s=age_s, newest=self._newest, pieces=self._pieces)
+            now_s = time.monotonic()
+            return News(
+                rows=rows,
+                at_s=now_s,
+                age_s=now_s - self._came_s,
+                newest=self._newest,
+                pieces=self._pieces,
+            )
 
     def timing(self) -> Timing:
         """Return how well the rig is timed."""

@@ -27,6 +27,7 @@ def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
     """Return what is new: rows, and the age of the newest sample."""
     limit_s = _STALE_S + 2 * (status.Ts if status else 0.0)
     return {
+        "at_s": round(news.at_s, 3),
         "age_s": round(news.age_s, 3) if isfinite(news.age_s) else None,
         "is_stale": not news.age_s <= limit_s,
         "rows": as_lists(news.rows) if news.rows.size else [],

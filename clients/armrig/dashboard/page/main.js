@@ -7,7 +7,7 @@ import { ask, attempt, byId, notice, owner, setText, show, token } from "./eleme
 import { LivePlots } from "./live_plots.js";
 import { setUpNote, takesBlank } from "./note.js";
 import { listRecordings, setUpRecordings } from "./recordings.js";
-import { setEdges, setUpStatus, showBusy, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
+import { begin as beginStatus, setUpStatus, showBusy, showLive, showLost, showStatus, showTiming, rigStatus } from "./status.js";
 import { Stream } from "./stream.js";
 
 const THEMES = ["system", "light", "dark"];
@@ -105,7 +105,7 @@ function begin() {
     {
       hello: (hello) => {
         plots.rows.begin();
-        setEdges(hello.late_us);
+        beginStatus(hello.late_us);
         document.body.classList.toggle("viewer", !hello.may_command);
         for (const part of document.querySelectorAll("[data-commands]")) part.hidden = !hello.may_command;
       },

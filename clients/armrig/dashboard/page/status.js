@@ -2,19 +2,22 @@
 
 import { FIGURES_MS, attempt, askJson, byId, make, notice, setText, show } from "./elements.js";
 
+const CLOCK_DRIFT = 2e-4; // between the clocks of two machines, at most
 const FIRST = ["phase", "fault", "to do", "motor", "owner", "Ts", "arm"];
 
 let status = { rows: [], trouble: "" };
 let edges = [];
 let age = null;
+let leastLate = Infinity; // of a message, in s between the clocks of server and browser
 let arrived = performance.now();
 let agedAt = -FIGURES_MS; // when the age was shown
 let stale = true;
 
 export const rigStatus = () => status;
 
-export function setEdges(found) {
-  edges = found;
+export function begin(lateEdges) {
+  edges = lateEdges;
+  leastLate = Infinity; // another server has another clock
 }
 
 export function showStatus(found) {
@@ -50,12 +53,20 @@ function showPhase() {
 
 export function showLive(live) {
   const isCalm = age !== null && !stale && !live.is_stale;
-  age = live.age_s;
+  const before = arrived;
   arrived = performance.now();
+  age = live.age_s === null ? null : live.age_s + delay(live.at_s, (arrived - before) / 1000);
   setStale(live.is_stale, age === null ? "No data from the rig yet" : `No data from the rig for ${seconds(age)}`, status.trouble || status.line);
   if (isCalm && arrived - agedAt < FIGURES_MS) return;
   agedAt = arrived;
   setText("age", age === null ? "none yet" : `${seconds(age)} old`);
+}
+
+// How much later than the quickest one a message came, in s: it waited in a slow network.
+function delay(at, since) {
+  const late = arrived / 1000 - at;
+  leastLate = Math.min(leastLate + CLOCK_DRIFT * since, late);
+  return late - leastLate;
 }
 
 export function showLost(silence, why) {
