@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import Asked, Emit, Event, Ordered, Received, Send, State, Want
 from armrig_daemon.pipe import Arm, Order, Run, Set
@@ -37,6 +39,16 @@ def driven() -> Bench:
     bench.order(Set(order=99, lease=LEASE, n=0, code=codes(1.0)[0] | codes(1.0)[1] << 8))
     bench.run_for(20)
     return bench
+
+
+def changed(thing: Any, **fields: object) -> Any:
+    """Return a state with these fields, wherever in it they are; of another struct, its own."""
+    for name in ("link", "configuration", "clock") if isinstance(thing, State) else ():
+        part = getattr(thing, name)
+        own = {f: fields.pop(f) for f in [*fields] if part and f in part.__struct_fields__}
+        if own:
+            fields[name] = replace(part, **own)
+    return replace(thing, **fields)
 
 
 def awaiting(state: State, want: Want, order: Order | None = None, **fields: int) -> State:
@@ -75,7 +87,7 @@ def ordered(bench: Bench, order: Order, state: State | None = None) -> Decided:
 def heard(bench: Bench, message: Message, state: State | None = None) -> Decided:
     """Return what the core makes of a message of the device."""
     event = Received(b"\0" + encode(message))
-    state = replace(state or bench.loop.state, pending=b"")
+    state = changed(state or bench.loop.state, pending=b"")
     return Decided(state, bench.ports.now, event)
 
 
@@ -84,7 +96,7 @@ def device_sample(state: State, **fields: int) -> DeviceSample:
     assert state.device is not None
     zero = DeviceSample._make([0] * len(DeviceSample._fields))
     known = {
-        "state": state.device_state,
+        "state": state.link.device_state,
         "boot": state.device.boot_id & 0xFFFF,
         "t_us": state.t_us & 0xFFFFFFFF,
     }

@@ -135,7 +135,7 @@ def test_a_device_that_answers_has_nothing_said_of_its_line() -> None:
     assert unanswered(silent) != ""
     assert unanswered(met.state) == ""
     again = Decided(replace(silent, asked=None, device=None), bench.ports.now, Tick(1 << 20, 0))
-    assert again.state.came.bytes == 0
+    assert again.state.link.came.bytes == 0
     assert again.state.asked is not None
     lost = Decided(silent, bench.ports.now, LinkDown("gone"))
     assert lost.told(StateRecord)[-1].line.startswith(
@@ -147,5 +147,5 @@ def _silent(bench: Bench) -> State:
     """Return the state of a bench whose device has not answered for long, but brought bytes."""
     line = _Line(lambda: b"x")
     line.run_for(WITHIN_MS)
-    assert line.state.came.bytes > 0
+    assert line.state.link.came.bytes > 0
     return line.state

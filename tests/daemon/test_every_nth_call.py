@@ -136,7 +136,7 @@ def test_a_port_that_does_not_open_again_is_tried_again(*, on: bool) -> None:
     _no_voltage_but_what_was_asked_for(world)
     assert world.calls["open"] > 2
     assert world.loop.state.phase is Phase.FAULT
-    assert world.loop.state.link_up is not on
+    assert (world.loop.state.link is None) is on
     assert sum("cannot be opened" in r.message for r in records if isinstance(r, Log)) == 1
 
 

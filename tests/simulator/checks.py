@@ -16,6 +16,7 @@ from armrig_core.telemetry import Sample
 from armrig_daemon import pipe
 from armrig_daemon.decisions.gaps import MOST_ABSENT
 from armrig_daemon.decisions.requests import MOST_BEATS
+from armrig_daemon.decisions.state import Link
 from armrig_daemon.decisions.state import State as CoreState
 from armrig_daemon.loop.outbox import MOST_WAITING
 from armrig_daemon.pipe import (
@@ -280,9 +281,10 @@ class Checks:
 
     def bounded(self, now_ns: int, state: CoreState, waiting: int) -> None:
         """Judge the size of what the loop keeps (R1)."""
-        kept = len(state.pending) <= LONGEST + 1 and len(state.sent) <= MAX_UNECHOED
+        link = state.link or Link()
+        kept = len(link.pending) <= LONGEST + 1 and len(link.sent) <= MAX_UNECHOED
         told = len(state.absent) <= MOST_ABSENT and waiting <= MOST_WAITING + _MOST_MORE
-        if not (kept and told and len(state.beats) <= MOST_BEATS):
+        if not (kept and told and len(link.beats) <= MOST_BEATS):
             raise Violation("R1", now_ns, f"more is kept than may be: {state}"[:600])
 
     def published(self, now_ns: int, sample: Sample) -> None:

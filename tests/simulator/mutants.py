@@ -91,8 +91,8 @@ _say_allows = Rules.allows
 
 def _fresh_by_arrival(state: Any, now_ns: int, message: Any) -> Any:
     after, done = _handle_reply(state, now_ns, message)
-    if after.fresh_ns != state.fresh_ns:
-        after = replace(after, fresh_ns=now_ns)
+    if after.link and state.link and after.link.fresh_ns != state.link.fresh_ns:
+        after = core_requests.linked(after, fresh_ns=now_ns)
     return after, done
 
 
@@ -183,7 +183,7 @@ def _unlatched(state: Any, now_ns: int, reason: str) -> Any:
     return replace(state, phase=Phase.SAFE), done
 
 
-def _only_said(state: Any, now_ns: int, *, driving: bool) -> Any:
+def _only_said(state: Any, now_ns: int, age_ns: int, *, driving: bool) -> Any:
     return state, []
 
 
@@ -203,9 +203,9 @@ def _out_of_fault_in_the_table(stack: ExitStack) -> None:
     stack.enter_context(patch.dict(phases.TRANSITIONS, {On.ARMED: ways}))
 
 
-def _all_beats(state: Any, now_ns: int, data: bytes) -> Any:
+def _all_beats(state: Any, now_ns: int, data: bytes, *exchange: Any) -> Any:
     with patch.object(core_requests, "MOST_BEATS", 1 << 20):
-        return _send(state, now_ns, data)
+        return _send(state, now_ns, data, *exchange)
 
 
 _send = core_requests.send

@@ -96,7 +96,7 @@ class WatchedLoop(Loop):
         state, checks = self.state, self._rig.checks
         checks.begin_tick(
             now_ns,
-            driving=state.phase in _DRIVING and state.link_up and state.device is not None,
+            driving=state.phase in _DRIVING and state.link is not None and state.device is not None,
             scheduled=state.scheduled and state.device_state == _RUN,
         )
         super()._step(now_ns, ticks)

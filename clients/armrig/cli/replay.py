@@ -94,7 +94,7 @@ def replay(path: str | Path) -> Replay:
             why = f"{content.damage}, and they would stand behind it"
         raise FileError(f"{path}: holds no steps of the daemon's core: {why}")
     try:
-        return _replayed(paths, content, first.state)
+        return _replayed(paths, content, first)
     except Exception as err:  # the core runs on what somebody wrote there: anything may be raised
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
         raise FileError(
@@ -107,9 +107,10 @@ def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
     return chain.from_iterable(streamed(path, "trace") for path in paths)
 
 
-def _replayed(paths: Sequence[Path], content: Content, begin: bytes) -> Replay:
+def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     manifest = manifest_of(content.metadata[RUN])
-    state = trace.restored(begin, _codes(paths[0], content, manifest))
+    codes = _codes(paths[0], content, manifest)
+    state = trace.restored(begin.state, codes, _version(begin))
     # Samples read together with the answer to START belong to the step before the first.
     k = content.samples["k"]
     compared = _Compared(content.samples[k > state.told], manifest)

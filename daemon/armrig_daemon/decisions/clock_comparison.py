@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from armrig_daemon.decisions import clockmap
 from armrig_daemon.decisions.budget import BITS_PER_BYTE, PING_US
-from armrig_daemon.decisions.state import Sent, State
+from armrig_daemon.decisions.state import Clock, Sent, State
 
 
 def by_pong(state: State, now_ns: int, pong: Pong) -> State:
@@ -24,8 +24,8 @@ def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
     The request had come `skew_us` before theta_1's trigger, where alpha was triggered; the answer
     began to leave one conversion after it.
     """
-    device = state.device
-    if device is None or now_ns - state.compared_ns < PING_US * 1000:
+    device, clock = state.device, state.clock
+    if device is None or clock is None or now_ns - clock.compared_ns < PING_US * 1000:
         return state
     rx_us, tx_us = (m.t_us - device.skew_us) & 0xFFFFFFFF, (m.t_us + device.skew_us) & 0xFFFFFFFF
     return _compared(state, (Exchange, DeviceSample), sent.sent_ns, rx_us, tx_us, now_ns)
@@ -42,8 +42,11 @@ def _compared(
     request_ns, answer_ns = (
         wire_length(way) * BITS_PER_BYTE * 1_000_000_000 // state.rules.baud for way in ways
     )
-    rx = clockmap.extend(state.device_us or rx_us, rx_us)
+    clock = state.clock
+    if clock is None:
+        return state
+    rx = clockmap.extend(clock.device_us or rx_us, rx_us)
     tx = clockmap.extend(rx, tx_us)
     # The time on the wire is known, and different for each pair of frames: it is taken off here.
-    clock = clockmap.update(state.clock, h1_ns + request_ns, rx, tx, h4_ns - answer_ns)
-    return replace(state, clock=clock, device_us=tx, compared_ns=h4_ns)
+    compared = clockmap.update(clock.map, h1_ns + request_ns, rx, tx, h4_ns - answer_ns)
+    return replace(state, clock=Clock(clock.boot_id, h4_ns, tx, compared))

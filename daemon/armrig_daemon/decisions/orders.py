@@ -68,7 +68,7 @@ def quit_(state: State, now_ns: int) -> Step:
     if state.quitting:
         return state, []
     state = replace(state, quitting=True)
-    if not state.link_up or state.device is None:
+    if state.link is None or state.device is None:
         state, done = end_run(state, now_ns)
         state, actions = leave(state)
         return state, done + actions
@@ -118,20 +118,21 @@ def _arm(state: State, now_ns: int, order: Arm) -> Step:
         return state, _refuse_in_fault(order, state)
     if state.lease is not None:
         return state, _refuse_as_held(order, state.lease)
-    if state.phase is not Phase.SAFE or state.device is None:
+    link = state.link
+    if state.phase is not Phase.SAFE or state.device is None or link is None:
         return state, refuse(order, NO_DEVICE, RefusalCode.NO_DEVICE)
     if state.asked is not None:
         return state, _refuse_as_busy(order, state.asked)
-    age_ns, limit_ns = now_ns - state.fresh_ns, state.rules.age_ns(state.ts_us)
+    age_ns, limit_ns = now_ns - link.fresh_ns, state.rules.age_ns(state.ts_us)
     if age_ns > limit_ns:
         text = f"no answer from the device for {age_ns / 1e6:.0f} ms: try again"
         return state, refuse(order, text, RefusalCode.STALE, age_ms=age_ns / 1e6)
     if not state.sampled_ns or now_ns - state.sampled_ns > limit_ns:
         text = f"no sample of the device in the last {limit_ns / 1e6:.0f} ms: try again"
         return state, refuse(order, text, RefusalCode.STALE, limit_ms=limit_ns / 1e6)
-    if state.device_state not in _AT_REST:
+    if link.device_state not in _AT_REST:
         # HELLO finds out what it is at, and leads back to rest.
-        error = f"the device is in {state_name(state.device_state)}, not at rest: try again"
+        error = f"the device is in {state_name(link.device_state)}, not at rest: try again"
         state, actions = ask(state, now_ns, Want.HELLO)
         return state, [*refuse(order, error, RefusalCode.NOT_AT_REST), *actions]
     return begin_arming(state, now_ns, order)

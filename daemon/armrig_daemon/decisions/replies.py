@@ -27,7 +27,7 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import clock_comparison, sampling, transitions
 from armrig_daemon.decisions.faults import Fault, Id, of_device
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import Step, ask, log, say_state, send
+from armrig_daemon.decisions.requests import Step, ask, linked, log, say_state, send
 from armrig_daemon.decisions.state import Action, Phase, RoundTrip, State, Want
 from armrig_daemon.decisions.stopping import end_run, trip
 
@@ -62,10 +62,11 @@ def handle(state: State, now_ns: int, message: Message) -> Step:
 
 
 def _pong(state: State, now_ns: int, pong: Pong) -> Step:
-    if pong.host_ns != state.ping_ns:
+    link = state.link
+    if link is None or pong.host_ns != link.ping_ns:
         return state, []  # an old one: it says nothing of now
     round_trip = RoundTrip(now_ns - pong.host_ns)
-    state = replace(state, fresh_ns=max(state.fresh_ns, pong.host_ns))
+    state = linked(state, fresh_ns=max(link.fresh_ns, pong.host_ns))
     state = clock_comparison.by_pong(state, now_ns, pong)
     state, done = transitions.note_state(state, now_ns, pong.state)
     return state, [round_trip, *done]
@@ -78,7 +79,7 @@ def _is_other_boot(state: State, boot: int) -> bool:
 def _rebooted(state: State, now_ns: int) -> Step:
     """Meet a device that has started anew: it is at 0 V and knows nothing of us."""
     was_driving = state.phase in (Phase.ARMED, Phase.ACTIVE)
-    state = replace(state, device=None, sent=(), device_state=0)
+    state = replace(linked(state, sent=(), device_state=0), device=None)
     done: list[Action] = []
     if was_driving:
         state, done = trip(state, now_ns, Fault(Id.RESET, "the device was reset"))
@@ -92,17 +93,17 @@ def _rebooted(state: State, now_ns: int) -> Step:
 
 
 def _ack(state: State, now_ns: int, ack: Ack) -> Step:
-    asked = state.asked
-    if asked is None or ack.of_seq != asked.seq:
+    asked, link = state.asked, state.link
+    if asked is None or link is None or ack.of_seq != asked.seq:
         return transitions.note_state(state, now_ns, ack.state)
     if ack.code == Code.OK:
         if ack.of_type == _TYPES[asked.want]:
-            state = replace(state, fresh_ns=max(state.fresh_ns, asked.sent_ns))
+            state = linked(state, fresh_ns=max(link.fresh_ns, asked.sent_ns))
         return transitions.note_state(state, now_ns, ack.state)
     if ack.code == Code.STALE:
         if asked.want is Want.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
             # Old frames hold it there, played again, and HELLO has to wait: STOP has not.
-            return send(state, now_ns, encode(Stop(0, state.seq)))
+            return send(state, now_ns, encode(Stop(0, link.seq)))
         return state, []  # it will be sent again, with a newer seq
     if asked.want is Want.STOP and state.phase is Phase.FAULT and ack.code == Code.WRONG_STATE:
         # It has stopped by itself, and its state says so; else STOP is sent again.
@@ -114,11 +115,11 @@ def _ack(state: State, now_ns: int, ack: Ack) -> Step:
 def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
     if _is_other_boot(state, event.boot):
         return _rebooted(state, now_ns)
-    state = replace(state, token=event.token)
+    state = linked(state, token=event.token)
     if event.token and state.phase is not Phase.FAULT:
         unit = "{} mV" if event.cause == Cause.VCC_LOW else "code {}"
         detail = f" ({unit.format(event.detail)})" if event.detail else ""
-        state = replace(state, device_state=event.state)
+        state = linked(state, device_state=event.state)
         cause = f"the device stopped by itself: {of_device(event.cause)}{detail}"
         fault = Fault(Id.DEVICE, cause)
         return trip(state, now_ns, fault)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from armrig_core.codes import RefusalCode
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import (
@@ -29,6 +31,7 @@ from armrig_daemon.decisions.state import (
     Emit,
     Rules,
     Send,
+    Sent,
     State,
     Traffic,
     Unechoed,
@@ -48,13 +51,25 @@ MANY_TRIES = 18
 """HELLOs without an answer, 0.1 s apart, after which a person is told."""
 
 
-def send(state: State, now_ns: int, data: bytes) -> Step:
-    """Send the frame that carries the present seq."""
-    beats = state.beats
-    if state.scheduled:
-        beats = (*beats[1 - MOST_BEATS :], Unechoed(state.seq, now_ns))
-    seq = (state.seq + 1) & 0xFFFF
-    return replace(state, seq=seq, any_ns=now_ns, beats=beats), [Send(data)]
+def linked(state: State, **changes: Any) -> State:
+    """Return the state with changes in its link; without a link nothing changes."""
+    link = state.link
+    return state if link is None else replace(state, link=replace(link, **changes))
+
+
+def send(state: State, now_ns: int, data: bytes, exchange: Sent | None = None) -> Step:
+    """Send the frame that carries the present seq; of an EXCHANGE the SAMPLE is awaited."""
+    link, in_force = state.link, state.configuration
+    if link is None:
+        return state, []
+    beats, sent = link.beats, link.sent
+    if in_force is not None and in_force.scheduled:
+        beats = (*beats[1 - MOST_BEATS :], Unechoed(link.seq, now_ns))
+    if exchange is not None:
+        sent = (*sent, exchange)
+    seq = (link.seq + 1) & 0xFFFF
+    link = replace(link, seq=seq, any_ns=now_ns, beats=beats, sent=sent)
+    return replace(state, link=link), [Send(data)]
 
 
 def log(now_ns: int, level: str, message: str, **fields: str) -> Action:
@@ -94,7 +109,7 @@ def device_facts(device: HelloReply | None) -> dict[str, object]:
 def motor(state: State) -> str:
     """Return what is known of the motor, for a person."""
     watchdog = f"its watchdog stops it within {state.rules.watchdog_ms} ms"
-    if state.device is None or not state.link_up:
+    if state.device is None or state.link is None:
         return f"not known, for the device does not answer; {watchdog}"
     if state.device_state != DeviceState.RUN:
         return "at 0 V, says the device"
@@ -105,12 +120,13 @@ def motor(state: State) -> str:
 
 def unanswered(state: State) -> str:
     """Return why there is no device that says who it is, and what to try, or nothing."""
-    if not state.link_up:
+    link = state.link
+    if link is None:
         return (
             "no rig is there, and the daemon waits for it: see that it is plugged in, and that "
             "this is its port"
         )
-    asked, came, baud = state.asked, state.came, state.rules.baud
+    asked, came, baud = state.asked, link.came, state.rules.baud
     if asked is None or asked.want is not Want.HELLO or asked.tries < MANY_TRIES:
         return ""
     if came.frames:
@@ -186,26 +202,31 @@ def ask(
 
     It takes the place of what was asked for before; whoever wished that is told.
     """
+    link, in_force = state.link, state.configuration
+    if link is None:
+        return replace(state, asked=None), refuse(order, "the link is down", RefusalCode.NO_LINK)
+    seq = link.seq
+    config_crc, nonce = (in_force.config_crc, in_force.nonce) if in_force else (0, 0)
     before = state.asked.order if state.asked else None
     overtaken = [] if before is order else _overtaken(before, want, state.outcome)
     if want is Want.HELLO and tries == 1:
-        state = replace(state, came=Traffic())
+        state = linked(state, came=Traffic())
     boot_id = state.device.boot_id if state.device else 0
     request: Message
     match want:
         case Want.HELLO:
-            request = Hello(0, state.seq, VERSION, SCHEMA_HASH)
+            request = Hello(0, seq, VERSION, SCHEMA_HASH)
         case Want.CONFIGURE:
-            request = config(state.rules, ts_us, state.seq, scheduled=scheduled)
+            request = config(state.rules, ts_us, seq, scheduled=scheduled)
         case Want.ARM:
-            request = Arm(0, state.seq, boot_id, state.config_crc, state.nonce)
+            request = Arm(0, seq, boot_id, config_crc, nonce)
         case Want.START:
-            request = Start(0, state.seq, state.run.samples if state.run else 0, state.nonce)
+            request = Start(0, seq, state.run.samples if state.run else 0, nonce)
         case Want.STOP:
-            request = Stop(0, state.seq)
+            request = Stop(0, seq)
         case Want.CLEAR:
-            request = ClearFault(0, state.seq, state.token)
-    asked = Asked(want, now_ns, state.seq, tries, ts_us, scheduled, order)
+            request = ClearFault(0, seq, link.token)
+    asked = Asked(want, now_ns, seq, tries, ts_us, scheduled, order)
     # A frame begins with a 00 of its own where the line may hold rubbish.
     lead = b"\0" if want is Want.HELLO else b""
     state, sending = send(replace(state, asked=asked), now_ns, lead + encode(request))

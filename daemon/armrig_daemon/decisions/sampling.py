@@ -17,8 +17,8 @@ from armrig_daemon.decisions import clock_comparison, gaps, setpoints, transitio
 from armrig_daemon.decisions.clockmap import extend, host_ns_at
 from armrig_daemon.decisions.conversion import converted, extended, is_older
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import Step, log
-from armrig_daemon.decisions.state import ActiveRun, Phase, Publish, RoundTrip, Sent, State
+from armrig_daemon.decisions.requests import Step, linked, log
+from armrig_daemon.decisions.state import ActiveRun, Link, Phase, Publish, RoundTrip, Sent, State
 from armrig_daemon.decisions.stopping import trip
 
 _RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # an enum's `&` makes an enum: 0.5 µs each time
@@ -43,26 +43,30 @@ class _Due(NamedTuple):
 
 def handle(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Return the state after a sample of the boot that we know."""
-    if state.scheduled and m.flags & _RUN:
+    link, in_force = state.link, state.configuration
+    if link is None:
+        return state, []
+    if in_force is not None and in_force.scheduled and m.flags & _RUN:
         return _handle_self_paced(state, now_ns, m)
-    return _handle_answer(state, now_ns, m)
+    return _handle_answer(state, link, now_ns, m)
 
 
-def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
+def _handle_answer(state: State, link: Link, now_ns: int, m: DeviceSample) -> Step:
     """Take the answer to an EXCHANGE; what answers none of ours is ignored, its state as well."""
-    at, device = _find_exchange(state.sent, m.k), state.device
-    if at is None or device is None or is_ahead(state, m.echo):
+    at, device = _find_exchange(link.sent, m.k), state.device
+    if at is None or device is None or is_ahead(link, m.echo):
         return state, []  # an old burst, or an echo of another host
     if _is_older_than_last(state, m):
         return state, []
-    sent, behind = state.sent[at], state.sent[at + 1 :]
+    sent, behind = link.sent[at], link.sent[at + 1 :]
     if sent.k <= state.told:
-        return replace(state, sent=behind), []  # overtaken: told as a gap already
-    for before in state.sent[:at]:
+        return linked(state, sent=behind), []  # overtaken: told as a gap already
+    for before in link.sent[:at]:
         state = gaps.note(state, gaps.lost(before, now_ns))
     expected = applied_code(sent.code, device.pwm_bits) if m.flags & _RUN else 0
     due = _Due(sent.k, sent.sched_ns, sent.sent_ns, sent.code, expected)
-    state, done = _publish(replace(state, sent=behind, fresh_ns=sent.sent_ns), now_ns, m, due)
+    link = replace(link, sent=behind, fresh_ns=sent.sent_ns)
+    state, done = _publish(state, link, state.run, now_ns, m, due)
     done.append(RoundTrip(now_ns - sent.sent_ns))
     state = clock_comparison.by_sample(state, now_ns, sent, m)
     # The state is looked at behind the sample: where the device has stopped, this one still counts.
@@ -97,25 +101,26 @@ def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 def _check_echo(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Trip where the device that we drive has heard somebody else: our own frames are stale now."""
-    if state.phase not in (_ARMED, _ACTIVE) or not is_ahead(state, m.echo):
+    link = state.link
+    if link is None or state.phase not in (_ARMED, _ACTIVE) or not is_ahead(link, m.echo):
         return state, []
-    cause = f"the device has heard frame {m.echo}, and the next of ours is {state.seq}"
+    cause = f"the device has heard frame {m.echo}, and the next of ours is {link.seq}"
     return trip(state, now_ns, Fault(Id.STATE, cause))
 
 
 def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take a sample of a scheduled run; one that came before, or belongs to none, is ignored."""
-    run, device = state.run, state.device
-    if run is None or run.k_first < 0 or device is None or not run.due <= m.k < run.samples:
+    run, device, link = state.run, state.device, state.link
+    if run is None or run.k_first < 0 or not run.due <= m.k < run.samples:
         return state, []
-    if _is_older_than_last(state, m):
+    if device is None or link is None or _is_older_than_last(state, m):
         return state, []
     code = run.code(m.k)
     expected = applied_code(code, device.pwm_bits)
     due = _Due(run.k_first + m.k, _sched_ns(state, run, m), now_ns, code, expected)
     state = setpoints.note_missing(state, run, m.k, now_ns)
-    state = replace(state, run=replace(run, due=m.k + 1))
-    state, done = _publish(state, now_ns, m, due, m.queued)
+    run = replace(run, due=m.k + 1)
+    state, done = _publish(state, link, run, now_ns, m, due, m.queued)
     state, actions = setpoints.note_queue(state, now_ns, m.k + 1, m.queued)
     done += actions
     if m.flags & _UNDERRUN:
@@ -128,24 +133,27 @@ def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
     """Return when a sample was due on our clock: by the map of the clocks, once there is one."""
-    if state.clock.weight and len(state.clock.round_trips) >= ENOUGH_EXCHANGES:
-        return host_ns_at(state.clock, extend(state.device_us, m.t_us))
+    clock = state.clock
+    if clock is not None and clock.map.weight and len(clock.map.round_trips) >= ENOUGH_EXCHANGES:
+        return host_ns_at(clock.map, extend(clock.device_us, m.t_us))
     return run.t_zero_ns + m.k * state.ts_us * 1000
 
 
 def note_echo(state: State, echo: int) -> State:
     """Take note that the device has heard the frame `echo`: that is what proves a round trip."""
-    if is_ahead(state, echo):
+    link = state.link
+    if link is None or is_ahead(link, echo):
         return state
-    newest = [b for b in state.beats if (echo - b.seq) & 0xFFFF < 0x8000]
+    newest = [b for b in link.beats if (echo - b.seq) & 0xFFFF < 0x8000]
     if not newest:
         return state
-    return replace(state, beats=state.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
+    link = replace(link, beats=link.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
+    return replace(state, link=link)
 
 
-def is_ahead(state: State, echo: int) -> bool:
+def is_ahead(link: Link, echo: int) -> bool:
     """Return whether `echo` is of a frame that we have not sent: another's, or an old one."""
-    return (echo - state.seq) & 0xFFFF < 0x8000
+    return (echo - link.seq) & 0xFFFF < 0x8000
 
 
 def _is_older_than_last(state: State, m: DeviceSample) -> bool:
@@ -153,14 +161,31 @@ def _is_older_than_last(state: State, m: DeviceSample) -> bool:
     return bool(state.sampled_ns) and is_older(state.t_us, m.t_us)
 
 
-def _publish(state: State, now_ns: int, m: DeviceSample, due: _Due, queued: int = -1) -> Step:
-    """Publish a sample, behind the gaps that it shows."""
+def _publish(
+    state: State,
+    link: Link,
+    run: ActiveRun | None,
+    now_ns: int,
+    m: DeviceSample,
+    due: _Due,
+    queued: int = -1,
+) -> Step:
+    """Publish a sample, behind the gaps that it shows; link and run are those with it."""
     state, done = gaps.tell_missing(state, due.k, now_ns, m.u_km1)
     t_us = extended(state.t_us, m.t_us)
     calibration = state.rules.calibration
     sample = converted(calibration, m, due.k, due.sched_ns, due.asked_ns, t_us, due.code)
     done.append(Publish(sample, queued))
-    return replace(state, sampled_ns=due.asked_ns, t_us=t_us, applied=m.u_k, told=due.k), done
+    state = replace(
+        state,
+        link=link,
+        run=run,
+        sampled_ns=due.asked_ns,
+        t_us=t_us,
+        applied=m.u_k,
+        told=due.k,
+    )
+    return state, done
 
 
 def _check_applied(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import gaps
 from armrig_daemon.decisions.budget import PING_US
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import Step, ask, send
+from armrig_daemon.decisions.requests import Step, ask, linked, send
 from armrig_daemon.decisions.state import Absent, Action, ActiveRun, Phase, Queue, State, Want
 from armrig_daemon.decisions.stopping import stop, trip
 from armrig_daemon.pipe import Run
@@ -57,12 +57,15 @@ def refill(state: State, now_ns: int) -> Step:
             return state, done + actions
         n = len(codes)
         codes += [0] * (SETPOINTS_PER_FRAME - n)
-        frame = encode(Setpoints(0, state.seq, sent, n, 0, tuple(codes)))
+        seq = state.link.seq if state.link else 0
+        frame = encode(Setpoints(0, seq, sent, n, 0, tuple(codes)))
         state, sending = send(state, now_ns, frame)
         done += sending
         moved_ns = now_ns if sent == queue.held else moved_ns
         sent += n
-    return replace(state, queue=replace(queue, sent=sent, moved_ns=moved_ns)), done
+    if sent != queue.sent or moved_ns != queue.moved_ns:  # at most ticks nothing was sent
+        state = replace(state, queue=replace(queue, sent=sent, moved_ns=moved_ns))
+    return state, done
 
 
 def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
@@ -103,9 +106,10 @@ def tick(state: State, now_ns: int) -> Step:
         # Given up, but it still drives: on and on, and its own watchdog beside it.
         return (state, []) if state.asked is not None else ask(state, now_ns, Want.STOP)
     state, done = refill(state, now_ns)
-    if now_ns - state.ping_ns >= PING_US * 1000:
-        ping = encode(Ping(0, state.seq, now_ns))
-        state, sending = send(replace(state, ping_ns=now_ns), now_ns, ping)
+    link = state.link
+    if link is not None and now_ns - link.ping_ns >= PING_US * 1000:
+        ping = encode(Ping(0, link.seq, now_ns))
+        state, sending = send(linked(state, ping_ns=now_ns), now_ns, ping)
         done += sending
     return state, done
 

@@ -200,6 +200,50 @@ class Unechoed(NamedTuple):
     sent_ns: int
 
 
+class Link(msgspec.Struct, frozen=True, gc=False):
+    """What an open port has brought and taken."""
+
+    pending: bytes = b""
+    """Bytes of a frame that has not ended."""
+    seq: int = 0
+    """Of the next frame to the device."""
+    any_ns: int = 0
+    """When the last frame was sent."""
+    sent: tuple[Sent, ...] = ()
+    beats: tuple[Unechoed, ...] = ()
+    """Scheduled: frames whose echo has not come yet."""
+    fresh_ns: int = 0
+    """When the newest frame was sent that the device has shown to have heard (S4)."""
+    ping_ns: int = 0
+    """When the device was last asked for its clock."""
+    came: Traffic = Traffic()
+    """Counted while HELLO is asked."""
+    device_state: int = 0
+    """What the device last said of its own state, as the wire numbers it."""
+    token: int = 0
+
+
+class Configuration(msgspec.Struct, frozen=True, gc=False):
+    """What the device has accepted last."""
+
+    ts_us: int
+    scheduled: bool
+    config_crc: int
+    nonce: int
+    """What ARM and START carry."""
+
+
+class Clock(msgspec.Struct, frozen=True, gc=False):
+    """The device's clock against ours, in one boot of it."""
+
+    boot_id: int
+    compared_ns: int = 0
+    """When they were last compared."""
+    device_us: int = 0
+    """The device's clock then, wraps undone."""
+    map: ClockMap = ClockMap()
+
+
 class State(msgspec.Struct, frozen=True, gc=False):
     """All that the core knows; a struct for speed (docs/decisions/0003)."""
 
@@ -207,44 +251,17 @@ class State(msgspec.Struct, frozen=True, gc=False):
     phase: Phase = Phase.INIT
     fault: Fault | None = None
     """Why the rig is latched; None in every other phase."""
-    ts_us: int = 0
+    quitting: bool = False
+    link: Link | None = None
+    """None while no port is open."""
+    device: HelloReply | None = None
+    asked: Asked | None = None
+    configuration: Configuration | None = None
+    """None until a device has accepted one."""
+    clock: Clock | None = None
+    """None until a device has been met."""
     pace_us: int = 0
     """Period of our ticks, in µs; a device that paces itself has ticks of its own."""
-    link_up: bool = False
-    quitting: bool = False
-    pending: bytes = b""
-    """Bytes of a frame that has not ended."""
-    seq: int = 0
-    """Of the next frame to the device."""
-    device: HelloReply | None = None
-    boot_id: int = 0
-    """Of the boot that the clocks were compared in."""
-    device_state: int = 0
-    """What the device last said of its own state, as the wire numbers it."""
-    token: int = 0
-    config_crc: int = 0
-    nonce: int = 0
-    """Of the newest CONFIG that the device accepted: what ARM and START carry."""
-    scheduled: bool = False
-    """The configuration in force is of scheduled mode."""
-    asked: Asked | None = None
-    came: Traffic = Traffic()
-    """Counted while HELLO is asked."""
-    sent: tuple[Sent, ...] = ()
-    fresh_ns: int = 0
-    """When the newest frame was sent that the device has shown to have heard (S4)."""
-    sampled_ns: int = 0
-    """When the newest sample was asked for, or came by itself; 0 where this link has seen none."""
-    any_ns: int = 0
-    """When the last frame was sent."""
-    clock: ClockMap = ClockMap()
-    """The device's clock against ours."""
-    device_us: int = 0
-    """The device's clock at the last comparison, wraps undone."""
-    compared_ns: int = 0
-    """When that was."""
-    ping_ns: int = 0
-    """When the device was last asked for its clock."""
     tick_ns: int = 0
     """When the last tick was done."""
     service_ns: int = 0
@@ -259,15 +276,31 @@ class State(msgspec.Struct, frozen=True, gc=False):
     """Code that the device last said it latched."""
     t_us: int = 0
     """Device clock of the last sample, wraps undone."""
+    sampled_ns: int = 0
+    """When the newest sample was asked for, or came by itself; 0 where this link has seen none."""
     lease: Lease | None = None
     run: ActiveRun | None = None
     queue: Queue | None = None
-    beats: tuple[Unechoed, ...] = ()
-    """Scheduled: frames whose echo has not come yet."""
     outcome: str = ""
     """How the run ends; it has ended once the device has stopped."""
     code: int = 0
     """Held by hand."""
+
+    @property
+    def ts_us(self) -> int:
+        """Return the sampling time in force, in µs."""
+        configuration = self.configuration
+        return self.rules.ts_us if configuration is None else configuration.ts_us
+
+    @property
+    def scheduled(self) -> bool:
+        """Return whether the configuration in force is of scheduled mode."""
+        return self.configuration is not None and self.configuration.scheduled
+
+    @property
+    def device_state(self) -> int:
+        """Return what the device last said of its own state, as the wire numbers it."""
+        return 0 if self.link is None else self.link.device_state
 
     @property
     def reason(self) -> str:

@@ -19,13 +19,14 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import gaps, orders, replies, setpoints, transitions
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import Step, ask, log, refuse, say_state, send
+from armrig_daemon.decisions.requests import Step, ask, linked, log, refuse, say_state, send
 from armrig_daemon.decisions.state import (
     Absent,
     Action,
     Beat,
     Emit,
     Event,
+    Link,
     LinkDown,
     LinkUp,
     Ordered,
@@ -44,6 +45,7 @@ from armrig_daemon.pipe import RunStarted
 
 ARMED_NS = 10_000_000_000
 """How long the rig may be held armed without a command, at 0 V, in ns."""
+_NEVER = 1 << 62
 _NOISE = (Spoilt, Unknown)
 # By names of their own: an enum's member, looked up in it, takes 0.08 µs each time.
 _RUN, _ARMED, _ACTIVE = DeviceState.RUN, Phase.ARMED, Phase.ACTIVE
@@ -52,7 +54,7 @@ _DRIVING = (_ARMED, _ACTIVE)
 
 def start(rules: Rules) -> State:
     """Return the state before anything has happened."""
-    return State(rules=rules, ts_us=rules.ts_us, pace_us=rules.ts_us)
+    return State(rules=rules, pace_us=rules.ts_us)
 
 
 def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
@@ -68,7 +70,8 @@ def wake_ns(state: State) -> int:
     """Return when the core wants a `Beat`, should nothing happen before."""
     if state.asked is not None:
         return transitions.retry_ns(state.asked)
-    return state.any_ns + state.rules.watchdog_ms * 1_000_000 // 3
+    link = state.link
+    return _NEVER if link is None else link.any_ns + state.rules.watchdog_ms * 1_000_000 // 3
 
 
 def _one(state: State, now_ns: int, event: Event) -> Step:
@@ -82,8 +85,7 @@ def _one(state: State, now_ns: int, event: Event) -> Step:
         case Ordered():
             return orders.handle(state, now_ns, event.order)
         case LinkUp():
-            state = replace(state, link_up=True, pending=b"", sent=(), seq=0)
-            return ask(state, now_ns, Want.HELLO)
+            return ask(replace(state, link=Link()), now_ns, Want.HELLO)
         case LinkDown():
             return _link_down(state, now_ns, event.reason)
         case ServiceGone():
@@ -93,7 +95,7 @@ def _one(state: State, now_ns: int, event: Event) -> Step:
 def _link_down(state: State, now_ns: int, reason: str) -> Step:
     order = state.asked.order if state.asked else None
     done = refuse(order, f"link lost: {reason}", RefusalCode.NO_LINK)
-    state = replace(state, link_up=False, device=None, asked=None, sent=(), pending=b"")
+    state = replace(state, link=None, device=None, asked=None)
     if state.quitting:
         state, actions = leave(state)
         return state, done + actions
@@ -107,13 +109,16 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
 
 
 def _received(state: State, now_ns: int, data: bytes) -> Step:
-    pending, received = feed(state.pending, data)
-    if pending != state.pending:
-        state = replace(state, pending=pending)
+    link = state.link
+    if link is None:
+        return state, []
+    pending, received = feed(link.pending, data)
+    if pending != link.pending:
+        state = linked(state, pending=pending)
     if state.asked is not None and state.asked.want is Want.HELLO:
         sound = sum(not isinstance(message, _NOISE) for message in received)
-        came = Traffic(state.came.bytes + len(data), state.came.frames + sound)
-        state = replace(state, came=came)
+        came = Traffic(link.came.bytes + len(data), link.came.frames + sound)
+        state = linked(state, came=came)
     done: list[Action] = []
     for message in received:
         if isinstance(message, _NOISE):
@@ -128,10 +133,13 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
 def _beat(state: State, now_ns: int) -> Step:
     if state.asked is not None:
         return transitions.retry(state, now_ns)
-    drives = state.device_state == _RUN
-    if not state.link_up or (drives and (setpoints.is_stopping(state) or _lapsed(state, now_ns))):
-        return replace(state, any_ns=now_ns), []  # nothing that would feed its watchdog
-    return send(state, now_ns, encode(Keepalive(0, state.seq)))
+    link = state.link
+    if link is None:
+        return state, []
+    drives = link.device_state == _RUN
+    if drives and (setpoints.is_stopping(state) or _lapsed(state, now_ns)):
+        return linked(state, any_ns=now_ns), []  # nothing that would feed its watchdog
+    return send(state, now_ns, encode(Keepalive(0, link.seq)))
 
 
 def _lapsed(state: State, now_ns: int) -> bool:
@@ -152,7 +160,10 @@ def _has_run_out(state: State, now_ns: int) -> bool:
 
 def _is_self_paced(state: State) -> bool:
     """Tell whether the device plays a schedule by its own clock."""
-    return state.scheduled and state.device_state == _RUN
+    in_force, link = state.configuration, state.link
+    if in_force is None or link is None:
+        return False
+    return in_force.scheduled and link.device_state == _RUN
 
 
 def _tick(state: State, now_ns: int, tick: Tick) -> Step:
@@ -163,16 +174,17 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     if skipped > 0 and not self_paced:
         state = _skip(state, tick.k - skipped, skipped, now_ns, "the host was late")
     state = replace(state, k=tick.k, tick_ns=now_ns)
-    if not state.link_up:
+    link = state.link
+    if link is None:
         return state, done
     if state.device is None:
         if state.asked is not None:
             return transitions.retry(state, now_ns)  # where a line is never quiet there is no beat
         # A HELLO that a STOP has overtaken must not be the last one (T1).
         return ask(state, now_ns, Want.HELLO)
-    rules, driving = state.rules, state.phase in _DRIVING
+    rules, driving, ts_us = state.rules, state.phase in _DRIVING, state.ts_us
     fault: Fault | None = None
-    if pause_ns > rules.pause_ns(state.ts_us, scheduled=self_paced):
+    if pause_ns > rules.pause_ns(ts_us, scheduled=self_paced):
         fault = Fault(Id.PAUSE, f"the host paused for {pause_ns / 1e6:.0f} ms")
     elif rules.stop_after and skipped >= rules.stop_after and not self_paced:
         cause = f"{skipped} ticks in a row were missed: {rules.stop_after} are allowed"
@@ -182,36 +194,38 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     if driving and fault:
         state, actions = trip(state, now_ns, fault)
         return state, done + actions
-    if now_ns - state.fresh_ns > rules.age_ns(state.ts_us, scheduled=self_paced):
-        state, actions = _stale(state, now_ns, driving=driving)
+    if now_ns - link.fresh_ns > rules.age_ns(ts_us, scheduled=self_paced):
+        state, actions = _stale(state, now_ns, now_ns - link.fresh_ns, driving=driving)
         return state, done + actions
     if self_paced:
         state, actions = setpoints.tick(state, now_ns)
         return state, done + actions
     if state.run is not None and state.run.scheduled and state.run.k_first >= 0:
         return state, done  # it has stopped, but not ended: our count goes on behind its last
-    if len(state.sent) >= MAX_UNECHOED:
+    if len(link.sent) >= MAX_UNECHOED:
         # Never more stale commands in the line than this; the age above ends it.
         return _skip(state, tick.k, 1, now_ns, "the device was late"), done
     state, code, actions = _decide(state, now_ns, tick.k)
     done += actions
-    sent = Sent(state.seq, tick.k, tick.sched_ns, now_ns, code)
-    state, actions = send(state, now_ns, encode(Exchange(0, state.seq, tick.k & 0xFFFFFFFF, code)))
-    return replace(state, sent=(*state.sent, sent)), done + actions
+    seq = link.seq if state.link is None else state.link.seq
+    sent = Sent(seq, tick.k, tick.sched_ns, now_ns, code)
+    frame = encode(Exchange(0, seq, tick.k & 0xFFFFFFFF, code))
+    state, actions = send(state, now_ns, frame, sent)
+    return state, done + actions
 
 
 def _skip(state: State, k: int, count: int, now_ns: int, reason: str) -> State:
     return gaps.note(state, Absent(k, count, reason, None, state.tick_ns, now_ns))
 
 
-def _stale(state: State, now_ns: int, *, driving: bool) -> Step:
-    age_ms = (now_ns - state.fresh_ns) / 1e6
+def _stale(state: State, now_ns: int, age_ns: int, *, driving: bool) -> Step:
+    age_ms = age_ns / 1e6
     if driving:
         cause = f"no answer from the device for {age_ms:.0f} ms"
         return trip(state, now_ns, Fault(Id.STALE, cause))
     if state.asked is not None:
         return state, []
-    state = moved(state, On.LOST, sent=(), device=None)
+    state = moved(linked(state, sent=()), On.LOST, device=None)
     state, actions = ask(state, now_ns, Want.HELLO)
     text = f"no answer from the device for {age_ms:.0f} ms; asking who is there"
     return state, [log(now_ns, "warning", text), say_state(state, now_ns), *actions]

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import gaps
 from armrig_daemon.decisions.faults import Fault, sentence
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import Step, ask, log, refuse, say_state
+from armrig_daemon.decisions.requests import Step, ask, linked, log, refuse, say_state
 from armrig_daemon.decisions.state import Absent, Emit, Exit, Phase, Repace, State, Want
 from armrig_daemon.pipe import Order, RunEnded
 
@@ -17,12 +17,13 @@ def end_run(state: State, now_ns: int) -> Step:
     """Say that the run is over, once no sample of it can come any more."""
     queue, run = state.queue, state.run
     done = refuse(queue.order, state.outcome or "stopped", RefusalCode.OVERTAKEN) if queue else []
-    state = replace(state, queue=None, beats=())
+    state = replace(linked(state, beats=()), queue=None)
     if run is None:
         return replace(state, outcome=""), done
     if run.k_first >= 0:
         end = run.k_first + min(run.due, run.samples)
-        for sent in (s for s in state.sent if s.k < end):
+        waiting = state.link.sent if state.link else ()
+        for sent in (s for s in waiting if s.k < end):
             state = gaps.note(state, gaps.lost(sent, now_ns))
         if run.scheduled and state.phase is Phase.FAULT:
             # What the device would have sampled by now, had it not stopped.
@@ -33,7 +34,7 @@ def end_run(state: State, now_ns: int) -> Step:
             run, end = replace(run, due=run.due + n), end + n
         state, actions = gaps.tell_missing(state, end, now_ns)
         done += actions
-        state = replace(state, sent=tuple(s for s in state.sent if s.k >= end))
+        state = linked(state, sent=tuple(s for s in waiting if s.k >= end))
     if run.scheduled and run.k_first >= 0:
         # The device has counted on its own: our ticks go on behind its last sample.
         k = run.k_first + run.due - 1
@@ -58,7 +59,7 @@ def trip(state: State, now_ns: int, fault: Fault) -> Step:
     """Go to 0 V and latch: only a reset, then arm, leads out (S6)."""
     outcome = state.outcome or fault.cause
     state = moved(state, On.TRIPPED, fault=fault, lease=None, code=0, outcome=outcome)
-    if state.link_up:
+    if state.link is not None:
         state, done = ask(state, now_ns, Want.STOP)
     else:
         # No way to tell the device: its own watchdog stops it.

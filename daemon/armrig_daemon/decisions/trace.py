@@ -7,7 +7,7 @@ A trace begins with the state in which the run started and holds the arguments o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import msgspec
 from msgspec.structs import replace
@@ -28,6 +28,7 @@ from armrig_daemon.decisions.state import (
 )
 from armrig_daemon.pipe import Arm, Leased, Order, Orders, Run
 
+T = TypeVar("T")
 VERSION = 2
 """Of the words in which a trace is written; `trace_v1` reads those of before."""
 CHUNK = 3000
@@ -50,9 +51,9 @@ class Step(NamedTuple):
 
 _Written = list[tuple[int, list[tuple[int, bytes]], list[bytes]]]
 _ENCODER, _STEPS = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(_Written)
-_STATE = msgspec.msgpack.Decoder(State)
+_STATE_OF = {1: trace_v1.state_of, VERSION: msgspec.msgpack.Decoder(State).decode}
 _EVENTS = [msgspec.msgpack.Decoder(kind) for kind in _KINDS]
-_ORDERS_OF = {1: trace_v1.order_of, VERSION: msgspec.msgpack.Decoder(Orders).decode}
+_ORDER_OF = {1: trace_v1.order_of, VERSION: msgspec.msgpack.Decoder(Orders).decode}
 
 
 class Chunk(NamedTuple):
@@ -138,27 +139,31 @@ def written_state(state: State) -> bytes:
     )
 
 
-def restored(data: bytes, codes: bytes) -> State:
+def restored(data: bytes, codes: bytes, version: int = VERSION) -> State:
     """Return the state in `written_state`'s bytes, with the codes of its run.
 
     Raises
     ------
     msgspec.DecodeError
-        They are not the bytes of this release's state.
+        They are not the bytes of a state, or the version is not known.
     """
-    state = _STATE.decode(data)
+    state = _known(_STATE_OF, version)(data)
     return state if state.run is None else replace(state, run=replace(state.run, codes=codes))
 
 
 def steps_of(chunk: bytes, version: int = VERSION) -> list[Step]:
     """Return the steps of a chunk; raises as `restored`."""
-    order_of = _ORDERS_OF.get(version)
-    if order_of is None:
-        raise msgspec.DecodeError(f"trace of version {version}: 1 to {VERSION} are known")
+    order_of = _known(_ORDER_OF, version)
     return [
         Step(now_ns, tuple(_event(number, data, order_of) for number, data in events), tuple(sent))
         for now_ns, events, sent in _STEPS.decode(chunk)
     ]
+
+
+def _known(readers: dict[int, Callable[[bytes], T]], version: int) -> Callable[[bytes], T]:
+    if version not in readers:
+        raise msgspec.DecodeError(f"trace of version {version}: 1 to {VERSION} are known")
+    return readers[version]
 
 
 def _written_event(event: Event, lease: str) -> bytes:

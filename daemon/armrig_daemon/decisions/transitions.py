@@ -19,7 +19,6 @@ from msgspec.structs import replace
 
 from armrig_daemon.decisions import setpoints
 from armrig_daemon.decisions.budget import check, exchange_us
-from armrig_daemon.decisions.clockmap import ClockMap
 from armrig_daemon.decisions.faults import OF_DEVICE, Fault, Id, of_device, sentence
 from armrig_daemon.decisions.phases import On, moved
 from armrig_daemon.decisions.requests import (
@@ -29,6 +28,7 @@ from armrig_daemon.decisions.requests import (
     answer,
     ask,
     config,
+    linked,
     log,
     refuse,
     say_state,
@@ -38,6 +38,8 @@ from armrig_daemon.decisions.state import (
     Action,
     ActiveRun,
     Asked,
+    Clock,
+    Configuration,
     Emit,
     Lease,
     Phase,
@@ -70,10 +72,6 @@ def retry(state: State, now_ns: int) -> Step:
     asked = state.asked
     if asked is None or now_ns < retry_ns(asked):
         return state, []
-    if not state.link_up:
-        return replace(state, asked=None), refuse(
-            asked.order, "the link is down", RefusalCode.NO_LINK
-        )
     if asked.want is Want.HELLO or asked.tries < _TRIES:
         state, actions = ask(
             state,
@@ -133,9 +131,10 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
     ended : bool, default False
         The frame tells of the end of a run, at its k_stop.
     """
-    before = state.device_state
+    link = state.link
+    before = 0 if link is None else link.device_state
     if reported != before:
-        state = replace(state, device_state=reported)
+        state = linked(state, device_state=reported)
     if state.asked is not None:
         reached = {
             Want.ARM: reported == DeviceState.ARMED,
@@ -207,7 +206,7 @@ def _started(state: State, now_ns: int, asked: Asked) -> Step:
     if state.lease is None or not isinstance(order, Run | Set):
         return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
     # The lease counts from the command, however long its START took.
-    state = moved(state, On.STARTED, outcome="", code=0, beats=())
+    state = moved(linked(state, beats=()), On.STARTED, outcome="", code=0)
     done = [say_state(state, now_ns), *answer(order, {"done": True})]
     if isinstance(order, Set):
         return replace(state, code=order.code), done
@@ -251,15 +250,14 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
         return state, []  # nobody asked: it proves no round trip
     if reply.state == DeviceState.BOOT:
         return state, []  # it is still starting up: the question stands, and is asked again
-    if state.boot_id != reply.boot_id:  # its clock has begun anew
-        state = replace(state, boot_id=reply.boot_id, clock=ClockMap(), device_us=0, t_us=0)
-        state = replace(state, device=None)
+    clock = state.clock
+    if clock is None or clock.boot_id != reply.boot_id:  # its clock has begun anew
+        clock = Clock(reply.boot_id, clock.compared_ns if clock else 0)
+        state = replace(state, clock=clock, t_us=0, device=None)
     if state.device is None:
         state = replace(state, sampled_ns=0)  # the samples before were another link's, or boot's
-    state = replace(
-        state,
-        asked=None,
-        device=reply,
+    state = linked(
+        replace(state, asked=None, device=reply),
         token=reply.token,
         device_state=reply.state,
         fresh_ns=asked.sent_ns,
@@ -314,11 +312,17 @@ def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
 def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     """Take the device's answer to CONFIG, which carries what it really accepted."""
     asked = state.asked
-    if asked is not None and asked.want is Want.ARM and _is_renewed(state, reply):
+    in_force = state.configuration
+    if (
+        asked is not None
+        and asked.want is Want.ARM
+        and in_force is not None
+        and _is_renewed(in_force, reply)
+    ):
         # CONFIG was sent twice, for its answer was late: only the nonce of the second arms.
         if asked.tries >= _TRIES:
             return state, []
-        state = replace(state, nonce=reply.nonce)
+        state = replace(state, configuration=replace(in_force, nonce=reply.nonce))
         return ask(state, now_ns, Want.ARM, asked.order, tries=asked.tries + 1)
     if asked is None or asked.want is not Want.CONFIGURE:
         return state, []
@@ -335,16 +339,13 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     arms = isinstance(asked.order, Arm | Run)
     # The pace begins anew here: the ticks before it say nothing of the new period. Which of our
     # frames it answers it does not say, so that it proves no round trip to who wants to drive.
+    accepted = Configuration(asked.ts_us, asked.scheduled, reply.config_crc, reply.nonce)
+    proven = {} if arms else {"fresh_ns": asked.sent_ns}
     state = replace(
-        state,
+        linked(state, beats=(), **proven),
         asked=None,
-        config_crc=reply.config_crc,
-        nonce=reply.nonce,
-        ts_us=asked.ts_us,
+        configuration=accepted,
         pace_us=pace_us,
-        scheduled=asked.scheduled,
-        beats=(),
-        fresh_ns=state.fresh_ns if arms else asked.sent_ns,
         tick_ns=now_ns,
     )
     done: list[Action] = [] if before_us == pace_us else [Repace(pace_us, state.k + 1)]
@@ -358,10 +359,10 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     return state, [*done, say_state(state, now_ns), *answer(asked.order, {"done": True})]
 
 
-def _is_renewed(state: State, reply: ConfigReply) -> bool:
+def _is_renewed(in_force: Configuration, reply: ConfigReply) -> bool:
     """Return whether the configuration in force was accepted once more, under another nonce."""
-    same = reply.code == Code.OK and reply.config_crc == state.config_crc
-    return same and reply.nonce != state.nonce
+    same = reply.code == Code.OK and reply.config_crc == in_force.config_crc
+    return same and reply.nonce != in_force.nonce
 
 
 def begin_arming(state: State, now_ns: int, order: Arm) -> Step:

@@ -95,9 +95,10 @@ class Loop:
         timing = self._meter.each_second(now, self.ports.collections)
         if timing is not None:
             self._outbox.put(timing)
-            clock = clock_record(self.state.clock, now)
-            if clock is not None:
-                self._outbox.put(clock)
+            clock = self.state.clock
+            record = None if clock is None else clock_record(clock.map, now)
+            if record is not None:
+                self._outbox.put(record)
 
     def _step(self, now_ns: int, events: list[Event]) -> None:
         self.state, actions = step.step(self.state, now_ns, events)

@@ -16,7 +16,7 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import HelloReply
 from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
-from msgspec.structs import replace
+from decision_states import changed
 from virtual_bench import LEASE, Bench, codes
 
 
@@ -93,7 +93,7 @@ def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
     """The age of the round trip, before the tick that would find it."""
     rig = Bench()
     stale_ns = rig.ports.now - 60_000_000
-    rig.loop.state = replace(rig.loop.state, fresh_ns=stale_ns)
+    rig.loop.state = changed(rig.loop.state, fresh_ns=stale_ns)
 
     rig.order(Arm(order=9, owner="a student", lease=LEASE, ts_us=0))
     rig.loop._step(rig.ports.now, rig.ports.wait(rig.ports.now))

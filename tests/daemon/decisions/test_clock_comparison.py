@@ -14,8 +14,7 @@ from armrig_daemon.decisions.state import Sent, State
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Flag, Ping, Pong
 from armrig_protocol.messages import Sample as DeviceSample
-from decision_states import device_sample, rested
-from msgspec.structs import replace
+from decision_states import changed, device_sample, rested
 
 NOW = 9_000_000_000
 WRAP = 1 << 32
@@ -29,8 +28,8 @@ def _fresh(**fields: object) -> State:
     """Return a state in which the clocks have not been compared, on a line of 500 kBd."""
     state = rested().loop.state
     assert state.rules.baud == 500_000
-    nothing = {"clock": ClockMap(), "device_us": 0, "compared_ns": 0}
-    return replace(state, **{**nothing, **fields})
+    nothing = {"map": ClockMap(), "device_us": 0, "compared_ns": 0}
+    return changed(state, **{**nothing, **fields})
 
 
 def test_a_pong_gives_its_own_two_stamps() -> None:
@@ -40,8 +39,8 @@ def test_a_pong_gives_its_own_two_stamps() -> None:
     after = clock_comparison.by_pong(_fresh(), NOW, pong)
 
     h1, h4 = pong.host_ns + _on_the_wire_ns(Ping), NOW - _on_the_wire_ns(Pong)
-    assert after.clock == clockmap.update(ClockMap(), h1, 1000, 1060, h4)
-    assert (after.device_us, after.compared_ns) == (1060, NOW)
+    assert after.clock.map == clockmap.update(ClockMap(), h1, 1000, 1060, h4)
+    assert (after.clock.device_us, after.clock.compared_ns) == (1060, NOW)
 
 
 @pytest.mark.parametrize(("t_us", "rx", "tx"), [(5001, 4897, 5105), (51, WRAP - 53, WRAP + 155)])
@@ -57,8 +56,8 @@ def test_a_sample_was_asked_for_one_conversion_before_its_trigger(
     after = clock_comparison.by_sample(state, NOW, sent, device_sample(state, t_us=t_us))
 
     h1, h4 = sent.sent_ns + _on_the_wire_ns(Exchange), NOW - _on_the_wire_ns(DeviceSample)
-    assert after.clock == clockmap.update(ClockMap(), h1, rx, tx, h4)
-    assert after.device_us == tx
+    assert after.clock.map == clockmap.update(ClockMap(), h1, rx, tx, h4)
+    assert after.clock.device_us == tx
 
 
 def test_the_device_s_clock_is_followed_through_its_wraps() -> None:
@@ -67,7 +66,7 @@ def test_the_device_s_clock_is_followed_through_its_wraps() -> None:
 
     after = clock_comparison.by_pong(state, NOW, Pong(3, 0, NOW - 2_000_000, 200, 260))
 
-    assert after.device_us == 7 * WRAP + 260
+    assert after.clock.device_us == 7 * WRAP + 260
 
 
 @pytest.mark.parametrize(("since_ns", "compares"), [(PING_US * 1000, True), (0, False)])
@@ -80,7 +79,7 @@ def test_samples_compare_the_clocks_no_more_often_than_pings_would(
         sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
         after = clock_comparison.by_sample(state, NOW, sent, device_sample(state, t_us=5000))
         assert (after != state) == (compares and not lack)
-    gone = replace(state, device=None, compared_ns=0)
+    gone = changed(state, device=None, compared_ns=0)
     assert clock_comparison.by_sample(gone, NOW, sent, device_sample(state, t_us=5000)) == gone
 
 

@@ -25,8 +25,7 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import Exchange, Flag
 from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
-from decision_states import device_sample
-from msgspec.structs import replace
+from decision_states import changed, device_sample
 from virtual_bench import LEASE, MS, Bench, codes
 
 RUN = [2.0] * 400
@@ -141,14 +140,14 @@ def test_a_sample_that_was_told_as_a_gap_is_not_told_again() -> None:
     bench.ports.from_device = lambda data: b""
     bench.run_for(11)
     state, now = bench.loop.state, bench.ports.now
-    (sent, *_) = state.sent
+    (sent, *_) = state.link.sent
     late = device_sample(state, k=sent.k)
 
     assert len(_take(state, now, late)) == 1
-    told = replace(state, told=sent.k, sent=(sent, *state.sent))
+    told = changed(state, told=sent.k, sent=(sent, *state.link.sent))
     after, actions = step.step(told, now, [Received(b"\0" + encode(late))])
     assert [a for a in actions if isinstance(a, Publish)] == []
-    assert after.sent == state.sent
+    assert after.link.sent == state.link.sent
 
 
 def test_a_sample_of_an_old_run_does_not_begin_a_new_one() -> None:
@@ -159,7 +158,7 @@ def test_a_sample_of_an_old_run_does_not_begin_a_new_one() -> None:
     old = device_sample(state, k=state.run.due, flags=int(Flag.RUN))
 
     assert len(_take(state, bench.ports.now, old)) == 1
-    waiting = replace(state, run=replace(state.run, k_first=-1))
+    waiting = changed(state, run=changed(state.run, k_first=-1))
     assert _take(waiting, bench.ports.now, old) == []
 
 
@@ -167,8 +166,8 @@ def test_a_sample_of_an_old_run_does_not_begin_a_new_one() -> None:
 def test_a_run_that_has_stopped_but_not_ended_is_not_sampled_by_the_host(ended: bool) -> None:
     """Its k would be given twice: the count goes on behind the run's last sample."""
     bench = playing(600)
-    stopped = replace(bench.loop.state, device_state=int(DeviceState.READY), phase=Phase.FAULT)
-    state = replace(stopped, run=None) if ended else stopped
+    stopped = changed(bench.loop.state, device_state=int(DeviceState.READY), phase=Phase.FAULT)
+    state = changed(stopped, run=None) if ended else stopped
     now = bench.ports.now + 10 * MS
 
     _, actions = step.step(state, now, [Tick(state.k + 1, now)])

@@ -5,11 +5,21 @@ from __future__ import annotations
 from armrig_core.calibration import Calibration
 from armrig_daemon.decisions import replies, sampling, step
 from armrig_daemon.decisions.faults import Id
-from armrig_daemon.decisions.state import Asked, Phase, Rules, Send, State, Unechoed, Want
+from armrig_daemon.decisions.state import (
+    Asked,
+    Configuration,
+    Link,
+    Phase,
+    Rules,
+    Send,
+    State,
+    Unechoed,
+    Want,
+)
 from armrig_protocol.decoder import feed
 from armrig_protocol.messages import Ack, Code, Flag, Sample, Stop
 from armrig_protocol.messages import State as DeviceState
-from msgspec.structs import replace
+from decision_states import changed
 
 RULES = Rules(
     u_min=0,
@@ -28,15 +38,16 @@ RULES = Rules(
 def _with_beats(*seqs: int) -> State:
     """Return a state that has sent these frames, one a ms, and seen no echo of them."""
     beats = tuple(Unechoed(seq, 1_000_000 * i) for i, seq in enumerate(seqs, 1))
-    return replace(step.start(RULES), scheduled=True, beats=beats, seq=(seqs[-1] + 1) & 0xFFFF)
+    link = Link(beats=beats, seq=(seqs[-1] + 1) & 0xFFFF)
+    return changed(step.start(RULES), configuration=Configuration(5_000, True, 0, 0), link=link)
 
 
 def test_the_echo_of_a_frame_of_ours_proves_a_round_trip() -> None:
     """Also across the wrap of seq; what was sent later is not proven yet."""
     state = sampling.note_echo(_with_beats(65_534, 65_535, 0, 1), 0)
 
-    assert state.fresh_ns == 3_000_000
-    assert [b.seq for b in state.beats] == [1]
+    assert state.link.fresh_ns == 3_000_000
+    assert [b.seq for b in state.link.beats] == [1]
 
 
 def test_an_echo_ahead_of_all_that_was_sent_proves_nothing() -> None:
@@ -56,10 +67,9 @@ def _sample(echo: int) -> Sample:
 
 def test_an_old_frame_that_the_device_has_heard_stops_the_motor() -> None:
     """At once: later, when as many frames were sent, its echo would look like one of ours (S4)."""
-    before = replace(
+    before = changed(
         _with_beats(60, 61, 62, 63),
         phase=Phase.ACTIVE,
-        link_up=True,
         device_state=DeviceState.RUN,
     )
 
@@ -76,7 +86,7 @@ def test_an_old_frame_that_the_device_has_heard_stops_the_motor() -> None:
 def test_a_device_that_drives_and_takes_no_hello_is_stopped() -> None:
     """Old frames hold it in RUN and make HELLO stale: STOP takes effect whatever its seq (S2)."""
     asked = Asked(Want.HELLO, 0, 1, 1, 0, False, None)
-    before = replace(step.start(RULES), phase=Phase.FAULT, link_up=True, asked=asked, seq=2)
+    before = changed(step.start(RULES), phase=Phase.FAULT, link=Link(seq=2), asked=asked)
     stale = Ack(DeviceState.RUN, 9, 1, Code.STALE, 1)
 
     after, actions = replies.handle(before, 5_000_000, stale)

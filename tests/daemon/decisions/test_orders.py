@@ -22,11 +22,11 @@ from decision_states import (
     Decided,
     armed,
     awaiting,
+    changed,
     driven,
     ordered,
     rested,
 )
-from msgspec.structs import replace
 from virtual_bench import LEASE, MS, Bench, codes
 
 
@@ -37,7 +37,7 @@ def _refusal(bench: Bench, order: Order, state: State | None = None) -> str:
     assert answer.order == order.order
     assert len(decided.actions) == 1
     before = state or bench.loop.state
-    assert decided.state == replace(before, service_ns=bench.ports.now)
+    assert decided.state == changed(before, service_ns=bench.ports.now)
     assert answer.code is not None
     assert answer.code.passes == answer.error.endswith(": try again")
     return str(answer.error)
@@ -59,11 +59,11 @@ def test_an_order_to_end_that_is_given_twice_is_followed_once() -> None:
     assert again.state == once.state
 
 
-@pytest.mark.parametrize("gone", [{"link_up": False}, {"device": None}])
+@pytest.mark.parametrize("gone", [{"link": None}, {"device": None}])
 def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> None:
     """A run that was on is told as ended before the exit."""
     bench = driven()
-    state = replace(
+    state = changed(
         bench.loop.state, run=ActiveRun("r", codes(1.0), -1), outcome="unplugged", **gone
     )
 
@@ -77,7 +77,7 @@ def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> N
 def test_a_rig_that_is_ending_is_not_armed() -> None:
     """The exit is not put off."""
     bench = rested()
-    assert "ending" in _refusal(bench, ARM, replace(bench.loop.state, quitting=True))
+    assert "ending" in _refusal(bench, ARM, changed(bench.loop.state, quitting=True))
 
 
 @pytest.mark.parametrize("want", list(Want))
@@ -95,7 +95,7 @@ def test_a_rig_is_taken_once_its_device_is_met_and_configured(change: dict[str, 
     """INIT is not yet, and no device is not at all."""
     bench = rested()
 
-    text = _refusal(bench, ARM, replace(bench.loop.state, **change))
+    text = _refusal(bench, ARM, changed(bench.loop.state, **change))
 
     assert text == NO_DEVICE
 
@@ -103,7 +103,7 @@ def test_a_rig_is_taken_once_its_device_is_met_and_configured(change: dict[str, 
 def test_a_rig_that_is_held_is_not_taken() -> None:
     """The refusal names who holds it; in fault, what is wrong."""
     bench = armed()
-    fault = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
+    fault = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
 
     assert (
         _refusal(bench, ARM)
@@ -115,18 +115,18 @@ def test_a_rig_that_is_held_is_not_taken() -> None:
 def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
     """S4: 50 ms at Ts 10 ms, and not a nanosecond more."""
     bench = rested()
-    old = replace(bench.loop.state, fresh_ns=bench.ports.now - 50 * MS)
+    old = changed(bench.loop.state, fresh_ns=bench.ports.now - 50 * MS)
 
     assert ordered(bench, ARM, old).told(Answer) == []
-    assert "no answer" in _refusal(bench, ARM, replace(old, fresh_ns=old.fresh_ns - 1))
+    assert "no answer" in _refusal(bench, ARM, changed(old, fresh_ns=old.link.fresh_ns - 1))
 
 
 def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
     """None at all, as on a new link, and none for longer than the round trip may take."""
     bench = rested()
-    none = replace(bench.loop.state, sampled_ns=0)
-    oldest = replace(none, sampled_ns=bench.ports.now - 50 * MS)
-    older = replace(none, sampled_ns=oldest.sampled_ns - 1)
+    none = changed(bench.loop.state, sampled_ns=0)
+    oldest = changed(none, sampled_ns=bench.ports.now - 50 * MS)
+    older = changed(none, sampled_ns=oldest.sampled_ns - 1)
 
     text = "no sample of the device in the last 50 ms: try again"
     assert _refusal(bench, ARM, none) == text
@@ -139,7 +139,7 @@ def test_a_device_that_is_not_at_rest_is_asked_who_it_is(state: DeviceState) -> 
     """Refused, and led back by HELLO."""
     bench = rested()
 
-    decided = ordered(bench, ARM, replace(bench.loop.state, device_state=int(state)))
+    decided = ordered(bench, ARM, changed(bench.loop.state, device_state=int(state)))
 
     (answer,) = decided.told(Answer)
     assert answer.error == f"the device is in {state.name}, not at rest: try again"
@@ -150,7 +150,7 @@ def test_a_device_that_is_not_at_rest_is_asked_who_it_is(state: DeviceState) -> 
 
 
 def _in_fault(bench: Bench, device_state: DeviceState = DeviceState.IDLE) -> State:
-    return replace(bench.loop.state, phase=Phase.FAULT, device_state=int(device_state))
+    return changed(bench.loop.state, phase=Phase.FAULT, device_state=int(device_state))
 
 
 def test_a_reset_where_nothing_is_latched_is_answered_at_once() -> None:
@@ -166,7 +166,7 @@ def test_a_reset_where_nothing_is_latched_is_answered_at_once() -> None:
 def test_a_reset_needs_a_device() -> None:
     """Without one there is nothing to see that the cause is gone."""
     bench = rested()
-    state = replace(_in_fault(bench), device=None)
+    state = changed(_in_fault(bench), device=None)
 
     assert _refusal(bench, Reset(order=8), state) == NO_DEVICE
 
@@ -191,7 +191,7 @@ def test_a_reset_waits_for_the_stop() -> None:
 def test_a_reset_asks_the_device_to_leave_what_it_latched(state: DeviceState, asks: type) -> None:
     """By its token; where only the daemon has latched, HELLO begins anew."""
     bench = rested()
-    latched = replace(_in_fault(bench, state), token=12345)
+    latched = changed(_in_fault(bench, state), token=12345)
 
     (sent,) = ordered(bench, Reset(order=8), latched).sent
 
@@ -218,8 +218,8 @@ def test_a_calibration_is_taken_at_rest_and_changes_nothing_but_how_samples_are_
 
     assert [a.body for a in decided.told(Answer)] == [{"done": True}]
     assert len(decided.actions) == 1
-    rules = replace(before.rules, calibration=OTHER)
-    assert decided.state == replace(before, rules=rules, service_ns=bench.ports.now)
+    rules = changed(before.rules, calibration=OTHER)
+    assert decided.state == changed(before, rules=rules, service_ns=bench.ports.now)
 
 
 def test_the_next_sample_is_shown_by_the_calibration_taken() -> None:
@@ -249,14 +249,14 @@ def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:
     """In fault, before the device is met, on the way to an arming, and until a stop is done."""
     bench = rested()
     state = bench.loop.state
-    fault = replace(state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
+    fault = changed(state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
     not_yet = "the rig is not at rest yet: try again"
 
     assert _refusal(bench, CALIBRATE, fault) == "in fault (it ran out): mend it, then reset"
-    assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.INIT)) == NO_DEVICE
+    assert _refusal(bench, CALIBRATE, changed(state, phase=Phase.INIT)) == NO_DEVICE
     arming = awaiting(state, Want.CONFIGURE, ARM)
     assert _refusal(bench, CALIBRATE, arming) == not_yet
-    assert _refusal(bench, CALIBRATE, replace(state, phase=Phase.ACTIVE)) == not_yet
+    assert _refusal(bench, CALIBRATE, changed(state, phase=Phase.ACTIVE)) == not_yet
 
 
 # -- the stop ------------------------------------------------------------------------------------
@@ -269,7 +269,7 @@ def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:
 def test_a_stop_where_nothing_turns_is_done_at_once(change: dict[str, object]) -> None:
     """Nobody waits for a device that is at 0 V, or out of our reach."""
     bench = driven()
-    decided = ordered(bench, pipe.Stop(order=6), replace(bench.loop.state, **change))
+    decided = ordered(bench, pipe.Stop(order=6), changed(bench.loop.state, **change))
 
     assert [a.body for a in decided.told(Answer)] == [{"done": True}]
     assert decided.sent == []
@@ -311,7 +311,7 @@ def test_a_stop_that_another_overtakes_is_granted(order: pipe.Stop | pipe.Disarm
 def test_a_lease_holds_where_the_rig_is_armed_only(phase: Phase) -> None:
     """S5: whatever is left of it elsewhere moves nothing."""
     bench = armed()
-    assert "not the lease" in _refusal(bench, SET, replace(bench.loop.state, phase=phase))
+    assert "not the lease" in _refusal(bench, SET, changed(bench.loop.state, phase=phase))
 
 
 def test_numbers_grow_by_one_at_least() -> None:
@@ -319,10 +319,10 @@ def test_numbers_grow_by_one_at_least() -> None:
     bench = armed()
     state = bench.loop.state
     assert state.lease is not None
-    at_7 = replace(state, lease=replace(state.lease, n=7))
+    at_7 = changed(state, lease=changed(state.lease, n=7))
 
-    assert "n=7 must be greater than the last, 7" in _refusal(bench, replace(SET, n=7), at_7)
-    assert ordered(bench, replace(SET, n=8), at_7).told(Answer) == []
+    assert "n=7 must be greater than the last, 7" in _refusal(bench, changed(SET, n=7), at_7)
+    assert ordered(bench, changed(SET, n=8), at_7).told(Answer) == []
 
 
 def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
@@ -348,7 +348,7 @@ def test_a_voltage_in_force_is_changed_without_another_start() -> None:
 def test_no_hand_on_a_running_experiment() -> None:
     """Its input is its own."""
     bench = driven()
-    state = replace(bench.loop.state, run=ActiveRun("r", codes(1.0), -1))
+    state = changed(bench.loop.state, run=ActiveRun("r", codes(1.0), -1))
 
     assert "experiment r is running" in _refusal(bench, SET, state)
 
@@ -361,14 +361,14 @@ def test_no_experiment_while_the_motor_is_driven_by_hand() -> None:
 def test_no_second_experiment_while_the_first_fills_its_queue() -> None:
     """Armed, but not free."""
     bench = armed()
-    state = replace(bench.loop.state, run=ActiveRun("first", codes(1.0), -1, scheduled=True))
+    state = changed(bench.loop.state, run=ActiveRun("first", codes(1.0), -1, scheduled=True))
 
     assert "first is about to start" in _refusal(bench, RUN, state)
 
 
 def test_an_experiment_of_no_sample_is_none() -> None:
     """It would start the motor and never end."""
-    assert "empty" in _refusal(armed(), replace(RUN, codes=b""))
+    assert "empty" in _refusal(armed(), changed(RUN, codes=b""))
 
 
 def test_a_device_without_scheduled_mode_is_not_asked_for_it() -> None:
@@ -376,11 +376,11 @@ def test_a_device_without_scheduled_mode_is_not_asked_for_it() -> None:
     bench = armed()
     state = bench.loop.state
     assert state.device is not None
-    exchanging = replace(state, device=state.device._replace(capabilities=1))
+    exchanging = changed(state, device=state.device._replace(capabilities=1))
 
-    assert "no scheduled mode" in _refusal(bench, replace(RUN, scheduled=True), exchanging)
+    assert "no scheduled mode" in _refusal(bench, changed(RUN, scheduled=True), exchanging)
     assert "no scheduled mode" in _refusal(
-        bench, replace(RUN, scheduled=True), replace(state, device=None)
+        bench, changed(RUN, scheduled=True), changed(state, device=None)
     )
 
 
@@ -402,7 +402,7 @@ def test_a_step_by_hand_of_more_than_the_slew_is_refused(volts: float, allowed: 
     bench.order(pipe.Set(order=99, lease=LEASE, n=0, code=code_of(1.0)))
     bench.run_for(20)
 
-    (answer,) = ordered(bench, replace(SET, code=code_of(volts))).told(Answer)
+    (answer,) = ordered(bench, changed(SET, code=code_of(volts))).told(Answer)
 
     assert answer.error == ("" if allowed else "u steps by 1.1 V: at most 1 V in a sample")
 
@@ -411,7 +411,7 @@ def test_an_experiment_is_played_by_its_own_way() -> None:
     """Exchanged by START at once, scheduled by way of a STOP; each kept with its order."""
     bench = armed()
     for scheduled, want in ((False, Want.START), (True, Want.STOP)):
-        order: pipe.Run = replace(RUN, scheduled=scheduled)
+        order: pipe.Run = changed(RUN, scheduled=scheduled)
         asked = ordered(bench, order).state.asked
         assert asked is not None
         assert (asked.want, asked.order) == (want, order)

@@ -38,12 +38,12 @@ from decision_states import (
     Decided,
     armed,
     awaiting,
+    changed,
     device_sample,
     driven,
     heard,
     rested,
 )
-from msgspec.structs import replace
 from virtual_bench import MS
 
 
@@ -51,7 +51,7 @@ def _event(state: State, **fields: int) -> Event:
     """Return an EVENT of the device that is met, into the state that it is in."""
     assert state.device is not None
     zero = Event._make([0] * len(Event._fields))
-    known = {"state": state.device_state, "boot": state.device.boot_id & 0xFFFF}
+    known = {"state": state.link.device_state, "boot": state.device.boot_id & 0xFFFF}
     return zero._replace(**{**known, **fields})
 
 
@@ -59,7 +59,7 @@ def _event(state: State, **fields: int) -> Event:
 
 
 def _pong(state: State, **fields: int) -> Pong:
-    known = {"state": state.device_state, "seq": 0, "host_ns": state.ping_ns}
+    known = {"state": state.link.device_state, "seq": 0, "host_ns": state.link.ping_ns}
     return Pong(**{**known, "rx_us": 100, "tx_us": 150, **fields})
 
 
@@ -67,44 +67,44 @@ def test_an_ack_of_the_very_request_proves_a_round_trip() -> None:
     """S4: one of another frame, or a refusal, does not; nor does it make younger what was older."""
     bench = rested()
     now = bench.ports.now
-    fresh = replace(bench.loop.state, fresh_ns=now - 40 * MS)
+    fresh = changed(bench.loop.state, fresh_ns=now - 40 * MS)
     state = awaiting(fresh, Want.ARM, sent_ns=now - 3 * MS)
     assert state.asked is not None
     seq = state.asked.seq
     ack = Ack(int(DeviceState.READY), 0, TYPES[Arm], int(Code.OK), seq)
 
-    assert heard(bench, ack, state).state.fresh_ns == now - 3 * MS
-    younger = replace(state, fresh_ns=now - 1 * MS)
-    assert heard(bench, ack, younger).state.fresh_ns == now - 1 * MS
+    assert heard(bench, ack, state).state.link.fresh_ns == now - 3 * MS
+    younger = changed(state, fresh_ns=now - 1 * MS)
+    assert heard(bench, ack, younger).state.link.fresh_ns == now - 1 * MS
     for other in (
         ack._replace(of_seq=seq + 1),
         ack._replace(of_type=TYPES[Stop]),
         ack._replace(code=int(Code.STALE)),
     ):
-        assert heard(bench, other, state).state.fresh_ns == now - 40 * MS
+        assert heard(bench, other, state).state.link.fresh_ns == now - 40 * MS
 
 
 def test_the_answer_to_the_newest_ping_proves_a_round_trip() -> None:
     """S4: as old as the question is; it never makes younger what was proved before."""
     bench = rested()
     now = bench.ports.now
-    state = replace(bench.loop.state, ping_ns=now - 7 * MS, fresh_ns=now - 40 * MS)
+    state = changed(bench.loop.state, ping_ns=now - 7 * MS, fresh_ns=now - 40 * MS)
 
     younger = heard(bench, _pong(state), state)
-    older = heard(bench, _pong(state), replace(state, fresh_ns=now - 1 * MS))
+    older = heard(bench, _pong(state), changed(state, fresh_ns=now - 1 * MS))
 
     assert younger.of(RoundTrip) == [RoundTrip(7 * MS)]
-    assert younger.state.fresh_ns == now - 7 * MS
-    assert younger.state.compared_ns == now
-    assert older.state.fresh_ns == now - 1 * MS
+    assert younger.state.link.fresh_ns == now - 7 * MS
+    assert younger.state.clock.compared_ns == now
+    assert older.state.link.fresh_ns == now - 1 * MS
 
 
 def test_an_answer_to_an_older_ping_says_nothing_of_now() -> None:
     """S4: a burst after a pause must not count as fresh."""
     bench = rested()
-    state = replace(bench.loop.state, ping_ns=bench.ports.now - 7 * MS)
+    state = changed(bench.loop.state, ping_ns=bench.ports.now - 7 * MS)
 
-    decided = heard(bench, _pong(state, host_ns=state.ping_ns - 1), state)
+    decided = heard(bench, _pong(state, host_ns=state.link.ping_ns - 1), state)
 
     assert decided.actions == []
     assert decided.state == state
@@ -133,8 +133,8 @@ def test_a_device_that_starts_anew_at_rest_is_met_again(by: str) -> None:
     decided = heard(bench, news)
 
     assert (decided.state.phase, decided.state.device) == (Phase.INIT, None)
-    assert decided.state.sent == ()
-    assert decided.state.device_state == 0
+    assert decided.state.link.sent == ()
+    assert decided.state.link.device_state == 0
     assert [type(m) for m in decided.sent] == [Hello]
     assert [log.message for log in decided.told(Log)] == ["the device was reset"]
     assert [s.phase for s in decided.told(StateRecord)] == ["init"]
@@ -160,7 +160,7 @@ def test_a_device_that_starts_anew_while_it_drives_is_a_fault(by: str) -> None:
 def test_a_reset_of_the_device_leaves_a_latched_fault_as_it_is() -> None:
     """The first cause is the one that is told."""
     bench = rested()
-    state = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
+    state = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
     assert state.device is not None
 
     decided = heard(bench, _event(state, boot=(state.device.boot_id + 1) & 0xFFFF), state)
@@ -194,8 +194,8 @@ def test_a_device_that_latches_is_told_with_its_own_cause(
     decided = heard(bench, event)
 
     assert decided.state.fault == Fault(Id.DEVICE, f"the device stopped by itself: {words}")
-    assert decided.state.token == 7
-    assert decided.state.device_state == DeviceState.FAULT
+    assert decided.state.link.token == 7
+    assert decided.state.link.device_state == DeviceState.FAULT
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_a_device_that_has_stopped_itself_need_not_take_our_stop(
 ) -> None:
     """S6: it is no error, and the fault stands; while the device drives, STOP is sent again."""
     bench = driven()
-    latched = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.DEVICE, "REV_LIMIT"))
+    latched = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.DEVICE, "REV_LIMIT"))
     state = awaiting(latched, Want.STOP)
     refusal = Ack(int(at), 0, TYPES[Stop], int(Code.WRONG_STATE), OURS)
 
@@ -222,13 +222,13 @@ def test_a_device_that_has_stopped_itself_need_not_take_our_stop(
 def test_a_device_that_latches_after_our_own_trip_gives_its_token_only() -> None:
     """A reset needs it; the cause is known already."""
     bench = rested()
-    state = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
+    state = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
     event = _event(state, token=7)._replace(state=int(DeviceState.FAULT))
 
     decided = heard(bench, event, state)
 
     assert decided.state.fault == Fault(Id.LEASE, "ran out")
-    assert decided.state.token == 7
+    assert decided.state.link.token == 7
 
 
 # -- scheduled runs ------------------------------------------------------------------------------
@@ -245,9 +245,9 @@ def test_a_queue_without_a_device_starts_nothing() -> None:
     """It is gone: what it held says nothing any more."""
     bench = armed()
     now = bench.ports.now
-    filling, _ = setpoints.begin(bench.loop.state, now, replace(RUN, scheduled=True))
+    filling, _ = setpoints.begin(bench.loop.state, now, changed(RUN, scheduled=True))
 
-    gone, actions = setpoints.note_queue(replace(filling, device=None), now, 0, 2)
+    gone, actions = setpoints.note_queue(changed(filling, device=None), now, 0, 2)
     there, (start,) = setpoints.note_queue(filling, now, 0, 2)
 
     assert (gone.asked, actions) == (None, [])
@@ -260,7 +260,7 @@ def test_a_start_carries_the_length_of_the_run() -> None:
     """The device ends by itself, whatever becomes of us."""
     bench = armed()
     now = bench.ports.now
-    filling, _ = setpoints.begin(bench.loop.state, now, replace(RUN, scheduled=True))
+    filling, _ = setpoints.begin(bench.loop.state, now, changed(RUN, scheduled=True))
 
     started, _ = setpoints.note_queue(filling, now, 0, 2)
 
@@ -276,12 +276,12 @@ def test_a_start_carries_the_length_of_the_run() -> None:
 def test_a_link_that_goes_while_the_daemon_ends_does_not_hold_it_up() -> None:
     """No STOP will be confirmed any more."""
     bench = driven()
-    state = replace(bench.loop.state, quitting=True)
+    state = changed(bench.loop.state, quitting=True)
 
     decided = Decided(state, bench.ports.now, LinkDown("unplugged"))
 
     assert decided.actions == [Exit()]
-    assert not decided.state.link_up
+    assert decided.state.link is None
 
 
 def _sent() -> Sent:
@@ -292,13 +292,13 @@ def _sent() -> Sent:
 def test_a_link_that_goes_at_rest_is_no_fault(phase: Phase) -> None:
     """S6: what was latched stays so, the rest begins anew."""
     bench = rested()
-    state = replace(bench.loop.state, phase=phase, pending=b"half a fra", sent=(_sent(),))
+    state = changed(bench.loop.state, phase=phase, pending=b"half a fra", sent=(_sent(),))
 
     decided = Decided(state, bench.ports.now, LinkDown("unplugged"))
 
     after = decided.state
     assert after.phase is (Phase.FAULT if phase is Phase.FAULT else Phase.INIT)
-    assert (after.device, after.asked, after.sent, after.pending) == (None, None, (), b"")
+    assert (after.device, after.asked, after.link) == (None, None, None)
     assert after.fault is None
     assert [log.message for log in decided.told(Log)] == ["no link: unplugged"]
     assert decided.told(RunEnded) == []
@@ -307,15 +307,15 @@ def test_a_link_that_goes_at_rest_is_no_fault(phase: Phase) -> None:
 def test_nothing_keeps_a_motor_on_that_is_to_stop() -> None:
     """S4: no KEEPALIVE while it still drives; one at rest, for whoever listens there."""
     bench = driven()
-    latched = replace(bench.loop.state, phase=Phase.FAULT)
-    at_rest = replace(latched, device_state=int(DeviceState.IDLE))
+    latched = changed(bench.loop.state, phase=Phase.FAULT)
+    at_rest = changed(latched, device_state=int(DeviceState.IDLE))
     now = bench.ports.now
 
     silent = Decided(latched, now, Beat())
     assert silent.sent == []
-    assert silent.state == replace(latched, any_ns=now)
+    assert silent.state == changed(latched, any_ns=now)
     assert [type(m) for m in Decided(at_rest, now, Beat()).sent] == [Keepalive]
-    assert Decided(replace(at_rest, link_up=False), now, Beat()).sent == []
+    assert Decided(changed(at_rest, link=None), now, Beat()).sent == []
 
 
 def test_no_keepalive_before_the_tick_that_stops() -> None:
@@ -331,11 +331,11 @@ def test_no_keepalive_before_the_tick_that_stops() -> None:
         (pause_ns + 1, lease_ns, False),
         (pause_ns, lease_ns + 1, False),
     ):
-        held = replace(lease, renewed_ns=now - run_out_ns)
-        paused = replace(state, tick_ns=now - paused_ns, lease=held)
+        held = changed(lease, renewed_ns=now - run_out_ns)
+        paused = changed(state, tick_ns=now - paused_ns, lease=held)
         assert bool(Decided(paused, now, Beat()).sent) == keeps
-    plays = replace(state, lease=replace(lease, renewed_ns=now - lease_ns - 1), run=RUN)
-    assert Decided(replace(plays, tick_ns=now), now, Beat()).sent
+    plays = changed(state, lease=changed(lease, renewed_ns=now - lease_ns - 1), run=RUN)
+    assert Decided(changed(plays, tick_ns=now), now, Beat()).sent
 
 
 def test_a_stop_is_a_stop_in_every_phase() -> None:

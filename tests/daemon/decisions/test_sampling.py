@@ -23,8 +23,7 @@ from armrig_daemon.decisions.state import (
 from armrig_daemon.pipe import Answer, Gap, Log, RunEnded, RunStarted
 from armrig_protocol.messages import Config, Flag, Setpoints, Stop
 from armrig_protocol.messages import State as DeviceState
-from decision_states import Decided, awaiting, device_sample, driven, heard, rested
-from msgspec.structs import replace
+from decision_states import Decided, awaiting, changed, device_sample, driven, heard, rested
 from virtual_bench import LEASE, MS, Bench, codes
 
 RUN, UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)
@@ -35,7 +34,7 @@ def _asked(bench: Bench, ms: float = 21) -> State:
     """Return the state after two exchanges that nothing answered."""
     bench.ports.from_device = lambda data: b""
     bench.run_for(ms)
-    assert len(bench.loop.state.sent) == 2
+    assert len(bench.loop.state.link.sent) == 2
     return bench.loop.state
 
 
@@ -46,7 +45,7 @@ def _playing() -> Bench:
     run = codes(*[2.0] * 400)
     bench.order(pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=run, scheduled=True))
     bench.run_for(400)
-    assert bench.loop.state.device_state == DeviceState.RUN
+    assert bench.loop.state.link.device_state == DeviceState.RUN
     return bench
 
 
@@ -58,14 +57,14 @@ def _duty(state: State, code: int) -> int:
 
 def _answer(bench: Bench, now: State, at: int = 0, **fields: int) -> Decided:
     """Return what follows from the answer to an EXCHANGE."""
-    return heard(bench, device_sample(now, k=now.sent[at].k)._replace(**fields), now)
+    return heard(bench, device_sample(now, k=now.link.sent[at].k)._replace(**fields), now)
 
 
 def _due(bench: Bench, now: State, ahead: int = 0, **fields: int) -> Decided:
     """Return what follows from the sample of the run that is due next, or one `ahead` of it."""
     assert now.run is not None
     u = _duty(now, now.run.code(0))
-    known = {"k": now.run.due + ahead, "flags": RUN, "u_k": u, "u_km1": u, "echo": now.seq - 1}
+    known = {"k": now.run.due + ahead, "flags": RUN, "u_k": u, "u_km1": u, "echo": now.link.seq - 1}
     return heard(bench, device_sample(now)._replace(**{**known, **fields}), now)
 
 
@@ -90,14 +89,14 @@ def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
     """S5: only a device with a queue can run out of setpoints; here 0 is no code of ours either."""
     bench = driven()
     state = _asked(bench)
-    commanded = _duty(state, state.sent[0].code) if flags & RUN else 0
+    commanded = _duty(state, state.link.sent[0].code) if flags & RUN else 0
 
     wrong = _answer(bench, state, u_k=commanded + 64, flags=flags)
     right = _answer(bench, state, u_k=commanded, flags=flags)
 
     assert wrong.state.fault is not None
     assert wrong.state.fault.id is Id.APPLIED
-    assert f"where {state.sent[0].code} was commanded" in wrong.state.fault.cause
+    assert f"where {state.link.sent[0].code} was commanded" in wrong.state.fault.cause
     assert [type(m) for m in wrong.sent] == [Stop]
     assert right.state.fault is None
 
@@ -105,7 +104,7 @@ def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
 def test_a_run_that_plays_wrong_codes_in_a_fault_is_stopped_again_at_once() -> None:
     """S5, S6: it still drives by its own queue, so that STOP goes out with each such sample."""
     bench = _playing()
-    latched = replace(bench.loop.state, phase=Phase.FAULT, fault=LATCHED)
+    latched = changed(bench.loop.state, phase=Phase.FAULT, fault=LATCHED)
     stopping = awaiting(latched, Want.STOP, tries=4, sent_ns=bench.ports.now)
 
     wrong = _due(bench, stopping, u_k=9)
@@ -138,12 +137,12 @@ def test_an_exchange_is_as_fresh_as_its_question() -> None:
     """S4: what it answers was sent then, whenever it comes and whatever it has heard."""
     bench = driven()
     state = _asked(bench)
-    first, now = state.sent[0], bench.ports.now
+    first, now = state.link.sent[0], bench.ports.now
 
     decided = _answer(bench, state, u_k=_duty(state, first.code), flags=RUN)
 
     assert first.sent_ns < now
-    assert (decided.state.fresh_ns, decided.state.sampled_ns) == (first.sent_ns, first.sent_ns)
+    assert (decided.state.link.fresh_ns, decided.state.sampled_ns) == (first.sent_ns, first.sent_ns)
     assert decided.of(RoundTrip) == [RoundTrip(now - first.sent_ns)]
     (publish,) = decided.of(Publish)
     assert (publish.sample.t_host_ns, publish.queued) == (first.sent_ns, -1)
@@ -154,16 +153,16 @@ def test_a_sample_of_a_run_is_as_fresh_as_the_frame_that_it_has_heard() -> None:
     bench = _playing()
     now = bench.ports.now
     state = bench.loop.state
-    seq = (state.seq - 1) & 0xFFFF
-    state = replace(
+    seq = (state.link.seq - 1) & 0xFFFF
+    state = changed(
         state, beats=(Unechoed(seq, now - 7 * MS),), fresh_ns=now - 40 * MS, sampled_ns=1
     )
 
     deaf = _due(bench, state, echo=(seq - 1) & 0xFFFF, queued=5)
     hears = _due(bench, state, echo=seq, queued=5)
 
-    assert (deaf.state.fresh_ns, deaf.state.sampled_ns) == (now - 40 * MS, now)
-    assert (hears.state.fresh_ns, hears.state.sampled_ns) == (now - 7 * MS, now)
+    assert (deaf.state.link.fresh_ns, deaf.state.sampled_ns) == (now - 40 * MS, now)
+    assert (hears.state.link.fresh_ns, hears.state.sampled_ns) == (now - 7 * MS, now)
     assert hears.of(RoundTrip) == []
     (publish,) = hears.of(Publish)
     assert (publish.sample.t_host_ns, publish.queued) == (now, 5)
@@ -175,11 +174,11 @@ def test_an_echo_of_what_we_have_not_sent_spoils_an_exchange_and_stops_a_run() -
     state, run = _asked(bench), playing.loop.state
 
     answered = _answer(
-        bench, state, u_k=_duty(state, state.sent[0].code), flags=RUN, echo=state.seq
+        bench, state, u_k=_duty(state, state.link.sent[0].code), flags=RUN, echo=state.link.seq
     )
-    played = _due(playing, run, echo=run.seq + 20)
+    played = _due(playing, run, echo=run.link.seq + 20)
 
-    assert (answered.actions, answered.state.sent) == ([], state.sent)
+    assert (answered.actions, answered.state.link.sent) == ([], state.link.sent)
     assert len(_published(played)) == 1
     assert played.state.fault is not None
     assert played.state.fault.id is Id.STATE
@@ -192,13 +191,13 @@ def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
     state = bench.loop.state
     assert state.run is not None
     assert state.queue is not None
-    sends_more = replace(state, queue=replace(state.queue, sent=state.queue.held))
+    sends_more = changed(state, queue=changed(state.queue, sent=state.queue.held))
 
-    decided = _due(bench, sends_more, echo=state.seq, queued=24)
+    decided = _due(bench, sends_more, echo=state.link.seq, queued=24)
 
     assert decided.state.fault is not None
     assert decided.state.fault.id is Id.STATE
-    assert f"heard frame {state.seq}, and the next of ours is {state.seq}" in (
+    assert f"heard frame {state.link.seq}, and the next of ours is {state.link.seq}" in (
         decided.state.fault.cause
     )
     assert [type(m) for m in decided.sent] == [Stop]
@@ -212,11 +211,11 @@ def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() 
         bench.loop.state,
         pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(1.0)),
     )
-    arming = awaiting(replace(state, phase=Phase.ARMED, run=None, queue=None), Want.ARM, play)
+    arming = awaiting(changed(state, phase=Phase.ARMED, run=None, queue=None), Want.ARM, play)
     sample = device_sample(state, flags=RUN)._replace(state=DeviceState.ARMED)
 
-    ours = heard(bench, sample._replace(echo=state.seq - 1), arming)
-    foreign = heard(bench, sample._replace(echo=state.seq), arming)
+    ours = heard(bench, sample._replace(echo=state.link.seq - 1), arming)
+    foreign = heard(bench, sample._replace(echo=state.link.seq), arming)
 
     assert [type(m) for m in ours.sent] == [Setpoints]
     assert [type(m) for m in foreign.sent] == [Stop]
@@ -226,13 +225,13 @@ def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() 
 def test_only_an_exchange_compares_the_clocks() -> None:
     """A sample of a run has no time at which it was asked for."""
     bench, playing = driven(), _playing()
-    state = replace(_asked(bench), compared_ns=0)
-    run = replace(playing.loop.state, compared_ns=0)
+    state = changed(_asked(bench), compared_ns=0)
+    run = changed(playing.loop.state, compared_ns=0)
 
-    answered = _answer(bench, state, u_k=_duty(state, state.sent[0].code), flags=RUN)
+    answered = _answer(bench, state, u_k=_duty(state, state.link.sent[0].code), flags=RUN)
 
-    assert answered.state.compared_ns == bench.ports.now
-    assert _due(playing, run).state.compared_ns == 0
+    assert answered.state.clock.compared_ns == bench.ports.now
+    assert _due(playing, run).state.clock.compared_ns == 0
 
 
 # -- which k it has (L2) -------------------------------------------------------------------------
@@ -242,13 +241,13 @@ def test_an_exchange_whose_k_was_told_as_a_gap_is_not_told_again() -> None:
     """L2: overtaken; its place in the line is free, and it proves nothing."""
     bench = driven()
     state = _asked(bench)
-    told = replace(state, told=state.sent[0].k)
+    told = changed(state, told=state.link.sent[0].k)
 
     decided = _answer(bench, told, u_k=0, flags=RUN)
 
     assert decided.actions == []
-    assert decided.state.sent == told.sent[1:]
-    assert decided.state.fresh_ns == told.fresh_ns
+    assert decided.state.link.sent == told.link.sent[1:]
+    assert decided.state.link.fresh_ns == told.link.fresh_ns
 
 
 def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() -> None:
@@ -256,13 +255,13 @@ def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() ->
     bench = _playing()
     state = bench.loop.state
     assert state.run is not None
-    seq = (state.seq - 1) & 0xFFFF
-    state = replace(state, beats=(Unechoed(seq, 17),), fresh_ns=5)
+    seq = (state.link.seq - 1) & 0xFFFF
+    state = changed(state, beats=(Unechoed(seq, 17),), fresh_ns=5)
 
     decided = _due(bench, state, k=state.run.due - 1, echo=seq)
 
     assert decided.actions == []
-    assert decided.state.fresh_ns == 17
+    assert decided.state.link.fresh_ns == 17
 
 
 def test_lost_samples_are_told_with_what_each_was_commanded() -> None:
@@ -271,11 +270,13 @@ def test_lost_samples_are_told_with_what_each_was_commanded() -> None:
     state, run = _asked(bench), playing.loop.state
     assert run.run is not None
 
-    answered = _answer(bench, state, at=1, u_k=_duty(state, state.sent[1].code), flags=RUN, u_km1=0)
+    answered = _answer(
+        bench, state, at=1, u_k=_duty(state, state.link.sent[1].code), flags=RUN, u_km1=0
+    )
     played = _due(playing, run, k=run.run.due + 1)
 
     (lost,), (missed,) = answered.told(Gap), played.told(Gap)
-    assert (lost.k_first, lost.t_from_ns) == (state.sent[0].k, state.sent[0].sent_ns)
+    assert (lost.k_first, lost.t_from_ns) == (state.link.sent[0].k, state.link.sent[0].sent_ns)
     assert (missed.k_first, missed.t_from_ns) == (run.run.k_first + run.run.due, playing.ports.now)
     assert {lost.t_to_ns, missed.t_to_ns} == {bench.ports.now, playing.ports.now}
 
@@ -286,14 +287,14 @@ def test_lost_samples_are_told_with_what_each_was_commanded() -> None:
 def test_an_exchange_is_published_before_the_run_that_it_ends() -> None:
     """L2: the last sample of a run is there, and no gap, when the device has stopped with it."""
     bench = driven()
-    state = awaiting(replace(_asked(bench), code=0), Want.STOP)
+    state = awaiting(changed(_asked(bench), code=0), Want.STOP)
 
     decided = _answer(bench, state, state=int(DeviceState.IDLE))
 
-    assert [s.k for s in _published(decided)] == [state.sent[0].k]
+    assert [s.k for s in _published(decided)] == [state.link.sent[0].k]
     assert decided.told(Gap) == []
     assert [type(m) for m in decided.sent] == [Config]
-    assert decided.state.told == state.sent[0].k
+    assert decided.state.told == state.link.sent[0].k
 
 
 def test_an_exchange_ends_its_run_behind_its_own_sample() -> None:
@@ -308,7 +309,7 @@ def test_an_exchange_ends_its_run_behind_its_own_sample() -> None:
 
     assert _order(decided, Publish, RunEnded)[0] == "Publish"
     assert "RunEnded" in _order(decided, RunEnded)
-    assert state.sent[0].k not in [g.k_first for g in decided.told(Gap)]
+    assert state.link.sent[0].k not in [g.k_first for g in decided.told(Gap)]
 
 
 def test_the_first_sample_of_a_run_starts_it_and_is_published_behind_the_start() -> None:
@@ -317,8 +318,8 @@ def test_the_first_sample_of_a_run_starts_it_and_is_published_behind_the_start()
     state = bench.loop.state
     assert state.run is not None
     order = pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=state.run.codes, scheduled=True)
-    run = replace(state.run, k_first=-1, due=0)
-    armed = replace(state, run=run, phase=Phase.ARMED, device_state=int(DeviceState.ARMED))
+    run = changed(state.run, k_first=-1, due=0)
+    armed = changed(state, run=run, phase=Phase.ARMED, device_state=int(DeviceState.ARMED))
     starting = awaiting(armed, Want.START, order, sent_ns=bench.ports.now)
 
     decided = _due(bench, starting, k=0, state=int(DeviceState.RUN))
@@ -333,7 +334,7 @@ def test_the_first_sample_of_a_run_starts_it_and_is_published_behind_the_start()
 def test_a_sample_answers_its_own_exchange_and_gives_up_those_before() -> None:
     """L2: the first is a gap, with the voltage that was commanded."""
     bench = driven()
-    first, second = _asked(bench).sent
+    first, second = _asked(bench).link.sent
     held, t_us = code_of(1.0), bench.loop.state.t_us + 5
     sample = device_sample(
         bench.loop.state, k=second.k, u_k=held, u_km1=held, flags=int(Flag.RUN), t_us=t_us
@@ -348,7 +349,7 @@ def test_a_sample_answers_its_own_exchange_and_gives_up_those_before() -> None:
     assert (published.k, published.t_sched_ns, published.t_host_ns) == second[1:4]
     assert decided.of(RoundTrip) == [RoundTrip(bench.ports.now - second.sent_ns)]
     after = decided.state
-    assert (after.sent, after.fresh_ns, after.told) == ((), second.sent_ns, second.k)
+    assert (after.link.sent, after.link.fresh_ns, after.told) == ((), second.sent_ns, second.k)
     assert (after.applied, after.t_us) == (held, t_us)
 
 
@@ -357,8 +358,8 @@ def test_a_sample_of_before_is_none_though_its_k_is_awaited(known: bool) -> None
     """S5: the k began anew, and an old sample is played again; of a new link any stamp is new."""
     bench = driven()
     state = _asked(bench)
-    state = state if known else replace(state, sampled_ns=0)
-    sample = device_sample(state, k=state.sent[0].k, t_us=(state.t_us - 1) & 0xFFFFFFFF)
+    state = state if known else changed(state, sampled_ns=0)
+    sample = device_sample(state, k=state.link.sent[0].k, t_us=(state.t_us - 1) & 0xFFFFFFFF)
 
     decided = heard(bench, sample, state)
 
@@ -370,24 +371,24 @@ def test_a_sample_of_no_exchange_of_ours_is_none() -> None:
     bench = rested()
     state = _asked(bench)
 
-    decided = heard(bench, device_sample(state, k=state.sent[-1].k + 1))
+    decided = heard(bench, device_sample(state, k=state.link.sent[-1].k + 1))
 
     assert decided.actions == []
-    assert decided.state == replace(state, pending=decided.state.pending)
+    assert decided.state == changed(state, pending=decided.state.link.pending)
 
 
 def test_a_sample_that_has_heard_what_we_have_not_sent_is_none() -> None:
     """S4: an old EXCHANGE that was played again asked for it, under the k of ours on its way."""
     bench = rested()
     state, now = bench.loop.state, bench.ports.now
-    ours = Sent(state.seq - 1, state.told + 1, now, now, 0)
-    state = replace(state, sent=(ours,), fresh_ns=now - 40 * MS)
+    ours = Sent(state.link.seq - 1, state.told + 1, now, now, 0)
+    state = changed(state, sent=(ours,), fresh_ns=now - 40 * MS)
     sample = device_sample(state, k=ours.k, echo=ours.seq)
 
-    assert heard(bench, sample, state).state.fresh_ns == now
-    old = heard(bench, sample._replace(echo=state.seq + 3), state)
-    assert old.state.fresh_ns == now - 40 * MS
-    assert old.state.sent == (ours,)
+    assert heard(bench, sample, state).state.link.fresh_ns == now
+    old = heard(bench, sample._replace(echo=state.link.seq + 3), state)
+    assert old.state.link.fresh_ns == now - 40 * MS
+    assert old.state.link.sent == (ours,)
     assert old.of(Publish) == []
 
 
@@ -395,13 +396,13 @@ def test_a_sample_of_a_device_that_is_not_met_is_none() -> None:
     """S4: it proves nothing of whoever will be met next."""
     bench = rested()
     state = _asked(bench)
-    sample = device_sample(state, k=state.sent[0].k)
-    unmet = replace(state, device=None)
+    sample = device_sample(state, k=state.link.sent[0].k)
+    unmet = changed(state, device=None)
 
     decided = heard(bench, sample, unmet)
 
     assert decided.actions == []
-    assert decided.state == replace(unmet, pending=decided.state.pending)
+    assert decided.state == changed(unmet, pending=decided.state.link.pending)
 
 
 @pytest.mark.parametrize(("u_k", "trips"), [(0, False), (1, True)])
@@ -410,7 +411,7 @@ def test_at_rest_the_device_applies_nothing(u_k: int, trips: bool) -> None:
     bench = rested()
     state = _asked(bench)
 
-    decided = heard(bench, device_sample(state, k=state.sent[0].k, u_k=u_k))
+    decided = heard(bench, device_sample(state, k=state.link.sent[0].k, u_k=u_k))
 
     assert (decided.state.fault is not None) == trips
     if decided.state.fault is not None:
@@ -421,12 +422,12 @@ def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
     """S5: 10 bits of duty round the code; the code itself would be another."""
     bench = driven()
     state = _asked(bench)
-    held = state.sent[0].code
+    held = state.link.sent[0].code
     assert state.device is not None
-    coarse = replace(state, device=state.device._replace(pwm_bits=10))
+    coarse = changed(state, device=state.device._replace(pwm_bits=10))
 
     as_sent = heard(
-        bench, device_sample(state, k=state.sent[0].k, u_k=held, flags=int(Flag.RUN)), coarse
+        bench, device_sample(state, k=state.link.sent[0].k, u_k=held, flags=int(Flag.RUN)), coarse
     )
 
     assert as_sent.state.fault is not None
@@ -436,9 +437,9 @@ def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
 def test_what_is_applied_after_a_trip_is_no_second_fault() -> None:
     """The motor is on its way to 0 V already."""
     bench = rested()
-    state = replace(_asked(bench), phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
+    state = changed(_asked(bench), phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
 
-    decided = heard(bench, device_sample(state, k=state.sent[0].k, u_k=9), state)
+    decided = heard(bench, device_sample(state, k=state.link.sent[0].k, u_k=9), state)
 
     assert decided.state.fault == Fault(Id.LEASE, "ran out")
 
@@ -452,8 +453,8 @@ def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start(
 ) -> None:
     """t_zero + i Ts: until eight exchanges have told more, and where a jump made it forgotten."""
     bench = _playing()
-    clock = bench.loop.state.clock._replace(weight=0.0) if way_is_known else ClockMap()
-    state = replace(bench.loop.state, clock=clock)
+    clock = bench.loop.state.clock.map._replace(weight=0.0) if way_is_known else ClockMap()
+    state = changed(bench.loop.state, map=clock)
     run = state.run
     assert run is not None
 
@@ -468,8 +469,8 @@ def test_eight_exchanges_make_a_map(known: int) -> None:
     """One fewer, and the start's own time is better."""
     bench = _playing()
     state = bench.loop.state
-    trips = state.clock.round_trips
-    few = replace(state, clock=state.clock._replace(round_trips=trips[:1] * known))
+    trips = state.clock.map.round_trips
+    few = changed(state, map=state.clock.map._replace(round_trips=trips[:1] * known))
     run = state.run
     assert run is not None
 
@@ -529,10 +530,10 @@ def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:
     bench = _playing()
     state = bench.loop.state
     older, newer = Unechoed(0xFFFF, 11), Unechoed(0, 22)
-    waiting = replace(state, beats=(older, newer), fresh_ns=5)
+    waiting = changed(state, beats=(older, newer), fresh_ns=5)
 
     assert sampling.note_echo(waiting, 0xFFFE) == waiting
-    half_a_round_away = replace(waiting, beats=(older,))
+    half_a_round_away = changed(waiting, beats=(older,))
     assert sampling.note_echo(half_a_round_away, 0x7FFF) == half_a_round_away
-    assert sampling.note_echo(waiting, 0xFFFF) == replace(waiting, beats=(newer,), fresh_ns=11)
-    assert sampling.note_echo(waiting, 0) == replace(waiting, beats=(), fresh_ns=22)
+    assert sampling.note_echo(waiting, 0xFFFF) == changed(waiting, beats=(newer,), fresh_ns=11)
+    assert sampling.note_echo(waiting, 0) == changed(waiting, beats=(), fresh_ns=22)

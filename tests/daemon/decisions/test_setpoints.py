@@ -40,14 +40,13 @@ from armrig_protocol.messages import (
     Stop,
 )
 from armrig_protocol.messages import State as DeviceState
-from decision_states import RUN, Decided, armed, awaiting, device_sample
-from msgspec.structs import replace
+from decision_states import RUN, Decided, armed, awaiting, changed, device_sample
 from virtual_bench import MS, codes
 
 N = SETPOINTS_PER_FRAME
 NOW = 5_000 * MS
 CODES = [500 + i for i in range(1000)]
-ORDER: pipe.Run = replace(RUN, scheduled=True)
+ORDER: pipe.Run = changed(RUN, scheduled=True)
 SMALL = code_of(1.0)
 
 
@@ -59,17 +58,17 @@ def _state(
     data = b"".join(u.to_bytes(2, "little") for u in CODES[:samples])
     run = ActiveRun("r", data, -1, scheduled=True)
     queue = Queue(ORDER, base, held, sent, moved_ns, NOW)
-    return replace(state, run=run, queue=queue, scheduled=True, beats=())
+    return changed(state, run=run, queue=queue, scheduled=True, beats=())
 
 
 def _running(due: int = 10, samples: int = 100, **fields: object) -> State:
     """Return a state in which the device plays the run, from k 200 on."""
     state = _state(samples, base=due, held=samples, sent=samples)
     assert state.run is not None
-    run = replace(state.run, k_first=200, due=due, t_zero_ns=NOW)
+    run = changed(state.run, k_first=200, due=due, t_zero_ns=NOW)
     known = {"phase": Phase.ACTIVE, "told": 199 + due, "absent": (), "k": 190, "tick_ns": NOW}
-    playing = replace(state, run=run, device_state=int(DeviceState.RUN), **known)
-    return replace(playing, **{"fresh_ns": NOW, "ping_ns": NOW, **fields})
+    playing = changed(state, run=run, device_state=int(DeviceState.RUN), **known)
+    return changed(playing, **{"fresh_ns": NOW, "ping_ns": NOW, **fields})
 
 
 def _frames(actions: list) -> list[tuple[int, int]]:  # type: ignore[type-arg]
@@ -140,7 +139,7 @@ def test_what_the_device_does_not_show_in_time_is_sent_again(after_ns: int, agai
 def test_the_time_counts_from_the_first_frame_that_is_not_shown(sent: int, moved_ns: int) -> None:
     """Not from those behind it."""
     state = _state(100, base=0, held=24, sent=sent, moved_ns=7)
-    with_nothing_late = replace(state, queue=replace(state.queue, moved_ns=7))  # type: ignore[type-var]
+    with_nothing_late = changed(state, queue=changed(state.queue, moved_ns=7))  # type: ignore[type-var]
 
     after, _ = setpoints.refill(with_nothing_late, 7 + 30 * MS)
 
@@ -154,7 +153,7 @@ def test_the_time_counts_from_the_first_frame_that_is_not_shown(sent: int, moved
 )
 def test_nothing_is_sent_where_nothing_is_to_be_played(change: dict[str, object]) -> None:
     """Least of all to a device that is to stop."""
-    state = replace(_state(), **change)
+    state = changed(_state(), **change)
 
     assert setpoints.refill(state, NOW) == (state, [])
     stopping = awaiting(_state(), Want.STOP)
@@ -169,7 +168,7 @@ def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: b
     """S1: neither from one frame to the next, nor from standstill; what was before it is."""
     state = _state()
     run = ActiveRun("r", codes(*volts), -1, scheduled=True)
-    limited = replace(state, run=run, rules=replace(state.rules, slew=SMALL + 1))
+    limited = changed(state, run=run, rules=changed(state.rules, slew=SMALL + 1))
 
     after, actions = setpoints.refill(limited, NOW)
 
@@ -187,7 +186,7 @@ def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: b
 
 def test_a_run_begins_by_filling_at_0_v() -> None:
     """Nothing of it has a k yet; its order is answered when it has started."""
-    state = replace(_state(), run=None, queue=None)
+    state = changed(_state(), run=None, queue=None)
 
     after, actions = setpoints.begin(state, NOW, ORDER)
 
@@ -243,7 +242,7 @@ def test_what_the_device_holds_is_what_its_newest_sample_says(
     """Growth alone winds the clock of the retries; nothing counts as unsent that it has."""
     state = _state(50, base=0, held=24, sent=50, moved_ns=7)
 
-    after, _ = setpoints.note_queue(replace(state, phase=Phase.FAULT), NOW, base, queued)
+    after, _ = setpoints.note_queue(changed(state, phase=Phase.FAULT), NOW, base, queued)
 
     assert after.queue is not None
     known = (after.queue.base, after.queue.held, after.queue.sent, after.queue.moved_ns)
@@ -253,13 +252,13 @@ def test_what_the_device_holds_is_what_its_newest_sample_says(
 @pytest.mark.parametrize("gone", ["queue", "run"])
 def test_without_a_run_nothing_is_counted(gone: str) -> None:
     """A sample at rest says that 0 are held, of nothing."""
-    state = replace(_state(), **{gone: None})
+    state = changed(_state(), **{gone: None})
     assert setpoints.note_queue(state, NOW, 5, 6) == (state, [])
 
 
 def test_what_the_device_holds_makes_room_for_more() -> None:
     """In the same step."""
-    state = replace(_state(held=512, sent=512), phase=Phase.ACTIVE)
+    state = changed(_state(held=512, sent=512), phase=Phase.ACTIVE)
 
     _, actions = setpoints.note_queue(state, NOW, 48, 464)
 
@@ -278,7 +277,7 @@ def test_the_device_is_asked_for_its_clock_so_often(since_ns: int, pings: int) -
 
     sent = [m for a in actions if isinstance(a, Send) for m in feed(b"", a.data)[1]]
     assert [m.host_ns for m in sent if isinstance(m, Ping)] == [NOW] * pings
-    assert after.ping_ns == (NOW if pings else NOW - since_ns)
+    assert after.link.ping_ns == (NOW if pings else NOW - since_ns)
 
 
 def test_a_device_that_drives_on_after_a_trip_is_told_to_stop_on_and_on() -> None:
@@ -299,7 +298,7 @@ def test_a_device_is_to_stop_after_a_trip_or_a_stop(want: Want | None) -> None:
     state = _state() if want is None else awaiting(_state(), want)
 
     assert setpoints.is_stopping(state) == (want is Want.STOP)
-    assert setpoints.is_stopping(replace(state, phase=Phase.FAULT))
+    assert setpoints.is_stopping(changed(state, phase=Phase.FAULT))
 
 
 def test_a_tick_in_a_scheduled_run_looks_after_it() -> None:
@@ -317,13 +316,13 @@ def test_frames_without_an_echo_are_remembered_up_to_a_bound() -> None:
     state = _running()
     for _ in range(MOST_BEATS + 3):
         state, _ = send(state, NOW, b"x")
-    last = (state.seq - 1) & 0xFFFF
+    last = (state.link.seq - 1) & 0xFFFF
 
-    assert len(state.beats) == MOST_BEATS
-    assert state.beats[-1] == Unechoed(last, NOW)
-    assert send(replace(state, scheduled=False, beats=()), NOW, b"x")[0].beats == ()
-    assert send(replace(state, seq=0xFFFF), NOW, b"x")[0].seq == 0
-    assert state.any_ns == NOW
+    assert len(state.link.beats) == MOST_BEATS
+    assert state.link.beats[-1] == Unechoed(last, NOW)
+    assert send(changed(state, scheduled=False, beats=()), NOW, b"x")[0].link.beats == ()
+    assert send(changed(state, seq=0xFFFF), NOW, b"x")[0].link.seq == 0
+    assert state.link.any_ns == NOW
 
 
 # -- its samples ---------------------------------------------------------------------------------
@@ -331,7 +330,7 @@ def test_frames_without_an_echo_are_remembered_up_to_a_bound() -> None:
 
 def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
     """With what was commanded and what was applied, and how many setpoints are left."""
-    state = replace(_running(), t_us=(5 << 32) - 1)
+    state = changed(_running(), t_us=(5 << 32) - 1)
     u = applied_code(CODES[10], 10)
     sample = device_sample(
         state, k=10, u_k=u, u_km1=7, flags=int(Flag.RUN), queued=44, t_us=123, y0=5
@@ -357,7 +356,7 @@ def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
 )
 def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: bool) -> None:
     """S5: played again within one boot it has the number that is due, and an older stamp."""
-    state = replace(_running(), t_us=(5 << 32) + 2_000)
+    state = changed(_running(), t_us=(5 << 32) + 2_000)
     sample = device_sample(
         state, k=10, u_k=applied_code(CODES[10], 10), flags=int(Flag.RUN), t_us=2_000 - back_us
     )
@@ -386,7 +385,7 @@ def test_a_run_may_begin_at_k_0(k_first: int) -> None:
     """Before that it has no k."""
     state = _running(due=0)
     assert state.run is not None
-    first = replace(state, run=replace(state.run, k_first=k_first), told=-1)
+    first = changed(state, run=changed(state.run, k_first=k_first), told=-1)
     u = applied_code(CODES[0], 10)
 
     _, actions = sampling.handle(first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN)))
@@ -402,7 +401,7 @@ def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, objec
     """Nobody could say what it belongs to."""
     state = _running()
     sample = device_sample(state, k=10, flags=int(Flag.RUN))
-    without = replace(state, **change)
+    without = changed(state, **change)
 
     assert sampling.handle(without, NOW, sample) == (without, [])
 
@@ -413,7 +412,7 @@ def test_one_step_of_the_duty_beside_the_setpoint_trips(bits: int, steps: int) -
     """S5: another voltage than the one commanded, however little it differs."""
     state = _running()
     assert state.device is not None
-    state = replace(state, device=state.device._replace(pwm_bits=bits))
+    state = changed(state, device=state.device._replace(pwm_bits=bits))
     u = applied_code(CODES[10] + steps * (1 << 16 - bits), bits)
 
     after, actions = sampling.handle(
@@ -431,7 +430,7 @@ def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
     """S5: what 10 bits of duty make of the setpoint is compared, not the setpoint."""
     state = _running()
     assert state.device is not None
-    state = replace(state, device=state.device._replace(pwm_bits=10))
+    state = changed(state, device=state.device._replace(pwm_bits=10))
     assert applied_code(CODES[10], 10) != CODES[10]
 
     after, _ = sampling.handle(
@@ -466,7 +465,7 @@ def test_the_end_tells_of_all_samples_that_never_came() -> None:
     assert after.outcome == "complete"
     assert after.run is not None
     assert after.run.due == 100
-    assert setpoints.complete(replace(state, outcome="stopped"), NOW)[0].outcome == "stopped"
+    assert setpoints.complete(changed(state, outcome="stopped"), NOW)[0].outcome == "stopped"
 
 
 def test_without_a_device_a_lost_sample_had_the_code_itself() -> None:
@@ -479,7 +478,7 @@ def test_without_a_device_a_lost_sample_had_the_code_itself() -> None:
 def test_an_outage_longer_than_what_is_told_apart_is_told_by_its_end() -> None:
     """R1: the pieces are bounded."""
     state = _running(due=0, samples=1000)
-    state = replace(state, run=replace(state.run, codes=codes(1.0) * 1500))  # type: ignore[type-var]
+    state = changed(state, run=changed(state.run, codes=codes(1.0) * 1500))  # type: ignore[type-var]
 
     after, _ = setpoints.complete(state, NOW)
 
@@ -514,7 +513,7 @@ def test_only_the_step_from_run_to_idle_is_an_end() -> None:
     over = _running(due=100)
 
     for before, now in ((5, 3), (3, 2)):
-        state = replace(over, device_state=before)
+        state = changed(over, device_state=before)
         decided = Decided(state, NOW, _received(Ack(now, 0, 0, 0, 1)))
         assert decided.state.fault is not None
         assert decided.state.fault.id is Id.STATE
@@ -525,8 +524,8 @@ def test_only_the_step_from_run_to_idle_is_an_end() -> None:
 
 def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
     """Its first sample comes one Ts after START was heard, which is half way to its effect."""
-    state = replace(_state(100, held=100, sent=100), ts_us=5_000, k=41, fresh_ns=0)
-    state = replace(state, code=9, outcome="of the run before", beats=(Unechoed(1, 2),))
+    state = changed(_state(100, held=100, sent=100), ts_us=5_000, k=41, fresh_ns=0)
+    state = changed(state, code=9, outcome="of the run before", beats=(Unechoed(1, 2),))
     asked = awaiting(state, Want.START, ORDER, sent_ns=NOW)
 
     assert asked.asked is not None
@@ -541,8 +540,8 @@ def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
     assert after.run is not None
     assert (after.run.k_first, after.run.t_zero_ns) == (42, NOW + 1 * MS + 5 * MS)
     assert after.phase is Phase.ACTIVE
-    assert (after.code, after.outcome, after.beats) == (0, "", ())
-    assert after.fresh_ns == NOW
+    assert (after.code, after.outcome, after.link.beats) == (0, "", ())
+    assert after.link.fresh_ns == NOW
     assert after.queue is not None
     assert after.queue.order is None
     assert after.lease is not None
@@ -567,7 +566,7 @@ def test_an_order_for_a_scheduled_run_goes_by_a_stop_to_its_own_configuration() 
     stop = Decided(bench.loop.state, NOW, Ordered(ORDER)).state
     assert stop.lease is not None
 
-    configure = Decided(replace(stop, lease=replace(stop.lease, ts_us=900)), NOW, IS_IDLE)
+    configure = Decided(changed(stop, lease=changed(stop.lease, ts_us=900)), NOW, IS_IDLE)
 
     asked = configure.state.asked
     assert asked is not None

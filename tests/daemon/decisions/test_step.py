@@ -15,6 +15,7 @@ from armrig_daemon.decisions.requests import motor
 from armrig_daemon.decisions.state import (
     Absent,
     ActiveRun,
+    Link,
     LinkDown,
     LinkUp,
     Phase,
@@ -33,8 +34,7 @@ from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
-from decision_states import Decided, armed, awaiting, driven, rested
-from msgspec.structs import replace
+from decision_states import Decided, armed, awaiting, changed, driven, rested
 from virtual_bench import LEASE, MS, Bench, codes
 
 TS = 10 * MS
@@ -57,8 +57,7 @@ def test_at_the_start_nothing_is_known() -> None:
     state = core_step.start(rules)
 
     assert (state.rules, state.ts_us, state.pace_us) == (rules, rules.ts_us, rules.ts_us)
-    assert state.came == (0, 0)
-    known = {"rules", "ts_us", "pace_us", "phase", "clock", "came"}
+    known = {"rules", "pace_us", "phase"}
     unknown = {f: getattr(state, f) for f in state.__struct_fields__ if f not in known}
     assert {f for f, value in unknown.items() if value} == {"k", "told"}
     assert (state.k, state.told, state.phase) == (-1, -1, Phase.INIT)
@@ -69,7 +68,7 @@ def test_at_the_start_nothing_is_known() -> None:
 
 def test_the_core_wants_to_be_woken_for_its_request_or_for_the_device_s_watchdog() -> None:
     """A third of the watchdog after the last frame, so that two may be lost."""
-    state = replace(rested().loop.state, any_ns=1000)
+    state = changed(rested().loop.state, any_ns=1000)
 
     assert core_step.wake_ns(state) == 1000 + 100 * MS // 3
     assert core_step.wake_ns(awaiting(state, Want.STOP, sent_ns=7)) == 7 + 20 * MS
@@ -97,7 +96,7 @@ def test_a_frame_may_come_in_pieces(cut: int) -> None:
     second = Decided(first.state, bench.ports.now, Received(data[cut:]))
 
     assert (first.sent, len(second.sent)) == ([], 1)
-    assert second.state.pending == b""
+    assert second.state.link.pending == b""
 
 
 def test_noise_between_frames_is_told_and_costs_nothing() -> None:
@@ -116,14 +115,15 @@ def test_noise_between_frames_is_told_and_costs_nothing() -> None:
 def test_a_link_that_comes_up_begins_anew() -> None:
     """HELLO, with seq 0; what was half read or on its way belonged to another line."""
     bench = driven()
-    old = replace(bench.loop.state, link_up=False, pending=b"abc", seq=77)
+    old = changed(bench.loop.state, pending=b"abc", seq=77, fresh_ns=5)
 
     decided = Decided(old, bench.ports.now, LinkUp())
 
     (hello,) = decided.sent
     assert isinstance(hello, Hello)
     after = decided.state
-    assert (hello.seq, after.seq, after.sent, after.pending, after.link_up) == (0, 1, (), b"", True)
+    assert hello.seq == 0
+    assert after.link == Link(seq=1, any_ns=bench.ports.now)
 
 
 def test_a_daemon_whose_service_is_gone_stops_and_ends() -> None:
@@ -143,7 +143,7 @@ def test_a_daemon_whose_service_is_gone_stops_and_ends() -> None:
         ({}, "driven"),
         ({"device_state": int(DeviceState.READY)}, "at 0 V, says the device"),
         ({"fault": Fault(Id.STALE, "no answer")}, "told to stop, but not confirmed; its watchdog"),
-        ({"link_up": False}, "not known, for the device does not answer; its watchdog stops it"),
+        ({"link": None}, "not known, for the device does not answer; its watchdog stops it"),
         ({"device": None}, "not known, for the device does not answer; its watchdog stops it"),
     ],
 )
@@ -151,7 +151,7 @@ def test_what_is_known_of_the_motor_is_said_as_it_is(change: dict[str, object], 
     """Never more than the device has said."""
     state = driven().loop.state
 
-    assert motor(replace(state, **change)).startswith(words)
+    assert motor(changed(state, **change)).startswith(words)
     if not change:
         assert motor(awaiting(state, Want.STOP)) == "told to stop, not confirmed yet"
         assert motor(awaiting(state, Want.START)) == "driven"
@@ -186,29 +186,29 @@ def test_a_tick_sends_one_exchange_and_remembers_it() -> None:
 
     (frame,) = decided.sent
     assert isinstance(frame, Exchange)
-    assert (frame.k, frame.u, frame.seq) == (state.k + 1, code_of(1.0), state.seq)
-    kept = Sent(state.seq, state.k + 1, now - 5, now, code_of(1.0))
-    assert decided.state.sent == (*state.sent, kept)
+    assert (frame.k, frame.u, frame.seq) == (state.k + 1, code_of(1.0), state.link.seq)
+    kept = Sent(state.link.seq, state.k + 1, now - 5, now, code_of(1.0))
+    assert decided.state.link.sent == (*state.link.sent, kept)
     assert (decided.state.k, decided.state.tick_ns) == (state.k + 1, now)
 
 
 def test_k_wraps_on_the_wire_and_nowhere_else() -> None:
     """32 bits of it are sent."""
     bench = rested()
-    state = replace(bench.loop.state, k=(1 << 32) + 4, told=(1 << 32) + 4)
+    state = changed(bench.loop.state, k=(1 << 32) + 4, told=(1 << 32) + 4)
 
     decided = _tick(state, bench.ports.now + TS)
 
     assert [m.k for m in decided.sent if isinstance(m, Exchange)] == [5]
-    assert decided.state.sent[-1].k == (1 << 32) + 5
+    assert decided.state.link.sent[-1].k == (1 << 32) + 5
 
 
 def test_no_tick_sends_anything_without_a_device() -> None:
     """Time goes on all the same; T1: but for the question who is there, when it is due."""
     state = rested().loop.state
-    nobody = replace(state, device=None)
+    nobody = changed(state, device=None)
     asked = awaiting(nobody, Want.HELLO, sent_ns=state.tick_ns)
-    for gone in (replace(state, link_up=False), asked):
+    for gone in (changed(state, link=None), asked):
         decided = _tick(gone, state.tick_ns + TS)
         assert decided.actions == []
         assert decided.state.k == state.k + 1
@@ -240,7 +240,7 @@ def test_no_more_exchanges_wait_than_are_allowed(waiting: int, sends: int) -> No
     state = bench.loop.state
     sent = tuple(Sent(0, state.k - i, 0, 0, 0) for i in range(waiting))
 
-    decided = _tick(replace(state, sent=sent), bench.ports.now + TS)
+    decided = _tick(changed(state, sent=sent), bench.ports.now + TS)
 
     assert len(decided.sent) == sends
     reasons = [(a.k, a.n, a.reason) for a in decided.state.absent]
@@ -251,7 +251,7 @@ def test_no_more_exchanges_wait_than_are_allowed(waiting: int, sends: int) -> No
 def test_a_pause_is_one_from_its_limit_on(late_ns: int, fault: Id | None) -> None:
     """S4: 50 ms at Ts 10 ms, counted from the last tick."""
     bench = driven()
-    state = replace(bench.loop.state, fresh_ns=bench.ports.now + late_ns)
+    state = changed(bench.loop.state, fresh_ns=bench.ports.now + late_ns)
 
     decided = _tick(state, state.tick_ns + late_ns)
 
@@ -286,9 +286,9 @@ def test_a_round_trip_is_stale_from_its_limit_on(age_ns: int, stale: bool) -> No
     """S4: STOP in that very tick where the motor may turn; at rest the device is asked for."""
     driving, resting = driven(), rested()
     now = driving.ports.now + TS
-    trip = _tick(replace(driving.loop.state, fresh_ns=now - age_ns, sent=()), now)
+    trip = _tick(changed(driving.loop.state, fresh_ns=now - age_ns, sent=()), now)
     now = resting.ports.now + TS
-    waiting = replace(resting.loop.state, fresh_ns=now - age_ns, sent=(Sent(0, 0, 0, 0, 0),))
+    waiting = changed(resting.loop.state, fresh_ns=now - age_ns, sent=(Sent(0, 0, 0, 0, 0),))
     ask = _tick(waiting, now)
 
     assert [type(m) for m in trip.sent] == [Stop if stale else Exchange]
@@ -300,15 +300,15 @@ def test_a_round_trip_is_stale_from_its_limit_on(age_ns: int, stale: bool) -> No
         (log,) = ask.told(Log)
         assert log.message == "no answer from the device for 50 ms; asking who is there"
         assert log.t_host_ns == now
-        assert (ask.state.device, ask.state.phase, ask.state.sent) == (None, Phase.INIT, ())
+        assert (ask.state.device, ask.state.phase, ask.state.link.sent) == (None, Phase.INIT, ())
 
 
 def test_a_stale_device_that_is_being_asked_already_is_not_asked_twice() -> None:
     """The retry does it; and a latched fault stays latched."""
     bench = rested()
-    old = replace(bench.loop.state, fresh_ns=bench.ports.now - 60 * MS)
+    old = changed(bench.loop.state, fresh_ns=bench.ports.now - 60 * MS)
     asking = awaiting(old, Want.CONFIGURE)
-    latched = replace(old, phase=Phase.FAULT)
+    latched = changed(old, phase=Phase.FAULT)
 
     again = _tick(asking, bench.ports.now + TS)
 
@@ -322,8 +322,8 @@ def test_a_service_is_frozen_from_its_limit_on(silent_ns: int, trips: bool) -> N
     """Through it goes every stop."""
     bench = driven()
     now = bench.ports.now + TS
-    rules = replace(bench.loop.state.rules, service_ns=3000 * MS)
-    decided = _tick(replace(bench.loop.state, rules=rules, service_ns=now - silent_ns), now)
+    rules = changed(bench.loop.state.rules, service_ns=3000 * MS)
+    decided = _tick(changed(bench.loop.state, rules=rules, service_ns=now - silent_ns), now)
 
     assert (decided.state.fault is not None) == trips
 
@@ -333,8 +333,8 @@ def test_as_many_missed_ticks_as_are_asked_for_stop_the_motor(allowed: int, trip
     """Three in a row here; 0 goes on."""
     bench = driven()
     now = bench.ports.now + 4 * TS
-    rules = replace(bench.loop.state.rules, stop_after=allowed)
-    decided = _tick(replace(bench.loop.state, rules=rules, fresh_ns=now), now, ahead=4)
+    rules = changed(bench.loop.state.rules, stop_after=allowed)
+    decided = _tick(changed(bench.loop.state, rules=rules, fresh_ns=now), now, ahead=4)
 
     assert (decided.state.fault is not None) == trips
     if trips:
@@ -350,9 +350,9 @@ def test_a_voltage_held_by_hand_lives_as_long_as_its_lease(held_ns: int, u: int)
     bench = driven()
     now = bench.ports.now + TS
     assert bench.loop.state.lease is not None
-    lease = replace(bench.loop.state.lease, renewed_ns=now - held_ns)
+    lease = changed(bench.loop.state.lease, renewed_ns=now - held_ns)
 
-    decided = _tick(replace(bench.loop.state, lease=lease), now)
+    decided = _tick(changed(bench.loop.state, lease=lease), now)
 
     assert _code(decided) == u
     assert (decided.state.fault is not None) == (u == 0)
@@ -364,9 +364,9 @@ def test_an_armed_rig_is_given_back_after_10_s(held_ns: int, gives_back: bool) -
     bench = armed()
     now = bench.ports.now + TS
     assert bench.loop.state.lease is not None
-    lease = replace(bench.loop.state.lease, renewed_ns=now - held_ns)
+    lease = changed(bench.loop.state.lease, renewed_ns=now - held_ns)
 
-    decided = _tick(replace(bench.loop.state, lease=lease), now)
+    decided = _tick(changed(bench.loop.state, lease=lease), now)
 
     assert _code(decided) == 0
     assert any(isinstance(m, Stop) for m in decided.sent) == gives_back
@@ -377,7 +377,7 @@ def test_an_armed_rig_is_given_back_after_10_s(held_ns: int, gives_back: bool) -
 def test_outside_active_the_code_is_0(phase: Phase) -> None:
     """S5: whatever is left of the last command."""
     bench = driven()
-    state = replace(bench.loop.state, phase=phase, device_state=int(DeviceState.READY))
+    state = changed(bench.loop.state, phase=phase, device_state=int(DeviceState.READY))
 
     assert _code(_tick(state, bench.ports.now + TS)) == 0
 
@@ -388,7 +388,7 @@ def test_behind_a_stop_and_without_a_lease_the_code_is_0() -> None:
     now = bench.ports.now + TS
 
     assert _code(_tick(awaiting(bench.loop.state, Want.STOP, sent_ns=now), now)) == 0
-    assert _code(_tick(replace(bench.loop.state, lease=None), now)) == 0
+    assert _code(_tick(changed(bench.loop.state, lease=None), now)) == 0
     assert _code(_tick(awaiting(bench.loop.state, Want.CLEAR, sent_ns=now), now)) == code_of(1.0)
 
 
@@ -401,7 +401,7 @@ def _playing(volts: list[float], due: int, k_first: int | None = None) -> tuple[
     state = bench.loop.state
     first = state.k + 1 - due if k_first is None else k_first
     run = ActiveRun("r", codes(*volts), first, due=due)
-    return bench, replace(state, run=run, code=0, outcome="")
+    return bench, changed(state, run=run, code=0, outcome="")
 
 
 def test_the_first_sample_of_a_run_gives_it_its_k() -> None:
@@ -421,9 +421,9 @@ def test_the_first_sample_of_a_run_gives_it_its_k() -> None:
 def test_a_run_that_has_begun_at_k_0_does_not_begin_again() -> None:
     """Its next tick is its second sample; scheduled, the host sends nothing in its place."""
     bench, state = _playing([1.0, 2.0], 1, 0)
-    state = replace(state, k=0, told=0)
-    scheduled = replace(state, run=replace(state.run, scheduled=True))  # type: ignore[type-var]
-    resting = replace(scheduled, device_state=int(DeviceState.READY))
+    state = changed(state, k=0, told=0)
+    scheduled = changed(state, run=changed(state.run, scheduled=True))  # type: ignore[type-var]
+    resting = changed(scheduled, device_state=int(DeviceState.READY))
 
     assert _code(_tick(state, bench.ports.now + TS)) == code_of(2.0)
     assert _tick(state, bench.ports.now + TS).told(RunStarted) == []
@@ -447,7 +447,7 @@ def test_behind_its_last_sample_a_run_is_complete() -> None:
     """0 V in that very tick, and a STOP; all its samples are due even where ticks were missed."""
     bench, state = _playing([1.0, 2.0, 3.0], 3)
     assert state.run is not None
-    missed = replace(state, run=replace(state.run, due=1))
+    missed = changed(state, run=changed(state.run, due=1))
 
     for at in (state, missed):
         decided = _tick(at, bench.ports.now + TS)
@@ -460,8 +460,8 @@ def test_a_run_that_leaves_the_limits_is_stopped_at_0_v() -> None:
     """S1: by its slew from the sample before, which at its start is standstill."""
     for volts, due, trips in (([1.0, 2.1], 1, True), ([1.0, 2.0], 1, False), ([1.1], 0, True)):
         bench, state = _playing(volts, due)
-        rules = replace(state.rules, slew=code_of(1.0) + 1)
-        decided = _tick(replace(state, rules=rules), bench.ports.now + TS)
+        rules = changed(state.rules, slew=code_of(1.0) + 1)
+        decided = _tick(changed(state, rules=rules), bench.ports.now + TS)
 
         assert (decided.state.fault is not None) == trips
         assert _code(decided) == (0 if trips else code_of(volts[due]))
@@ -473,7 +473,7 @@ def test_samples_of_a_run_that_never_come_are_told_before_its_end() -> None:
     assert state.run is not None
     first = state.run.k_first
     waiting = tuple(Sent(i, first + i, 0, 100 + i, code_of(1.0)) for i in (1, 2, 3))
-    told = replace(state, told=first, sent=waiting, absent=())
+    told = changed(state, told=first, sent=waiting, absent=())
 
     after, actions = end_run(told, 999)
 
@@ -483,7 +483,7 @@ def test_samples_of_a_run_that_never_come_are_told_before_its_end() -> None:
         (first + 2, 1, "a frame was lost"),
     ]
     assert isinstance(records[-1], RunEnded)
-    assert after.sent == waiting[2:]
+    assert after.link.sent == waiting[2:]
     assert (after.told, after.run, after.outcome) == (first + 2, None, "")
     assert bench.volts > 0
 
@@ -500,7 +500,7 @@ def _told(state: State, end: int, u_before: int | None = None) -> list[tuple[int
 
 def test_what_was_held_in_a_gap_is_told_piece_by_piece() -> None:
     """L2: the code before it, then that of each exchange that was lost."""
-    state = replace(rested().loop.state, told=9, applied=code_of(1.0), absent=())
+    state = changed(rested().loop.state, told=9, applied=code_of(1.0), absent=())
     lost = Absent(12, 1, "a frame was lost", code_of(2.0), 1, 2)
     late = Absent(13, 3, "the host was late", None, 3, 4)
 
@@ -513,7 +513,7 @@ def test_what_was_held_in_a_gap_is_told_piece_by_piece() -> None:
 
 def test_the_sample_behind_a_gap_says_what_was_held_last() -> None:
     """u_km1: but not over more samples than it can speak for."""
-    state = replace(rested().loop.state, told=9, applied=code_of(1.0), absent=())
+    state = changed(rested().loop.state, told=9, applied=code_of(1.0), absent=())
     three = note(state, Absent(10, 3, "lost", code_of(2.0), 1, 2))
     one = note(state, Absent(10, 1, "lost", code_of(2.0), 1, 2))
 
@@ -524,7 +524,7 @@ def test_the_sample_behind_a_gap_says_what_was_held_last() -> None:
 
 def test_what_lies_behind_a_sample_is_kept_for_the_next() -> None:
     """Ticks may have been skipped while it was on its way."""
-    state = replace(rested().loop.state, told=9, absent=())
+    state = changed(rested().loop.state, told=9, absent=())
     before, across, behind = (Absent(k, 2, "late", None, 1, 2) for k in (10, 11, 12))
     known = note(note(note(state, before), across), behind)
 
@@ -535,7 +535,7 @@ def test_what_lies_behind_a_sample_is_kept_for_the_next() -> None:
 
 def test_before_the_first_sample_nothing_is_missed() -> None:
     """The count begins with what comes first."""
-    state = replace(rested().loop.state, told=-1, absent=(Absent(3, 1, "late", None, 1, 2),))
+    state = changed(rested().loop.state, told=-1, absent=(Absent(3, 1, "late", None, 1, 2),))
 
     after, actions = tell_missing(state, 7, 777)
 
@@ -544,7 +544,7 @@ def test_before_the_first_sample_nothing_is_missed() -> None:
 
 def test_the_pieces_of_an_outage_are_bounded() -> None:
     """R1: the newest are kept."""
-    state = replace(rested().loop.state, absent=())
+    state = changed(rested().loop.state, absent=())
     for k in range(MOST_ABSENT + 5):
         state = note(state, Absent(k, 1, "late", None, 0, 0))
 
@@ -557,11 +557,11 @@ def test_the_pieces_of_an_outage_are_bounded() -> None:
 
 def _scheduled(due: int, phase: Phase, now_after_ns: int = 0) -> tuple[State, list[object]]:
     """Return what the end of a run of 10 samples at Ts 10 ms leaves."""
-    state = replace(rested().loop.state, phase=phase, outcome="why", absent=(), told=99 + due)
+    state = changed(rested().loop.state, phase=phase, outcome="why", absent=(), told=99 + due)
     run = ActiveRun("r", codes(*[1.0] * 10), 100, scheduled=True, due=due, t_zero_ns=1000 * MS)
     beats = (Unechoed(1, 2),)
-    after, actions = end_run(replace(state, run=run, beats=beats, k=500), 1000 * MS + now_after_ns)
-    assert after.beats == ()
+    after, actions = end_run(changed(state, run=run, beats=beats, k=500), 1000 * MS + now_after_ns)
+    assert after.link.beats == ()
     return after, list(actions)
 
 
@@ -587,10 +587,10 @@ def test_a_run_that_leaves_the_limits_is_stopped_in_that_tick() -> None:
     bench = driven()
     state = bench.loop.state
     run = ActiveRun("r", codes(1.0, 5.0), state.k, due=1)
-    narrow = replace(state.rules, u_max=state.rules.u_max // 2)
+    narrow = changed(state.rules, u_max=state.rules.u_max // 2)
     bench.ports.now += TS
 
-    decided = _tick(replace(state, rules=narrow, run=run), bench.ports.now)
+    decided = _tick(changed(state, rules=narrow, run=run), bench.ports.now)
 
     assert decided.state.fault == Fault(Id.LIMITS, "u[1] is not within the limits")
     assert [(type(m), getattr(m, "u", 0)) for m in decided.sent] == [(Stop, 0), (Exchange, 0)]
@@ -599,15 +599,15 @@ def test_a_run_that_leaves_the_limits_is_stopped_in_that_tick() -> None:
 @pytest.mark.parametrize("phase", [Phase.FAULT, Phase.SAFE])
 def test_a_run_in_exchange_mode_ends_with_what_was_asked_for(phase: Phase) -> None:
     """L2: the device samples nothing that the host does not ask for; what is behind goes on."""
-    state = replace(rested().loop.state, phase=phase, outcome="why", told=109, absent=())
+    state = changed(rested().loop.state, phase=phase, outcome="why", told=109, absent=())
     run = ActiveRun("r", codes(*[1.0] * 20), 100, due=12)
     sent = tuple(Sent(k, k, k, k, 0) for k in (110, 111, 112))
 
-    after, actions = end_run(replace(state, run=run, sent=sent, k=112), 9_000 * MS)
+    after, actions = end_run(changed(state, run=run, sent=sent, k=112), 9_000 * MS)
 
     gaps = [a.record for a in actions if isinstance(getattr(a, "record", None), Gap)]  # type: ignore[attr-defined]
     assert [(g.k_first, g.count) for g in gaps] == [(110, 1), (111, 1)]
-    assert (after.told, after.k, after.sent) == (111, 112, sent[2:])
+    assert (after.told, after.k, after.link.sent) == (111, 112, sent[2:])
     assert after.absent == ()
 
 
@@ -615,7 +615,7 @@ def test_a_run_in_exchange_mode_ends_with_what_was_asked_for(phase: Phase) -> No
 def test_a_run_that_has_begun_at_k_0_has_begun(k_first: int) -> None:
     """One that has not yet, has nothing to tell but its end."""
     run = ActiveRun("r", codes(1.0, 1.0), k_first, scheduled=True, due=1, t_zero_ns=0)
-    state = replace(rested().loop.state, run=run, absent=(), told=-1, k=50)
+    state = changed(rested().loop.state, run=run, absent=(), told=-1, k=50)
 
     after, actions = end_run(state, 5 * MS)
 
@@ -656,8 +656,8 @@ def test_a_trace_leaves_the_codes_to_the_recording() -> None:
     restored = trace.restored(written, state.run.codes)
     assert restored.lease is not None
     assert restored.lease.lease != state.lease.lease
-    assert replace(restored, lease=state.lease) == state
-    assert trace.restored(trace.written_state(replace(state, run=None)), b"x").run is None
+    assert changed(restored, lease=state.lease) == state
+    assert trace.restored(trace.written_state(changed(state, run=None)), b"x").run is None
 
 
 def test_a_run_that_is_ordered_while_another_ends_is_kept_out() -> None:

@@ -7,8 +7,7 @@ from armrig_core.codes import RefusalCode
 from armrig_daemon.decisions.state import Emit, Queue
 from armrig_daemon.decisions.stopping import end_run
 from armrig_daemon.pipe import Answer
-from decision_states import RUN, rested
-from msgspec.structs import replace
+from decision_states import RUN, changed, rested
 
 
 @pytest.mark.parametrize(
@@ -16,7 +15,7 @@ from msgspec.structs import replace
 )
 def test_a_run_that_never_began_is_refused_with_a_reason(outcome: str, error: str) -> None:
     """Whoever asked for it: an answer without an error would say that it runs."""
-    state = replace(rested().loop.state, queue=Queue(RUN), outcome=outcome)
+    state = changed(rested().loop.state, queue=Queue(RUN), outcome=outcome)
 
     state, done = end_run(state, 0)
 

@@ -35,7 +35,7 @@ from armrig_daemon.pipe import (
     Stop,
     Trace,
 )
-from msgspec.structs import replace
+from decision_states import changed
 from virtual_bench import LEASE, Bench, codes
 
 VOLTS = [0.5, 2.0, 5.0, 1.0] * 50
@@ -201,7 +201,7 @@ def test_a_state_after_a_long_outage_fits_into_a_chunk() -> None:
     state = Bench().loop.state
     pieces = tuple(Absent(10**9 + 2 * i, 1, "lost", 7, 10**15, 10**15) for i in range(1000))
 
-    data = trace.written_state(replace(state, absent=pieces))
+    data = trace.written_state(changed(state, absent=pieces))
 
     assert trace.restored(data, b"") == state
     assert len(data) < 1000

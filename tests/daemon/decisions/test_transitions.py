@@ -46,13 +46,13 @@ from decision_states import (
     Decided,
     armed,
     awaiting,
+    changed,
     device_sample,
     driven,
     heard,
     ordered,
     rested,
 )
-from msgspec.structs import replace
 from virtual_bench import LEASE, MS, Bench, codes
 
 RETRY_MS = dict.fromkeys(Want, 50) | {Want.HELLO: 100, Want.STOP: 20}
@@ -114,7 +114,7 @@ def test_hello_is_asked_for_ever() -> None:
 def test_a_request_over_a_line_that_is_down_is_given_up() -> None:
     """Whose wish it was is told; nothing is sent."""
     bench = rested()
-    state = replace(awaiting(bench.loop.state, Want.CONFIGURE, ARM), link_up=False)
+    state = changed(awaiting(bench.loop.state, Want.CONFIGURE, ARM), link=None)
 
     decided = Decided(state, 50 * MS, Beat())
 
@@ -129,7 +129,7 @@ def test_a_request_over_a_line_that_is_down_is_given_up() -> None:
 def test_a_stop_that_is_not_confirmed_is_a_fault() -> None:
     """S6: the run is over and latched; the device's own watchdog is next, so nothing feeds it."""
     bench = driven()
-    state = replace(bench.loop.state, run=ActiveRun("r", codes(1.0), -1))
+    state = changed(bench.loop.state, run=ActiveRun("r", codes(1.0), -1))
 
     decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
 
@@ -146,7 +146,7 @@ def test_a_stop_that_is_not_confirmed_after_a_trip_changes_nothing_more() -> Non
     """The cause of the trip stays the one that is told."""
     bench = rested()
     why = Fault(Id.STALE, "no answer")
-    state = replace(bench.loop.state, phase=Phase.FAULT, fault=why)
+    state = changed(bench.loop.state, phase=Phase.FAULT, fault=why)
 
     decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
 
@@ -159,7 +159,7 @@ def test_a_stop_that_is_not_confirmed_after_a_trip_changes_nothing_more() -> Non
 def test_a_stop_that_is_not_confirmed_does_not_hold_up_the_end() -> None:
     """Five times are enough; the watchdog of the device is next."""
     bench = driven()
-    state = replace(bench.loop.state, quitting=True)
+    state = changed(bench.loop.state, quitting=True)
 
     decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
 
@@ -170,7 +170,7 @@ def test_a_stop_that_is_not_confirmed_does_not_hold_up_the_end() -> None:
 def test_an_end_in_good_order_is_no_fault(code: Code) -> None:
     """Several of the frames that show the device at rest may come at once."""
     bench = driven()
-    state = replace(bench.loop.state, quitting=True)
+    state = changed(bench.loop.state, quitting=True)
     ack = Ack(state=DeviceState.IDLE, seq=0, of_seq=OURS, of_type=TYPES[Stop], code=code)
     sample = device_sample(state)._replace(state=DeviceState.IDLE)
     frames = b"\0" + b"".join(encode(frame) for frame in (ack, sample, ack))
@@ -249,7 +249,7 @@ def test_who_resets_a_device_that_was_found_driving_gets_it_configured(order: Re
     """S6: only a reset leads out of the fault, by way of a STOP that has had its effect."""
     bench = rested()
     fault = Fault(Id.STALE, "no answer")
-    state = replace(bench.loop.state, phase=Phase.FAULT, fault=fault, device_state=DeviceState.RUN)
+    state = changed(bench.loop.state, phase=Phase.FAULT, fault=fault, device_state=DeviceState.RUN)
     ack = Ack(int(DeviceState.IDLE), 0, TYPES[Stop], int(Code.OK), OURS)
 
     decided = heard(bench, ack, awaiting(state, Want.STOP, order))
@@ -263,11 +263,11 @@ def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None
     bench = armed()
     now, state = bench.ports.now, bench.loop.state
     assert state.lease is not None
-    given = replace(state, lease=replace(state.lease, renewed_ns=now - 90 * MS), fresh_ns=now)
+    given = changed(state, lease=changed(state.lease, renewed_ns=now - 90 * MS), fresh_ns=now)
     ack = Ack(int(DeviceState.RUN), 0, TYPES[Start], int(Code.OK), OURS)
 
     started = heard(bench, ack, awaiting(given, Want.START, SET, sent_ns=now))
-    fresh = replace(started.state, fresh_ns=now + 10 * MS, tick_ns=now + 10 * MS, service_ns=now)
+    fresh = changed(started.state, fresh_ns=now + 10 * MS, tick_ns=now + 10 * MS, service_ns=now)
     held = Decided(fresh, now + 10 * MS, Tick(state.k + 1, now))
     over = Decided(fresh, now + 10 * MS + 1, Tick(state.k + 1, now))
 
@@ -302,12 +302,12 @@ def test_a_device_that_is_found_driving_is_stopped_first(phase: Phase, state: De
     device = bench.loop.state.device
     assert device is not None
     fault = Fault(Id.STALE, "no answer") if phase is Phase.FAULT else None
-    lost = replace(bench.loop.state, device=None, phase=phase, fault=fault)
+    lost = changed(bench.loop.state, device=None, phase=phase, fault=fault)
 
     decided = heard(bench, device._replace(state=int(state)), awaiting(lost, Want.HELLO))
 
     assert [type(m) for m in decided.sent] == [Stop]
-    assert (decided.state.phase, decided.state.device_state) == (phase, state)
+    assert (decided.state.phase, decided.state.link.device_state) == (phase, state)
 
 
 def test_a_device_that_is_met_latched_says_why() -> None:
@@ -315,7 +315,7 @@ def test_a_device_that_is_met_latched_says_why() -> None:
     bench = rested()
     device = bench.loop.state.device
     assert device is not None
-    met = replace(bench.loop.state, device=None, phase=Phase.INIT)
+    met = changed(bench.loop.state, device=None, phase=Phase.INIT)
     latched = device._replace(state=int(DeviceState.FAULT), cause=int(Cause.WATCHDOG))
 
     decided = heard(bench, latched, awaiting(met, Want.HELLO))
@@ -331,7 +331,7 @@ def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
     device = bench.loop.state.device
     assert device is not None
     fault = Fault(Id.DEVICE, "the device is in FAULT")
-    lost = replace(bench.loop.state, device=None, phase=Phase.FAULT, fault=fault)
+    lost = changed(bench.loop.state, device=None, phase=Phase.FAULT, fault=fault)
     reply = device._replace(state=int(DeviceState.FAULT))
 
     decided = heard(bench, reply, awaiting(lost, Want.HELLO))
@@ -345,13 +345,13 @@ def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
 def _one_sent(bench: Bench) -> tuple:  # type: ignore[type-arg]
     bench.ports.from_device = lambda data: b""
     bench.run_for(11)
-    return bench.loop.state.sent
+    return bench.loop.state.link.sent
 
 
 def test_a_device_that_was_latched_before_is_not_told_again() -> None:
     """At rest the same state again is no news; the trip is told once."""
     bench = rested()
-    latched = replace(bench.loop.state, device_state=int(DeviceState.ESTOP))
+    latched = changed(bench.loop.state, device_state=int(DeviceState.ESTOP))
 
     again = transitions.note_state(latched, bench.ports.now, int(DeviceState.ESTOP))
     first = transitions.note_state(bench.loop.state, bench.ports.now, int(DeviceState.ESTOP))
@@ -381,7 +381,7 @@ def test_a_device_that_leaves_the_run_unasked_is_a_fault(state: int, name: str) 
 def test_what_nobody_owns_does_not_move(want: Want, state: DeviceState, cause: str) -> None:
     """S5: a request that has lost its order is a bug of ours, and ends at 0 V."""
     bench = armed()
-    at = replace(bench.loop.state, device_state=int(DeviceState.READY))
+    at = changed(bench.loop.state, device_state=int(DeviceState.READY))
 
     after, _ = transitions.note_state(awaiting(at, want), bench.ports.now, int(state))
 
@@ -393,7 +393,7 @@ def test_what_nobody_owns_does_not_move(want: Want, state: DeviceState, cause: s
 def test_a_motor_that_starts_without_a_lease_is_stopped() -> None:
     """S5: whoever asked for it holds nothing any more."""
     bench = armed()
-    at = awaiting(replace(bench.loop.state, lease=None), Want.START, SET)
+    at = awaiting(changed(bench.loop.state, lease=None), Want.START, SET)
 
     after, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.RUN))
 
@@ -404,7 +404,7 @@ def test_a_motor_that_starts_without_a_lease_is_stopped() -> None:
 def test_a_fault_is_cleared_when_the_device_is_idle(state: DeviceState) -> None:
     """S6: any other state says nothing of it."""
     bench = rested()
-    at = replace(bench.loop.state, phase=Phase.FAULT, device_state=int(DeviceState.FAULT))
+    at = changed(bench.loop.state, phase=Phase.FAULT, device_state=int(DeviceState.FAULT))
     at = awaiting(at, Want.CLEAR, Reset(order=8))
 
     waiting, _ = transitions.note_state(at, bench.ports.now, int(state))
@@ -444,7 +444,7 @@ def _met(bench: Bench, before: State, **fields: int) -> Decided:
 def test_a_device_that_another_host_left_running_is_stopped_first(state: DeviceState) -> None:
     """Then configured; whoever asks keeps his place."""
     bench = rested()
-    greeting = awaiting(replace(bench.loop.state, phase=Phase.INIT), Want.HELLO, ARM)
+    greeting = awaiting(changed(bench.loop.state, phase=Phase.INIT), Want.HELLO, ARM)
 
     decided = _met(bench, greeting, state=int(state))
 
@@ -457,14 +457,14 @@ def test_a_device_is_met_at_the_time_of_the_question() -> None:
     """S4: the age of the round trip counts from there; what was asked of another boot is void."""
     bench = rested()
     waiting = _one_sent(bench)
-    greeting = awaiting(replace(bench.loop.state, sent=waiting), Want.HELLO, sent_ns=123)
+    greeting = awaiting(changed(bench.loop.state, sent=waiting), Want.HELLO, sent_ns=123)
 
     met = _met(bench, greeting, token=99, state=int(DeviceState.READY))
 
-    assert met.state.fresh_ns == 123
-    assert met.state.sent == ()
-    assert met.state.token == 99
-    assert met.state.device_state == DeviceState.READY
+    assert met.state.link.fresh_ns == 123
+    assert met.state.link.sent == ()
+    assert met.state.link.token == 99
+    assert met.state.link.device_state == DeviceState.READY
     assert [type(m) for m in met.sent] == [Config]
 
 
@@ -473,14 +473,14 @@ def test_another_boot_has_another_clock() -> None:
     bench = rested()
     bench.run_for(1000)
     greeting = awaiting(bench.loop.state, Want.HELLO)
-    boot_id = bench.loop.state.boot_id
+    boot_id = bench.loop.state.clock.boot_id
 
     same, other = _met(bench, greeting).state, _met(bench, greeting, boot_id=boot_id + 1).state
 
     assert same.clock == bench.loop.state.clock
     assert same.t_us == bench.loop.state.t_us != 0
-    assert (other.clock.weight, other.t_us, other.device_us) == (0, 0, 0)
-    assert other.boot_id == boot_id + 1
+    assert (other.clock.map.weight, other.t_us, other.clock.device_us) == (0, 0, 0)
+    assert other.clock.boot_id == boot_id + 1
     assert same.sampled_ns == bench.loop.state.sampled_ns != 0
     assert other.sampled_ns == 0
 
@@ -530,7 +530,7 @@ def test_a_duty_of_1_to_16_bits_can_be_driven(bits: int) -> None:
 def test_a_latched_daemon_meets_a_device_and_stays_latched() -> None:
     """S6: a link that comes back resets nothing; only the order of a person goes on."""
     bench = rested()
-    state = replace(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LINK, "unplugged"))
+    state = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LINK, "unplugged"))
 
     back = _met(bench, awaiting(state, Want.HELLO))
     reset = _met(bench, awaiting(state, Want.HELLO, Reset(order=8)))
@@ -556,10 +556,10 @@ def _reply(state: State, **fields: int) -> ConfigReply:
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_the_device_is_asked_for_the_rules(scheduled: bool) -> None:
     """Rest at 0 V, and 0 V where a queue runs dry; 0 is always allowed, for it rests there."""
-    rules = replace(
+    rules = changed(
         rested().loop.state.rules, u_min=9, u_max=60_000, slew=5, watchdog_ms=60, turns=7
     )
-    rules = replace(rules, rail_ticks=8)
+    rules = changed(rules, rail_ticks=8)
 
     assert config(rules, 2_000, 33, scheduled=scheduled) == Config(
         state=0,
@@ -598,15 +598,19 @@ def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | Re
     S4: it does not say which CONFIG it answers, and proves no round trip to who wants to drive.
     """
     bench = rested()
-    latched = replace(armed().loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
+    latched = changed(armed().loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
     state = awaiting(latched, Want.CONFIGURE, order, ts_us=20_000, sent_ns=55)
     reply = _reply(state)
 
     decided = heard(bench, reply, state)
 
     after = decided.state
-    assert (after.config_crc, after.nonce, after.ts_us) == (reply.config_crc, 77, 20_000)
-    assert after.fresh_ns == (55 if isinstance(order, Reset) else latched.fresh_ns)
+    assert (after.configuration.config_crc, after.configuration.nonce, after.ts_us) == (
+        reply.config_crc,
+        77,
+        20_000,
+    )
+    assert after.link.fresh_ns == (55 if isinstance(order, Reset) else latched.link.fresh_ns)
     assert after.tick_ns == bench.ports.now
     assert decided.of(Repace) == [Repace(20_000, state.k + 1)]
     if isinstance(order, Reset):
@@ -616,14 +620,14 @@ def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | Re
         (arm,) = decided.sent
         assert isinstance(arm, Arm)
         assert (arm.config_crc, arm.nonce) == (reply.config_crc, 77)
-        assert arm.boot_id == state.boot_id
+        assert arm.boot_id == state.clock.boot_id
 
 
 def test_a_scheduled_configuration_slows_our_own_ticks_down() -> None:
     """The device paces; we look after it each 10 ms."""
     bench = armed()
-    bench.loop.state = replace(bench.loop.state, ts_us=5_000, pace_us=5_000)
-    scheduled = replace(RUN, scheduled=True)
+    bench.loop.state = changed(bench.loop.state, ts_us=5_000, pace_us=5_000)
+    scheduled = changed(RUN, scheduled=True)
     state = awaiting(bench.loop.state, Want.CONFIGURE, scheduled, ts_us=5_000, scheduled=True)
     reply = _reply(state)
     assert reply.mode == Mode.SCHEDULED
@@ -655,7 +659,7 @@ def test_a_configuration_that_nobody_waits_for_is_none() -> None:
 def test_a_late_answer_to_an_earlier_configuration_ends_no_run() -> None:
     """Ours is waited for; a device that accepts another each time is given up."""
     bench = rested()
-    state = replace(bench.loop.state, phase=Phase.ARMED)
+    state = changed(bench.loop.state, phase=Phase.ARMED)
     late = _reply(awaiting(state, Want.CONFIGURE, ts_us=20_000))
     waiting = awaiting(state, Want.CONFIGURE, ARM, ts_us=10_000, tries=4)
 
@@ -673,7 +677,7 @@ def test_an_arm_under_a_newer_nonce_is_tried_as_often_as_any_request() -> None:
     bench = rested()
     again = _reply(
         awaiting(bench.loop.state, Want.CONFIGURE, ts_us=bench.loop.state.ts_us)
-    )._replace(config_crc=bench.loop.state.config_crc)
+    )._replace(config_crc=bench.loop.state.configuration.config_crc)
     arming = awaiting(bench.loop.state, Want.ARM, ARM, tries=4)
 
     fifth = heard(bench, again, arming)
@@ -693,8 +697,11 @@ def test_an_arm_waits_for_its_own_configuration_only(change: dict[str, int | Non
     bench = rested()
     state = bench.loop.state
     own = _reply(awaiting(state, Want.CONFIGURE, ts_us=state.ts_us))
-    own = own._replace(config_crc=state.config_crc)
-    same = {name: state.nonce if value is None else value for name, value in change.items()}
+    own = own._replace(config_crc=state.configuration.config_crc)
+    same = {
+        name: state.configuration.nonce if value is None else value
+        for name, value in change.items()
+    }
 
     decided = heard(bench, own._replace(**same), awaiting(state, Want.ARM, ARM))
 
@@ -707,7 +714,7 @@ def test_an_arm_waits_for_its_own_configuration_only(change: dict[str, int | Non
 def test_nothing_is_armed_without_a_device() -> None:
     """Whoever calls it."""
     bench = rested()
-    state = replace(bench.loop.state, device=None)
+    state = changed(bench.loop.state, device=None)
 
     after, (said,) = transitions.begin_arming(state, bench.ports.now, ARM)
 
@@ -720,10 +727,10 @@ def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
     bench = rested()
     device = bench.loop.state.device
     assert device is not None
-    slow = replace(bench.loop.state, device=device._replace(ts_min_us=15_000))
+    slow = changed(bench.loop.state, device=device._replace(ts_min_us=15_000))
 
-    (refusal,) = ordered(bench, replace(ARM, ts_us=14_999), slow).told(Answer)
-    allowed = ordered(bench, replace(ARM, ts_us=15_000), slow)
+    (refusal,) = ordered(bench, changed(ARM, ts_us=14_999), slow).told(Answer)
+    allowed = ordered(bench, changed(ARM, ts_us=15_000), slow)
 
     assert refusal.error == "Ts=0.014999 s is too short for the device: at least 0.015 s"
     assert [type(m) for m in allowed.sent] == [Config]

@@ -172,7 +172,7 @@ def test_the_loop_hears_from_the_service_while_a_run_is_planned(between: Between
 
     *signs, play = between.loop.orders()
     assert isinstance(play, pipe.Run)
-    assert signs == [Alive()] * 4
+    assert signs == [Alive()] * 5
 
 
 def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
