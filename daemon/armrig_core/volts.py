@@ -13,22 +13,22 @@ U_MAX_V = FULL_SCALE_MV / 1000
 """Largest motor voltage, in V. Above it, and below 0 V, the rig is destroyed."""
 
 
-def code_of(volts: float) -> int:
-    """Return the code nearest to `volts`.
+def code_of(u: float) -> int:
+    """Return the code nearest to `u`, in V.
 
     Raises
     ------
     ValueError
         The voltage is not a number in [0, 5]; it is never clamped.
     """
-    if not 0.0 <= volts <= U_MAX_V:  # NaN fails this, too
-        raise InputError(f"{volts!r} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed")
-    return round(volts / U_MAX_V * CODE_FULL_SCALE)
+    if not 0.0 <= u <= U_MAX_V:  # NaN fails this, too
+        raise InputError(f"{u!r} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed")
+    return round(u / U_MAX_V * CODE_FULL_SCALE)
 
 
 def codes_of(u: Iterable[float]) -> bytes:
     """Return the codes of the voltages, each a u16, little-endian; raises as `code_of`."""
-    codes = [code_of(volts) for volts in u]
+    codes = [code_of(one) for one in u]
     return pack(f"<{len(codes)}H", *codes)
 
 

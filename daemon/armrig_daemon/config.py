@@ -277,8 +277,8 @@ class Config(Table, frozen=True, kw_only=True):
         """Return what the core is told."""
         limits = self.limits
         return Rules(
-            u_min=code_of(limits.u_min_v),
-            u_max=code_of(limits.u_max_v),
+            code_min=code_of(limits.u_min_v),
+            code_max=code_of(limits.u_max_v),
             # One code more: a step of exactly the limit may round up.
             slew=min(code_of(limits.slew_v) + 1, CODE_FULL_SCALE) if limits.slew_v else 0,
             ts_us=self.ts_us,

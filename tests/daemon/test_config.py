@@ -165,7 +165,7 @@ def test_the_rules_of_the_core_are_the_configuration_s() -> None:
     """Volts as codes; no slew limit is 0."""
     rules = Config().rules()
 
-    assert (rules.u_min, rules.u_max, rules.slew, rules.turns) == (0, 65535, 0, 0)
+    assert (rules.code_min, rules.code_max, rules.slew, rules.turns) == (0, 65535, 0, 0)
     assert rules.ts_us == 10_000
 
 
@@ -180,8 +180,8 @@ def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
     ).rules()
 
     assert rules == Rules(
-        u_min=6554,
-        u_max=52428,
+        code_min=6554,
+        code_max=52428,
         slew=26215,
         ts_us=20_000,
         watchdog_ms=60,

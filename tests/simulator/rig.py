@@ -586,8 +586,8 @@ class Rig:
 
 def _rules(options: Options) -> Rules:
     return Rules(
-        u_min=options.u_min,
-        u_max=options.u_max,
+        code_min=options.u_min,
+        code_max=options.u_max,
         slew=options.slew,
         ts_us=options.ts_us,
         watchdog_ms=options.watchdog_ms,

@@ -220,8 +220,8 @@ def _too_short_for_exchange(state: State) -> str:
 
 
 def _out_of_range(before: int, code: int, rules: Rules) -> str:
-    low, high = volts_of(rules.u_min), volts_of(rules.u_max)
-    if not rules.u_min <= code <= rules.u_max:
+    low, high = volts_of(rules.code_min), volts_of(rules.code_max)
+    if not rules.code_min <= code <= rules.code_max:
         return f"u={volts_of(code):.4g} V is outside {low:.4g} … {high:.4g} V"
     if not rules.allows(before, code):
         step = volts_of(abs(code - before))

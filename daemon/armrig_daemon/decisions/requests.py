@@ -175,7 +175,7 @@ def config(rules: Rules, ts_us: int, seq: int, *, scheduled: bool) -> Config:
         ts_us=ts_us,
         # 0 V is always allowed: the host rests there between START and the first sample.
         u_min=0,
-        u_max=rules.u_max,
+        u_max=rules.code_max,
         u_rest=0,
         slew=rules.slew,
         watchdog_ms=rules.watchdog_ms,

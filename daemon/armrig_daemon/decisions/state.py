@@ -44,9 +44,9 @@ class Want(StrEnum):
 class Rules(msgspec.Struct, frozen=True, kw_only=True):
     """What the core is told once, at the start."""
 
-    u_min: int
+    code_min: int
     """Lowest code that a command may ask for."""
-    u_max: int
+    code_max: int
     """Highest code that a command may ask for."""
     slew: int
     """Largest change of the code in one sample; 0 is none."""
@@ -84,7 +84,7 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
 
     def allows(self, before: int, code: int) -> bool:
         """Return whether `code` may follow `before`: within the limits, and not too far from it."""
-        inside = self.u_min <= code <= self.u_max
+        inside = self.code_min <= code <= self.code_max
         return inside and (self.slew == 0 or abs(code - before) <= self.slew)
 
     def lease_ns(self, ts_us: int) -> int:

@@ -20,6 +20,8 @@ def state_of(data: bytes) -> State:
     """Return a state of version 1, in which all fields stood in one; of a run there is a link."""
     fields = msgspec.msgpack.decode(data)
     fields["map"] = fields.pop("clock")
+    rules = fields["rules"]
+    rules["code_min"], rules["code_max"] = rules.pop("u_min"), rules.pop("u_max")
     parts = {
         name: {field: fields[field] for field in kind.__struct_fields__ if field in fields}
         for name, kind in _PARTS.items()

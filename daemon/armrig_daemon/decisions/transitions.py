@@ -195,8 +195,8 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
         "lease": order.lease,
         "period_s": rules.lease_ns(ts_us) / 1e9,
         "Ts": ts_us / 1e6,
-        "u_min": round(volts_of(rules.u_min), 4),
-        "u_max": round(volts_of(rules.u_max), 4),
+        "u_min": round(volts_of(rules.code_min), 4),
+        "u_max": round(volts_of(rules.code_max), 4),
     }
     return state, [say_state(state, now_ns), *answer(order, granted)]
 

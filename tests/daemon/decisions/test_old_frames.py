@@ -22,8 +22,8 @@ from armrig_protocol.messages import State as DeviceState
 from decision_states import changed
 
 RULES = Rules(
-    u_min=0,
-    u_max=65_535,
+    code_min=0,
+    code_max=65_535,
     slew=0,
     ts_us=2_000,
     watchdog_ms=100,

@@ -587,7 +587,7 @@ def test_a_run_that_leaves_the_limits_is_stopped_in_that_tick() -> None:
     bench = driven()
     state = bench.loop.state
     run = ActiveRun("r", codes(1.0, 5.0), state.k, due=1)
-    narrow = changed(state.rules, u_max=state.rules.u_max // 2)
+    narrow = changed(state.rules, code_max=state.rules.code_max // 2)
     bench.ports.now += TS
 
     decided = _tick(changed(state, rules=narrow, run=run), bench.ports.now)

@@ -557,7 +557,7 @@ def _reply(state: State, **fields: int) -> ConfigReply:
 def test_the_device_is_asked_for_the_rules(scheduled: bool) -> None:
     """Rest at 0 V, and 0 V where a queue runs dry; 0 is always allowed, for it rests there."""
     rules = changed(
-        rested().loop.state.rules, u_min=9, u_max=60_000, slew=5, watchdog_ms=60, turns=7
+        rested().loop.state.rules, code_min=9, code_max=60_000, slew=5, watchdog_ms=60, turns=7
     )
     rules = changed(rules, rail_ticks=8)
 
