@@ -66,6 +66,7 @@ NO_MEMBERS = {
     "*Fit.Ts": "given",
     "*Fit.nk": "given",
     "Dataset.N": "the length of u",
+    "*Fit.findings": "the warnings again, by code",
     "*.names": "texts",
     "*.history": "texts",
     "*Fit.orders": "given",

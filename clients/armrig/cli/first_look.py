@@ -29,9 +29,9 @@ from armrig.cli.recorded_data import Signals, from_recording, loaded, source_fac
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
+    from armrig.data.finding import Finding
     from armrig.nonparametric.sampling_time import SamplingTime
     from armrig.nonparametric.step_analysis import StepAnalysis
-    from armrig.recordings.usability import Finding
     from armrig.validation.structure_hints import StructureHints
 
 Drawing = Annotated[

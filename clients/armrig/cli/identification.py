@@ -45,8 +45,8 @@ from armrig.models.structure_table import users
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
+    from armrig.data.finding import Finding
     from armrig.models.fit import Fit
-    from armrig.recordings.usability import Finding
     from armrig.validation.comparison import ComparisonTable
     from armrig.validation.residuals import ResidualTest
     from armrig.validation.search_result import SearchResult

@@ -24,8 +24,8 @@ from armrig.validation.residuals import ResidualTest
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from armrig.data.finding import Finding
     from armrig.models.responses import Roots
-    from armrig.recordings.usability import Finding
     from armrig.validation.search_result import SearchResult
 
 _MOST_DECIMALS = 9
@@ -120,9 +120,7 @@ def model_lines(fit: Fit) -> list[str]:
 
 def doubted(fit: Fit, doubts: Sequence[Finding]) -> bool:
     """Tell whether something is wrong with the data, by their own tests or the estimate's."""
-    return bool(doubts) or any(
-        phrase in text for text in fit.warnings for _, phrase in _SAID_BY_WARNINGS[:_OF_DATA]
-    )
+    return bool(doubts) or any(f.about in _OF_DATA for f in fit.findings)
 
 
 def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
@@ -131,12 +129,11 @@ def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
     # The answer has said what the residuals are.
     advised = [f for f in advice(fit).findings if f.level != "good"]
     advised = [f for f in advised if f.about not in {"residuals", *about}]
-    if "integrator" in about or any("where u is 0" in w for w in fit.warnings):
+    if "integrator" in about or any(f.about == "level" for f in fit.findings):
         # Then what a pole and a zero at 1 stand for is known.
         advised = [f for f in advised if f.about != "level"]
     said = about | {f.about for f in advised}
-    known = [phrase for name, phrase in _SAID_BY_WARNINGS if name in said]
-    warnings = [w for w in fit.warnings if not any(phrase in w for phrase in known)]
+    warnings = [f.text for f in fit.findings if not said & _SAID_BY.get(f.about, set())]
     lines = [f"! {f.about}: {f.text}" for f in doubts]
     lines += [f"! {w}" for w in warnings] + [f"! {f.about}: {f.text}" for f in advised]
     return [in_symbols(line) for line in lines] or ["nothing to act on"]
@@ -145,9 +142,8 @@ def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
 def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
     """Return what there is to act on, by the names of the findings."""
     found = {f.about for f in (*doubts, *advice(fit).findings) if f.level != "good"}
-    return found | {
-        name for name, phrase in _ASKED_BY_WARNINGS if any(phrase in w for w in fit.warnings)
-    }
+    asked = {f.about if f.about in _OF_DATA else f.asks for f in fit.findings}
+    return found | (asked - {""})
 
 
 def short_search_lines(found: SearchResult) -> list[str]:
@@ -183,23 +179,15 @@ _OURS = {
 }
 
 _DATA_FIRST = "see to the data first, as said below"
-_SAID_BY_WARNINGS = (
-    ("outliers", "look wrong"),
-    ("level", "where u is 0"),
-    ("integrator", "pole is unstable"),
-    ("unstable", "pole is unstable"),
-    ("search", "ended in a poorer minimum"),
-    ("search", "search did not converge"),
-)
-"""Findings, and how a warning of the estimate says the same; those about the data first."""
-_OF_DATA = 2
-_ASKED_BY_WARNINGS = (
-    *_SAID_BY_WARNINGS[:_OF_DATA],
-    ("order", "lower the orders"),
-    ("integrator", "ask for integrator=True"),
-    ("structure", "take oe with integrator=True"),
-)
-"""Findings, and how a warning of the estimate asks for what they do."""
+_OF_DATA = frozenset({"outliers", "level"})
+"""Findings of an estimate that are about its data, by the names that the advice has for them."""
+_SAID_BY = {
+    **{name: {name} for name in _OF_DATA},
+    "unstable": {"integrator", "unstable"},
+    "poorer_minimum": {"search"},
+    "not_converged": {"search"},
+}
+"""Findings of the advice that say what one of an estimate says."""
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"

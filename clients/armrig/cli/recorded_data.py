@@ -15,6 +15,7 @@ from armrig_core.errors import InputError
 from armrig.cli.figures import name_runs
 from armrig.cli.options import SAME_DATA, OutputName, tell, warned
 from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
+from armrig.data.step import MEAN, codes_of
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -135,8 +136,8 @@ class Signals:
         if model is not None and self.signal is not None and model.output not in _UNNAMED:
             data = data.replaced(step=None, output=model.output)  # the person says it is the same
         _tell_of(file, data, columns)
-        for text in swapped(data):
-            tell(f"{file}: {text} (--input, --signal)")
+        for finding in swapped(data):
+            tell(f"{file}: {finding.text} (--input, --signal)")
         known = self.detrend or self.offset or _without_means(model) or _with_level(model)
         if not known:
             _hint_at_means(data, may_offset=self.offset is not None)
@@ -220,7 +221,7 @@ def source_facts(data: Dataset) -> dict[str, str]:
 
 
 def _without_means(model: Model | None) -> bool:
-    return any("removed the mean" in step for step in getattr(model, "history", ()))
+    return MEAN in codes_of(getattr(model, "history", ()))
 
 
 def _with_level(model: Model | None) -> bool:

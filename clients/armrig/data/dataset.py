@@ -16,6 +16,7 @@ from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.pandas_columns import plain, present
+from armrig.data.step import Step, codes_of
 from armrig.data.trend import Trend
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.stretches import Mask
@@ -375,7 +376,11 @@ def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
         if len(set(steps)) > 1:
             break
         common.append(steps[0])
-    own = [f"part {i}: {s}" for i, d in enumerate(parts, 1) for s in d.history[len(common) :]]
+    own = [
+        Step(f"part {i}: {step}", code)
+        for i, d in enumerate(parts, 1)
+        for step, code in list(zip(d.history, codes_of(d.history), strict=True))[len(common) :]
+    ]
     lengths = ", ".join(str(d.N) for d in parts[:_LISTED]) + (", …" if len(parts) > _LISTED else "")
     return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")
 

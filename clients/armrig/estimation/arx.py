@@ -89,7 +89,7 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         fit_percent=found.fit_percent,
         whiteness=found.white.p_value,
         whiteness_test=found.white.test,
-        warnings=(
+        findings=(
             *reflection_warnings(free, A),
             *data_faults(data, residuals, way_out=NO_OPTION),
         ),

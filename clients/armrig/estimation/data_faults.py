@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
+from armrig.data.finding import EstimateFinding, warning
 from armrig.data.treatment import INTEGRATING_OUTPUTS, hampel, integrating
 from armrig.data.treatment.whitening import whitening
 from armrig.numerics.quantities import percent, plural
@@ -39,7 +40,9 @@ _ROUNDING = 1e-9  # share of y's largest value, below which nothing is a level
 _SURE = 4.0  # standard deviations: 6 of 100 000 estimates without an offset
 
 
-def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> Iterator[str]:
+def data_faults(
+    data: Dataset, residuals: Sequence[Vector], *, way_out: str
+) -> Iterator[EstimateFinding]:
     """Yield a warning for each fault of the data that the estimate suffers from.
 
     Parameters
@@ -58,16 +61,17 @@ def data_faults(data: Dataset, residuals: Sequence[Vector], *, way_out: str) -> 
     if way_out and data.output not in INTEGRATING_OUTPUTS and _doubtful(residuals):
         level = level_without_input(data)
         if level and not integrating(data):
-            yield f"{level}, which the model cannot make: {way_out}"
+            yield warning("level", f"{level}, which the model cannot make: {way_out}")
 
 
-def swapped(data: Dataset) -> Iterator[str]:
+def swapped(data: Dataset) -> Iterator[EstimateFinding]:
     """Yield a warning where y looks like an input, and u like what answers it."""
     y = data.y[data.valid]
     if np.unique(y).size == _TWO_LEVELS and np.unique(data.u).size > max(_FEWEST, y.size // 4):
-        yield (
+        yield warning(
+            "swapped",
             f"{data.output} has two levels and u many, as if they were swapped: the input is what "
-            "was played, the output what was measured"
+            "was played, the output what was measured",
         )
 
 
@@ -81,7 +85,7 @@ def undetermined(data: Dataset) -> str:
     return "lower the orders or excite with a richer input"
 
 
-def _wrong_samples(data: Dataset, e: Vector) -> Iterator[str]:
+def _wrong_samples(data: Dataset, e: Vector) -> Iterator[EstimateFinding]:
     """Yield a warning where few samples make much of the loss, and neighbours deny them."""
     size = np.abs(e)
     far = size > _FAR * _MAD_TO_STD * float(np.median(size))
@@ -96,10 +100,13 @@ def _wrong_samples(data: Dataset, e: Vector) -> Iterator[str]:
     if not wrong.size:
         return
     where = ", ".join(map(str, wrong[:_LISTED])) + (", …" if wrong.size > _LISTED else "")
-    yield (
+    yield warning(
+        "outliers",
         f"{plural(wrong.size, 'sample')} of {data.output} look wrong ({where}) and make "
         f"{percent(100 * share)} of the squared residuals: the model follows them; estimate from "
-        "armrig.hampel(data), which marks them missing"
+        "armrig.hampel(data), which marks them missing",
+        count=wrong.size,
+        share=share,
     )
 
 

@@ -102,7 +102,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         fit_percent=fit_percent(y, sse),
         whiteness=found.white.p_value,
         whiteness_test=found.white.test,
-        warnings=(*reflection_warnings(free, A), *data_faults(data, e, way_out=NO_OPTION)),
+        findings=(*reflection_warnings(free, A), *data_faults(data, e, way_out=NO_OPTION)),
         **data.origin(),
     )
     return with_stability_warning(fit)

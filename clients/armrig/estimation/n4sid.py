@@ -10,6 +10,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.finding import EstimateFinding, warning
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.prediction_error_fit import with_integrator
@@ -34,6 +35,8 @@ from armrig.numerics.polynomial import Array, without_integrator
 
 _MOST = 10  # order that is suggested at most
 _NEAR_ONE = 0.02  # distance of a pole from 1 that is worth a word
+_NO_GAIN = "no steady Kalman gain was found: the noise model is 1/1"
+_BOUND = "the deviations are the bound that a search attains; those of a subspace are larger"
 _NOT_LEAST = (
     "the residuals are coloured, which a subspace model of the true order may show too, for it "
     "does not minimise the one-step errors: see whether those of armax or bj are white"
@@ -152,7 +155,7 @@ def _focused(
 ) -> SubspaceFit:
     """Return the model with these poles, or with those that its purpose wants."""
     facts = {**facts, "horizon": free.horizon, "singular_values": free.singular_values}
-    notes = [] if free.steady else ["no steady Kalman gain was found: the noise model is 1/1"]
+    notes = [] if free.steady else [warning("no_gain", _NO_GAIN)]
     if focus == "simulation":
         orders = f"order={n.nc}, nk={n.nk}"
         A, B, C = simulating(data, n, free.A, free.C, orders=orders)
@@ -189,7 +192,7 @@ def _fit(
     C: Array,
     B: Array | None,
     facts: dict[str, Any],
-    notes: tuple[str, ...],
+    notes: tuple[EstimateFinding, ...],
 ) -> SubspaceFit:
     """Return the model; B, unless it is given, by least squares on the one-step errors."""
     free = without_integrator(A) if n.integrator else A
@@ -233,10 +236,10 @@ def _fit(
         fit_percent=found.fit_percent,
         whiteness=found.white.p_value,
         whiteness_test=found.white.test,
-        warnings=(
+        findings=(
             *notes,
             *_warnings(data, n, A, found.covariance),
-            *([_NOT_LEAST] if found.white.coloured else []),
+            *([warning("coloured", _NOT_LEAST)] if found.white.coloured else []),
             *data_faults(data, residuals, way_out="" if n.trend else NO_OPTION),
         ),
         **data.origin(),
@@ -244,8 +247,10 @@ def _fit(
     )
 
 
-def _warnings(data: Dataset, n: Structure, A: Array, covariance: Array) -> Iterator[str]:
-    yield "the deviations are the bound that a search attains; those of a subspace are larger"
+def _warnings(
+    data: Dataset, n: Structure, A: Array, covariance: Array
+) -> Iterator[EstimateFinding]:
+    yield warning("bound", _BOUND)
     z = np.roots(A)
     nearest = int(np.argmin(np.abs(z - 1)))
     off, std = float(np.abs(z[nearest] - 1)), _pole_std(A, z[nearest], covariance)
@@ -253,15 +258,20 @@ def _warnings(data: Dataset, n: Structure, A: Array, covariance: Array) -> Itera
     if integrates:
         known = data.output in INTEGRATING_OUTPUTS
         then = f"{data.output} integrates, so" if known else f"if {data.output} integrates,"
-        yield (
+        yield warning(
+            "pole_at_1",
             f"a pole is 1 within its accuracy, off by {off:.1g} with a deviation of {std:.1g}: "
-            f"{then} ask for integrator=True, or simulations drift"
+            f"{then} ask for integrator=True, or simulations drift",
+            "integrator",
+            off=off,
+            std=std,
         )
     elif not n.integrator and _may_integrate(data, z[nearest]) and (found := integrating(data)):
-        yield f"{found}, and a pole is {off:.1g} from 1: try integrator=True"
+        text = f"{found}, and a pole is {off:.1g} from 1: try integrator=True"
+        yield warning("pole_near_1", text, off=off)
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):
-        yield unstable(float(others.max()), REFLECT)
+        yield unstable(float(others.max()), *REFLECT)
 
 
 def _may_integrate(data: Dataset, z: complex) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.dataset import Dataset
+from armrig.data.finding import EstimateFinding, warning
 from armrig.estimation.curvature import curvature
 from armrig.estimation.data_faults import data_faults
 from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, searched_minimum
@@ -105,12 +106,12 @@ def searched(
             f"{orders}: u determines only {solution.rank} of {n.na + n.nb} {what}; "
             f"lower {'nb' if n.na == 0 else 'the orders'} or excite with a richer input"
         )
-    notes: tuple[str, ...] = ()
+    notes: tuple[EstimateFinding, ...] = ()
     theta = best.theta
     if stable:
         theta, solution, notes = with_stable_poles(problem, solution, theta)
     fit = _fit(data, problem, solution, ends, theta, name)
-    return with_stability_warning(replace(fit, warnings=(*fit.warnings, *notes)))
+    return with_stability_warning(replace(fit, findings=(*fit.findings, *notes)))
 
 
 def _part(data: Dataset, structure: Structure) -> PredictionError | None:
@@ -207,9 +208,13 @@ def _fit(
         agreed=agreed,
         free=tuple(responses),
         curvature=curved,
-        warnings=(
+        findings=(
             *_warnings(best, starts, found, agreed=agreed, at_circle=_at_circle(p["C"])),
-            *([CURVED] if curved > MOST_CURVED and not found.white.coloured else []),
+            *(
+                [warning("curved", CURVED, curvature=curved)]
+                if curved > MOST_CURVED and not found.white.coloured
+                else []
+            ),
             *_gap_warnings([g.unknown for g in solution.given], found.N),
             *data_faults(
                 data,
@@ -284,28 +289,33 @@ def _warnings(
     *,
     agreed: bool,
     at_circle: bool,
-) -> Iterator[str]:
+) -> Iterator[EstimateFinding]:
     if not best.converged:
-        yield f"the search did not converge in {best.iterations} steps"
+        text = f"the search did not converge in {best.iterations} steps"
+        yield warning("not_converged", text, steps=best.iterations)
     if not agreed:
-        yield f"the start {starts[-1].name!r} ended in a poorer minimum ({starts[-1].loss:.4g})"
+        text = f"the start {starts[-1].name!r} ended in a poorer minimum ({starts[-1].loss:.4g})"
+        yield warning("poorer_minimum", text, loss=starts[-1].loss)
     if at_circle:
-        yield (
+        yield warning(
+            "root_on_circle",
             "C has a root on the unit circle, where the search ends: its deviation means nothing. "
-            "Lower nc, or see whether the data were differenced or a trend was taken from them"
+            "Lower nc, or see whether the data were differenced or a trend was taken from them",
         )
     d = found.basis.W.shape[0]
     if found.basis.rank < d:
-        rank = f"{found.basis.rank} of {d}"
-        yield f"the data determine only {rank} parameters: the orders are too high"
+        text = f"the data determine only {found.basis.rank} of {d} parameters: the orders are "
+        yield warning("undetermined", text + "too high", rank=found.basis.rank, parameters=d)
 
 
-def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[str]:
+def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[EstimateFinding]:
     """Warn where C was fitted to many stretches: see `PredictionError`."""
     pulses = [Q.shape[1] for past in unknown for _, Q in past.noise][1:]
     if sum(pulses) > MANY_PULSES * N:
-        yield (
+        yield warning(
+            "gaps",
             f"the data have {plural(len(pulses), 'gap')}, after each of which the noise model "
             "starts anew: A, C and D may be off by up to half a standard deviation, and the test "
-            "of whiteness rejects too often"
+            "of whiteness rejects too often",
+            count=len(pulses),
         )

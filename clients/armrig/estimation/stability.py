@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from armrig.data.finding import Asks, EstimateFinding, warning
 from armrig.estimation.prediction_error import PredictionError, Solution
 from armrig.models.fit import Fit
 from armrig.models.innovations import errors
@@ -18,7 +19,7 @@ from armrig.numerics.polynomial import Array, reflected, roots, without_integrat
 ROUNDING = 1e-9  # a root on the circle is computed so far beside it at most
 _VAGUE = 0.1  # deviation of a pole that may be anywhere
 _SURELY = 3.0  # deviations from 1 beyond which a pole is no integrator
-REFLECT = "lower the orders, or stable=True reflects it"
+REFLECT: tuple[str, Asks] = "lower the orders, or stable=True reflects it", "order"
 _MARGIN = 1e-6  # from the circle, of a pole that is brought inside from so near
 
 
@@ -33,21 +34,24 @@ def stabilised(p: Array) -> Array:
     return reflected(p, 1.0 - _MARGIN)
 
 
-def reflection_warnings(before: Array, after: Array) -> Iterator[str]:
+def reflection_warnings(before: Array, after: Array) -> Iterator[EstimateFinding]:
     """Say which roots of a polynomial `stabilised` moved, if some."""
     z = np.abs(roots(before))
     moved = z[z >= 1.0 - ROUNDING]
     if after is not before and moved.size:
         farthest = f"the farthest from |z| = {moved.max():.4f}"
-        yield (
+        yield warning(
+            "reflected",
             f"stable=True reflected {moved.size} of {z.size} poles into the circle, {farthest}, "
-            "and estimated B anew; the deviations are those of the free estimate"
+            "and estimated B anew; the deviations are those of the free estimate",
+            moved=moved.size,
+            farthest=float(moved.max()),
         )
 
 
 def with_stable_poles(
     problem: PredictionError, solution: Solution, theta: Array
-) -> tuple[Array, Solution, tuple[str, ...]]:
+) -> tuple[Array, Solution, tuple[EstimateFinding, ...]]:
     """Return theta = (c, d, f) and the solution with A, D and F reflected, and what was.
 
     C stays, and for given A, C, D and F the errors are linear in B and the unknown past.
@@ -97,23 +101,25 @@ def with_stability_warning(fit: Fit) -> Fit:
     farthest = largest_unstable(fit)
     if not farthest:
         return fit
-    return replace(fit, warnings=(*fit.warnings, unstable(farthest, _integrator_hint(fit))))
+    return replace(fit, findings=(*fit.findings, unstable(farthest, *_way_out(fit))))
 
 
-def unstable(farthest: float, hint: str = "") -> str:
-    """Return the warning of a pole that far from 0."""
-    return f"a pole is unstable, |z| = {farthest:.4f}" + (f": {hint}" if hint else "")
+def unstable(farthest: float, way_out: str, asks: Asks) -> EstimateFinding:
+    """Return the warning of a pole that far from 0, and what to do."""
+    text = f"a pole is unstable, |z| = {farthest:.4f}: {way_out}"
+    return warning("unstable", text, asks, farthest=farthest)
 
 
-def _integrator_hint(fit: Fit) -> str:
+def _way_out(fit: Fit) -> tuple[str, Asks]:
     """Return what to do where the pole may be an integrator's, or how to be rid of it."""
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
         real = z.imag == 0 and not fit.integrator
         if real and abs(z) >= 1 - ROUNDING and std > _VAGUE:
-            return f"and its deviation is {std:.2g}, so the data do not determine the model"
+            return f"and its deviation is {std:.2g}, so the data do not determine the model", ""
         if real and abs(z) >= 1 - ROUNDING and abs(z - 1) < _SURELY * std + ROUNDING:
-            able = "integrator" in KINDS[fit.structure].takes
-            then = "ask for integrator=True" if able else "take oe with integrator=True"
-            return f"1 within its accuracy; if {fit.output} integrates, {then}"
+            what = f"1 within its accuracy; if {fit.output} integrates, "
+            if "integrator" in KINDS[fit.structure].takes:
+                return what + "ask for integrator=True", "integrator"
+            return what + "take oe with integrator=True", "structure"
     return REFLECT

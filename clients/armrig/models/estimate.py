@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset
+from armrig.data.finding import EstimateFinding
 from armrig.models.free_response import FreeResponse
 from armrig.models.model import Matrix, Model, Vector, freeze, standard_deviations
 from armrig.models.responses import NoiseSpectrum
@@ -67,8 +68,8 @@ class Estimate(Model):
     the ratio. 0 for a linear regression, and in files of earlier releases."""
     free: tuple[FreeResponse, ...] = ()
     """Initial state and input offset of each experiment, estimated with theta."""
-    warnings: tuple[str, ...] = ()
-    """What a reader should know before trusting the numbers."""
+    findings: tuple[EstimateFinding, ...] = ()
+    """What a reader should know before trusting the numbers, as values for programs."""
     source: str = ""
     """Hash of the recording identified from, or ""."""
     history: tuple[str, ...] = ()
@@ -80,6 +81,11 @@ class Estimate(Model):
         """Make the arrays as frozen as the rest."""
         Model.__post_init__(self)
         freeze(self, ("covariance", "covariance_robust"))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a reader should know before trusting the numbers, a sentence each."""
+        return tuple(f.text for f in self.findings)
 
     @property
     def label(self) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import MISSING, fields
 from os import PathLike
 from pathlib import Path
@@ -12,6 +13,8 @@ import numpy as np
 from armrig_core.bounded import read_text
 from armrig_core.errors import FileError
 
+from armrig.data.finding import EstimateFinding
+from armrig.data.step import LINE, MEAN, Step
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.free_response import FreeResponse
@@ -106,8 +109,34 @@ def _restored(content: dict[str, Any]) -> Fit:
         )
         for free in values["free"]
     )
-    values |= {name: tuple(values[name]) for name in ("warnings", "history")}
+    values["history"] = tuple(_steps(content))
+    values["findings"] = tuple(_findings(content))
     return kind(**values)
+
+
+def _findings(content: dict[str, Any]) -> Iterator[EstimateFinding]:
+    """Yield the sentences with what the file says of them; armrig 0.1 wrote the sentences alone."""
+    said = content.get("findings") or [{"about": ""}] * len(content["warnings"])
+    for text, finding in zip(content["warnings"], said, strict=True):
+        numbers = {name: float(x) for name, x in finding.get("numbers", {}).items()}
+        given = {"level": "warning"} | finding | {"text": text, "numbers": numbers}
+        yield EstimateFinding(**given)
+
+
+def _steps(content: dict[str, Any]) -> Iterator[Step]:
+    """Yield the steps of the history; those of armrig 0.1 have their codes by what it wrote."""
+    history = content["history"]
+    codes = content.get("treatment") or [_code_of_sentence(text) for text in history]
+    for text, code in zip(history, codes, strict=True):
+        yield Step(text, code)
+
+
+def _code_of_sentence(text: str) -> str:
+    """Return the code of a step that armrig 0.1 wrote, which is its sentence alone."""
+    return next((code for sentence, code in _SENTENCES if sentence in text), "")
+
+
+_SENTENCES = (("removed the mean from ", MEAN), ("removed a straight line from ", LINE))
 
 
 def _numbers(values: Any) -> Any:

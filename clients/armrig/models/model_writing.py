@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import fields
 from importlib.metadata import version
 from math import isfinite
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from armrig.data.step import codes_of
 from armrig.models.estimate import Estimate, Start
 from armrig.models.free_response import FreeResponse
 
@@ -35,7 +37,14 @@ def save_fit(fit: Estimate, path: str | PathLike[str]) -> Path:
 def model_text(fit: Estimate) -> str:
     """Return what the file of a model holds."""
     content = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
-    content |= {f.name: _plain(getattr(fit, f.name)) for f in fields(fit)}
+    # Of the findings armrig 0.1 reads the sentences alone, as `warnings`.
+    names = ("warnings" if f.name == "findings" else f.name for f in fields(fit))
+    content |= {name: _plain(getattr(fit, name)) for name in names}
+    content["treatment"] = codes_of(fit.history)
+    content["findings"] = [
+        {"about": f.about, "level": f.level, "asks": f.asks, "numbers": _plain(f.numbers)}
+        for f in fit.findings
+    ]
     return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
@@ -45,6 +54,8 @@ def _plain(value: Any) -> Any:
         return _plain(value.tolist())
     if isinstance(value, Start | FreeResponse):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {name: _plain(x) for name, x in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(x) for x in value]
     if isinstance(value, np.generic):

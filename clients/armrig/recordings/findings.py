@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from armrig_protocol.messages import Flag
 
+from armrig.data.finding import Finding
 from armrig.numerics.quantities import error, microseconds, percent
 from armrig.numerics.stretches import longest
 from armrig.recordings.hidden_step import hidden_step
@@ -28,18 +28,6 @@ TOO_FEW = 20
 LONGEST_UNSEEN_S = 1.0
 """A chassis that turns is out of its dead band in less, whatever the voltage."""
 _AT_REST = 6  # steps of the converter by which readings of a joint that stands still differ at most
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
-    """What one check found."""
-
-    level: Literal["good", "warning", "unusable"]
-    """Whether it stands in the way of identification."""
-    about: str
-    """What was checked: run, input, angle, step, arm, signal, samples, timing or turns."""
-    text: str
-    """What was found and, where it is not good, what to do."""
 
 
 def _good(about: str, text: str) -> Finding:

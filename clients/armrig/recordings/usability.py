@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armrig.data.dataset import Dataset
+from armrig.data.finding import Finding
 from armrig.data.treatment.whitening import whitening
 from armrig.recordings.findings import (
     TOO_FEW,
-    Finding,
     check_angle,
     check_arm,
     check_input,
@@ -26,8 +26,6 @@ from armrig.recordings.findings import (
 
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
-
-__all__ = ["DataVerdict", "Finding", "data_verdict"]
 
 _STRETCH_S = 1.0  # length of a stretch that one straight line is fitted to
 _STARTED_S = 3.0  # a longer run is judged without its first second, in which the chassis starts

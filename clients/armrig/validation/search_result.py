@@ -12,12 +12,12 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
+from armrig.data.finding import Finding
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
 from armrig.models.structure_table import KINDS, Family
 from armrig.numerics.quantities import p_relation, plural
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.recordings.usability import Finding
 from armrig.validation.residuals import ResidualTest
 
 if TYPE_CHECKING:
@@ -211,8 +211,9 @@ def _reasons(found: SearchResult) -> Iterator[str]:
     yield from _about_families(found)
     yield from found.notes
     yield from _about_tests(found.tests)
-    moved = (w for w in chosen.model.warnings if "stable=True" in w)
-    yield from moved if chosen.candidate.family == "n4sid" else chosen.model.warnings
+    for f in chosen.model.findings:
+        if chosen.candidate.family != "n4sid" or f.about == "reflected" or f.asks == "order":
+            yield f.text
     if found.failed:
         first = found.failed[0]
         yield (

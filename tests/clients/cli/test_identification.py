@@ -11,8 +11,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.cli.model_output import to_act_on
+from armrig.cli.model_output import advice_lines, doubted, to_act_on
 from armrig.cli.next_model import CHECK, options_after, options_of
+from armrig.data.finding import warning
 from armrig.estimation.oe import oe
 from armrig.estimation.request import Request
 from scipy.signal import lfilter
@@ -260,6 +261,24 @@ def next_of(fit: armrig.Fit, *, searched: bool = False, detrended: bool = False)
 def same(fit: armrig.Fit) -> Request:
     """Return what estimates a model again."""
     return Request(structure=fit.structure, orders={}).of_fit(fit)  # type: ignore[arg-type]
+
+
+def test_what_an_estimate_found_decides_by_its_code_and_not_by_its_words() -> None:
+    """Whether the data are doubted, what is said twice, and what the next line asks for."""
+    u = np.random.default_rng(4).choice([-1.0, 1.0], 400)
+    fit = oe(armrig.Dataset(u=u, y=lfilter([0, 1.0], [1, -0.5], u), Ts=0.1), nb=1, nf=1)
+    wrong = replace(fit, findings=(warning("outliers", "of other words"),))
+    other = replace(fit, findings=(warning("gaps", "2 samples look wrong; lower the orders"),))
+    unsteady = replace(fit, findings=(warning("unstable", "of other words", "structure"),))
+
+    lines = advice_lines(other, [])
+
+    assert doubted(wrong, [])
+    assert to_act_on(wrong, []) - to_act_on(fit, []) == {"outliers"}
+    assert not doubted(other, [])
+    assert to_act_on(other, []) == to_act_on(fit, [])
+    assert "! 2 samples look wrong; lower the orders" in lines
+    assert to_act_on(unsteady, []) - to_act_on(fit, []) == {"structure"}
 
 
 def test_the_next_line_lowers_what_the_advice_says_to_lower() -> None:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
+from armrig.data.step import LINE, MEAN, codes_of
 from armrig.data.treatment import IntegratingOutputWarning, detrend, difference, drift, retrend
 from armrig.data.trend import Trend
 from armrig.excitation import telegraph
@@ -48,6 +49,17 @@ def test_each_experiment_loses_its_own_mean() -> None:
         "merged 2 parts of 2, 2 samples",
         "removed the mean from u and y of each experiment (order 0)",
     )
+
+
+def test_a_treatment_is_known_by_its_code_in_merged_data_too() -> None:
+    """A part that was treated by itself keeps the code in the sentence that names the part."""
+    data = Dataset(u=np.arange(9.0), y=np.arange(9.0) ** 2, Ts=1)
+
+    merged = merge([detrend(data), data])
+
+    assert codes_of(detrend(data, order=1).history) == [LINE]
+    assert merged.history[0].startswith("part 1: removed the mean")
+    assert codes_of(merged.history) == [MEAN, ""]
 
 
 def test_a_line_removed_from_the_angle_is_warned_of() -> None:

@@ -11,11 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
+from armrig.data.finding import warning
+from armrig.data.step import MEAN, Step, codes_of
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj
 from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
-from armrig.models.model_file import load_fit
+from armrig.models.model_file import fit_of, load_fit
+from armrig.models.model_writing import model_text
 from armrig.numerics.polynomial import filtered
 from armrig.validation.residuals import residuals
 from armrig_core.errors import FileError
@@ -77,7 +80,33 @@ def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> 
         *("N", "Ts", "fit_percent", "whiteness", "whiteness_test", "converged", "starts"),
         *("agreed", "curvature", "free"),
         *("warnings", "output", "unit", "input_unit", "source", "history", "digest"),
+        *("findings", "treatment"),
     }
+
+
+def test_a_model_file_keeps_what_programs_decide_by(fit: Fit, tmp_path: Path) -> None:
+    """The code, the figures and the level of a finding, and the code of a treatment."""
+    found = warning("unstable", "a sentence", "order", farthest=1.02)
+    treated = replace(fit, findings=(found,), history=(Step("another", MEAN),))
+
+    treated.save(tmp_path / "model.json")
+    loaded = load_fit(tmp_path / "model.json")
+
+    assert loaded.findings == (found,)
+    assert loaded.warnings == ("a sentence",)
+    assert codes_of(loaded.history) == [MEAN]
+
+
+def test_a_model_file_of_armrig_0_1_has_sentences_alone(fit: Fit, tmp_path: Path) -> None:
+    """What they do not say is absent; of the treatment its sentences had one meaning."""
+    content = json.loads(model_text(fit))
+    del content["findings"], content["treatment"]
+    content |= {"warnings": ["a sentence"], "history": ["part 2: removed the mean from u and y"]}
+
+    loaded = fit_of(json.dumps(content), "model.json")
+
+    assert loaded.findings == (warning("", "a sentence"),)
+    assert codes_of(loaded.history) == [MEAN]
 
 
 @pytest.mark.parametrize(
@@ -131,7 +160,7 @@ def test_the_equation_is_typeset_with_its_deviations(fit: Fit) -> None:
 
 def test_a_notebook_shows_equation_table_and_verdict(fit: Fit) -> None:
     """As well-formed HTML, a name with angle brackets in a warning included."""
-    warned = replace(oe(data(3), nb=1, nf=1), warnings=("a < b",))
+    warned = replace(oe(data(3), nb=1, nf=1), findings=(warning("gaps", "a < b"),))
 
     for shown in (fit, warned):
         text = shown._repr_html_()

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
+from armrig.data.step import LINE, MEAN, Step
 from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
 from armrig.data.trend import Trend
 from armrig.numerics.checks import column
@@ -78,7 +79,9 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
         u=u,
         y=y,
         trends=tuple(trends),
-        step=f"removed {what} from u and y{each} (order {order}){despite}",
+        step=Step(
+            f"removed {what} from u and y{each} (order {order}){despite}", LINE if order else MEAN
+        ),
     )
 
 

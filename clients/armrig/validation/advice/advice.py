@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
+from armrig.data.finding import Finding
 from armrig.models.fit import Fit
-from armrig.recordings.usability import Finding
 from armrig.validation.advice.data_advice import examine_data
 from armrig.validation.advice.model_advice import examine_model
 

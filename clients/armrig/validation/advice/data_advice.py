@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armrig.data.dataset import Dataset
+from armrig.data.finding import Finding
+from armrig.data.step import LINE, codes_of
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
 from armrig.estimation.arx import arx
 from armrig.estimation.data_faults import NO_OPTION, level_without_input
@@ -16,7 +18,6 @@ from armrig.excitation.input_description import describe_input
 from armrig.models.fit import Fit
 from armrig.nonparametric.integrator import Integration, integration
 from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
-from armrig.recordings.usability import Finding
 from armrig.validation.advice.finding import finding
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -202,7 +203,7 @@ def _about_drift(data: Dataset) -> Iterator[Finding]:
 
 
 def _about_history(data: Dataset) -> Iterator[Finding]:
-    if data.output in INTEGRATING_OUTPUTS and any("order 1)" in step for step in data.history):
+    if data.output in INTEGRATING_OUTPUTS and LINE in codes_of(data.history):
         text = "a line was removed from an output that integrates: it was the answer to the mean "
         yield finding(
             "trend", text + "of u, not a drift; begin again from the recording", good=False

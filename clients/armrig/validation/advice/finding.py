@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig.recordings.usability import Finding
+from armrig.data.finding import Finding
 
 
 def finding(about: str, text: str, *, good: bool) -> Finding:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from armrig.data.finding import Finding
 from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.cancellation import overlapping
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.structure_table import KINDS
 from armrig.numerics.quantities import near_one
-from armrig.recordings.usability import Finding
 from armrig.validation.advice.finding import finding
 
 COLOURED = "raise the orders, look at the delay, or add a noise model"
