@@ -27,6 +27,10 @@ _HEADING = (
 _TOML_LIMIT = 1 << 14  # ten times what we write; the reader's time grows with the square
 
 
+class LostSamplesError(FileError):
+    """The samples of a calibration are not beside its file; all else of it may be whole."""
+
+
 def raw_path(path: Path) -> Path:
     """Return where the samples of the calibration in `path` lie."""
     return path.with_suffix(".csv.gz")
@@ -125,9 +129,11 @@ def _raw(path: Path, sha256: str) -> bytes:
     try:
         data = read_bounded(beside, RAW_LIMIT)
     except OSError as err:
-        raise FileError(f"{beside}: {err.strerror}; {way_out}") from err
+        raise LostSamplesError(f"{beside}: {err.strerror}; {way_out}") from err
     if hashlib.sha256(data).hexdigest() != sha256:
-        raise FileError(f"{beside}: not the samples that {path.name} was estimated from; {way_out}")
+        raise LostSamplesError(
+            f"{beside}: not the samples that {path.name} was estimated from; {way_out}"
+        )
     return data
 
 

@@ -226,18 +226,19 @@ def _default(rig: str) -> Path:
 
 def _checked(path: Path) -> Path:
     """Refuse, before any work, a file that cannot or must not be written."""
-    from armrig_core.calibration_file import read_calibration
+    from armrig_core.calibration_file import LostSamplesError, read_calibration
 
     if path.suffix != ".toml":
         raise InputError(f"--save {path}: a calibration is a TOML; give a name that ends in .toml")
     if path.exists():
         try:
             made = read_calibration(path).made
+        except LostSamplesError:
+            pass  # a calibration all the same, which may be replaced
         except FileError as err:
-            if "csv.gz" not in str(err):  # a calibration that has lost its samples may be replaced
-                raise InputError(
-                    f"--save {path}: is there already, and no calibration; give another name"
-                ) from err
+            raise InputError(
+                f"--save {path}: is there already, and no calibration; give another name"
+            ) from err
         else:
             if made is None:
                 raise InputError(
