@@ -1,8 +1,9 @@
 """Print the graph of rooms of clients and daemon; exit 1 at an arrow up or a circle.
 
 `python tests/rooms.py`. The order of the rooms is that of import-linter's contracts in
-pyproject.toml. All imports count here: inside of functions and for types only, too, which the
-contracts leave out; and so does the package's own `__init__`, which stands above all rooms.
+pyproject.toml. All imports count between rooms: inside of functions and for types only, too,
+which the contracts leave out; and so does the package's own `__init__`, which stands above all
+rooms. Inside a room an import for types only makes no circle: nothing is loaded by it.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ def main() -> int:
     """Print the rooms from top to bottom, each with what it uses, and what is wrong with them."""
     graph = grimp.build_graph(*PACKAGES, cache_dir=None)
     wrong = [text for package in PACKAGES for text in _checked(graph, package)]
-    wrong += _circles(graph)
+    wrong += _circles(
+        grimp.build_graph(*PACKAGES, exclude_type_checking_imports=True, cache_dir=None)
+    )
     for text in wrong:
         print(text)
     return 1 if wrong else 0
