@@ -61,6 +61,7 @@ NO_MEMBERS = {
     "*.save": "load_fit reads it again",
     "*.to_pandas": "export has the columns",
     "*.to_xarray": "export has the columns",
+    "Recording.channel": "the fields have them",
     "RecordingSummary.names": "the name that was asked for",
     "*.to_parquet": "columns are the same",
     "*Fit.Ts": "given",

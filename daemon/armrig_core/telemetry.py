@@ -8,21 +8,58 @@ plain protobuf. Fields are only ever appended. The unit is the end of a field's 
 from __future__ import annotations
 
 from struct import Struct
-from typing import NamedTuple
+from typing import Final, Literal, NamedTuple
 
 PACKAGE = "armrig.v1"
+
+THETA_1: Final = "theta_1"
+ALPHA: Final = "alpha"
+VELOCITY: Final = "velocity"
+ChannelName = Literal["theta_1", "alpha"]
+OutputName = Literal["theta_1", "alpha", "velocity"]
+"""What a recording has as an output of models: a channel, or the rate of one."""
+
+
+class Channel(NamedTuple):
+    """A quantity that the device reads at each sample, and how a sample and a recording name it."""
+
+    name: str
+    unit: str
+    rail: str
+    """Name of the `armrig_protocol.messages.Flag` of a reading at an end of its range."""
+    valid: str
+    """Name of what says where a recording shows it."""
+    turns: bool = False
+    """Whether it turns through a dead band, so that its turns are counted."""
+    rate: str = ""
+    """Name of its rate, where that is an output."""
+
+    @property
+    def value_field(self) -> str:
+        """Name of its value's field in a sample."""
+        return f"{self.name}_{self.unit}"
+
+    @property
+    def counts_field(self) -> str:
+        """Name of its reading's field in a sample."""
+        return f"{self.name}_counts"
+
+
+CHANNELS: tuple[Channel, ...] = (
+    Channel(THETA_1, "rad", rail="ADC0_RAIL", valid="valid", turns=True, rate=VELOCITY),
+    Channel(ALPHA, "rad", rail="ADC1_RAIL", valid="valid_alpha"),
+)
+"""What a sample says of the rig, besides u. A new channel is appended, and so are its fields."""
 
 SAMPLE_FIELDS = (
     ("k", "fixed64"),
     ("t_sched_ns", "sfixed64"),
     ("t_host_ns", "sfixed64"),
     ("t_device_us", "fixed64"),
-    ("theta_1_rad", "double"),
-    ("alpha_rad", "double"),
+    *((channel.value_field, "double") for channel in CHANNELS[:2]),
     ("u_cmd_v", "double"),
     ("u_applied_v", "double"),
-    ("theta_1_counts", "fixed32"),
-    ("alpha_counts", "fixed32"),
+    *((channel.counts_field, "fixed32") for channel in CHANNELS[:2]),
     ("flags", "fixed32"),
 )
 """Name and protobuf type of each field of `armrig.v1.Sample`, numbered from 1."""

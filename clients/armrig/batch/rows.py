@@ -11,10 +11,11 @@ from typing import Any, get_args
 
 import numpy as np
 from armrig_core.errors import ArmrigError
+from armrig_core.telemetry import THETA_1, OutputName
 
 from armrig.batch.columns import columns_of
 from armrig.batch.items import Item
-from armrig.batch.tasks import Identify, Report, Signal, Task, Validate, Verify
+from armrig.batch.tasks import Identify, Report, Task, Validate, Verify
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import detrend
 from armrig.models.fit import Fit
@@ -181,10 +182,10 @@ def _model(text: str) -> Fit:
     return fit_of(text, "the model")
 
 
-def _output(fit: Fit) -> Signal:
+def _output(fit: Fit) -> OutputName:
     """Return which signal of a recording a model is of; `compare` refuses a model of no signal."""
-    outputs: tuple[Signal, ...] = get_args(Signal)
-    return next((output for output in outputs if fit.output == output), "theta_1")
+    outputs: tuple[OutputName, ...] = get_args(OutputName)
+    return next((output for output in outputs if fit.output == output), THETA_1)
 
 
 def _in_a_line(text: str) -> str:

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import hashlib
-from typing import Literal
 
 import msgspec
+from armrig_core.telemetry import THETA_1, OutputName
 
 from armrig.estimation.request import Request
-
-Signal = Literal["theta_1", "alpha", "velocity"]
 
 
 class Identify(Request, frozen=True, kw_only=True, tag="identify"):
     """Estimate a model from each recording."""
 
-    signal: Signal = "theta_1"
+    signal: OutputName = THETA_1
     """What is the output."""
     detrend: bool = False
 

@@ -10,13 +10,15 @@ from textwrap import fill
 from types import MappingProxyType
 from typing import TYPE_CHECKING
 
+from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY
+
 from armrig.canvas.colours import GREY
 from armrig.numerics.quantities import three_digits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-NAMES = {"theta_1": r"$\theta_1$", "alpha": r"$\alpha$", "velocity": r"$\dot\theta_1$"}
+NAMES = {THETA_1: r"$\theta_1$", ALPHA: r"$\alpha$", VELOCITY: r"$\dot\theta_1$"}
 _FROM_RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from armrig_core.errors import InputError
+from armrig_core.telemetry import THETA_1, OutputName
 from msgspec.structs import asdict
 
 from armrig.cli.model_structures import Given, estimation_options, requested
-from armrig.cli.options import Detrend, Json, Na, Nb, Nf, Nk, OutputName, echo, print_json, tell
+from armrig.cli.options import Detrend, Json, Na, Nb, Nf, Nk, echo, print_json, tell
 
 if TYPE_CHECKING:
     from armrig.batch.batch import Batch
@@ -69,7 +70,7 @@ def identify(
     folder: Folder,
     output: Table,
     given: Given,
-    signal: Annotated[OutputName, typer.Option("--signal", help="The output.")] = "theta_1",
+    signal: Annotated[OutputName, typer.Option("--signal", help="The output.")] = THETA_1,
     detrend: Detrend = False,
     rig: Rigs = None,
     kind: Kinds = None,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from armrig_core.errors import FileError, InputError
+from armrig_core.telemetry import ALPHA
 
 from armrig.cli.calibration_in_use import take_into_use
 from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
@@ -318,7 +319,7 @@ def _print(path: Path, found: Estimate) -> None:
         tell(warning)
     rows = [(name, with_std(figure.value, figure.std)) for name, figure in found.figures().items()]
     sign = {1: "grows with the counts", -1: "falls with the counts", 0: "not seen"}
-    print_table(*rows, ("alpha", sign[found.alpha_sign]), ("calibration", str(path)))
+    print_table(*rows, (ALPHA, sign[found.alpha_sign]), ("calibration", str(path)))
 
 
 def _print_facts(path: Path, found: Estimate, *, used: bool) -> None:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
+from armrig_core.telemetry import THETA_1, ChannelName
 
 from armrig.cli.chosen_recording import File
 from armrig.cli.options import (
@@ -33,9 +34,7 @@ Transforms = Annotated[
     typer.Option("--transforms", help="Chassis and arm for Foxglove's 3D panel, as MCAP."),
 ]
 Raw = Annotated[bool, typer.Option("--raw", help="The readings and times as recorded, too.")]
-OutputOfMat = Annotated[
-    Literal["theta_1", "alpha"], typer.Option("--signal", help="What is y in the MAT-file.")
-]
+OutputOfMat = Annotated[ChannelName, typer.Option("--signal", help="What is y in the MAT-file.")]
 
 
 def verify(file: File, json: Json = False) -> None:
@@ -75,7 +74,7 @@ def export(
     parquet: Parquet = False,
     transforms: Transforms = False,
     raw: Raw = False,
-    signal: OutputOfMat = "theta_1",
+    signal: OutputOfMat = THETA_1,
     start: From = None,
     stop: To = None,
     calibration: CalibrationFile = None,

@@ -7,7 +7,7 @@ import sys
 import textwrap
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any, Literal, TextIO
+from typing import Annotated, Any, TextIO
 
 import typer
 from armrig_core.errors import OperationError
@@ -43,7 +43,6 @@ To = Annotated[
         "--to", metavar="S", help="Take samples before this time.", show_default="its end"
     ),
 ]
-OutputName = Literal["theta_1", "alpha", "velocity"]
 Signal = Annotated[
     str | None,
     typer.Option(

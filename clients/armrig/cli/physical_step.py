@@ -7,6 +7,8 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from armrig_core.telemetry import ALPHA, THETA_1
+
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next
 from armrig.cli.options import Json, Verbose, echo, print_json, say
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 _SECONDS = 2.0  # after which the speed is steady to five digits
 _STEPS = 200_000
 _AT_ONCE = 1e-8  # s in which the slope has not changed in the digits shown
-_STATES = ("theta_1", "alpha", "theta_1'", "alpha'")
+_STATES = (THETA_1, ALPHA, f"{THETA_1}'", f"{ALPHA}'")
 _PRIME = "'"
 _TOGETHER = {"both": "both changes", "all": "all changes"}
 """Headings of the column of several changes at once."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from armrig_core.errors import InputError
+from armrig_core.telemetry import THETA_1, ChannelName
 
 from armrig.cli.chosen_recording import File, recording_path
 from armrig.cli.comparison_rows import row_facts
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from armrig.physics.grey_box.split_study import SplitStudy
     from armrig.recordings.recording import Recording
 
-GreySignal = Annotated[Literal["theta_1", "alpha"], typer.Option("--signal", help="Which output.")]
+GreySignal = Annotated[ChannelName, typer.Option("--signal", help="Which output.")]
 Free = Annotated[
     list[str] | None,
     typer.Option(
@@ -61,7 +62,7 @@ def greybox(
     free: Free = None,
     friction: Friction = None,
     given: Given = None,
-    signal: GreySignal = "theta_1",
+    signal: GreySignal = THETA_1,
     output: NoOutput = None,
     calibration: CalibrationFile = None,
     start: From = None,
@@ -134,7 +135,7 @@ def split(
     model: Rig = None,
     free: Free = None,
     given: Given = None,
-    signal: GreySignal = "theta_1",
+    signal: GreySignal = THETA_1,
     output: NoOutput = None,
     calibration: CalibrationFile = None,
     start: From = None,

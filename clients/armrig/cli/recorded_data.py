@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, get_args
 
 import typer
 from armrig_core.errors import InputError
+from armrig_core.telemetry import THETA_1, OutputName
 
 from armrig.cli.figures import name_runs
-from armrig.cli.options import SAME_DATA, OutputName, tell, warned
+from armrig.cli.options import SAME_DATA, tell, warned
 from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
 from armrig.data.step import MEAN, codes_of
 
@@ -88,7 +89,7 @@ class Signals:
         where a model has said which it is.
         """
         signal = self.signal
-        if signal is None and data is not None and data.output not in (*_UNNAMED, "theta_1"):
+        if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):
             signal = data.output
         given = {
             "--input": self.input,

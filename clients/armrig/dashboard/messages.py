@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 from armrig_core.commands import LastRun, StatusReport
-from armrig_core.telemetry import Sample
+from armrig_core.telemetry import CHANNELS, Sample
 
 from armrig.dashboard.bins import as_lists
 from armrig.dashboard.feed import Feed, News, Timing
@@ -72,11 +72,10 @@ def status_facts(feed: Feed) -> dict[str, Any]:
 def _newest(sample: Sample | None) -> dict[str, float | None] | None:
     if sample is None:
         return None
-    theta_1, alpha = sample.theta_1_rad, sample.alpha_rad
+    angles = {c.name: getattr(sample, c.value_field) for c in CHANNELS}
     return {
         "u": sample.u_applied_v,
-        "theta_1": round(degrees(theta_1), 2) if isfinite(theta_1) else None,
-        "alpha": round(degrees(alpha), 2) if isfinite(alpha) else None,
+        **{name: round(degrees(y), 2) if isfinite(y) else None for name, y in angles.items()},
     }
 
 

@@ -10,13 +10,14 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import msgspec
 from armrig_core.errors import ArmrigError, FileError, InputError
 from armrig_core.recording_directory import directory_to_look_in, installed
 from armrig_core.recording_file.file_records import MAGIC
 from armrig_core.recording_file.opening import regular_file
+from armrig_core.telemetry import THETA_1, ChannelName
 from msgspec import Meta
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
@@ -40,7 +41,7 @@ class _Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     file: Annotated[str, Meta(max_length=300)]
     start: _Seconds | None = None
     stop: _Seconds | None = None
-    output: Literal["theta_1", "alpha"] = "theta_1"
+    output: ChannelName = THETA_1
 
 
 class RecordingRoutes:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import tempfile
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
+from armrig_core.telemetry import ALPHA, THETA_1, ChannelName
 from numpy.typing import NDArray
 
 from armrig.estimation.request import Request
@@ -24,7 +25,6 @@ from armrig.validation.structure_hints import structure_hints
 _POINTS = 4000  # of a curve: four a pixel, so that a pixel holds its extremes at their times
 _MOST_GAPS = _MOST_NOTES = 100
 _KEPT = 2  # recordings: the one that is looked at, and its validation
-Output = Literal["theta_1", "alpha"]
 
 
 def facts(path: Path) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any
     Of a time without a sample it is the next one, or the last.
     """
     t, *signals = _part(path, start, stop)
-    return {name: _drawn(t, y) for name, y in zip(("u", "theta_1", "alpha"), signals, strict=True)}
+    return {name: _drawn(t, y) for name, y in zip(("u", THETA_1, ALPHA), signals, strict=True)}
 
 
 def csv(path: Path, start: float | None, stop: float | None) -> bytes:
@@ -86,7 +86,7 @@ def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[n
     return [column[part] for column in (recording.t, recording.u, *angles)]
 
 
-def identified(path: Path, validation: Path | None, output: Output) -> dict[str, Any]:
+def identified(path: Path, validation: Path | None, output: ChannelName) -> dict[str, Any]:
     """Return an OE model of the orders that the data suggest, judged on other data.
 
     Parameters

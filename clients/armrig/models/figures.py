@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.telemetry import THETA_1, VELOCITY
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.canvas import (
@@ -130,7 +131,7 @@ def plot_step(
     ax.set_xlabel("$t$ [s]")
     name = NAMES.get(models[0].output, models[0].output)
     if rate:
-        name = NAMES["velocity"] if models[0].output == "theta_1" else f"rate of {name}"
+        name = NAMES[VELOCITY] if models[0].output == THETA_1 else f"rate of {name}"
     ax.set_ylabel(f"{name} [{gain_unit(models, rate=rate)}]")
     ax.margins(x=0)
     _limited(ax, np.concatenate(curves))

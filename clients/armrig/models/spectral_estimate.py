@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from armrig.data.treatment.rate import rate_name
 from armrig.numerics.polynomial import summation
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class SpectralEstimate:
             noise_std=scaled(self.noise_std, size**2),
             noise_only_std=scaled(self.noise_only_std, size),
             nonlinear_std=scaled(self.nonlinear_std, size),
-            output="velocity" if self.output == "theta_1" else f"rate of {self.output}",
+            output=rate_name(self.output),
             unit=f"{self.unit}/s" if self.unit else "",
             integrator=False,
         )

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from armrig_core.arm import ArmParameters
 from armrig_core.errors import InputError
+from armrig_core.telemetry import THETA_1
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.recursion import recursion
@@ -113,7 +114,7 @@ def _rise_time(p: ArmParameters, poles: NDArray[np.complex128], steady_speed: fl
     h = 1 / (_FINE * float(np.abs(poles).max()))
     settled = _SETTLED * slowest_time(poles.real)
     while h * _POINTS < _LATER * settled:
-        angle = step_response(p, h * np.arange(_POINTS), state="theta_1") / steady_speed
+        angle = step_response(p, h * np.arange(_POINTS), state=THETA_1) / steady_speed
         found = rise_time(angle, h, integrated=True)
         if np.isfinite(found):
             return found
@@ -196,7 +197,7 @@ def _stepped(
         raise InputError(
             "t must be equidistant from 0, at least two times, such as np.linspace(0, 1, 501)"
         )
-    physics = Physics(model=model, fixed=p, output="theta_1")
+    physics = Physics(model=model, fixed=p, output=THETA_1)
     states = physics.labels()[1]
     if state not in states:
         raise InputError(f"state={state!r} is none of {', '.join(states)}")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices
 from armrig_core.calls import checked_call
 from armrig_core.rehearsal import rehearse
+from armrig_core.telemetry import ALPHA, THETA_1
 
 if TYPE_CHECKING:
     import control
@@ -50,10 +51,8 @@ def arm(p: ArmParameters) -> control.StateSpace:
     import control
 
     A, B, C = arm_matrices(p)
-    states = ["theta_1", "alpha", "theta_1_rate", "alpha_rate"]
-    return control.ss(
-        A, B, C, 0, inputs=["u"], outputs=["theta_1", "alpha"], states=states, name="arm"
-    )
+    states = [THETA_1, ALPHA, f"{THETA_1}_rate", f"{ALPHA}_rate"]
+    return control.ss(A, B, C, 0, inputs=["u"], outputs=[THETA_1, ALPHA], states=states, name="arm")
 
 
 @checked_call
@@ -73,5 +72,5 @@ def chassis(p: ArmParameters) -> control.StateSpace:
     import control
 
     A, B, C = chassis_matrices(p)
-    states = ["theta_1", "theta_1_rate"]
-    return control.ss(A, B, C, 0, inputs=["u"], outputs=["theta_1"], states=states, name="chassis")
+    states = [THETA_1, f"{THETA_1}_rate"]
+    return control.ss(A, B, C, 0, inputs=["u"], outputs=[THETA_1], states=states, name="chassis")

@@ -7,75 +7,44 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core import telemetry
 from armrig_core.errors import InputError
-from armrig_core.manifest import Manifest
+from armrig_core.telemetry import THETA_1, ChannelName
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from pandas import DataFrame
     from xarray import Dataset as XarrayDataset
 
-Vector = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+    from armrig.recordings.recording import Recording
 
-
-class Exported(Protocol):
-    """What is taken from a `Recording`, whose own methods call this module."""
-
-    @property
-    def sha256(self) -> str: ...  # noqa: D102
-    @property
-    def manifest(self) -> Manifest: ...  # noqa: D102
-    @property
-    def k_first(self) -> int: ...  # noqa: D102
-    @property
-    def N(self) -> int: ...  # noqa: D102
-    @property
-    def Ts(self) -> float: ...  # noqa: D102
-    @property
-    def t(self) -> Vector: ...  # noqa: D102
-    @property
-    def u(self) -> Vector: ...  # noqa: D102
-    @property
-    def theta_1(self) -> Vector: ...  # noqa: D102
-    @property
-    def alpha(self) -> Vector: ...  # noqa: D102
-    @property
-    def valid(self) -> Mask: ...  # noqa: D102
-    @property
-    def valid_alpha(self) -> Mask: ...  # noqa: D102
-    @property
-    def present(self) -> Mask: ...  # noqa: D102
-    @property
-    def samples(self) -> NDArray[np.void]: ...  # noqa: D102
-
-
-UNITS = {"t": "s", "u": "V", "theta_1": "rad", "alpha": "rad"}
 _AT_ONCE = 65_536  # rows of a CSV file that are made into text at once
 
 
-def columns(recording: Exported, *, raw: bool = False) -> dict[str, NDArray[Any]]:
+def columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any]]:
     """Return the columns, each (N,): k, t, u, theta_1, alpha, valid, valid_alpha and present.
+
+    Other channels of the rig follow alpha, and valid_alpha.
 
     Parameters
     ----------
     raw : bool
         Whether the readings and times as recorded follow, 0 where a sample is missing.
     """
+    channels = [(c, recording.channel(c.name)) for c in telemetry.CHANNELS]
     found: dict[str, NDArray[Any]] = {
         "k": recording.k_first + np.arange(recording.N),
         "t": recording.t,
         "u": recording.u,
-        "theta_1": recording.theta_1,
-        "alpha": recording.alpha,
-        "valid": recording.valid,
-        "valid_alpha": recording.valid_alpha,
+        **{c.name: shown.y for c, shown in channels},
+        **{c.valid: shown.valid for c, shown in channels},
         "present": recording.present,
     }
-    names = ("theta_1_counts", "alpha_counts", "flags", "t_device_us", "t_host_ns", "t_sched_ns")
+    counts = (c.counts_field for c in telemetry.CHANNELS)
+    names = (*counts, "flags", "t_device_us", "t_host_ns", "t_sched_ns")
     for name in names if raw else ():
         column = np.zeros(recording.N, recording.samples.dtype[name])
         column[recording.present] = recording.samples[name]
@@ -83,7 +52,7 @@ def columns(recording: Exported, *, raw: bool = False) -> dict[str, NDArray[Any]
     return found
 
 
-def write_csv(recording: Exported, path: Path, *, raw: bool = False) -> None:
+def write_csv(recording: Recording, path: Path, *, raw: bool = False) -> None:
     """Write the columns as text, with their names in the first line; nan where there is no value.
 
     Floats are written so that they come back to the last bit; `armrig identify` reads the file.
@@ -102,10 +71,10 @@ def _texts(column: NDArray[Any]) -> list[str]:
 
 
 def write_mat(
-    recording: Exported,
+    recording: Recording,
     path: Path,
     *,
-    output: Literal["theta_1", "alpha"] = "theta_1",
+    output: ChannelName = THETA_1,
     raw: bool = False,
 ) -> None:
     """Write a MAT-file of version 5: u, y and Ts as iddata takes them, and all columns.
@@ -128,7 +97,7 @@ def _mat_type(column: NDArray[Any]) -> Any:
     return np.bool_ if column.dtype == np.bool_ else np.float64
 
 
-def write_parquet(recording: Exported, path: Path, *, raw: bool = False) -> None:
+def write_parquet(recording: Recording, path: Path, *, raw: bool = False) -> None:
     """Write the columns as a Parquet file, whose metadata hold units, Ts, hash and run.
 
     Raises
@@ -142,7 +111,7 @@ def write_parquet(recording: Exported, path: Path, *, raw: bool = False) -> None
     parquet.write_table(table.replace_schema_metadata(_about(recording)), str(path))
 
 
-def to_pandas(recording: Exported) -> DataFrame:
+def to_pandas(recording: Recording) -> DataFrame:
     """Return the columns as a DataFrame by t; `attrs` hold units, Ts, hash and run."""
     pandas = imported("pandas", "pandas")
     frame: DataFrame = pandas.DataFrame(columns(recording)).set_index("t")
@@ -150,11 +119,11 @@ def to_pandas(recording: Exported) -> DataFrame:
     return frame
 
 
-def to_xarray(recording: Exported) -> XarrayDataset:
+def to_xarray(recording: Recording) -> XarrayDataset:
     """Return the columns as an xarray.Dataset over t, each with its unit."""
     xarray = imported("xarray", "xarray")
     found = columns(recording)
-    about = {name: {"units": unit} for name, unit in UNITS.items()}
+    about = {name: {"units": unit} for name, unit in _units().items()}
     t = found.pop("t")
     made: XarrayDataset = xarray.Dataset(
         {name: ("t", column, about.get(name, {})) for name, column in found.items()},
@@ -164,8 +133,12 @@ def to_xarray(recording: Exported) -> XarrayDataset:
     return made
 
 
-def _about(recording: Exported) -> dict[str, str]:
-    units = {f"unit_{name}": unit for name, unit in UNITS.items()}
+def _units() -> dict[str, str]:
+    return {"t": "s", "u": "V"} | {c.name: c.unit for c in telemetry.CHANNELS}
+
+
+def _about(recording: Recording) -> dict[str, str]:
+    units = {f"unit_{name}": unit for name, unit in _units().items()}
     return {
         **units,
         "Ts": repr(recording.Ts),

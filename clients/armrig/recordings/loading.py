@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
+from itertools import chain
 from math import ceil, inf
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,6 +12,7 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 from armrig_core import manifest as records
+from armrig_core import telemetry
 from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import read_calibration
 from armrig_core.errors import FileError, InputTypeError
@@ -35,7 +38,7 @@ from armrig.recordings.daemon_reports import (
 )
 from armrig.recordings.grid import Grid, grid
 from armrig.recordings.parts import joined
-from armrig.recordings.recording import Recording, Vector
+from armrig.recordings.recording import Channel, Recording, Vector
 from armrig.recordings.sampling_time import check_sampling_time
 from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
 
@@ -44,9 +47,8 @@ EVERYTHING = (0, 1 << 63)
 _BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
 _LATE_NS = 1_000_000_000  # by how much reports may be written before or after the samples they tell
 _LATEST = 1e15  # s, and samples: later than any, and still whole numbers
+_FIELDS = frozenset(field.name for field in fields(Recording))
 _ROUNDING = 1e-6  # of a sample: 0.3 / 0.1 is not 3
-_RAIL_0, _RAIL_1 = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)  # as a Flag numpy takes 8 bytes each
-_ARRAYS = ("t", "u", "theta_1", "alpha", "valid", "valid_alpha", "present")
 
 
 def load(
@@ -297,7 +299,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         k_first=rows.k_first,
         t=t,
         u=_terminal(_input(samples, rows, gaps), calibration.driver if calibration else Driver()),
-        **_angles(samples, rows, calibration, manifest.Ts, before),
+        **_channels(samples, rows, calibration, manifest.Ts, before),
         present=rows.present,
         samples=samples,
         truncated=bool(content.damage),
@@ -305,7 +307,9 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         damage=content.damage + saved if content.damage else "",
         **reports,
     )
-    for array in (*(getattr(recording, name) for name in _ARRAYS), samples):
+    shown = (recording.channel(channel.name) for channel in telemetry.CHANNELS)
+    arrays = (recording.t, recording.u, *chain.from_iterable(shown), recording.present, samples)
+    for array in arrays:
         array.flags.writeable = False
     return recording
 
@@ -348,50 +352,56 @@ def _terminal(u: Vector, driver: Driver) -> Vector:
     return terminal
 
 
-def _angles(
+def _channels(
     samples: NDArray[np.void],
     rows: Grid,
     calibration: Calibration | None,
     Ts: float,
     before: NDArray[np.void],
 ) -> dict[str, Any]:
-    """Return theta_1, alpha, where they are valid, and where the turns are not known."""
-    present = rows.present
-    valid, valid_alpha = present.copy(), present.copy()
-    rails = samples["flags"]
-    # The sample before the first decides whether that one shows an angle.
-    near = np.concatenate([before["flags"][-1:], rails])
-    valid[present] = outside_dead_band((near & _RAIL_0) != 0)[near.size - rails.size :]
-    valid_alpha[present] = (rails & _RAIL_1) == 0
-    pots = (calibration.theta_1, calibration.alpha) if calibration else (None, None)
-    theta_1 = _on_grid(_angle(samples, "theta_1", pots[0]), present)
-    alpha = _on_grid(_angle(samples, "alpha", pots[1]), present)
-    valid &= np.isfinite(theta_1)
-    valid_alpha &= np.isfinite(alpha)
-    alpha[~valid_alpha] = np.nan
-    turns = pots[0] is None or pots[0].wraps
-    if turns:
-        theta_1 = unwrap(theta_1, valid)
-    theta_1[~valid] = np.nan
-    unknown = turns_unknown(valid, present, Ts).tolist() if turns else []
-    return {
-        "theta_1": theta_1,
-        "alpha": alpha,
-        "valid": valid,
-        "valid_alpha": valid_alpha,
-        "turns_unknown": tuple(unknown),
-    }
+    """Return the channels, where they are valid, and where the turns are not known."""
+    found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
+    for channel in telemetry.CHANNELS:
+        pot: Potentiometer | None = getattr(calibration, channel.name, None)
+        y = _on_grid(_calibrated(samples, channel, pot), rows.present)
+        valid = _valid(samples, channel, rows.present, before) & np.isfinite(y)
+        if channel.turns and (pot is None or pot.wraps):
+            y = unwrap(y, valid)
+            found["turns_unknown"] += tuple(turns_unknown(valid, rows.present, Ts).tolist())
+        y[~valid] = np.nan
+        if channel.name in _FIELDS:
+            found |= {channel.name: y, channel.valid: valid}
+        else:
+            found["others"][channel.name] = Channel(y, valid)
+    return found
 
 
-def _angle(samples: NDArray[np.void], name: str, pot: Potentiometer | None) -> Vector:
+def _valid(
+    samples: NDArray[np.void], channel: telemetry.Channel, present: Mask, before: NDArray[np.void]
+) -> Mask:
+    """Return (N,) where a sample came whose reading is at no end of its range."""
+    rail = int(Flag[channel.rail])  # as a Flag numpy takes 8 bytes each
+    valid, rails = present.copy(), samples["flags"]
+    if channel.turns:
+        # The sample before the first decides whether that one shows an angle.
+        near = np.concatenate([before["flags"][-1:], rails])
+        valid[present] = outside_dead_band((near & rail) != 0)[near.size - rails.size :]
+    else:
+        valid[present] = (rails & rail) == 0
+    return valid
+
+
+def _calibrated(
+    samples: NDArray[np.void], channel: telemetry.Channel, pot: Potentiometer | None
+) -> Vector:
     if pot is None:
-        return np.array(samples[f"{name}_rad"], np.float64)
-    counts = samples[f"{name}_counts"]
-    angle: Vector = counts.astype(np.float64)
-    angle -= pot.zero_counts
-    angle *= pot.rad_per_count
-    angle[counts == ABSENT["fixed32"]] = np.nan
-    return angle
+        return np.array(samples[channel.value_field], np.float64)
+    counts = samples[channel.counts_field]
+    y: Vector = counts.astype(np.float64)
+    y -= pot.zero_counts
+    y *= pot.rad_per_count
+    y[counts == ABSENT["fixed32"]] = np.nan
+    return y
 
 
 def _on_grid(values: Vector, present: Mask) -> Vector:

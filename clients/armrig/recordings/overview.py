@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from math import tau
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY, OutputName
 from numpy.typing import NDArray
 
 from armrig.data.treatment import Drift, drift, hampel
@@ -21,9 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
-_Output = Literal["theta_1", "alpha", "velocity"]
-_SEARCHED: tuple[_Output, ...] = ("theta_1", "alpha")
-_DRIFTING: tuple[_Output, ...] = ("velocity", "alpha")
+_SEARCHED: tuple[OutputName, ...] = (THETA_1, ALPHA)
+_DRIFTING: tuple[OutputName, ...] = (VELOCITY, ALPHA)
 _FEWEST_CHANGES = 20  # of u: the coefficients of u in the model that outliers are found by
 
 _RATE_S = 0.1
@@ -52,8 +52,8 @@ class Overview:
         turned = np.ptp(rec.theta_1[rec.valid]) / tau if rec.valid.any() else 0.0
         return [
             ("u", f"{_range(rec.u)} V, {np.nanmean(rec.u):.3g} V on average"),
-            ("theta_1", f"the chassis turned {turned:.1f} times, at {speed} over {_RATE_S:g} s"),
-            ("alpha", f"{_range(rec.alpha)} rad"),
+            (THETA_1, f"the chassis turned {turned:.1f} times, at {speed} over {_RATE_S:g} s"),
+            (ALPHA, f"{_range(rec.alpha)} rad"),
             ("missing", f"{rec.missing} of {plural(rec.N, 'sample')}"),
             ("dead band", f"{plural(rec.hidden, 'sample')} without theta_1"),
             *((f"outliers, {name}", _outliers(times)) for name, times in self.outliers.items()),
@@ -94,12 +94,12 @@ def overview(recording: Recording) -> Overview:
     drifts: dict[str, Drift] = {}
     reasons: dict[str, str] = {}
     if not alpha_moves(recording):  # of a reading that hardly changes each step looks like one
-        reasons["alpha"] = "it rests: the arm was off, or held"
+        reasons[ALPHA] = "it rests: the arm was off, or held"
     known = np.isfinite(recording.u)
     if poor := _poor_input(recording.u[known]):
         reasons["outliers"] = poor
         # Of 40 emulated steps without a drift 13 showed one of the rate, all of them a rising one.
-        reasons["velocity"] = "of so few changes what the model lacks looks like a drift"
+        reasons[VELOCITY] = "of so few changes what the model lacks looks like a drift"
     searched = () if poor else _SEARCHED
     for output in (name for name in searched if name not in reasons):
         try:

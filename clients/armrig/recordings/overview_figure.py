@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from armrig_core.errors import InputError
+from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY
 from numpy.typing import NDArray
 
 from armrig.canvas import BLUE, INK, NAMES, VERMILION, finish, legend, rows, shade, sign
@@ -46,9 +47,9 @@ def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
     ax.step(rec.t, rec.u, where="post", color=INK, lw=0.7)
     shade(ax, rec.valid & rec.valid_alpha, rec.Ts, first=first)
     signals = (
-        ("theta_1", rec.theta_1, rec.valid, f"{NAMES['theta_1']} [rad]"),
-        ("velocity", rate, rec.valid, f"{NAMES['velocity']} [rad/s]"),
-        ("alpha", rec.alpha, rec.valid_alpha, f"{NAMES['alpha']} [rad]"),
+        (THETA_1, rec.theta_1, rec.valid, f"{NAMES[THETA_1]} [rad]"),
+        (VELOCITY, rate, rec.valid, f"{NAMES[VELOCITY]} [rad/s]"),
+        (ALPHA, rec.alpha, rec.valid_alpha, f"{NAMES[ALPHA]} [rad]"),
     )
     ax.set_ylabel("$u$ [V]")
     for panel, (name, y, valid, label) in zip(every[1:], signals, strict=True):

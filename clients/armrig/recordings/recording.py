@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from armrig_core import telemetry
 from armrig_core.calibration import Calibration
 from armrig_core.errors import FileError, InputError
 from armrig_core.manifest import Manifest, Outcome, Recovered
+from armrig_core.telemetry import THETA_1, OutputName
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
@@ -26,7 +29,13 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-OUTPUTS = ("theta_1", "alpha", "velocity")
+
+class Channel(NamedTuple):
+    """What a recording shows of a channel of the rig."""
+
+    y: Vector
+    """In the channel's unit, (N,); NaN where it is not valid."""
+    valid: Mask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -73,6 +82,8 @@ class Recording:
     The dead band of theta_1 does not matter to it; and as alpha does not turn on, the sample after
     a rail is as good as any.
     """
+    others: Mapping[str, Channel]
+    """Channels of `armrig_core.telemetry.CHANNELS` besides these two, by name; today none."""
     present: Mask
     """(N,): the sample came."""
     turns_unknown: tuple[int, ...]
@@ -126,7 +137,14 @@ class Recording:
         """First twelve digits of the hash, as figures carry it."""
         return self.sha256[:12]
 
-    def dataset(self, output: Literal["theta_1", "alpha", "velocity"] = "theta_1") -> Dataset:
+    def channel(self, name: str) -> Channel:
+        """Return what it shows of a channel of the rig, such as "alpha"."""
+        if name in self.others:
+            return self.others[name]
+        (valid,) = (c.valid for c in telemetry.CHANNELS if c.name == name)
+        return Channel(getattr(self, name), getattr(self, valid))
+
+    def dataset(self, output: OutputName = THETA_1) -> Dataset:
         """Return u and one output to identify from, with what is missing marked.
 
         A sample whose input is not known is left out, and after it, as where the number of turns
@@ -142,11 +160,12 @@ class Recording:
         FileError
             There is no valid sample, or no such output.
         """
-        if output not in OUTPUTS:
-            raise InputError(f"output={output!r}: a recording has {', '.join(OUTPUTS)}")
-        y, valid = (
-            (self.alpha, self.valid_alpha) if output == "alpha" else (self.theta_1, self.valid)
-        )
+        outputs = {c.name: c for c in telemetry.CHANNELS}
+        outputs |= {c.rate: c for c in telemetry.CHANNELS if c.rate}
+        if output not in outputs:
+            raise InputError(f"output={output!r}: a recording has {', '.join(outputs)}")
+        measured = outputs[output]
+        y, valid = self.channel(measured.name)
         known = np.isfinite(self.u)
         if not (valid & known).any():
             raise FileError(
@@ -155,7 +174,7 @@ class Recording:
         begins = ~known
         begins[1:] = ~known[:-1]
         begins[:1] = True
-        if output != "alpha":
+        if measured.turns:
             begins[list(self.turns_unknown)] = True
         data = Dataset(
             u=self.u[known],
@@ -163,11 +182,11 @@ class Recording:
             Ts=self.Ts,
             valid=valid[known],
             starts=np.flatnonzero(begins[known]).tolist() or [0],
-            output="alpha" if output == "alpha" else "theta_1",
-            unit="rad",
+            output=measured.name,
+            unit=measured.unit,
             source=self.sha256,
         )
-        return difference(data) if output == "velocity" else data
+        return difference(data) if output == measured.rate else data
 
     def to_pandas(self) -> DataFrame:
         """Return u, theta_1, alpha and where they are valid, a row for each sample, by time in s.

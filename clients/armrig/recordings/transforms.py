@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 from armrig_core.errors import InputError
 from armrig_core.topics import topic
 
-from armrig.recordings.export import Exported, imported
+from armrig.recordings.export import imported
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from armrig.recordings.recording import Recording
 
 _ARM_ABOVE_M = 0.1  # so that both frames are seen; the rig's own height is not known
 _NS = 1_000_000_000
@@ -54,7 +56,7 @@ def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
     )
 
 
-def write_transforms(recording: Exported, path: Path) -> None:
+def write_transforms(recording: Recording, path: Path) -> None:
     """Write the frames of each sample as an MCAP file, at the times of the recording's own.
 
     A viewer opens it together with the recording, from which nothing is repeated.

@@ -7,6 +7,7 @@ from typing import Any
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import check_measured
 from armrig_core.errors import InputError
+from armrig_core.telemetry import ALPHA, THETA_1
 from msgspec.structs import replace
 
 from armrig_daemon.config import Config
@@ -44,7 +45,7 @@ def checked_calibration(
         )
     if len(made.date) > _LONGEST or not made.date.isprintable():
         raise InputError(f"made.date: at most {_LONGEST} characters that print are allowed")
-    for name in ("theta_1", "alpha"):
+    for name in (THETA_1, ALPHA):
         now, wraps = getattr(config.calibration, name).wraps, getattr(calibration, name).wraps
         if wraps != now:
             # Where alpha wraps, arming does not look for it at the end of its range.

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from armrig_core.telemetry import THETA_1
 
 from armrig.data.dataset import Dataset
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import complete, past
 
 # Outputs that integrate by construction, whatever a test on a short record says.
-INTEGRATING_OUTPUTS = frozenset({"theta_1"})
+INTEGRATING_OUTPUTS = frozenset({THETA_1})
 
 DICKEY_FULLER_TREND_5_PERCENT = -3.41  # Fuller 1976, table 8.5.2, constant and trend, n = inf
 _TEST_LAGS = 5

@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from armrig_core import telemetry
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.trend import Trend
+
+
+def rate_name(output: str) -> str:
+    """Return the name of the rate of an output."""
+    rates = {channel.name: channel.rate for channel in telemetry.CHANNELS}
+    return rates.get(output) or f"rate of {output}"
 
 
 @takes_recordings
@@ -29,7 +36,7 @@ def difference(data: Dataset) -> Dataset:
     y = np.full(data.N, np.nan)
     y[1:] = np.diff(data.y) / data.Ts
     y[list(data.starts)] = np.nan
-    name = "velocity" if data.output == "theta_1" else f"rate of {data.output}"
+    name = rate_name(data.output)
     return data.replaced(
         y=y,
         valid=np.isfinite(y),

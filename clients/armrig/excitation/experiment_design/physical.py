@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from armrig_core.arm import ArmParameters
 from armrig_core.errors import InputError
+from armrig_core.telemetry import THETA_1
 from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
@@ -30,7 +31,7 @@ def predicted_parameter_std(
     noise_variance: float,
     free: Sequence[str] = ("J_1",),
     fixed: ArmParameters | None = None,
-    output: str = "theta_1",
+    output: str = THETA_1,
     initial: Literal["estimate", "zero"] = "estimate",
 ) -> PredictedStd:
     """Predict the standard deviations of physical parameters for an input not yet played.

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from armrig_core.arm import ArmParameters, require_parameters
 from armrig_core.errors import InputError
+from armrig_core.telemetry import THETA_1
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -53,7 +54,7 @@ def greybox(
     model: Model = chassis,
     free: Sequence[str] = ("J_1",),
     fixed: ArmParameters | None = None,
-    output: str = "theta_1",
+    output: str = THETA_1,
     *,
     fixed_std: Mapping[str, float] | None = None,
     friction: Friction | None = None,

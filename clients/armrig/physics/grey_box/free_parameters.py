@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
+from armrig_core.telemetry import OutputName
 
 from armrig.data.dataset import Dataset
 from armrig.physics.grey_box.parameters import COULOMB, NAMES
 
 Friction = Literal["viscous", "coulomb", "both"]
-_RECORDED = ("theta_1", "alpha", "velocity")
+_RECORDED = get_args(OutputName)
 
 
 def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from armrig_core.arm import ArmParameters
 from armrig_core.errors import InputError
+from armrig_core.telemetry import THETA_1
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -111,7 +112,7 @@ def inverse_dynamics(
     (attenuation by errors in variables); λ is taken from the residuals of the narrowest width.
     """
     p = ArmParameters() if fixed is None else fixed
-    require_output(data, "theta_1")
+    require_output(data, THETA_1)
     names = free_names(("J_1",), friction)
     given = checked_fixed_std(fixed_std or {}, names)
     tried = _tried(data, p, names, width)
@@ -119,7 +120,7 @@ def inverse_dynamics(
     s, solution, values, slope = chosen.s, chosen.solution, chosen.values, chosen.slope
     drift = solution.beta[-1] / solution.beta[0] if _offset_is_free(data, names) else 0.0
     found = solution.inference.transformed(slope)
-    physics, held = Physics(model=chassis, fixed=p, output="theta_1"), _held(names)
+    physics, held = Physics(model=chassis, fixed=p, output=THETA_1), _held(names)
     by_held = slope @ solution.by_held
     # The widest kernels leave few values, and those the sandwich form may take for too sure.
     raised = chosen.std / np.sqrt(np.diag(found.covariance_robust))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from armrig_core.calibration import Calibration, Driver, Figure, Made, Potentiometer
 from armrig_core.errors import InputError
+from armrig_core.telemetry import ALPHA, THETA_1
 from armrig_core.volts import U_MAX_V
 from msgspec.structs import replace
 
@@ -221,8 +222,8 @@ def _at_rest(rest: Recording | Readings) -> Readings:
     if still.N < 2:
         raise InputError(f"the rest has {plural(still.N, 'sample')}: record a second or more")
     for name, counts, way_out in (
-        ("theta_1", still.theta_1, "turn the chassis out of the dead band"),
-        ("alpha", still.alpha, "see to its wires, and that the arm hangs free"),
+        (THETA_1, still.theta_1, "turn the chassis out of the dead band"),
+        (ALPHA, still.alpha, "see to its wires, and that the arm hangs free"),
     ):
         if at_rail(counts).any():
             raise InputError(
@@ -250,7 +251,7 @@ def _warnings(
     found = [
         f"{name} moved while it was to rest: its readings spread by {s.value:.0f} counts, "
         f"{degrees(s.value * tau / 65536):.1f}°"
-        for name, s in (("theta_1", theta_1), ("alpha", alpha))
+        for name, s in ((THETA_1, theta_1), (ALPHA, alpha))
         if s.value > _MOVED * step
     ]
     if not sign:

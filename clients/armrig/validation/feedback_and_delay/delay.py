@@ -7,6 +7,7 @@ from math import ceil, sqrt
 
 import numpy as np
 from armrig_core.errors import InputError
+from armrig_core.telemetry import ALPHA, THETA_1
 from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
@@ -28,7 +29,7 @@ from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING, possib
 
 Vector = NDArray[np.float64]
 
-SECOND_ORDER = frozenset({"theta_1", "alpha"})
+SECOND_ORDER = frozenset({THETA_1, ALPHA})
 """Outputs whose second derivative is what a step of the voltage changes first."""
 _FEWEST = 50  # samples
 _FAR = 3  # lags past nk to which losses are kept

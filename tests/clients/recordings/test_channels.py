@@ -1,0 +1,99 @@
+"""What a sample says of the rig stands in one table, from the telemetry to the files of others."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig.recordings import container, loading
+from armrig_core import telemetry
+from armrig_protocol.messages import Flag
+from made_recordings import recorded, sample, written
+from numpy.lib.recfunctions import append_fields
+
+ROOT = Path(__file__).parents[3]
+N = 60
+COUNTS = np.linspace(1_000, 60_000, N).astype(np.uint32)
+
+
+@pytest.fixture
+def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Return a recording of a rig that has a third potentiometer, at its rail in sample 7."""
+    beta = telemetry.Channel("beta", "rad", rail="ADC1_RAIL", valid="valid_beta")
+    monkeypatch.setattr(telemetry, "CHANNELS", (*telemetry.CHANNELS, beta))
+
+    def read(*args: Any, **named: Any) -> Any:
+        content = container.read(*args, **named)
+        if content is not None and content.samples.size:
+            k = content.samples["k"].astype(int)
+            columns = (COUNTS[k], COUNTS[k] / 1e4)
+            content.samples = append_fields(
+                content.samples, (beta.counts_field, beta.value_field), columns, usemask=False
+            )
+        return content
+
+    monkeypatch.setattr(loading, "read", read)
+    flags = int(Flag.RUN | Flag.ADC1_RAIL)
+    samples = [sample(k, **({"flags": flags} if k == 7 else {})) for k in range(N)]
+    return written(tmp_path, recorded(samples))
+
+
+def test_a_third_channel_of_the_table_reaches_a_recording_and_its_data(path: Path) -> None:
+    """With its unit, and with what is valid of it."""
+    recording = loading.load(path)
+
+    shown, data = recording.channel("beta"), recording.dataset("beta")  # type: ignore[arg-type]
+
+    np.testing.assert_array_equal(np.flatnonzero(~shown.valid), [7])
+    np.testing.assert_array_equal(shown.y[shown.valid], np.delete(COUNTS, 7) / 1e4)
+    assert (data.output, data.unit) == ("beta", "rad")
+    np.testing.assert_array_equal(data.y, shown.y)
+
+
+def test_a_third_channel_of_the_table_reaches_an_export(path: Path) -> None:
+    """Its angle, its readings, and where it is valid are columns."""
+    out = path.with_name("out.csv")
+
+    main(["export", str(path), str(out), "--raw"])
+
+    table = np.genfromtxt(out, delimiter=",", names=True)
+    np.testing.assert_array_equal(table["beta"], loading.load(path).channel("beta").y)
+    np.testing.assert_array_equal(np.flatnonzero(table["valid_beta"] == 0), [7])
+    np.testing.assert_array_equal(table["beta_counts"], COUNTS)
+
+
+def test_the_name_of_a_channel_is_written_in_few_modules() -> None:
+    """Every other module takes it from the table."""
+    modules = {
+        path.relative_to(ROOT)
+        for folder in ("clients", "daemon")
+        for path in (ROOT / folder).rglob("*.[pj][ys]")
+        if re.search(r"([\"'])(theta_1|alpha)\1", text := path.read_text("utf-8"))
+        and (path.suffix == ".js" or _names(text))
+    }
+
+    assert len(modules) <= 5, sorted(map(str, modules))
+    assert Path("daemon/armrig_core/telemetry.py") in modules
+
+
+def _names(text: str) -> bool:
+    """Return whether a literal is the name of a channel, and none of matplotlib's options."""
+    tree = ast.parse(text)
+    options = {
+        id(key)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Dict)
+        for key, value in zip(node.keys, node.values, strict=True)
+        if isinstance(value, ast.Constant) and isinstance(value.value, float)
+    }
+    return any(
+        isinstance(node, ast.Constant)
+        and node.value in ("theta_1", "alpha")
+        and id(node) not in options
+        for node in ast.walk(tree)
+    )
