@@ -43,7 +43,7 @@ check: .venv/dev
 # Every branch of the core and of the device's state machine; what adds nothing to that is left out.
 coverage: .venv/dev
 	$(BIN)/pytest -q -n 2 --dist worksteal tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
-	  core/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
+	  decisions/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
 
 # Write again what is stored of what the programs print, draw and compute; read the difference.
 stored: .venv/dev

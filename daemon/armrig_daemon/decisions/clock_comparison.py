@@ -15,7 +15,8 @@ from armrig_daemon.decisions.state import Clock, Sent, State
 def by_pong(state: State, now_ns: int, pong: Pong) -> State:
     """Return the state after a PONG, which carries the device's two stamps."""
     ways = (Ping, Pong)
-    return _compared(state, ways, pong.host_ns, pong.rx_us, pong.tx_us, now_ns)
+    clock, stamps = state.clock, (pong.host_ns, pong.rx_us, pong.tx_us, now_ns)
+    return state if clock is None else _compared(state, clock, ways, *stamps)
 
 
 def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
@@ -28,11 +29,13 @@ def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
     if device is None or clock is None or now_ns - clock.compared_ns < PING_US * 1000:
         return state
     rx_us, tx_us = (m.t_us - device.skew_us) & 0xFFFFFFFF, (m.t_us + device.skew_us) & 0xFFFFFFFF
-    return _compared(state, (Exchange, DeviceSample), sent.sent_ns, rx_us, tx_us, now_ns)
+    ways = (Exchange, DeviceSample)
+    return _compared(state, clock, ways, sent.sent_ns, rx_us, tx_us, now_ns)
 
 
 def _compared(
     state: State,
+    clock: Clock,
     ways: tuple[type[Message], type[Message]],
     h1_ns: int,
     rx_us: int,
@@ -42,9 +45,6 @@ def _compared(
     request_ns, answer_ns = (
         wire_length(way) * BITS_PER_BYTE * 1_000_000_000 // state.rules.baud for way in ways
     )
-    clock = state.clock
-    if clock is None:
-        return state
     rx = clockmap.extend(clock.device_us or rx_us, rx_us)
     tx = clockmap.extend(rx, tx_us)
     # The time on the wire is known, and different for each pair of frames: it is taken off here.

@@ -43,18 +43,17 @@ class _Due(NamedTuple):
 
 def handle(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Return the state after a sample of the boot that we know."""
-    link, in_force = state.link, state.configuration
-    if link is None:
-        return state, []
+    in_force = state.configuration
     if in_force is not None and in_force.scheduled and m.flags & _RUN:
         return _handle_self_paced(state, now_ns, m)
-    return _handle_answer(state, link, now_ns, m)
+    return _handle_answer(state, now_ns, m)
 
 
-def _handle_answer(state: State, link: Link, now_ns: int, m: DeviceSample) -> Step:
+def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Take the answer to an EXCHANGE; what answers none of ours is ignored, its state as well."""
-    at, device = _find_exchange(link.sent, m.k), state.device
-    if at is None or device is None or is_ahead(link, m.echo):
+    link, device = state.link, state.device
+    at = None if link is None else _find_exchange(link.sent, m.k)
+    if link is None or at is None or device is None or is_ahead(link, m.echo):
         return state, []  # an old burst, or an echo of another host
     if _is_older_than_last(state, m):
         return state, []

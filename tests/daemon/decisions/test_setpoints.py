@@ -325,6 +325,13 @@ def test_frames_without_an_echo_are_remembered_up_to_a_bound() -> None:
     assert state.link.any_ns == NOW
 
 
+def test_without_a_link_nothing_is_sent() -> None:
+    """No frame waits for a port that may open again."""
+    state = changed(_running(), link=None)
+
+    assert send(state, NOW, b"x") == (state, [])
+
+
 # -- its samples ---------------------------------------------------------------------------------
 
 

@@ -133,6 +133,21 @@ def test_an_order_in_a_trace_of_version_1_is_that_of_today(kind: type[Order]) ->
     assert event == Ordered(order)
 
 
+def test_a_state_in_a_trace_of_version_1_is_that_of_today() -> None:
+    """All its fields stood in one, and codes were named as voltages."""
+    bench = Bench()
+    traced(bench, scheduled=True)
+    data = trace.written_state(bench.loop.state)
+    fields = msgspec.msgpack.decode(data)
+    for part in ("link", "configuration", "clock"):
+        fields |= fields.pop(part)
+    fields["clock"] = fields.pop("map")
+    rules = fields["rules"]
+    rules["u_min"], rules["u_max"] = rules.pop("code_min"), rules.pop("code_max")
+
+    assert trace.restored(msgspec.msgpack.encode(fields), b"", 1) == trace.restored(data, b"")
+
+
 def test_a_trace_of_a_later_version_is_not_guessed_at() -> None:
     """Its words may mean something else."""
     with pytest.raises(msgspec.DecodeError, match="trace of version 3: 1 to 2 are known"):
