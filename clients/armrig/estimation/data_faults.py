@@ -9,6 +9,7 @@ whatever the structure of the estimate is.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from math import sqrt
 
 import numpy as np
@@ -61,7 +62,7 @@ def data_faults(
     if way_out and data.output not in INTEGRATING_OUTPUTS and _doubtful(residuals):
         level = level_without_input(data)
         if level and not integrating(data):
-            yield warning("level", f"{level}, which the model cannot make: {way_out}")
+            yield replace(level, text=f"{level.text}, which the model cannot make: {way_out}")
 
 
 def swapped(data: Dataset) -> Iterator[EstimateFinding]:
@@ -119,8 +120,8 @@ def _doubtful(residuals: Sequence[Vector]) -> bool:
     return abs(float(np.mean(e))) > _SURE * float(np.std(e)) / sqrt(e.size)
 
 
-def level_without_input(data: Dataset, least: float = _SURE) -> str:
-    """Return what y is where u is 0, in words, or "" where that is within so many σ of 0.
+def level_without_input(data: Dataset, least: float = _SURE) -> EstimateFinding | None:
+    """Return what y is where u is 0, or None where that is within so many σ of 0.
 
     The model A(q) y(t) = B(q) u(t) + c + e(t) then has a constant c; y is c / A(1) where u is 0,
     and no state at the beginning explains it for long.
@@ -128,16 +129,19 @@ def level_without_input(data: Dataset, least: float = _SURE) -> str:
     parts = [(part.u, part.y) for part in data[:_PART].experiments()]
     n = min(_ORDER, (data.N - data.missing) // 10)
     if n < 1:
-        return ""
+        return None
     model = whitening(parts, n)
     std = float(np.sqrt(model.covariance[2 * n + 1, 2 * n + 1]))
     gain = float(np.sum(model.A))
     largest = float(np.max(np.abs(data.y[data.valid])))
     if not (std > 0 and gain > 0 and abs(model.c) > max(least * std, _ROUNDING * largest)):
-        return ""
+        return None
     unit = f" {data.unit}" if data.unit else ""
     sigmas = min(abs(model.c) / std, _MANY)
-    return (
+    return warning(
+        "level",
         f"{data.output} is about {model.c / gain:.3g}{unit} where u is 0 ({sigmas:.0f} standard "
-        f"deviations {'or more ' if sigmas == _MANY else ''}from 0)"
+        f"deviations {'or more ' if sigmas == _MANY else ''}from 0)",
+        level=model.c / gain,
+        sigmas=sigmas,
     )

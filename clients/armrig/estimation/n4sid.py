@@ -267,7 +267,7 @@ def _warnings(
             std=std,
         )
     elif not n.integrator and _may_integrate(data, z[nearest]) and (found := integrating(data)):
-        text = f"{found}, and a pole is {off:.1g} from 1: try integrator=True"
+        text = f"{found.text}, and a pole is {off:.1g} from 1: try integrator=True"
         yield warning("pole_near_1", text, off=off)
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):

@@ -14,8 +14,16 @@ class Integration:
 
     integrates: bool
     """y is treated as the sum of its rate."""
-    notes: tuple[str, ...] = ()
-    """Why, where the data decided; empty where the caller or the output's name did."""
+    reason: str = ""
+    """What the data decided it by; "" where the caller or the output's name did."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a result says of it."""
+        if not self.reason:
+            return ()
+        what = "taken as integrating (in Python integrator=False takes it as it is)"
+        return (f"{self.reason}: {what}",)
 
 
 def integration(data: Dataset, integrator: bool | None) -> Integration:
@@ -28,8 +36,5 @@ def integration(data: Dataset, integrator: bool | None) -> Integration:
         return Integration(integrates=integrator)
     if data.output in INTEGRATING_OUTPUTS:
         return Integration(integrates=True)
-    reason = integrating(data)
-    if not reason:
-        return Integration(integrates=False)
-    note = f"{reason}: taken as integrating (in Python integrator=False takes it as it is)"
-    return Integration(integrates=True, notes=(note,))
+    found = integrating(data)
+    return Integration(integrates=found is not None, reason=found.text if found else "")

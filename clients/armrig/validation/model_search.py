@@ -126,16 +126,17 @@ def search(
     against = doubts(data, known)
     notes = [*known.integration.notes]
     level = [f for f in against if f.about == "level"]
-    of_validation = ""
+    of_validation = None
     if offset is None and not known.integration.integrates:
         # A level of the validation data alone would rank models by how they happen to meet it.
         of_validation = level_without_input(validation, _LIKELY)
         offset = bool(of_validation or level_without_input(data, _LIKELY))
-    if offset and (level or of_validation):
+    said = level_without_input(data) if level else of_validation
+    if offset and said:
         against = [f for f in against if f not in level]
-        what = level[0].text.split(":")[0] if level else f"in the validation data {of_validation}"
+        where = "" if level else "in the validation data "
         able = ", ".join(name.upper() for name in families if "offset" in OFFERED[name].takes)
-        notes.append(f"{what}: {able} estimate it along, offset=True")
+        notes.append(f"{where}{said.text}: {able} estimate it along, offset=True")
     candidates = list(
         _candidates(
             [*families],

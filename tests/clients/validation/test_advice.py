@@ -265,3 +265,15 @@ def test_a_pole_that_no_rig_has_is_told_once(poles: list[complex], about: list[s
     assert [finding.about for finding in findings] == about
     ways_out = {"unstable": "look at delay and orders", "poles": "lower the order"}
     assert all(finding.text.endswith(ways_out[finding.about]) for finding in findings)
+
+
+def test_a_name_with_a_colon_is_not_cut() -> None:
+    """The advice takes the reason as a value: it does not cut another sentence at its colon."""
+    rng = np.random.default_rng(1)
+    u = rng.choice([-1.0, 1.0], 600)
+    y = np.cumsum(u + 0.1 * rng.standard_normal(600))
+
+    found = armrig.advice(Dataset(u=u, y=y, Ts=0.1, output="lift: left"))
+
+    [text] = [f.text for f in found.findings if f.about == "integrator"]
+    assert text.startswith("lift: left behaves as an integrating output")

@@ -54,10 +54,10 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
         raise InputError(
             f"order={order!r} must be 0 (remove the mean) or 1 (remove a straight line)"
         )
-    reason = integrating(data) if order == 1 else ""
-    if reason:
+    found = integrating(data) if order == 1 else None
+    if found:
         warnings.warn(
-            f"detrend(order=1): {reason}, so its line is the answer to the mean of u and not a "
+            f"detrend(order=1): {found.text}, so its line is the answer to the mean of u and not a "
             "drift; keep it, and use order=0, oe(integrator=True) or difference(data)",
             IntegratingOutputWarning,
             stacklevel=2,
@@ -74,7 +74,7 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
         trends.append(data.trends[k] + taken if data.trends else taken)
     what = "the mean" if order == 0 else "a straight line"
     each = "" if len(trends) == 1 else " of each experiment"
-    despite = f", although {reason}" if reason else ""
+    despite = f", although {found.text}" if found else ""
     return data.replaced(
         u=u,
         y=y,

@@ -72,11 +72,9 @@ def drift(
     ValueError
         The output integrates, so that its line is the input's work; or there are too few samples.
     """
-    if integrator is None:
-        reason = integrating(data)
-    else:
-        reason = f"{data.output} was said to integrate" if integrator else ""
-    if reason:
+    found = integrating(data) if integrator is None else None
+    if found or integrator:
+        reason = found.text if found else f"{data.output} was said to integrate"
         raise InputError(
             f"{reason}: its line is the answer to the mean of u, not a drift; estimate the "
             "input's offset instead, oe(data, ..., integrator=True).free[0].offset"

@@ -6,6 +6,7 @@ import numpy as np
 from armrig_core.telemetry import THETA_1
 
 from armrig.data.dataset import Dataset
+from armrig.data.finding import Finding, warning
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import complete, past
 
@@ -21,8 +22,8 @@ class IntegratingOutputWarning(UserWarning):
     """A linear trend was removed from an output that integrates its input."""
 
 
-def integrating(data: Dataset) -> str:
-    """Say why the output must be taken as integrating, "" where nothing speaks for it.
+def integrating(data: Dataset) -> Finding | None:
+    """Return why the output must be taken as integrating, None where nothing speaks for it.
 
     An output that is known by name to integrate does. Another one is tested with the
     Dickey-Fuller regression with a trend, lags and the input as covariate ::
@@ -40,7 +41,7 @@ def integrating(data: Dataset) -> str:
     .. [2] B. E. Hansen, Econometric Theory 11 (1995) 1148-1171.
     """
     if data.output in INTEGRATING_OUTPUTS:
-        return f"{data.output} integrates its input"
+        return warning("integrator", f"{data.output} integrates its input")
     lags = range(1, _TEST_LAGS + 1)
     rows, targets = [], []
     for part in data.experiments():
@@ -54,9 +55,10 @@ def integrating(data: Dataset) -> str:
     basis = orthonormal(np.vstack(rows))
     degrees = target.size - basis.rank
     if degrees < 10 or not basis.W[0].any():
-        return ""  # too little to tell, or y is constant
+        return None  # too little to tell, or y is constant
     variance = float(np.sum(basis.without(target) ** 2)) / degrees
     g, std = basis.coefficients(target)[0], np.sqrt(variance * np.sum(basis.W[0] ** 2))
     if g < DICKEY_FULLER_TREND_5_PERCENT * std or DICKEY_FULLER_TREND_5_PERCENT * std < -_SEEN:
-        return ""
-    return f"{data.output} behaves as an integrating output (no pull back to its line is found)"
+        return None
+    text = f"{data.output} behaves as an integrating output (no pull back to its line is found)"
+    return warning("integrator", text, pull=float(g), std=float(std))

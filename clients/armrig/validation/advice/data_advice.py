@@ -160,7 +160,7 @@ def _about_input(data: Dataset) -> Finding:
 def _about_integrator(decided: Integration) -> Finding:
     if not decided.integrates:
         return finding("integrator", "none is seen", good=True)
-    text = decided.notes[0].split(":")[0] if decided.notes else "the output is an angle"
+    text = decided.reason or "the output is an angle"
     text += ": fix its pole, oe(…, integrator=True), and remove no linear trend"
     return finding("integrator", text, good=True)
 
@@ -186,8 +186,8 @@ def _about_outliers(data: Dataset) -> Finding:
 
 
 def _about_level(data: Dataset) -> Iterator[Finding]:
-    if text := level_without_input(data):
-        yield finding("level", f"{text}: {NO_OPTION}", good=False)
+    if level := level_without_input(data):
+        yield finding("level", f"{level.text}: {NO_OPTION}", good=False)
 
 
 def _about_drift(data: Dataset) -> Iterator[Finding]:
