@@ -643,17 +643,3 @@ def test_an_unplugged_device_is_a_fault_that_is_reset(browser: Any, bench: Bench
         page.click("#reset")
         page.wait_for_selector(".pill.safe")
         assert not page.is_visible("#fault")
-
-
-def test_data_that_wait_in_a_slow_network_get_older(browser: Any, client: Client) -> None:
-    """The age of the data includes the time that a message waited on its way to the page."""
-    shown = """async (live) => {
-      (await import("./status.js")).showLive(live);
-      return parseFloat(document.getElementById("age").textContent);
-    }"""
-    with opened(browser, client.url) as page:
-        until(page, lambda: float(text(page, "#age").split(" s")[0]) < 1)
-        live = client.first("live") | {"rows": []}
-        waited = live | {"at_s": live["at_s"] - 30.0}
-        until(page, lambda: page.evaluate(shown, waited) >= 30.0)
-        until(page, lambda: page.evaluate(shown, client.first("live")) < 1.0)

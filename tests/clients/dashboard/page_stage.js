@@ -195,7 +195,10 @@ const stage = {
   replies,
   hold: (name) => (replies[name] = new Promise((give) => (stage.give = give))),
   key: (code, more = {}) => listeners[more.type ?? "keydown"].forEach((does) => does({ code, key: code, type: "keydown", target: body, preventDefault: () => say(`${code}: prevented`), stopPropagation: () => {}, ...more })),
-  send: (name, value) => streams.at(-1).give(`event: ${name}\ndata: ${JSON.stringify(value)}\n\n`),
+  send: (name, value) => {
+    const told = name === "live" ? { at_s: performance.now() / 1000, ...value } : value;
+    streams.at(-1).give(`event: ${name}\ndata: ${JSON.stringify(told)}\n\n`);
+  },
   raw: (text) => streams.at(-1).give(text),
   set: (id, value) => {
     byId(id).value = value;

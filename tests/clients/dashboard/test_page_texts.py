@@ -83,7 +83,7 @@ def test_the_timing_is_told_under_its_names(page: Path) -> None:
     }
     told = _run(
         page,
-        f"status.setEdges({json.dumps(LATE_US)}); status.showTiming({json.dumps(timing)});"
+        f"status.begin({json.dumps(LATE_US)}); status.showTiming({json.dumps(timing)});"
         "told.timing = text('timing-text'); told.missing = text('missing');"
         "told.bars = document.getElementById('histogram').children.map("
         "(bar) => [bar.title, bar.children[0], bar.children[2], bar.children[1].style.height]);"
@@ -105,13 +105,27 @@ def test_the_timing_is_told_under_its_names(page: Path) -> None:
     assert told["pressed"] == "true"
 
 
+def test_data_that_waited_in_a_slow_network_are_older(page: Path) -> None:
+    """By how much later than the quickest message theirs came; another server has another clock."""
+    told = _run(
+        page,
+        "const ages = [];"
+        "for (const [at, at_s] of [[1000, 500], [2000, 501], [6000, 502], [7000, 506], [8000, 3]]) {"
+        " globalThis.at = at; if (at_s === 3) status.begin([]);"
+        " status.showLive({ at_s, age_s: 0.25, is_stale: false }); ages.push(text('age')); }"
+        "told.ages = ages;",
+    )
+
+    assert told["ages"] == ["0.25 s old", "0.25 s old", "3.25 s old", "0.25 s old", "0.25 s old"]
+
+
 def test_the_age_goes_on_while_nothing_comes(page: Path) -> None:
     """The age at the last message plus the time since; before the first there is none."""
     told = _run(
         page,
         "globalThis.at = 1000; status.showLost(900, 'gone'); told.none = text('stale-what');"
         "status.showStatus({ rows: [], phase: 'safe', trouble: '' });"
-        "status.showLive({ age_s: 0.05, is_stale: false });"
+        "status.showLive({ at_s: 7, age_s: 0.05, is_stale: false });"
         "told.fresh = [text('age'), hidden('stale'), text('phase')];"
         "globalThis.at = 3500; status.showLost(2500, 'the server is silent');"
         "told.lost = [text('age'), hidden('stale'), text('phase'), text('stale-what'),"
@@ -150,11 +164,11 @@ def test_a_button_is_offered_where_the_rig_can_take_it(page: Path) -> None:
         page,
         "const offered = () => ['run', 'arm', 'release'].filter((id) => !disabled(id)).join(' ');"
         "const run = (is_going) => control.showRun({ is_going, experiment: '' });"
-        "status.showLive({ age_s: 0, is_stale: false }); run(false);"
+        "status.showLive({ at_s: 7, age_s: 0, is_stale: false }); run(false);"
         "for (const phase of ['init', 'safe', 'armed', 'active', 'fault']) {"
         "  control.showControl({ phase, trouble: '' }); told[phase] = offered(); }"
         "control.showControl({ phase: 'safe', trouble: '' }); run(true); told.going = offered();"
-        "run(false); status.showLive({ age_s: 9, is_stale: true }); control.allow();"
+        "run(false); status.showLive({ at_s: 7, age_s: 9, is_stale: true }); control.allow();"
         "told.stale = offered();",
     )
 
