@@ -7,6 +7,7 @@ treats an absent one.
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import NamedTuple
 
 TRY_AGAIN = ": try again"
 """How the sentence of a refusal ends that passes by itself."""
@@ -80,3 +81,45 @@ _PASSING = frozenset(
         RefusalCode.TOO_MANY,
     }
 )
+
+
+class OutcomeCode(StrEnum):
+    """How a run, or its recording, ended."""
+
+    COMPLETE = "complete"
+    """With the last sample of its input, or of what was to be recorded."""
+    CONTINUED = "continued"
+    """Of a part: another part follows."""
+    STOPPED = "stopped"
+    """Somebody stopped it."""
+    DISARMED = "disarmed"
+    """Its owner gave the rig back."""
+    CLIENT_GONE = "client_gone"
+    """Its client gave no sign for longer than its dead-man."""
+    FAULT = "fault"
+    """The rig went into a fault."""
+    DEVICE = "device"
+    """The device did not take the setpoints."""
+    DAEMON_ENDED = "daemon_ended"
+    """The daemon, or its loop, ended."""
+    RECORDING = "recording"
+    """The recording could not begin, or go on; the sentence names the file."""
+    MOVED = "moved"
+    """Somebody moved the file while it was written."""
+    CUT_OFF = "cut_off"
+    """The file was cut off, and completed later."""
+    RECORDER = "recorder"
+    """The recorder from afar ended early, or its rig began to count or to sample otherwise."""
+    UNKNOWN = "unknown"
+    """It ended early; nothing more is known."""
+
+
+class Ending(NamedTuple):
+    """How a run ended: a code for programs, and a sentence for a person."""
+
+    code: OutcomeCode
+    text: str
+
+
+COMPLETE = Ending(OutcomeCode.COMPLETE, "complete")
+CONTINUED = Ending(OutcomeCode.CONTINUED, "continued")

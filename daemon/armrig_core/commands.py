@@ -7,8 +7,9 @@ from typing import Annotated, Any, ClassVar, Literal, get_args
 import msgspec
 from msgspec import Meta
 
+from armrig_core import version_1
 from armrig_core.calibration import Calibration
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_core.errors import InputError
 from armrig_core.printable import printable
 from armrig_core.rehearsal import Rehearsal
@@ -190,6 +191,14 @@ class LastRun(msgspec.Struct, frozen=True, kw_only=True):
     """Samples that are on the disk, whatever dies: counted once a second, at the end all."""
     outcome: str
     """`complete`, or why it ended early; empty while it runs."""
+    code: str = ""
+    """How it ended, for programs: an `OutcomeCode`; empty while it runs, and from a daemon of
+    version 1."""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the run has ended with its last sample."""
+        return (self.code or version_1.outcome_code(self.outcome)) == OutcomeCode.COMPLETE
 
 
 class StatusReport(msgspec.Struct, frozen=True, kw_only=True):

@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 
+from armrig_core import version_1
 from armrig_core.emulated import is_emulated
 from armrig_core.errors import InputError
 from armrig_core.rehearsal import Rehearsal
@@ -99,6 +100,8 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """Samples recorded, in this file."""
     missing: int
     """Samples that the gaps are short of, in this file."""
+    code: str = ""
+    """How it ended, for programs: an `OutcomeCode`; `outcome_of` finds that of a file without."""
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP wants them: each a JSON text."""
@@ -126,6 +129,8 @@ class Recovered(msgspec.Struct, frozen=True, kw_only=True):
 
 def _metadata(record: Manifest | Outcome | Recovered) -> dict[str, str]:
     fields = msgspec.structs.asdict(record)
+    if isinstance(record, Outcome) and not record.code:
+        del fields["code"]
     return {key: msgspec.json.encode(value).decode() for key, value in fields.items()}
 
 
@@ -146,7 +151,9 @@ def manifest_of(metadata: dict[str, str]) -> Manifest:
 
 def outcome_of(metadata: dict[str, str]) -> Outcome:
     """Return the outcome in a metadata record named `OUTCOME`; raises as `manifest_of`."""
-    return msgspec.convert(_fields(metadata), Outcome)
+    found = msgspec.convert(_fields(metadata), Outcome)
+    code = found.code or version_1.outcome_code(found.outcome)
+    return msgspec.structs.replace(found, code=code)
 
 
 def recovered_of(metadata: dict[str, str]) -> Recovered:

@@ -12,7 +12,7 @@ from typing import Any
 
 import msgspec
 from armrig_core.calibration import Calibration
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import OutcomeCode, RefusalCode
 
 _HEAD = Struct("<IB")
 _SAMPLE, _RECORD = 0, 1
@@ -135,6 +135,7 @@ class RunEnded(Tagged, frozen=True, kw_only=True):
 
     run_id: str
     outcome: str
+    outcome_code: OutcomeCode
 
 
 class Answer(Tagged, frozen=True, kw_only=True):
@@ -208,6 +209,8 @@ class Stop(Order, frozen=True, kw_only=True):
 
     reason: str = "stopped"
     """Outcome of the run that it ends, for a person."""
+    outcome_code: OutcomeCode = OutcomeCode.STOPPED
+    """And for programs."""
 
 
 class Reset(Order, frozen=True, kw_only=True):

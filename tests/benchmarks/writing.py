@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from armrig_core import protobuf
+from armrig_core.codes import COMPLETE
 from armrig_core.manifest import Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
@@ -90,7 +91,7 @@ def _handed_over(folder: Path, samples: list[Outgoing]) -> None:
         recording.add([message])
         while recording._queue.qsize() > _QUEUED:
             time.sleep(0.001)
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join()
     if recording.error or recording.dropped:
         raise SystemExit(recording.error or "messages were dropped")

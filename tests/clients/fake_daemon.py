@@ -37,6 +37,7 @@ class FakeDaemon:
         self.polls_per_run = 3
         self.limits_v = (0.0, 5.0)
         self.outcome = "complete"
+        self.code = ""  # of the outcome: a daemon of 0.1.0 sends none
         self.recording = "/nowhere/run.mcap"
         self.refusals: dict[str, str | commands.Refused] = {}
         self.fault = self.remedy = ""
@@ -81,6 +82,7 @@ class FakeDaemon:
                 samples=total if finished else total * self._polls // self.polls_per_run,
                 synced=total if finished else 0,
                 outcome=self.outcome if finished else "",
+                code=self.code if finished else "",
             )
         running = last is not None and not last.finished
         return StatusReport(
@@ -141,5 +143,5 @@ class FakeDaemon:
                 run_id="r1", recording=self.recording, rehearsal=self.rehearsal
             )
         if isinstance(request, commands.Stop):
-            self.outcome, self.polls_per_run = "stopped", 0
+            self.outcome, self.code, self.polls_per_run = "stopped", "", 0
         return commands.Done(done=True)

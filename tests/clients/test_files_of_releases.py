@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
 from armrig.recordings.verification import verify
 from armrig_core.calibration_file import raw_path, read_calibration
+from armrig_core.codes import OutcomeCode
 from armrig_core.errors import FileError
 from armrig_core.manifest import CALIBRATION_RAW
 from armrig_core.volts import applied_code, volts_of
@@ -25,6 +27,17 @@ from msgspec.structs import replace
 DATA = Path(__file__).parents[1] / "data"
 RELEASES = sorted(path.name for path in DATA.iterdir() if (path / "facts.json").exists())
 FOLDERS = pytest.mark.parametrize("folder", [DATA / r for r in RELEASES], ids=RELEASES)
+SHA256 = {
+    "0.1.0": {
+        "bj.json": "5501009b5b40b56986e6f6282e1c1a6a7806ff31fd2326da9eba3e939a19cef5",
+        "calibration.csv.gz": "a54d7d6ffccf885b9f25f629d57b3861afacec1dedf4af1e126980d66a650f1d",
+        "calibration.toml": "e833f6a35dd49cbf517f1af3945a1c0e613308e25c7d968b7128b3e027278d21",
+        "exchange.mcap": "70dd089abbf040b2096a08a3ce5ac8af5bb13d0a2d13ab465cabd7ecf68937ec",
+        "facts.json": "ca7e2bc6932b0d5a2396b1addb42624dd76e3afbc6c4687dcabdd746b0a08773",
+        "n4sid.json": "49d14bd3109c00114c4c1fdc0a7d2746d96ecf08af4c9907d8dc15f963cbe3ae",
+        "scheduled.mcap": "50fed6e26e695791af96f3e904694350b0c32c9959fabffd900d165cd20298a8",
+    }
+}
 MODELS = ("bj", "n4sid")
 METER_V = volts_of(applied_code(32768, 10))
 """What a device of 10 bits made of the one code that a meter was read at."""
@@ -51,6 +64,15 @@ def test_a_recording_is_read_to_the_last_bit(folder: Path, pacing: str) -> None:
     assert recording.missing == sum(gap.count for gap in recording.gaps) > 0
     assert recording.outcome is not None
     assert recording.outcome.outcome == "complete"
+    assert recording.outcome.code == OutcomeCode.COMPLETE  # which it does not say
+
+
+@FOLDERS
+def test_no_file_of_a_release_has_changed(folder: Path) -> None:
+    """Byte for byte: what is read below is what that release wrote."""
+    found = {path.name: sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
+
+    assert found == SHA256[folder.name]
 
 
 @FOLDERS

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core import commands, protobuf, topics
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_protocol.messages import Flag
 from google.protobuf import descriptor_pb2
 
@@ -88,3 +88,10 @@ def test_every_refusal_is_told_with_whether_it_passes() -> None:
 
     told = {code: passes for code, _, passes in rows if code != "code"}
     assert told == {code.value: "yes" if code.passes else "no" for code in RefusalCode}
+
+
+def test_every_outcome_is_told() -> None:
+    """In the order of the codes."""
+    told = [row[0] for row in _table("Outcomes") if row[0] not in ("code", "---")]
+
+    assert told == [code.value for code in OutcomeCode]

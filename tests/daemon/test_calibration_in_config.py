@@ -10,6 +10,7 @@ import pytest
 from armrig.recordings.container import read
 from armrig_core.calibration import Calibration, Made, Potentiometer
 from armrig_core.calibration_file import raw_path, toml_of
+from armrig_core.codes import COMPLETE
 from armrig_core.commands import Run
 from armrig_core.errors import InputError
 from armrig_core.manifest import CALIBRATION_RAW
@@ -112,7 +113,7 @@ def _attached(folder: Path, config: Config) -> bytes | None:
     started = RunStarted(t_host_ns=0, run_id=order.run_id, k_first=0, count=1)
     state = State(t_host_ns=0, phase="active", reason="", owner="", ts_us=10_000, device={})
     path = runs.begin(started, state, {}, 0)
-    runs.end("complete")
+    runs.end(COMPLETE)
     assert done.wait(30)
     content = read(path.with_suffix("")) or read(path)
     assert content is not None

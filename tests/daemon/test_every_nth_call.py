@@ -19,6 +19,7 @@ from unittest import mock
 import armrig
 import msgspec
 import pytest
+from armrig_core.codes import COMPLETE
 from armrig_core.manifest import Manifest
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
@@ -204,7 +205,7 @@ def recorded(directory: Path, disk: Disk) -> Recording | None:
             return None
         for k in range(0, SAMPLES, BATCH):
             recording.add([_sample(i) for i in range(k, k + BATCH)])
-        recording.finish("complete")
+        recording.finish(COMPLETE)
         recording.join(30)
     assert recording.done, "the writer hangs"
     (left,) = directory.iterdir()  # one file, whatever failed

@@ -14,6 +14,7 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.rig.client import RefusedError, RunEndedError
+from armrig_core.codes import COMPLETE
 from armrig_core.commands import parse
 from armrig_core.manifest import Manifest
 from armrig_core.recording_file.recorder import Recording, RecordingError
@@ -184,7 +185,7 @@ def test_a_link_that_waits_at_the_name_is_not_written_through(tmp_path: Path, su
             Recording(path, MANIFEST, {}, t_first_ns=0, changed=lambda: None)
     else:
         recording = Recording(path, MANIFEST, {}, t_first_ns=0, changed=lambda: None)
-        recording.finish("complete")
+        recording.finish(COMPLETE)
         recording.join(30)
         assert recording.error == ""
         assert not path.is_symlink()
@@ -201,7 +202,7 @@ def test_a_link_that_takes_the_place_of_a_file_is_not_written_through(tmp_path: 
     recording = Recording(directory / "run.mcap", MANIFEST, {}, t_first_ns=0, changed=lambda: None)
     recording.active.unlink()
     recording.active.symlink_to(elsewhere)
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert recording.done

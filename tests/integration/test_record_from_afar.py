@@ -24,6 +24,7 @@ from armrig.rig.remote_recording import CUT_OFF, STARTED_ANEW, RemoteRecording
 from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import RigError, open_session
 from armrig_core import protobuf
+from armrig_core.codes import COMPLETE
 from armrig_core.history import ANSWER_LIMIT, encode_past
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.service.history import History
@@ -92,7 +93,7 @@ class Recorder:
 
     def files(self) -> list[Recording]:
         """Return what was recorded, complete."""
-        self.recording.finish("complete")
+        self.recording.finish(COMPLETE)
         return [armrig.load(file.path) for file in self.recording.done]
 
 

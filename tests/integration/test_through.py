@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
+from armrig_core.codes import COMPLETE
 from armrig_core.manifest import CALIBRATION, Manifest
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
@@ -59,7 +60,7 @@ def _record(seed: int, path: Path) -> Path:
         s = decode_sample(data)
         if s is not None and 0 <= s.k - started.k_first < N:
             recording.add([Outgoing("sample", s.t_host_ns, s.t_sched_ns, s.k, data)])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join()
     return path
 

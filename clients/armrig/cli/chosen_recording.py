@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 LAST = "last"
 VALIDATION = "/validation"
-COMPLETE = "complete"
 _MOST_READ = 100
 """Recordings whose names are compared with one that is not there."""
 _LISTED = 4
@@ -104,7 +103,7 @@ def preferred(found: Sequence[RecordingSummary]) -> Sequence[RecordingSummary]:
 
     Who repeats a run that ended early gives the same command once more.
     """
-    complete = [s for s in found if s.outcome == COMPLETE]
+    complete = [s for s in found if s.is_complete]
     return complete or found
 
 

@@ -115,7 +115,6 @@ def _experiment_name(experiment: str, name: str) -> str:
 def _check_name_is_free(name: str) -> None:
     """Refuse the name of a complete recording: it would mean two, and every command refuse it."""
     from armrig.cli.chosen_recording import (
-        COMPLETE,
         NoSuchRecordingError,
         matching,
         recording_folder,
@@ -130,7 +129,7 @@ def _check_name_is_free(name: str) -> None:
         return
 
     def is_used(text: str) -> bool:
-        return any(s.outcome == COMPLETE for s in matching(text, paths))
+        return any(s.is_complete for s in matching(text, paths))
 
     if is_used(f"@{name}"):
         free = next(f"{name}-{n}" for n in count(2) if not is_used(f"@{name}-{n}"))

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.codes import COMPLETE
 from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
 from armrig.cli.chosen_recording import (
-    COMPLETE,
     VALIDATION,
     Answering,
     answering_among,
@@ -103,7 +103,7 @@ def ls(
         rows = [_row(s, name_of, answering) for s in shown]
         # Most are complete, most names say what a recording validates, and 80 columns are few.
         kept = [True] * (len(_HEADINGS) - _OPTIONAL)
-        kept += [not {row[i] for row in rows} <= {"", COMPLETE} for i in range(-_OPTIONAL, 0)]
+        kept += [not {row[i] for row in rows} <= {"", COMPLETE.text} for i in range(-_OPTIONAL, 0)]
         echo(_table([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)]))
     tell(_the_rest(folder, found, len(shown)))
     if shown:

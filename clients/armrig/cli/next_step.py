@@ -99,7 +99,6 @@ def _goes_on(line: str) -> str:
     if words[1] != "collect" or words[-2] != "--name":
         return line
     from armrig.cli.chosen_recording import (
-        COMPLETE,
         NoSuchRecordingError,
         matching,
         recording_folder,
@@ -111,7 +110,7 @@ def _goes_on(line: str) -> str:
     except (NoSuchRecordingError, OSError):
         return line
     names = (f"@{words[-1]}{_AGAIN}", f"@{words[-1]}")  # what was made again replaces the first
-    found = [s for name in names for s in matching(name, paths) if s.outcome == COMPLETE]
+    found = [s for name in names for s in matching(name, paths) if s.is_complete]
     if not found:
         return line
     after = f"collect {found[0].kind}"
@@ -258,11 +257,10 @@ def chassis() -> str:
 
 def _complete(paths: Sequence[Path], part: str) -> Iterator[RecordingSummary]:
     """Give the newest complete recordings whose file names contain a text."""
-    from armrig.cli.chosen_recording import COMPLETE
     from armrig.recordings.folder import summaries
 
     found = islice((path for path in paths if part in path.name), _MOST_READ)
-    return (s for path in found for s in summaries([path]) if s.outcome == COMPLETE)
+    return (s for path in found for s in summaries([path]) if s.is_complete)
 
 
 def _newest(found: Iterator[RecordingSummary]) -> RecordingSummary | None:
@@ -280,14 +278,14 @@ def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
 
     None where its sampling time or its calibration is another.
     """
-    from armrig.cli.chosen_recording import COMPLETE, NoSuchRecordingError, chosen
+    from armrig.cli.chosen_recording import NoSuchRecordingError, chosen
 
     try:
         found = chosen(f"@{validation.validation_of}", validation.folder)
     except NoSuchRecordingError:
         return None
     same = found.Ts == validation.Ts and found.calibration_sha256 == validation.calibration_sha256
-    return found if same and found.outcome == COMPLETE else None
+    return found if same and found.is_complete else None
 
 
 def validation_beside(path: Path) -> str:

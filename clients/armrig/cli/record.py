@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from armrig_core.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.errors import InputError, OperationError
 from armrig_core.signal_pipe import SignalPipe, until_signal
 
-from armrig.cli.chosen_recording import COMPLETE
 from armrig.cli.fleet import default_name, record_many
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Json, echo, print_json, tell
@@ -90,14 +90,14 @@ def _record_one(
     json: bool,
 ) -> None:
     from armrig.rig.remote_recorder import RemoteRecorder
-    from armrig.rig.remote_recording import RemoteRecording
+    from armrig.rig.remote_recording import RemoteRecording, recorder_ended
     from armrig.rig.session import no_reply, open_connection
 
     path = _checked(out or Path(default_name(rig)))
     connection = open_connection(source, rig=rig)
     where = connection.endpoint
     recording = RemoteRecording(path=path, rig=rig, endpoint=where, tell=tell)
-    outcome = COMPLETE
+    how = COMPLETE
     with connection.session as session:
         if ended.is_set():  # while it was loaded and connected
             raise KeyboardInterrupt
@@ -108,10 +108,10 @@ def _record_one(
             tell(f"recording rig {rig} from {where}; Ctrl-C ends it")
             recorder.record(ended, seconds)
         except (RuntimeError, OSError) as err:
-            outcome = f"the recorder ended: {err}"
+            how = recorder_ended(err)
             raise
         finally:
-            _finish(recording, outcome)
+            _finish(recording, how)
     if not recording.done:
         raise OperationError(
             f"rig {rig} at {where} published no sample: there is nothing to record"
@@ -119,14 +119,14 @@ def _record_one(
     _say(recording, json=json)
 
 
-def _finish(recording: RemoteRecording, outcome: str) -> None:
+def _finish(recording: RemoteRecording, ended: Ending) -> None:
     try:
-        recording.finish(outcome)
+        recording.finish(ended)
     except KeyboardInterrupt:
         tell("not complete: what was recorded is in *.mcap.active; `armrig recover` completes it")
         raise
     finally:
-        if recording.done and outcome != COMPLETE:
+        if recording.done and ended.code != OutcomeCode.COMPLETE:
             more = f", the last of {len(recording.done)} files" if len(recording.done) > 1 else ""
             tell(f"recorded until then: {recording.done[-1].path}{more}")
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.codes import OutcomeCode
 
 from armrig.numerics.quantities import listed
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 
 FEW = 300
 """Samples below which the deviations of a model of the rig say little."""
-_TO_THE_END = ("complete", "continued")
+_TO_THE_END = (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED)
 _TURNED = 0.5  # rad by which a chassis must have turned before its direction is judged
 NO_MODEL = ("step", "staircase")
 """Kinds of experiment that hardly excite: shown, and not identified from."""
@@ -49,7 +50,7 @@ def emulation(recordings: Sequence[Recording]) -> list[str]:
 
 def ended_early(recording: Recording) -> bool:
     """Return whether a run ended before the end of its input, or nothing says how it ended."""
-    return recording.outcome is None or recording.outcome.outcome not in _TO_THE_END
+    return recording.outcome is None or recording.outcome.code not in _TO_THE_END
 
 
 def early_ends(recordings: Sequence[Recording]) -> list[str]:

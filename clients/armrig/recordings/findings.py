@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.codes import OutcomeCode
 from armrig_protocol.messages import Flag
 
 from armrig.data.finding import Finding
@@ -49,7 +50,7 @@ def check_run(r: Recording) -> Iterator[Finding]:
         yield _warning("run", text)
     elif r.truncated:
         yield _warning("run", f"the file is not whole: {r.damage}")
-    elif r.outcome is None or r.outcome.outcome != "complete":
+    elif r.outcome is None or r.outcome.code != OutcomeCode.COMPLETE:
         why = r.outcome.outcome if r.outcome else "the file does not say why"
         yield _warning("run", f"the run ended early: {why}")
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from heapq import heappop, heappush
 
 import numpy as np
+from armrig_core.codes import OutcomeCode
 from armrig_core.errors import InputError
 from armrig_core.manifest import Manifest, Outcome
 from armrig_core.recording_file.budget import SAMPLES_LIMIT
@@ -102,7 +103,7 @@ def grid(
             )
         ends = [end, *(k_gap + count for k_gap, count in gaps), first]
         if outcome is not None:
-            whole = outcome.outcome == "complete"
+            whole = outcome.code == OutcomeCode.COMPLETE
             ends.append(last if whole else first + outcome.samples + outcome.missing)
         begin, end = first, min(max(ends), last)
     begin = max(begin, between[0])

@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import msgspec
+from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import (
     OUTCOME,
     RUN,
@@ -70,6 +71,13 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     """Hash of the attached calibration."""
     armrig: str
     """Version of armrig that recorded it."""
+    outcome_code: str
+    """How the run ended, for programs: an `armrig_core.codes.OutcomeCode`."""
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the run ended with the last sample of its input."""
+        return self.outcome_code == OutcomeCode.COMPLETE
 
     @property
     def path(self) -> Path:
@@ -153,6 +161,7 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
         "device": str(manifest.device.get("uid", "")),
         "calibration_sha256": manifest.calibration_sha256,
         "armrig": manifest.armrig,
+        "outcome_code": outcome.code,
     }
     for name, text in texts.items():
         if len(text) > TEXT_LIMIT:

@@ -63,11 +63,12 @@ class Disturbances:
 def disturbances(recording: Recording) -> Disturbances:
     """Return what disturbed the timing of a recording."""
     timing, last = recording.timing, recording.clock[-1] if recording.clock else _UNKNOWN
-    collections = [t.collections for t in timing if t.collections >= 0]
+    counted = [t.collections for t in timing if t.collections >= 0]
+    collections = counted[-1] - counted[0] if counted else -1 if timing else 0
     pressures = [t.cpu_pressure_percent for t in timing if not isnan(t.cpu_pressure_percent)]
     return Disturbances(
         seconds=len(timing),
-        collections=collections[-1] - collections[0] if collections else -1,
+        collections=collections,
         cpu_pressure_percent=max(pressures, default=nan),
         run_queue=max((t.run_queue for t in timing), default=-1),
         round_trip_us=max(_round_trips(timing), default=nan),

@@ -14,9 +14,10 @@ from typing import Literal
 
 import msgspec
 import numpy as np
+from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import CONFIG
 from armrig_core.recording_file.budget import DamageError
-from armrig_core.recording_file.part_names import CONTINUED, part_number
+from armrig_core.recording_file.part_names import part_number
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE
 from numpy.typing import NDArray
@@ -117,7 +118,7 @@ def check_file(r: Recording) -> Check:
     if r.outcome is None:
         return _failed("file", "it does not say how the run ended")
     whole_run = r.manifest.part > 0 and not part_number(r.path)
-    if whole_run and r.outcome.outcome == CONTINUED:
+    if whole_run and r.outcome.code == OutcomeCode.CONTINUED:
         return _failed("file", "its last part is missing: that before it says another follows")
     came, missing = r.samples.size, r.missing
     if r.manifest.part == 0 and (r.outcome.samples, r.outcome.missing) != (came, missing):

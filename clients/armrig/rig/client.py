@@ -14,6 +14,7 @@ import numpy as np
 import zenoh
 from armrig_core import commands, topics
 from armrig_core.calibration_file import raw_samples, read_calibration
+from armrig_core.codes import OutcomeCode
 from armrig_core.errors import InputError, MalformedReplyError
 from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
@@ -269,7 +270,7 @@ class Rig:
                     )
                 # A complete run may lack samples that are missing; it has ended all the same.
                 total = len(request.u)
-                progress(total if last.outcome == "complete" else last.samples, total)
+                progress(total if last.is_complete else last.samples, total)
                 if last.finished and status.phase != "active":
                     return last
             if request.dead_man is not None:
@@ -479,10 +480,10 @@ def longest_reply_s(request: commands.Request) -> float:
 def _complete_recording(last: commands.LastRun, asked: int) -> Path:
     """Return the recording of a run that has played all samples asked for."""
     recording = Path(last.recording)
-    if last.outcome != "complete":
+    if not last.is_complete:
         why = f"the run ended after {last.samples} of {asked} samples: {last.outcome}"
-        # Where the file failed, the outcome says what became of it.
-        raise RunEndedError(why, recording, is_named=last.recording in last.outcome)
+        # Where the file failed, the outcome says what became of it, and where it is.
+        raise RunEndedError(why, recording, is_named=last.code == OutcomeCode.RECORDING)
     return recording
 
 

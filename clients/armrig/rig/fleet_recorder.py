@@ -13,10 +13,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import zenoh
+from armrig_core.codes import COMPLETE
 
 from armrig.rig.live_rigs import ids_alive
 from armrig.rig.remote_recorder import Ended, RemoteRecorder
-from armrig.rig.remote_recording import DiskError, RecordedFile, RemoteRecording, Tell
+from armrig.rig.remote_recording import (
+    DiskError,
+    RecordedFile,
+    RemoteRecording,
+    Tell,
+    recorder_ended,
+)
 
 _LOOK_S = 1.0
 _ASK_S = 0.2
@@ -24,7 +31,6 @@ _AGAIN_S = 60.0
 """Least time between the end of a rig's recording by a full disk and its next one, in s."""
 _ROOM = 64 << 20
 """Free space that this next recording needs, in B."""
-_COMPLETE = "complete"
 
 
 @dataclass(slots=True)
@@ -134,7 +140,7 @@ class FleetRecorder:
             tell=lambda text: self._tell(text if text.startswith("rig ") else f"rig {rig}: {text}"),
         )
         recorded.again_s = float("inf")
-        outcome, error = _COMPLETE, None
+        ended, error = COMPLETE, None
         try:
             recorder = RemoteRecorder(self._session, recording)
             while not recorder.begin():
@@ -144,9 +150,9 @@ class FleetRecorder:
                 self._tell(f"recording rig {rig}")
                 recorder.record(self._ended)
         except (RuntimeError, OSError) as err:
-            outcome, error = f"the recorder ended: {err}", err
+            ended, error = recorder_ended(err), err
         try:
-            recording.finish(outcome)
+            recording.finish(ended)
         except (RuntimeError, OSError) as err:
             error = error or err  # a full disk refuses the end of the file, too
         recorded.files += recording.done

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from armrig_core import protobuf
+from armrig_core.codes import CONTINUED, Ending, OutcomeCode
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.part_names import ACTIVE, CONTINUED
+from armrig_core.recording_file.part_names import ACTIVE
 from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.telemetry import Sample
 
@@ -88,7 +89,7 @@ class RemoteRecording:
         self._offset_ns = piece.past.clock_offset_ns
         if piece.is_new_life:
             self.tell(STARTED_ANEW)
-            self._end(STARTED_ANEW)
+            self._end(Ending(OutcomeCode.RECORDER, STARTED_ANEW))
             self._state = None
         if piece.lost:
             self._warn(f"{CUT_OFF}: {piece.lost} messages are lost")
@@ -96,9 +97,9 @@ class RemoteRecording:
             self._take(remote_message(stream, data, self._offset_ns))
         self._hand_over()
 
-    def finish(self, outcome: str) -> None:
+    def finish(self, ended: Ending) -> None:
         """Complete the file."""
-        self._end(outcome)
+        self._end(ended)
 
     def _hand_over(self) -> None:
         file = self._file
@@ -140,7 +141,8 @@ class RemoteRecording:
             self._go_on(message.value)
         elif message.stream == "state":
             if self._state is not None and self._state.Ts_s != message.value.Ts_s:
-                self._end(f"the sampling time became {message.value.Ts_s:g} s")
+                text = f"the sampling time became {message.value.Ts_s:g} s"
+                self._end(Ending(OutcomeCode.RECORDER, text))
             self._state = message.value
         self._write(message.outgoing())
 
@@ -161,7 +163,8 @@ class RemoteRecording:
             raise RigError(msg + "there is no armrigd")
         self._missing += sample.k - last.k - 1
         if self._missing > MISSING_LIMIT:
-            self._end(f"{sample.k - last.k - 1} samples are missing behind its last")
+            text = f"{sample.k - last.k - 1} samples are missing behind its last"
+            self._end(Ending(OutcomeCode.RECORDER, text))
         elif sample.k - first.k >= MOST_ROWS:
             self._end(CONTINUED)
         elif sample.k > last.k + 1:
@@ -197,7 +200,7 @@ class RemoteRecording:
             if not any(os.path.lexists(taken) for taken in (path, f"{path}{ACTIVE}")):
                 return path
 
-    def _end(self, outcome: str) -> None:
+    def _end(self, ended: Ending) -> None:
         file, self._file = self._file, None
         waiting = self._taken()
         self._first = self._last = None
@@ -206,15 +209,20 @@ class RemoteRecording:
         if file is None:
             return
         file.add(waiting)
-        file.finish(outcome)
+        file.finish(ended)
         file.join(_FINISH_S)
         if not file.kept.name.endswith(ACTIVE):  # whole, though the disk may have ended it
-            how = "its recording ended early" if file.error else outcome
+            how = "its recording ended early" if file.error else ended.text
             self.done.append(
                 RecordedFile(path=file.kept, outcome=how, samples=file.synced, missing=file.missing)
             )
         if file.error:
             raise DiskError(file.error)
+
+
+def recorder_ended(err: Exception) -> Ending:
+    """Return how a file ends whose recorder failed."""
+    return Ending(OutcomeCode.RECORDER, f"the recorder ended: {err}")
 
 
 def _gap(gap: LiveGap) -> bytes:

@@ -8,8 +8,6 @@ ACTIVE, COPY = ".active", ".compact"
 """How the name of a recording goes on while it is written, and while it is written once more."""
 PART = ".part-"
 """Between a run's name and a part's number: NAME.part-0001.mcap."""
-CONTINUED = "continued"
-"""Outcome of a part that another one follows."""
 
 
 def part_path(path: Path, number: int) -> Path:

@@ -16,10 +16,11 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
+from armrig_core.codes import CONTINUED, Ending, OutcomeCode
 from armrig_core.errors import ArmrigError
 from armrig_core.manifest import INPUT, Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.part_names import ACTIVE, CONTINUED, part_path
+from armrig_core.recording_file.part_names import ACTIVE, part_path
 from armrig_core.recording_file.recording_part import EndsHereError, Part, RemovedError
 
 FLUSH_S = 0.1
@@ -91,7 +92,7 @@ class Recording:
         self._changed = changed
         self._parts: list[Part] = []
         self._written = self._flushed = 0  # samples
-        self._queue: queue.SimpleQueue[list[Outgoing] | str] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[list[Outgoing] | Ending] = queue.SimpleQueue()
         if limits is not None:
             manifest = replace(manifest, part=1, part_k_first=manifest.k_first)
         path = part_path(path, manifest.part)
@@ -131,9 +132,9 @@ class Recording:
         self._queue.put(batch)
         self.samples += sum(message.stream == "sample" for message in batch)
 
-    def finish(self, outcome: str) -> None:
+    def finish(self, ended: Ending) -> None:
         """Have the file completed and named; `done` tells when."""
-        self._queue.put(outcome)
+        self._queue.put(ended)
 
     def join(self, timeout: float | None = None) -> None:
         """Wait until the file is complete, or for `timeout` s."""
@@ -151,7 +152,7 @@ class Recording:
 
     def _write_run(self) -> None:
         try:
-            outcome = self._write_until_the_end()
+            ended = self._write_until_the_end()
         except EndsHereError as err:
             self._end_early(err)
             self._wait_for_the_end()
@@ -160,20 +161,20 @@ class Recording:
             self._wait_for_the_end()
         else:
             self._part.missing += self.dropped
-            self._end_part(outcome)
+            self._end_part(ended)
             self._follow()
             self._part.compact()
             self._part.name()
-        for ended in self._parts:
-            ended.compact()
+        for part in self._parts:
+            part.compact()
 
     def _wait_for_the_end(self) -> None:
         """Have the error seen, and pass over what still comes of the run."""
         self._changed()
-        while not isinstance(self._queue.get(), str):
+        while not isinstance(self._queue.get(), Ending):
             pass
 
-    def _write_until_the_end(self) -> str:
+    def _write_until_the_end(self) -> Ending:
         """Write what comes: flushed at 10 Hz, on the disk at 1 Hz, first of all what is there."""
         flushed = time.monotonic()
         synced = flushed - SYNC_S
@@ -182,7 +183,7 @@ class Recording:
                 batch = self._queue.get(timeout=FLUSH_S)
             except queue.Empty:
                 batch = []
-            if isinstance(batch, str):
+            if isinstance(batch, Ending):
                 return batch
             for message in batch:
                 self._add(message)
@@ -225,16 +226,19 @@ class Recording:
         self._parts.append(ended)
         self._part = part
 
-    def _end_part(self, outcome: str) -> None:
+    def _end_part(self, ended: Ending) -> None:
         part = self._part
-        part.finish(Outcome(outcome=outcome, samples=part.samples, missing=part.missing))
+        outcome = Outcome(
+            outcome=ended.text, samples=part.samples, missing=part.missing, code=ended.code
+        )
+        part.finish(outcome)
         self.synced = self._written
         self.missing += part.missing
 
     def _end_early(self, err: EndsHereError) -> None:
         """Complete the file before the run has ended; full chunks, which take long, come later."""
         try:
-            self._end_part(f"its recording ended: {err}")
+            self._end_part(Ending(OutcomeCode.RECORDING, f"its recording ended: {err}"))
             self._follow()
             self._part.name()
         except Exception as worse:

@@ -16,6 +16,7 @@ from typing import IO, NamedTuple, TypeVar
 import msgspec
 
 from armrig_core import protobuf
+from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import (
     OUTCOME,
     RECOVERED,
@@ -137,7 +138,10 @@ class Recovery:
                     f"{path}: no manifest of a run: {why}; nothing was recorded; delete it"
                 )
             outcome = Outcome(
-                outcome=CUT_OFF, samples=tally.samples, missing=tally.missing(manifest)
+                outcome=CUT_OFF,
+                samples=tally.samples,
+                missing=tally.missing(manifest),
+                code=OutcomeCode.CUT_OFF,
             )
             if OUTCOME in rewriter.metadata:
                 outcome = _told(path, outcome_of, rewriter.metadata[OUTCOME])

@@ -20,11 +20,12 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Metadata
 
+from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import OUTCOME, RUN, manifest_of, outcome_of
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC, UNREADABLE
-from armrig_core.recording_file.part_names import ACTIVE, CONTINUED, COPY, PART
+from armrig_core.recording_file.part_names import ACTIVE, COPY, PART
 from armrig_core.recording_file.rewriting import all_records
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held
 
@@ -144,7 +145,7 @@ class Retention:
             with ExitStack() as stack:  # nobody else recovers or removes one of them
                 streams = [stack.enter_context(held(file, self.owner)) for file in run.files]
                 outcomes = [self._outcome(stream) for stream in streams]
-                if outcomes[-1] == CONTINUED:
+                if outcomes[-1] == OutcomeCode.CONTINUED:
                     raise DamageError("its last part is missing")
                 # The last part at the end: if a loss of power leaves it, it goes the next time.
                 for file in run.files:
@@ -160,13 +161,13 @@ class Retention:
         return Removal(True, f"{path}{parts}: removed, {run.size / 1e6:.1f} MB: {why}")
 
     def _outcome(self, stream: IO[bytes]) -> str:
-        """Read a whole file; return the outcome in it."""
+        """Read a whole file; return the code of the outcome in it."""
         told = dict(self._metadata(stream))
         if manifest_of(told.get(RUN, {})).rig != self.rig:
             raise DamageError("a part of it is of another rig")
         if OUTCOME not in told:
             raise DamageError("it does not say how its run ended")
-        return outcome_of(told[OUTCOME]).outcome
+        return outcome_of(told[OUTCOME]).code
 
     def _metadata(self, stream: IO[bytes]) -> Iterator[tuple[str, dict[str, str]]]:
         """Give each metadata record of a file while it is read; DamageError where it breaks."""

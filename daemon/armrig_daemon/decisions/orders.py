@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_core.volts import volts_of
 from armrig_protocol.messages import Capability
 from armrig_protocol.messages import State as DeviceState
@@ -72,14 +72,14 @@ def quit_(state: State, now_ns: int) -> Step:
         state, done = end_run(state, now_ns)
         state, actions = leave(state)
         return state, done + actions
-    return stop(state, now_ns, "the daemon was ended")
+    return stop(state, now_ns, "the daemon was ended", code=OutcomeCode.DAEMON_ENDED)
 
 
 def _stop(state: State, now_ns: int, order: Stop) -> Step:
     may_turn = state.phase in (Phase.ARMED, Phase.ACTIVE) or state.asked is not None
     if state.device is None or state.phase is Phase.FAULT or not may_turn:
         return state, answer(order, {"done": True})  # at 0 V, or out of our reach
-    return stop(state, now_ns, order.reason, order)
+    return stop(state, now_ns, order.reason, order, order.outcome_code)
 
 
 def _reset(state: State, now_ns: int, order: Reset) -> Step:
@@ -153,7 +153,7 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
         return state, refusal
     state = replace(state, lease=replace(lease, n=order.n, renewed_ns=now_ns))
     if isinstance(order, Disarm):
-        return stop(state, now_ns, "disarmed", order)
+        return stop(state, now_ns, "disarmed", order, OutcomeCode.DISARMED)
     if isinstance(order, Set) and state.phase is Phase.ACTIVE:
         return replace(state, code=order.code), answer(order, {"done": True})
     if isinstance(order, Run) and order.scheduled:

@@ -7,6 +7,7 @@ is sent again from there. Nothing else acknowledges them.
 
 from __future__ import annotations
 
+from armrig_core.codes import OutcomeCode
 from armrig_core.volts import applied_code
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import SETPOINTS_PER_FRAME, Ping, Setpoints
@@ -17,7 +18,7 @@ from armrig_daemon.decisions.budget import PING_US
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import Step, ask, linked, send
 from armrig_daemon.decisions.state import Absent, Action, ActiveRun, Phase, Queue, State, Want
-from armrig_daemon.decisions.stopping import stop, trip
+from armrig_daemon.decisions.stopping import ending, stop, trip
 from armrig_daemon.pipe import Run
 
 _ARMED, _FAULT = Phase.ARMED, Phase.FAULT
@@ -82,7 +83,8 @@ def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
         if _is_filled(state):
             return ask(state, now_ns, Want.START, queue.order)
         if now_ns - queue.asked_ns > FILL_NS:
-            return stop(state, now_ns, "the device does not take the setpoints")
+            text = "the device does not take the setpoints"
+            return stop(state, now_ns, text, code=OutcomeCode.DEVICE)
     return refill(state, now_ns)
 
 
@@ -121,7 +123,7 @@ def complete(state: State, now_ns: int) -> Step:
         return state, []
     state = note_missing(state, run, run.samples, now_ns)
     run = replace(run, due=run.samples)
-    return replace(state, run=run, outcome=state.outcome or "complete"), []
+    return ending(replace(state, run=run), "complete", OutcomeCode.COMPLETE), []
 
 
 def note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:

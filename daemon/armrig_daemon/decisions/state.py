@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 from armrig_core.calibration import Calibration
+from armrig_core.codes import Ending, OutcomeCode
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import HelloReply
 
@@ -285,6 +286,13 @@ class State(msgspec.Struct, frozen=True, gc=False):
     """How the run ends; it has ended once the device has stopped."""
     code: int = 0
     """Held by hand."""
+    outcome_code: OutcomeCode | None = None
+    """How the run ends, for programs; None where `outcome` says nothing yet."""
+
+    @property
+    def ending(self) -> Ending:
+        """Return how the run ends; it was stopped if nothing else is known."""
+        return Ending(self.outcome_code or OutcomeCode.STOPPED, self.outcome)
 
     @property
     def ts_us(self) -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import OutcomeCode, RefusalCode
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import Spoilt, Unknown, encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
@@ -264,5 +264,5 @@ def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]
             return state, 0, done + actions
         return replace(state, run=replace(run, due=i + 1)), code, done
     state = replace(state, run=replace(run, due=run.samples))
-    state, actions = stop(state, now_ns, "complete")
+    state, actions = stop(state, now_ns, "complete", code=OutcomeCode.COMPLETE)
     return state, 0, done + actions

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import OutcomeCode, RefusalCode
 from msgspec.structs import replace
 
 from armrig_daemon.decisions import gaps
@@ -19,7 +19,7 @@ def end_run(state: State, now_ns: int) -> Step:
     done = refuse(queue.order, state.outcome or "stopped", RefusalCode.OVERTAKEN) if queue else []
     state = replace(linked(state, beats=()), queue=None)
     if run is None:
-        return replace(state, outcome=""), done
+        return replace(state, outcome="", outcome_code=None), done
     if run.k_first >= 0:
         end = run.k_first + min(run.due, run.samples)
         waiting = state.link.sent if state.link else ()
@@ -40,13 +40,27 @@ def end_run(state: State, now_ns: int) -> Step:
         k = run.k_first + run.due - 1
         state = replace(state, k=k, pace_us=state.rules.ts_us)
         done.append(Repace(state.rules.ts_us, k + 1))
-    done.append(Emit(RunEnded(run_id=run.run_id, outcome=state.outcome)))
-    return replace(state, run=None, outcome=""), done
+    code, text = state.ending
+    done.append(Emit(RunEnded(run_id=run.run_id, outcome=text, outcome_code=code)))
+    return replace(state, run=None, outcome="", outcome_code=None), done
 
 
-def stop(state: State, now_ns: int, outcome: str, order: Order | None = None) -> Step:
+def ending(state: State, outcome: str, code: OutcomeCode) -> State:
+    """Take note of how the run ends; what was noted first stays."""
+    if state.outcome or not outcome:
+        return state
+    return replace(state, outcome=outcome, outcome_code=code)
+
+
+def stop(
+    state: State,
+    now_ns: int,
+    outcome: str,
+    order: Order | None = None,
+    code: OutcomeCode = OutcomeCode.STOPPED,
+) -> Step:
     """Go to 0 V in good order: the run ends when the device has stopped."""
-    state = replace(state, outcome=state.outcome or outcome, code=0)
+    state = replace(ending(state, outcome, code), code=0)
     return ask(state, now_ns, Want.STOP, order)
 
 
@@ -57,8 +71,8 @@ def leave(state: State) -> Step:
 
 def trip(state: State, now_ns: int, fault: Fault) -> Step:
     """Go to 0 V and latch: only a reset, then arm, leads out (S6)."""
-    outcome = state.outcome or fault.cause
-    state = moved(state, On.TRIPPED, fault=fault, lease=None, code=0, outcome=outcome)
+    state = ending(state, fault.cause, OutcomeCode.FAULT)
+    state = moved(state, On.TRIPPED, fault=fault, lease=None, code=0)
     if state.link is not None:
         state, done = ask(state, now_ns, Want.STOP)
     else:

@@ -113,7 +113,7 @@ def give_up(state: State, now_ns: int, error: str) -> Step:
             return state, [*done, log(now_ns, "error", error), say_state(state, now_ns)]
         state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
         # The run is over: this cause is of no later one.
-        return replace(state, asked=None, outcome=""), done + actions
+        return replace(state, asked=None, outcome="", outcome_code=None), done + actions
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
         state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
         return state, done + actions
@@ -206,7 +206,7 @@ def _started(state: State, now_ns: int, asked: Asked) -> Step:
     if state.lease is None or not isinstance(order, Run | Set):
         return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
     # The lease counts from the command, however long its START took.
-    state = moved(linked(state, beats=()), On.STARTED, outcome="", code=0)
+    state = moved(linked(state, beats=()), On.STARTED, outcome="", outcome_code=None, code=0)
     done = [say_state(state, now_ns), *answer(order, {"done": True})]
     if isinstance(order, Set):
         return replace(state, code=order.code), done

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import msgspec
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import raw_samples
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import Ending, OutcomeCode, RefusalCode
 from armrig_core.commands import CommandRefusedError, LastRun, Renew, Run, RunAccepted, refused
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Manifest
 from armrig_core.recording_file.outgoing import Outgoing
@@ -177,11 +177,12 @@ class Runs:
         """When the run in hand is to be stopped, unless its client shows itself before."""
         return self._presence.gone_s if self._presence else inf
 
-    def client_gone(self) -> str:
-        """Return the outcome of a run that is stopped as nobody waits for it."""
+    def client_gone(self) -> Ending:
+        """Return how a run ends that is stopped as nobody waits for it."""
         presence, self._presence = self._presence, None
         period_s = presence.period_s if presence else 0.0
-        return f"its client went away: no sign of it for {period_s:g} s"
+        text = f"its client went away: no sign of it for {period_s:g} s"
+        return Ending(OutcomeCode.CLIENT_GONE, text)
 
     def forget(self, run_id: str) -> None:
         """Drop what was planned: the loop has refused it, or did not answer."""
@@ -223,7 +224,9 @@ class Runs:
                 limits=part_limits(self._config.recording, manifest.samples, manifest.Ts),
             )
         except RecordingError as err:
-            self._last = msgspec.structs.replace(self._last, finished=True, outcome=str(err))
+            self._last = msgspec.structs.replace(
+                self._last, finished=True, outcome=str(err), code=OutcomeCode.RECORDING
+            )
             raise
         self._presence = begun(planned.request, time.monotonic())
         return self._recording.active
@@ -248,23 +251,24 @@ class Runs:
         if self._recording is not None and batch:
             self._recording.add(batch)
 
-    def end(self, outcome: str) -> None:
+    def end(self, ended: Ending) -> None:
         """Have the recording finished."""
         self._planned = self._presence = None
         recording, self._recording = self._recording, None
         if recording is None or self._last is None:
             return
-        recording.finish(outcome)
-        self._last = msgspec.structs.replace(self._last, outcome=outcome)
+        recording.finish(ended)
+        self._last = msgspec.structs.replace(self._last, outcome=ended.text, code=ended.code)
         self._finishing = recording
 
-    def disturbed(self) -> str:
-        """Return why the run in hand is to be stopped, as its recording tells, or nothing."""
+    def disturbed(self) -> Ending | None:
+        """Return how the run in hand is to end for its recording's sake; None if it need not."""
         recording = self._recording
         if recording is None:
-            return ""
-        full = recording.error if self._config.recording.stop_when_full else ""
-        return full or recording.moved
+            return None
+        if recording.error and self._config.recording.stop_when_full:
+            return Ending(OutcomeCode.RECORDING, recording.error)
+        return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
 
     def unrecorded(self) -> str:
         """Return, once, why the run in hand plays on without being recorded, or nothing."""
@@ -298,6 +302,7 @@ class Runs:
             samples=recording.synced,
             synced=recording.synced,
             outcome=outcome,
+            code=OutcomeCode.RECORDING if recording.error else self._last.code,
         )
         if recording.error:
             return "error", recording.error

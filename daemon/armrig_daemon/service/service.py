@@ -19,6 +19,7 @@ from pathlib import Path
 
 import zenoh
 from armrig_core import commands, open_files
+from armrig_core.codes import Ending, OutcomeCode
 from armrig_core.emulator_stall import held_up
 from armrig_core.errors import InputError
 from armrig_core.recording_file.outgoing import Outgoing
@@ -163,7 +164,7 @@ class Service:
                 self._left_over.start()
                 self._serve()
                 self._notifier.stopping()  # the writer may need its time; nobody feeds any more
-                self._runs.end("the loop ended")
+                self._runs.end(Ending(OutcomeCode.DAEMON_ENDED, "the loop ended"))
                 self._say_finished(_FINISH_S)
         except zenoh.ZError as err:
             print_line("error", endpoint_error(self._endpoint, config.rig.id, err))
@@ -224,7 +225,8 @@ class Service:
             # Behind the signs that have come: one that waited for us is a sign, of when it came.
             self._commands.serve_signs()
             if time.monotonic() >= self._runs.client_gone_s:
-                self._loop.order(Stop(reason=self._runs.client_gone()))
+                gone = self._runs.client_gone()
+                self._loop.order(Stop(reason=gone.text, outcome_code=gone.code))
             self._commands.serve()
             if time.monotonic() >= self._kill_at:
                 self._say("error", "the loop does not end: killed; the device stops the motor")
@@ -253,7 +255,8 @@ class Service:
                     self._runs.add(batch)
                     batch = []
                     load = pressure.load()
-                    self._runs.end(pressure.outcome(record.outcome, self._rig.state, load))
+                    text = pressure.outcome(record.outcome, self._rig.state, load)
+                    self._runs.end(Ending(record.outcome_code, text))
                 case Answer():
                     self._commands.answer(record)
                 case Host():
@@ -350,9 +353,8 @@ class Service:
             self._begin_anew(self._check_configuration)
         if signals:
             self._quit("the service was told to end")
-        reason = self._runs.disturbed()
-        if reason:
-            self._loop.order(Stop(reason=reason))
+        if ended := self._runs.disturbed():
+            self._loop.order(Stop(reason=ended.text, outcome_code=ended.code))
         self._say_finished()
         unrecorded = self._runs.unrecorded()
         if unrecorded:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+from armrig_core.codes import Ending
 from armrig_core.commands import Run
 from armrig_core.emulated import VIRTUAL_PORT
 from armrig_core.errors import InputError, OperationError
@@ -104,7 +105,7 @@ class VirtualService:
         self._until(lambda: self._has_ended, "does not end its run", seconds)
         level, text = self._runs.finished(_FINISH_S)
         last = self._runs.last
-        if level != "info" or last is None or last.outcome != "complete":
+        if level != "info" or last is None or not last.is_complete:
             raise OperationError(text or f"the recording is not complete after {_FINISH_S:g} s")
         return Path(last.recording)
 
@@ -146,7 +147,7 @@ class VirtualService:
                     batch += [outgoing(line, self._offset_ns) for line in late]
                     self._runs.add(batch)
                     batch = []
-                    self._runs.end(record.outcome)
+                    self._runs.end(Ending(record.outcome_code, record.outcome))
                     self._has_ended = True
                 case Answer():
                     self._answers[record.order] = record

@@ -244,6 +244,7 @@ def test_its_row_of_a_catalogue_is_its_own(path: Path, monkeypatch: pytest.Monke
         "samples": 497,
         "missing": 21,
         "outcome": "stopped by bob",
+        "outcome_code": "stopped",
         "part": 0,
         "pacing": "scheduled",
         "device": "beef",

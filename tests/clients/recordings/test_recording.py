@@ -231,7 +231,7 @@ def test_a_run_that_was_stopped_is_as_long_as_it_was(tmp_path: Path) -> None:
 def test_what_a_cut_takes_away_is_not_missing(tmp_path: Path) -> None:
     """It may have come: a file written anew says the outcome first, and ends before it is true."""
     messages = [sample(k) for k in range(40, 60)]
-    ended = Outcome(outcome="complete", samples=300, missing=0)
+    ended = Outcome(outcome="complete", samples=300, missing=0, code="complete")
     whole = recorded(messages, manifest=a_run(), outcome=ended, outcome_first=True, flush_every=5)
 
     sizes = range(whole.index(b"armrig.outcome") + 200, len(whole) - 1, 97)
@@ -813,7 +813,7 @@ def test_a_grid_lacks_no_more_samples_than_it_may(came: int, missing: int) -> No
     """200 000, and ten more for each that came; with one more it is refused."""
     k = np.arange(came, dtype=np.uint64)
 
-    ended = Outcome(outcome="complete", samples=came, missing=missing)
+    ended = Outcome(outcome="complete", samples=came, missing=missing, code="complete")
 
     rows = grid.grid(k, manifest(k_first=0, samples=came + missing), ended, ())
 

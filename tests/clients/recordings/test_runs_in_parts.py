@@ -11,6 +11,7 @@ from armrig.cli.replay import replay
 from armrig.recordings.loading import load
 from armrig.recordings.published import published
 from armrig.recordings.verification import verify
+from armrig_core.codes import COMPLETE
 from armrig_core.errors import FileError
 from armrig_core.manifest import RUN, Outcome, manifest_of
 from armrig_core.recording_file import recorder
@@ -149,7 +150,7 @@ def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
         limits=recorder.PartLimits(samples=samples, size=1 << 30),
     )
     recording.add(batch)
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
     assert recording.error == ""
 

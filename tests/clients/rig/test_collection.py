@@ -8,12 +8,14 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 import zenoh
 from armrig.rig.client import Progress, Rig, RunEndedError
 from armrig.rig.collection import Plan, _interrupted_sentence, collect
 from armrig.rig.session import NoReplyError
+from armrig_core.codes import OutcomeCode
 from armrig_core.commands import Arm, LastRun, Run, Status, StatusReport
 from fake_daemon import FakeDaemon, step_plan
 from msgspec.structs import replace
@@ -122,9 +124,35 @@ def test_a_recording_is_named_once_where_a_run_ended_early(where: str) -> None:
     """What became of its file may be said in the daemon's own words."""
     with FakeDaemon(where) as daemon:
         daemon.outcome = "the disk is full; /nowhere/run.mcap is whole up to there"
+        daemon.code = OutcomeCode.RECORDING
         with Rig("1", connect=where) as rig:
             rig.arm("Ada")
             with pytest.raises(RunEndedError) as ended:
                 rig.run([1.0, 2.0])
 
     assert str(ended.value) == f"the run ended after 2 of 2 samples: {daemon.outcome}"
+
+
+@pytest.mark.parametrize(
+    ("code", "outcome", "is_complete"),
+    [
+        (OutcomeCode.COMPLETE, "all of it", True),
+        (OutcomeCode.STOPPED, "complete", False),
+        ("a code of tomorrow", "complete", False),
+        ("", "complete", True),
+        ("", "stopped by Ada", False),
+    ],
+)
+def test_a_run_is_complete_by_its_code(code: str, outcome: str, is_complete: bool) -> None:
+    """And by its sentence where a daemon of 0.1.0 sends no code."""
+    last = replace(NEW, code=code, outcome=outcome)
+
+    assert last.is_complete == is_complete
+
+
+def test_a_client_of_yesterday_reads_a_run_of_today() -> None:
+    """A run that was complete says so where it looks."""
+    yesterday = msgspec.defstruct("LastRun", [("run_id", str), ("outcome", str)], frozen=True)
+    told = msgspec.json.encode(replace(NEW, code=OutcomeCode.COMPLETE, outcome="complete"))
+
+    assert msgspec.json.decode(told, type=yesterday) == yesterday("new", "complete")

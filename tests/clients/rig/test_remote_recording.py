@@ -19,6 +19,7 @@ from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
 from armrig.rig.telemetry_stream import decoded
 from armrig_core import protobuf
+from armrig_core.codes import COMPLETE
 from armrig_core.history import Past
 from armrig_core.recording_file import recording_part
 from armrig_core.telemetry import Sample, encode_sample
@@ -85,7 +86,7 @@ def recording(tmp_path: Path) -> RemoteRecording:
 
 def files(recording: RemoteRecording) -> list[armrig.Recording]:
     """Return what was recorded; each file can be loaded and is what it says."""
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     for file in recording.done:
         found = verify(file.path)
         assert found.passed, found
@@ -214,7 +215,7 @@ def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path:
     for name in ("monday-2.mcap", "monday-3.mcap.active"):
         (tmp_path / name).write_bytes(b"precious")
     recording.add(piece(state(), sample(0), state(0.02), sample(1)))
-    recording.finish("complete")
+    recording.finish(COMPLETE)
 
     assert [file.path.name for file in recording.done] == ["monday.mcap", "monday-4.mcap"]
     assert (tmp_path / "monday-2.mcap").read_bytes() == b"precious"
@@ -373,7 +374,7 @@ def test_a_file_that_a_full_disk_has_ended_is_whole_and_listed(
     wait_for(recording.path.exists)
 
     with pytest.raises(RigError, match="No space left on device"):
-        recording.finish("complete")
+        recording.finish(COMPLETE)
 
     [file] = recording.done
     assert (file.outcome, file.samples) == ("its recording ended early", 5)

@@ -15,6 +15,7 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.recordings.verification import verify
+from armrig_core.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.manifest import Manifest
 from armrig_core.recording_file import recorder, recording_part
 from armrig_core.recording_file.outgoing import Outgoing
@@ -76,7 +77,7 @@ recording = here.Recording(
     folder / "run.mcap", here.MANIFEST, {{}}, t_first_ns=5, changed=changed.set
 )
 here._until_it_fails(recording, changed)
-recording.finish("stopped")
+recording.finish(here.Ending(here.OutcomeCode.STOPPED, "stopped"))
 recording.join(30)
 here._check(folder / "run.mcap", recording.synced, recording.error)
 print(json.dumps({{"synced": recording.synced, "names": sorted(p.name for p in folder.iterdir())}}))
@@ -128,7 +129,7 @@ def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
             if disk.failed:
                 break
         recording.add(_samples(10_000, 10_100))  # no hole in silence: nothing more is written
-        recording.finish("stopped")
+        recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
         recording.join(10)
 
     assert disk.failed == 1
@@ -156,7 +157,7 @@ def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
     monkeypatch.setattr(recording_part.Part, "_write_pending", failing)
     recording.add(_samples(100, 200))
     assert fails.wait(10)
-    recording.finish("stopped")
+    recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
     recording.join(10)
     monkeypatch.undo()
 
@@ -180,7 +181,7 @@ def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
         path = disk.path(tmp_path / "run.mcap")
         recording = Recording(path, MANIFEST, {}, t_first_ns=5, changed=lambda: None)
         recording.add(_samples(0, 100))
-        recording.finish("complete")
+        recording.finish(COMPLETE)
         recording.join(10)
 
     assert (disk.failed, recording.error) == (1, "")
@@ -209,7 +210,7 @@ def test_that_the_disk_is_full_is_told_before_the_file_is_written_once_more(
         assert changed.wait(10)
         assert "No space left on device" in recording.error
         assert not recording.done
-        recording.finish("stopped")
+        recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
         go_on.set()
         recording.join(10)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core import protobuf
+from armrig_core.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.outgoing import Outgoing
@@ -65,7 +66,7 @@ def test_another_project_s_reader_decodes_every_message(tmp_path: Path) -> None:
 
     recording.add([_sample(k) for k in range(100)])
     recording.add([outgoing(gap, 0)])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     with path.open("rb") as file:
@@ -87,7 +88,7 @@ def test_who_made_a_recording_is_told_when_it_is_complete(tmp_path: Path) -> Non
     changed = threading.Event()
     recording = _recording(tmp_path / "run.mcap", changed)
 
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert changed.is_set()
@@ -106,7 +107,7 @@ def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
     overtaken = outgoing(replace(late, t_to_ns=19_000_000), 0)
 
     recording.add([_sample(1), outgoing(late, 0), _sample(2), overtaken, early])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     with path.open("rb") as file:
@@ -123,7 +124,7 @@ def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Pat
     recording = _recording(tmp_path / "run.mcap")
 
     recording.add([_sample((1 << 32) + 7)])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert recording.error == ""
@@ -141,7 +142,7 @@ def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
     recording.add([_sample(k) for k in range(50)])
     _wait_until_flushed(recording, header)
 
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
 
@@ -162,7 +163,7 @@ def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: 
     assert changed.wait(30)
     assert recording.moved == "its recording was moved while it was written"
     recording.add([_sample(k) for k in range(50, 60)])
-    recording.finish(recording.moved)
+    recording.finish(Ending(OutcomeCode.MOVED, recording.moved))
     recording.join(30)
 
     assert recording.error == ""
@@ -186,7 +187,7 @@ def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
     monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", moved)
     recording = _recording(directory / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert recording.error == ""
@@ -208,7 +209,7 @@ def test_a_recording_that_is_removed_is_told_while_the_run_goes_on(
     assert recording.error.endswith(
         "run.mcap.active: removed while it was written; its samples are gone"
     )
-    recording.finish("stopped")
+    recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
     recording.join(30)
     assert [p.read_text() for p in tmp_path.iterdir()] == ["precious"] * instead
 
@@ -224,7 +225,7 @@ def test_a_disk_that_is_full_at_the_very_end_is_told_too(
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
     monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fsync", full)
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert recording.done
@@ -241,7 +242,7 @@ def test_whatever_fails_in_the_writer_is_told(
 
     monkeypatch.setattr("armrig_core.recording_file.recording_part.compact", broken)
     recording = _recording(tmp_path / "run.mcap")
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert recording.done
@@ -277,7 +278,7 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
     assert asked.wait(30)
     for k in range(9):
         recording.add([_sample(k)])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
 
     assert not recording.done
     answers.set()
@@ -317,7 +318,7 @@ def test_a_sample_is_acknowledged_when_the_disk_has_it(
     assert recording.synced == 50
 
     recording.add([_sample(k) for k in range(50, 60)])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     for _ in range(100):  # however often it asks
         answers.release()
     recording.join(30)
@@ -340,7 +341,7 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
     monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fdatasync", full)
     assert changed.wait(30)
     recording.add([_sample(k) for k in range(50, 60)])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert "No space left on device; what was flushed is kept there" in recording.error
@@ -373,7 +374,7 @@ def test_half_a_chunk_that_found_no_more_room_is_cut_off(
     resource.setrlimit(resource.RLIMIT_FSIZE, (len(good) + 100, hard))
     try:
         recording.add([_sample(k) for k in range(50, 100)])
-        recording.finish("complete")
+        recording.finish(COMPLETE)
         recording.join(30)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -398,7 +399,7 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
     monkeypatch.setattr("armrig_core.recording_file.recording_part.os.fsync", noted)
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert synced == [
@@ -424,7 +425,7 @@ def test_no_room_for_the_compact_copy_keeps_the_first(
     recording = _recording(tmp_path / "run.mcap")
 
     recording.add([_sample(k) for k in range(50)])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     with recording.path.open("rb") as file:
@@ -439,7 +440,7 @@ def test_a_recording_never_overwrites_another(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"run\.mcap\.active: File exists"):
         _recording(tmp_path / "run.mcap")
 
-    first.finish("complete")
+    first.finish(COMPLETE)
     first.join(30)
 
 
@@ -459,7 +460,7 @@ def test_a_name_that_is_taken_meanwhile_is_not_taken_away(tmp_path: Path) -> Non
     recording.add([_sample(k) for k in range(50)])
     (tmp_path / "run.mcap").write_bytes(b"precious")
 
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert (tmp_path / "run.mcap").read_bytes() == b"precious"

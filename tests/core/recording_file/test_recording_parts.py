@@ -12,10 +12,11 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.verification import verify
+from armrig_core.codes import COMPLETE, OutcomeCode
 from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
-from armrig_core.recording_file.part_names import CONTINUED, part_paths
+from armrig_core.recording_file.part_names import part_paths
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
 from armrig_core.recording_file.recording_part import Part
 from armrig_core.recording_file.recovery import Recovery
@@ -62,7 +63,7 @@ def _recorded(path: Path, batches: list[list[Outgoing]], limits: PartLimits | No
     )
     for batch in batches:
         recording.add(batch)
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
     assert recording.done
     return recording
@@ -117,8 +118,9 @@ def test_a_part_says_which_it_is_and_ends_behind_a_sample(tmp_path: Path) -> Non
     begins = [r.manifest.part_k_first - FIRST for r in loaded]
     assert begins == [0, 33, 63, 93]
     assert [r.k_first - FIRST for r in loaded] == begins
-    ended = [(r.outcome.outcome, r.outcome.samples, r.outcome.missing) for r in loaded if r.outcome]
-    continued = CONTINUED
+    ended = [(r.outcome.code, r.outcome.samples, r.outcome.missing) for r in loaded if r.outcome]
+    assert [r.outcome.outcome for r in loaded if r.outcome] == [code for code, _, _ in ended]
+    continued = OutcomeCode.CONTINUED
     assert ended == [
         *((continued, 29, 4), (continued, 29, 1), (continued, 30, 0), ("complete", 7, 0))
     ]
@@ -289,7 +291,7 @@ def test_the_parts_of_a_daemon_that_died_are_read_as_one_when_the_last_is_recove
         time.sleep(0.01)
     for path in tmp_path.iterdir():
         shutil.copy(path, path.with_name(path.name.replace("run", "dead")))
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     done = Recovery(armrig="0", now=lambda: "").recover(tmp_path / "dead.part-0002.mcap.active")
@@ -333,7 +335,7 @@ def test_a_run_in_parts_whose_folder_is_moved_is_kept_where_it_is(tmp_path: Path
     folder.rename(elsewhere)
     assert changed.wait(30)
     recording.add(WHOLE[50:])
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join(30)
 
     assert recording.kept == elsewhere / "run.mcap"

@@ -94,7 +94,7 @@ def test_whatever_was_whole_is_there_afterwards_wherever_it_was_cut(
         recording = armrig.load(done.path)
         assert not recording.truncated
         assert recording.outcome == Outcome(
-            outcome=CUT_OFF, samples=len(before[0]), missing=before[1]
+            outcome=CUT_OFF, samples=len(before[0]), missing=before[1], code="cut_off"
         )
         checks = {check.about: check.result for check in verify(done.path).checks}
         assert checks["file"] == "passed"
@@ -115,7 +115,7 @@ def test_only_samples_that_were_due_count_as_missing(
 
     done = RECOVERY.recover(written(tmp_path, data, LEFT))
 
-    assert done.outcome == Outcome(outcome=CUT_OFF, samples=50, missing=missing)
+    assert done.outcome == Outcome(outcome=CUT_OFF, samples=50, missing=missing, code="cut_off")
 
 
 def test_another_project_s_reader_finds_every_message(tmp_path: Path) -> None:
@@ -152,7 +152,7 @@ def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
 
 def test_a_run_that_had_ended_keeps_its_outcome(tmp_path: Path) -> None:
     """Its daemon died between the end of the file and its name."""
-    ended = Outcome(outcome="stopped by a student", samples=N - 3, missing=3)
+    ended = Outcome(outcome="stopped by a student", samples=N - 3, missing=3, code="stopped")
     left = written(tmp_path, _data(outcome=ended), LEFT)
 
     done = RECOVERY.recover(left)

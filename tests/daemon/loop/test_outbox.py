@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from armrig_core.codes import OutcomeCode
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample, decode_sample
 from armrig_daemon.loop.outbox import MOST_WAITING, Outbox
 from armrig_daemon.pipe import Gap, Log, Record, RunEnded, take_records
 from hypothesis import given
 from hypothesis import strategies as st
 
-ENDED = RunEnded(run_id="r", outcome="complete")
+ENDED = RunEnded(run_id="r", outcome="complete", outcome_code=OutcomeCode.COMPLETE)
 
 
 class Pipe:

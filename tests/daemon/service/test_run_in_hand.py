@@ -8,6 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from armrig_core.codes import COMPLETE, Ending, OutcomeCode
 from armrig_core.commands import Run
 from armrig_core.manifest import OUTCOME, outcome_of
 from armrig_core.recording_file.outgoing import Outgoing
@@ -64,7 +65,7 @@ def test_only_the_samples_of_the_run_belong_into_its_recording(runs: Runs) -> No
     _begin(runs)
 
     assert [k for k in range(FIRST - 2, END + 2) if runs.includes_sample(k)] == [*range(FIRST, END)]
-    runs.end("complete")
+    runs.end(COMPLETE)
     assert not runs.includes_sample(FIRST)
     runs.finished(5)
 
@@ -87,7 +88,7 @@ def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missi
     assert runs.includes(gap) == (missing > 0)
     runs.add([outgoing(gap, 0)] if runs.includes(gap) else [])
 
-    runs.end("complete")
+    runs.end(COMPLETE)
     _, text = runs.finished(5)
     assert text.endswith(f"complete, 0 samples, {missing} missing")
     assert _missing_in_file(path) == missing
@@ -97,11 +98,11 @@ def test_what_one_run_missed_is_not_told_of_the_next(runs: Runs) -> None:
     """It begins with nothing missing."""
     _begin(runs)
     runs.add([outgoing(_gap(FIRST, 3), 0)])
-    runs.end("stopped")
+    runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
     assert runs.finished(5)[1].endswith("3 missing")
 
     path = _begin(runs)
-    runs.end("complete")
+    runs.end(COMPLETE)
 
     assert runs.finished(5)[1].endswith("complete, 0 samples, 0 missing")
     assert _missing_in_file(path) == 0
@@ -112,7 +113,7 @@ def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
     _begin(runs)
     assert runs.client_gone_s < inf
 
-    runs.end("complete")
+    runs.end(COMPLETE)
 
     assert runs.client_gone_s == inf
     runs.finished(5)
@@ -122,10 +123,13 @@ def test_a_client_goes_once(runs: Runs) -> None:
     """Its run is stopped by one order, and not by one at each look."""
     _begin(runs)
 
-    assert runs.client_gone() == "its client went away: no sign of it for 2 s"
+    assert runs.client_gone() == (
+        OutcomeCode.CLIENT_GONE,
+        "its client went away: no sign of it for 2 s",
+    )
 
     assert runs.client_gone_s == inf
-    runs.end("stopped")
+    runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
     runs.finished(5)
 
 
@@ -182,7 +186,7 @@ def test_what_is_told_before_the_first_sample_is_of_its_time_at_the_latest(runs:
     told = outgoing(STATE, 0)._replace(t_host_ns=T_NS + 3, t_sched_ns=T_NS + 3)
 
     runs.add([told, Outgoing("sample", T_NS + 9, T_NS, FIRST, encode_sample(sample))])
-    runs.end("complete")
+    runs.end(COMPLETE)
     runs.finished(5)
 
     with path.with_suffix("").open("rb") as file:
@@ -193,7 +197,7 @@ def test_what_is_told_before_the_first_sample_is_of_its_time_at_the_latest(runs:
 def test_a_run_is_told_as_finished_once_its_recording_is_complete(runs: Runs) -> None:
     """Who waits for it goes by that, and finds the recording under its own name."""
     path = _begin(runs)
-    runs.end("complete")
+    runs.end(COMPLETE)
     assert runs.last is not None
     assert not runs.last.finished
 
@@ -225,9 +229,10 @@ def test_what_a_full_disk_does_to_the_run_is_configured(
 
     told, again = runs.unrecorded(), runs.unrecorded()
 
-    assert (why in runs.disturbed()) == stops
+    ending = runs.disturbed()
+    assert (ending is not None and why in ending.text) == stops
     assert (why in told, told.endswith("; the run plays on"), again) == (not stops, not stops, "")
-    runs.end("complete")
+    runs.end(COMPLETE)
     level, text = runs.finished(10)
     assert (level, why in text) == ("error", True)
     last = runs.last

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from armrig_core.codes import OutcomeCode
 from armrig_core.commands import LastRun, Run
 from armrig_core.recording_file.recorder import PartLimits
 from armrig_core.rehearsal import rehearse
@@ -126,7 +127,11 @@ def test_what_becomes_of_a_recording_in_hand_is_told(
     runs._recording = recording
     runs._last = LastRun(run_id="r", recording="", finished=False, samples=0, outcome="")
 
-    assert runs.disturbed() == disturbed
+    ending = runs.disturbed()
+    assert (ending.text if ending else "") == disturbed
+    if ending is not None:
+        code = OutcomeCode.RECORDING if disturbed == error else OutcomeCode.MOVED
+        assert ending.code == code
     assert runs.unrecorded().startswith(unrecorded)
     assert runs.unrecorded() == ""
     assert runs.last is not None

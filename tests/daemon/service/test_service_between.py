@@ -18,7 +18,7 @@ import msgspec
 import pytest
 from armrig.rig.session import open_session
 from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import COMPLETE, Ending, OutcomeCode, RefusalCode
 from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop
 from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Reset as AskedReset
@@ -147,7 +147,7 @@ def _refusal(replies: Any) -> str:
 
 def _finished(between: Between) -> Path:
     """Have the run in hand ended; return its recording."""
-    between.service._runs.end("stopped")
+    between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
     assert between.service._runs.finished(5)[0] == "info"
     last = between.service._runs.last
     assert last is not None
@@ -216,7 +216,7 @@ def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Betwe
     """L1: they lie before it in the pipe; a sample beside the run's own is no part of it."""
     run_id = between.begin_run()
 
-    ended = RunEnded(run_id=run_id, outcome="complete")
+    ended = RunEnded(run_id=run_id, outcome="complete", outcome_code=OutcomeCode.COMPLETE)
     between.service._handle([*map(_sample, range(4)), ended, _sample(4)])
 
     level, text = between.service._runs.finished(5)
@@ -269,7 +269,7 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
     (halt,) = between.loop.orders()
     assert isinstance(halt, pipe.Stop)
     assert "No space left on device" in halt.reason
-    between.service._runs.end("stopped")
+    between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
     between.service._runs.finished(5)
 
 
@@ -379,7 +379,7 @@ def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
     between.service._serve()
 
     assert not [order for order in between.loop.orders() if isinstance(order, pipe.Stop)]
-    between.service._runs.end("stopped")
+    between.service._runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
     between.service._runs.finished(5)
 
 
@@ -533,7 +533,7 @@ def test_a_calibration_is_in_force_once_the_loop_has_taken_it(
 
     between.service._handle([Answer(order=1, body={"done": True})])
     between.begin_run()
-    between.service._runs.end("complete")
+    between.service._runs.end(COMPLETE)
     between.service._say_finished(60.0)
 
     assert next(iter(replies)).ok is not None

@@ -62,7 +62,7 @@ function row(one) {
   button.addEventListener("click", () => attempt(() => choose(one.file)));
   button.dataset.file = one.file;
   // Why it ended is told where it is looked at: here a hundred rows may have the same reason.
-  const early = one.outcome === "complete" ? "" : make("div", { className: "warn-text", textContent: "ended early", title: one.outcome });
+  const early = one.outcome_code === "complete" ? "" : make("div", { className: "warn-text", textContent: "ended early", title: one.outcome });
   return make(
     "tr",
     {},
