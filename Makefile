@@ -6,7 +6,7 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 # Hundreds of processes are started. Each would compile armrig again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench fuzz simulate firmware simavr fil lock lowest audit release format clean
+.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench timing fuzz simulate firmware simavr fil lock lowest audit release format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -69,6 +69,10 @@ shake: .venv/dev
 
 bench: .venv/dev
 	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py
+
+# This host's timing against the limit: ARGS="--rates 1000 --seconds 60"
+timing: .venv/dev
+	PYTHONPATH=tests $(BIN)/python -m benchmarks.host_timing $(ARGS)
 
 # SEEDS=1000 schedules of drawn faults; SEED=… runs one again and writes its story. With
 # STALLS=tolerated or suffered the emulator is stalled besides, and its clock stops or does not.

@@ -30,12 +30,12 @@ from armrig.report.figures import _residuals_figure, write_figures
 from armrig.report.handout_figures import write_handout_figures
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, study
-from armrig.rig.bench import machine
-from armrig.rig.bench.results import Result, write_figure
-from armrig.rig.bench.rounds import Plan
-from armrig.rig.bench.targets import DEFINITIONS, Rate
 from armrig.validation.search_result import SearchResult
 from armrig_core.arm import ArmParameters, arm_matrices
+from benchmarks.host_timing.machine import machine
+from benchmarks.host_timing.results import Result, write_figure
+from benchmarks.host_timing.rounds import Plan
+from benchmarks.host_timing.targets import DEFINITIONS, Rate
 from chassis_data import angle
 from handout_plant import HandoutPlant
 from made_turns import made_turns, still
@@ -151,7 +151,7 @@ def bench(folder: Path) -> None:
     }
     rates = [Rate(rate_hz=100, times_us=times), Rate(rate_hz=1000, times_us=times | none)]
     plan = Plan(rates_hz=(100, 1000), seconds=1.0)
-    write_figure(Result(machine=machine.machine(), plan=plan, rates=rates), folder / "b.png")
+    write_figure(Result(machine=machine(), plan=plan, rates=rates), folder / "b.png")
 
 
 def punctual(recording: Recording) -> Recording:
@@ -185,7 +185,7 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
         replace(e.study, estimated=(*e.study.estimated, e.study.estimated[0]))
     ),
     "handout": lambda e: saved(lambda to: handout(e, to)),
-    "armrig bench": lambda e: saved(bench),
+    "make timing": lambda e: saved(bench),
     "armrig info": lambda e: saved(lambda to: _plot_timing(e.first, to / "a.svg")),
     "write_plot": lambda e: saved(
         lambda to: write_plot(

@@ -15,11 +15,6 @@ from armrig.dashboard.experiments import Experiment
 from armrig.dashboard.live_model import LiveModel
 from armrig.dashboard.preview import previewed
 from armrig.excitation import telegraph
-from armrig.rig.bench import targets
-from armrig.rig.bench.machine import Machine
-from armrig.rig.bench.results import Result, lines
-from armrig.rig.bench.rounds import Plan
-from armrig.rig.bench.targets import Rate
 from armrig.rig.doctor import Granted, Host, examine
 from armrig_core import protobuf
 from armrig_core.calibration import Calibration, Potentiometer
@@ -27,6 +22,11 @@ from armrig_core.commands import LastRun, StatusReport
 from armrig_core.manifest import Outcome
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
+from benchmarks.host_timing import targets
+from benchmarks.host_timing.machine import Machine
+from benchmarks.host_timing.results import Result, lines
+from benchmarks.host_timing.rounds import Plan
+from benchmarks.host_timing.targets import Rate
 from made_recordings import manifest, of_the_arm, recorded, written
 
 TS_NS = 40_000_000

@@ -107,7 +107,6 @@ for _command, _example in (
     (record.record, "--from unixsock-stream//run/armrig/1.sock -o monday.mcap"),
     (recording_info.replay, "@last"),
     (host.demo, "--directory demo"),
-    (host.bench, ""),
     (host.doctor, ""),
     (flash.flash, "--port /dev/ttyACM0 --dry-run"),
     (host.conformance, "--device /dev/ttyACM0"),

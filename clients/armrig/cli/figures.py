@@ -75,8 +75,6 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
     """Refuse, before any work, a figure that cannot or must not be written."""
     if path is None:
         return
-    from armrig.rig.bench.results import check_figure
-
     folder = path.parent
     if path.stem != _EACH:
         check_output(path, inputs)
@@ -85,6 +83,15 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
     elif not folder.is_dir():
         check_output(folder, ())
     check_figure(path)
+
+
+def check_figure(path: Path) -> None:
+    """Raise ValueError where no figure of that kind can be written."""
+    from matplotlib.figure import Figure
+
+    kinds = Figure().canvas.get_supported_filetypes()
+    if path.suffix.lower().removeprefix(".") not in kinds:
+        raise InputError(f"{path}: a figure's name ends in one of {', '.join(sorted(kinds))}")
 
 
 def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[Path]:

@@ -1,4 +1,4 @@
-"""The commands about this host and what is plugged into it: demo, bench, doctor, conformance."""
+"""The commands about this host and what is plugged into it: demo, doctor, conformance."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import typer
 from armrig_core.errors import InputError
 
 from armrig.cli.next_step import say_next, typed
-from armrig.cli.options import Connect, Json, RigId, echo, print_json, say
-from armrig.cli.output_file import check_output
+from armrig.cli.options import Connect, Json, RigId, print_json, say
 
 _LONGEST_DEMO_S = 600.0
 
@@ -58,51 +57,6 @@ def demo(
         say_next("demo", file=typed(from_here(Path(done["recordings"]["telegraph"]))))
 
 
-def bench(
-    seconds: Annotated[
-        float, typer.Option("--seconds", help="For each contestant at each rate, over 4 rounds.")
-    ] = 20.0,
-    rates: Annotated[
-        str, typer.Option("--rates", metavar="HZ,…", help="Sampling rates.")
-    ] = "100,500,1000,2000",
-    burn: Annotated[
-        bool, typer.Option("--burn", help="Keep all processors busy beside everybody.")
-    ] = False,
-    json: Annotated[Path | None, typer.Option("--json", metavar="F", help="JSON to write.")] = None,
-    plot: Annotated[
-        Path | None, typer.Option("-o", "--plot", metavar="F", help="Figure to write.")
-    ] = None,
-) -> None:
-    """Measure this host's timing against the limit.
-
-    Daemon, cyclictest, bare loop and bare zenoh, in turn, in one run.
-
-    The exit code says that all was measured, not that the targets are met.
-    """
-    from rich.console import Console
-
-    from armrig.rig.bench.machine import machine
-    from armrig.rig.bench.results import Result, check_figure, lines, write_figure
-    from armrig.rig.bench.rounds import Plan, measure
-
-    for file in (json, plot):  # not after minutes of measuring
-        if file is not None:
-            check_output(file, [])
-    if plot is not None:
-        check_figure(plot)
-    host = machine()
-    plan = Plan(rates_hz=_rates(rates), seconds=seconds, burners=host.cpus if burn else 0)
-    with Console(stderr=True).status("measuring") as status:
-        result = Result(machine=host, plan=plan, rates=measure(plan, host, status.update))
-    echo("\n".join(lines(result)))
-    if json is not None:
-        import msgspec
-
-        json.write_bytes(msgspec.json.format(msgspec.json.encode(result.facts())))
-    if plot is not None:
-        write_figure(result, plot)
-
-
 def doctor(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Say what on this host costs timing, and how to mend it.
 
@@ -122,15 +76,6 @@ def doctor(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
         say("\n".join(map(str, checks)))
     if not is_well(checks):
         raise typer.Exit(1)
-
-
-def _rates(text: str) -> tuple[int, ...]:
-    try:
-        return tuple(int(rate) for rate in text.split(","))
-    except ValueError as err:
-        raise typer.BadParameter(
-            f"--rates {text!r}: whole numbers of Hz with commas are wanted, such as 100,1000"
-        ) from err
 
 
 def conformance(

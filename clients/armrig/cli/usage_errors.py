@@ -13,7 +13,7 @@ from armrig_core.recording_file.part_names import PART, part_number
 from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import FAMILIES
 
-_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "bench", "collect", "lab", "flash"})
+_ACTING = frozenset({"demo", "stop", "reset", "calibrate", "collect", "lab", "flash"})
 """Commands that nobody is led to by a typing error."""
 _ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",

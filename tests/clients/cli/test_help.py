@@ -15,7 +15,6 @@ COMMANDS = [
     "reset",
     "note",
     "calibrate",
-    "bench",
     "doctor",
     "info",
     "recover",
@@ -73,7 +72,7 @@ def test_a_mistyped_command_is_never_answered_with_one_that_acts(
     assert main([typed]) == 2
 
     said = capsys.readouterr().err.replace(f"'{typed}'", "")
-    assert not re.search(r"stop|reset|collect|calibrate|demo|bench|flash", said)
+    assert not re.search(r"stop|reset|collect|calibrate|demo|flash", said)
 
 
 def test_a_mistyped_command_is_answered_with_one_that_reads(

@@ -128,7 +128,7 @@ def test_a_table_of_a_spreadsheet_is_read(run: Path) -> None:
     assert "200 samples, 0.01 s apart" in " ".join(done.stderr.split())
 
 
-@pytest.mark.parametrize("command", [("doctor",), ("bench",), ("status",)])
+@pytest.mark.parametrize("command", [("doctor",), ("status",)])
 def test_what_needs_linux_says_so_in_a_line(command: tuple[str, ...], tmp_path: Path) -> None:
     """No traceback, and what to do instead."""
     done = subprocess.run(

@@ -48,7 +48,6 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     calls: list[Any] = []
     work = _taken(calls)
     for name in (
-        "armrig.rig.bench.rounds.measure",
         "armrig.cli.demo.demo",
         "armrig.rig.local_daemon.running",
         "armrig.rig.router.open_router",
@@ -86,14 +85,6 @@ def test_a_dashboard_is_of_its_rig_at_its_port(
     found = json.loads(capsys.readouterr().out)
     assert found.pop("layouts") == str(LAYOUTS)
     assert found == {"url": "U", "shared_url": "S", "foxglove": "W"}
-
-
-def test_a_bench_measures_what_it_was_asked_to(given: list[Any]) -> None:
-    """At these rates, for so long, with every processor busy."""
-    assert main(["bench", "--rates", "200,500", "--seconds", "8", "--burn"]) == 1
-
-    plan, host, _ = given[0]
-    assert (plan.rates_hz, plan.seconds, plan.burners) == ((200, 500), 8.0, host.cpus)
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from armrig.cli import main
 from armrig.rig import doctor
-from armrig.rig.bench import machine
 from armrig.rig.doctor import Granted, Host, HostCheck, examine, is_well
+from armrig.rig.host import preemption
 from armrig_core.commands import StatusReport
 from fake_daemon import FakeDaemon
 from msgspec.structs import replace
@@ -224,7 +224,7 @@ def test_the_preemption_model_is_told_by_the_first_that_knows(
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(content)
 
-    assert machine.preemption(tmp_path) == model
+    assert preemption(tmp_path) == model
 
 
 def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> None:

@@ -38,8 +38,8 @@ def test_a_name_that_the_room_has_not_is_refused() -> None:
 
 
 def test_a_module_of_the_room_does_not_load_zenoh() -> None:
-    """The bench's programs measure this host: they load nothing that they do not use."""
-    program = "import sys, armrig.rig.bench.kernel; sys.exit('zenoh' in sys.modules)"
+    """What is run to measure this host loads nothing that it does not use."""
+    program = "import sys, armrig.rig.host; sys.exit('zenoh' in sys.modules)"
 
     done = subprocess.run([sys.executable, "-c", program], check=False)
 

@@ -8,12 +8,13 @@ import os
 import signal
 from contextlib import suppress
 
+from armrig.rig.host import lock_memory, set_fifo
+
 PARENT = "BENCH_PARENT"
 """Environment variable: the process that the programs must not outlive."""
 
 _PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 _PR_SET_TIMERSLACK = 29
-_MCL_CURRENT_AND_FUTURE = 3
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -36,20 +37,6 @@ def _keep_awake() -> None:
     with suppress(OSError):
         fd = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
         os.write(fd, (0).to_bytes(4, "little"))
-
-
-def set_fifo(priority: int) -> bool:
-    """Ask for SCHED_FIFO, which knows no priority 0; return whether it was granted."""
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-    except OSError:
-        return False
-    return True
-
-
-def lock_memory() -> bool:
-    """Keep all memory in place; return whether that was granted."""
-    return bool(_libc.mlockall(_MCL_CURRENT_AND_FUTURE) == 0)
 
 
 def end_with_parent(number: signal.Signals | None = None) -> None:

@@ -13,16 +13,17 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from armrig_core.endpoint import endpoint
-from numpy.typing import NDArray
-
-from armrig.rig.bench.kernel import PARENT
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError
+from armrig_core.endpoint import endpoint
+from benchmarks.host_timing.kernel import PARENT
+from numpy.typing import NDArray
 
 RIG = "bench"
 BAUD = 1_000_000
 SUBSCRIBERS = 4
+OURS = {"PYTHONPATH": str(Path(__file__).parents[2])}
+"""Environment in which the programs are found."""
 _START_S, _STOP_S = 30.0, 5.0
 _CONFIG = f"""\
 # The benchmark's: an emulated rig behind a pseudo-terminal, its wire modelled.
@@ -41,7 +42,7 @@ directory = "{{directory}}"
 @contextmanager
 def program(*arguments: str, module: bool = True) -> Iterator[subprocess.Popen[bytes]]:
     """Run one of our modules with pipes to and from it, and end it."""
-    leash = [] if module else ["armrig.rig.bench.leashed"]
+    leash = [] if module else ["benchmarks.host_timing.leashed"]
     command = [sys.executable, "-m", *leash, *arguments]
     with ExitStack() as stack:
         with _uninterrupted():
@@ -51,7 +52,7 @@ def program(*arguments: str, module: bool = True) -> Iterator[subprocess.Popen[b
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE if not module else None,
-                env={**os.environ, PARENT: str(os.getpid())},
+                env={**os.environ, **OURS, PARENT: str(os.getpid())},
                 start_new_session=True,
             )
             stack.callback(_end, process)
@@ -135,7 +136,7 @@ class Daemon:
         """Start it and wait until it samples."""
         config = self._directory / "armrig.toml"
         config.write_text(_CONFIG.format(directory=self._directory), encoding="utf-8")
-        leash = [sys.executable, "-m", "armrig.rig.bench.leashed"]
+        leash = [sys.executable, "-m", "benchmarks.host_timing.leashed"]
         command = [*leash, sys.executable, "-m", "armrig_daemon", "run", "--config", str(config)]
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -202,7 +203,7 @@ def subscribers(where: str) -> Iterator[Subscribers]:
     with ExitStack() as stack:
         yield Subscribers(
             [
-                stack.enter_context(program("armrig.rig.bench.subscriber", where, RIG))
+                stack.enter_context(program("benchmarks.host_timing.subscriber", where, RIG))
                 for _ in range(SUBSCRIBERS)
             ]
         )
@@ -212,14 +213,16 @@ def _environment(directory: Path) -> dict[str, str]:
     """Return ours, with sockets apart from a daemon's that the user may have, and no settings."""
     kept = {k: v for k, v in os.environ.items() if not k.startswith("ARMRIG_")}
     kept.pop("RUNTIME_DIRECTORY", None)
-    return kept | {"XDG_RUNTIME_DIR": str(directory), PARENT: str(os.getpid())}
+    return kept | {**OURS, "XDG_RUNTIME_DIR": str(directory), PARENT: str(os.getpid())}
 
 
 def _name(process: subprocess.Popen[bytes]) -> str:
     """Return what a person calls the program: our module's name, or that of another program."""
     arguments = process.args if isinstance(process.args, list) else [process.args]
     named = [
-        str(a) for a in arguments if a not in (sys.executable, "-m", "armrig.rig.bench.leashed")
+        str(a)
+        for a in arguments
+        if a not in (sys.executable, "-m", "benchmarks.host_timing.leashed")
     ]
     return Path(named[0]).name
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig.rig.bench.kernel import end_with_parent
+from benchmarks.host_timing.kernel import end_with_parent
 
 
 def main() -> None:

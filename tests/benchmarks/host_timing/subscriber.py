@@ -7,11 +7,10 @@ import time
 from array import array
 
 import zenoh
+from armrig.rig.session import open_session
 from armrig_core.telemetry import decode_sample
 from armrig_core.topics import stream_key
-
-from armrig.rig.bench.kernel import end_with_parent
-from armrig.rig.session import open_session
+from benchmarks.host_timing.kernel import end_with_parent
 
 
 def main() -> None:

@@ -1,61 +1,42 @@
-"""What the machine is, read from the kernel's files under a root that a test can make up."""
+"""What this host is, by the kernel's files, and what the kernel grants here.
+
+Run as a program with a priority it tries SCHED_FIFO and mlockall, and prints what was granted as
+`1 0`: neither can be asked about without getting it.
+"""
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 
 PRIORITY = 80
 """SCHED_FIFO priority of the daemon's loop where its configuration says no other."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Machine:
-    """One host, as figures of timing must name it."""
-
-    kernel: str
-    preemption: str
-    """Kernel's preemption model; "unknown" where nothing tells it."""
-    cpus: int
-    """Processors that this process may use."""
-    processor: str
-    governor: str
-    """Frequency governors, or that the kernel scales no frequency."""
-    virtual: bool
-    """A hypervisor is below."""
-    fifo: bool
-    """SCHED_FIFO at `PRIORITY` was granted to a process of this user."""
-    memory_lock: bool
-    """mlockall was granted."""
-    load: float
-    """Processes that wanted to run, mean of the last minute."""
-
-
-def machine(root: Path = Path("/")) -> Machine:
-    """Return what this machine is."""
-    fifo, lock = granted()
-    return Machine(
-        kernel=text(root / "proc/sys/kernel/osrelease") or "unknown",
-        preemption=preemption(root),
-        cpus=len(os.sched_getaffinity(0)),
-        processor=_processor(root),
-        governor=", ".join(governors(root)) or "none: the kernel scales no frequency",
-        virtual=virtual(root),
-        fifo=fifo,
-        memory_lock=lock,
-        load=load(root),
-    )
+_MCL_CURRENT_AND_FUTURE = 3  # <sys/mman.h>
 
 
 def granted() -> tuple[bool, bool]:
     """Return whether SCHED_FIFO and mlockall are granted, tried in a process of its own."""
-    program = [sys.executable, "-m", "armrig.rig.bench.granted", str(PRIORITY)]
+    program = [sys.executable, "-m", "armrig.rig.host", str(PRIORITY)]
     printed = subprocess.run(program, capture_output=True, check=True, text=True).stdout.split()
     return printed[0] == "1", printed[1] == "1"
+
+
+def set_fifo(priority: int) -> bool:
+    """Ask for SCHED_FIFO, which knows no priority 0; return whether it was granted."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except OSError:
+        return False
+    return True
+
+
+def lock_memory() -> bool:
+    """Keep all memory in place; return whether that was granted."""
+    return bool(ctypes.CDLL(None).mlockall(_MCL_CURRENT_AND_FUTURE) == 0)
 
 
 def text(path: Path) -> str:
@@ -90,7 +71,7 @@ def governors(root: Path) -> list[str]:
 
 def virtual(root: Path) -> bool:
     """Return whether a hypervisor is below."""
-    return re.search(r"^flags\s*:.*\bhypervisor\b", _cpuinfo(root), re.MULTILINE) is not None
+    return re.search(r"^flags\s*:.*\bhypervisor\b", cpuinfo(root), re.MULTILINE) is not None
 
 
 def load(root: Path) -> float:
@@ -98,10 +79,10 @@ def load(root: Path) -> float:
     return float((text(root / "proc/loadavg").split() or ["nan"])[0])
 
 
-def _processor(root: Path) -> str:
-    found = re.search(r"^(?:model name|Model)\s*:\s*(.+)$", _cpuinfo(root), re.MULTILINE)
-    return found[1] if found else "unknown"
-
-
-def _cpuinfo(root: Path) -> str:
+def cpuinfo(root: Path) -> str:
+    """Return what the kernel says of the processors."""
     return text(root / "proc/cpuinfo")
+
+
+if __name__ == "__main__":
+    print(int(set_fifo(int(sys.argv[1]))), int(lock_memory()))

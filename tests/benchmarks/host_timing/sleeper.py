@@ -12,9 +12,8 @@ import time
 
 import msgspec
 from armrig_core.waiting import TERMINAL_BYTES, Waiter, sleep_until
-
-from armrig.rig.bench.echo import ANSWER_LENGTH, REQUEST_LENGTH
-from armrig.rig.bench.kernel import be_punctual, end_with_parent
+from benchmarks.host_timing.echo import ANSWER_LENGTH, REQUEST_LENGTH
+from benchmarks.host_timing.kernel import be_punctual, end_with_parent
 
 ANSWER_NS = 1_000_000_000
 """How long the answer may take before the program gives up, in ns."""

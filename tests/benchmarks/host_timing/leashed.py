@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 
-from armrig.rig.bench.kernel import end_with_parent
+from benchmarks.host_timing.kernel import end_with_parent
 
 
 def main() -> None:

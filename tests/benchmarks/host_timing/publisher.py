@@ -14,8 +14,7 @@ from collections.abc import Iterator
 import zenoh
 from armrig_core.telemetry import SAMPLE_LENGTH, Sample, encode_sample
 from armrig_core.topics import stream_key
-
-from armrig.rig.bench.kernel import PARENT, end_with_parent
+from benchmarks.host_timing.kernel import PARENT, end_with_parent
 
 
 def session_config(endpoint: str) -> zenoh.Config:

@@ -12,8 +12,7 @@ import tty
 
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Sample
-
-from armrig.rig.bench.kernel import be_punctual, end_with_parent
+from benchmarks.host_timing.kernel import be_punctual, end_with_parent
 
 REQUEST_LENGTH, ANSWER_LENGTH = wire_length(Exchange), wire_length(Sample)
 PRIORITY = 20  # the emulator's

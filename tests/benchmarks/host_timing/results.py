@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from armrig_core.errors import InputError
-
-from armrig.rig.bench import targets
-from armrig.rig.bench.machine import Machine
-from armrig.rig.bench.rounds import ROUNDS, Plan
-from armrig.rig.bench.targets import Rate, Target
+from benchmarks.host_timing import targets
+from benchmarks.host_timing.machine import Machine
+from benchmarks.host_timing.rounds import ROUNDS, Plan
+from benchmarks.host_timing.targets import Rate, Target
 
 _ABOVE_ONE = ("p50", "p99", "p99.9", "max")
 
@@ -99,20 +97,10 @@ def _machine_lines(result: Result) -> Iterator[str]:
     yield f"rounds      {ROUNDS}, together {plan.seconds:g} s for each contestant and rate"
 
 
-def check_figure(path: Path) -> None:
-    """Raise ValueError where no figure of that kind can be written."""
-    from matplotlib.figure import Figure
-
-    kinds = Figure().canvas.get_supported_filetypes()
-    if path.suffix.lower().removeprefix(".") not in kinds:
-        raise InputError(f"{path}: a figure's name ends in one of {', '.join(sorted(kinds))}")
-
-
 def write_figure(result: Result, path: Path) -> None:
     """Write the share of times above each time: lateness, and the way to a subscriber."""
-    from matplotlib.figure import Figure
-
     from armrig.canvas import BLUE, GREEN, INK, ORANGE, VERMILION, finish, letter
+    from matplotlib.figure import Figure
 
     late = (
         (targets.REFERENCE, INK, "-"),

@@ -16,19 +16,28 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from armrig_core.endpoint import endpoint
-from armrig_core.errors import InputError
-from numpy.typing import NDArray
-
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig.rig.bench import cyclictest, targets
-from armrig.rig.bench.machine import PRIORITY, Machine
-from armrig.rig.bench.programs import RIG, Daemon, daemon, line, output, program, subscribers, tell
-from armrig.rig.bench.sleeper import Done, Task
-from armrig.rig.bench.targets import Rate
 from armrig.rig.client import Rig, RunEndedError
+from armrig.rig.host import PRIORITY
 from armrig.rig.session import RigError
+from armrig_core.endpoint import endpoint
+from armrig_core.errors import InputError
+from benchmarks.host_timing import cyclictest, targets
+from benchmarks.host_timing.machine import Machine
+from benchmarks.host_timing.programs import (
+    RIG,
+    Daemon,
+    daemon,
+    line,
+    output,
+    program,
+    subscribers,
+    tell,
+)
+from benchmarks.host_timing.sleeper import Done, Task
+from benchmarks.host_timing.targets import Rate
+from numpy.typing import NDArray
 
 ROUNDS = 4
 EXCHANGE_MOST_HZ = 1000
@@ -101,7 +110,7 @@ def burning(count: int) -> Iterator[None]:
     """Use up so many processors meanwhile."""
     with ExitStack() as stack:
         for _ in range(count):
-            stack.enter_context(program("armrig.rig.bench.burner"))
+            stack.enter_context(program("benchmarks.host_timing.burner"))
         yield
 
 
@@ -149,7 +158,7 @@ def _beside(rate: Rate, ticks: int, host: Machine) -> Iterator[None]:
 
 def _bare(rate: Rate, ticks: int, host: Machine) -> None:
     """Take the bare loop's turn."""
-    with program("armrig.rig.bench.echo") as echo:
+    with program("benchmarks.host_timing.echo") as echo:
         task = Task(
             period_ns=1_000_000_000 // rate.rate_hz,
             count=ticks,
@@ -165,7 +174,7 @@ def _bare(rate: Rate, ticks: int, host: Machine) -> None:
 
 def _slept(task: Task, within_s: float) -> Done:
     argument = msgspec.json.encode(task).decode()
-    with program("armrig.rig.bench.sleeper", argument) as process:
+    with program("benchmarks.host_timing.sleeper", argument) as process:
         return msgspec.json.decode(output(process, within_s), type=Done)
 
 
@@ -173,7 +182,7 @@ def _put(rate: Rate, ticks: int, name: str, *way: str) -> None:
     """Take the turn of the bare zenoh put, by itself or behind a pipe."""
     with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
         where = endpoint(RIG, PurePosixPath(directory))
-        with program("armrig.rig.bench.publisher", where, RIG, *way) as publisher:
+        with program("benchmarks.host_timing.publisher", where, RIG, *way) as publisher:
             line(publisher)
             with subscribers(where) as listening:
                 time.sleep(_SETTLE_S)  # until the publisher knows of its subscribers
