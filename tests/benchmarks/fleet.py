@@ -22,7 +22,7 @@ from typing import Any
 
 import armrig
 import numpy as np
-from armrig.rig import pki
+from armrig.lab import pki
 from armrig.rig.remote_recording import CUT_OFF
 from armrig_core import protobuf
 from armrig_core.telemetry import Sample, encode_sample

@@ -15,7 +15,7 @@ from armrig.dashboard.experiments import Experiment
 from armrig.dashboard.live_model import LiveModel
 from armrig.dashboard.preview import previewed
 from armrig.excitation import telegraph
-from armrig.rig.doctor import Granted, Host, examine
+from armrig.lab.doctor import Granted, Host, examine
 from armrig_core import protobuf
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.commands import LastRun, StatusReport

@@ -8,7 +8,7 @@ from datetime import timedelta
 from pathlib import Path
 
 import pytest
-from armrig.rig import pki
+from armrig.lab import pki
 from armrig_core.credential import Purpose, read_credential
 from armrig_core.errors import FileError
 from cryptography import x509

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from armrig.rig import pki
+from armrig.lab import pki
 from armrig_core import recording_directory
 from armrig_daemon import config as config_module
 from armrig_daemon.command_line import app

@@ -8,9 +8,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import zenoh
-from armrig.rig import pki
-from armrig.rig.fleet_recorder import FleetRecorder, RigRecorded
-from armrig.rig.router import open_router
+from armrig.lab import pki
+from armrig.lab.fleet_recorder import FleetRecorder, RigRecorded
+from armrig.lab.router import open_router
 from armrig.rig.session import open_endpoint
 from armrig_core import protobuf
 from armrig_core.telemetry import Sample, encode_sample

@@ -7,7 +7,7 @@ from datetime import timedelta
 from pathlib import Path
 from unittest.mock import patch
 
-from armrig.rig import pki
+from armrig.lab import pki
 from armrig.rig.client import Rig
 from armrig_core.credential import read_credential
 from cryptography import x509

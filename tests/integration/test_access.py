@@ -20,7 +20,7 @@ import zenoh
 from armrig.cli import main
 from armrig.dashboard.foxglove import foxglove
 from armrig.dashboard.serving import Settings, dashboard
-from armrig.rig import pki
+from armrig.lab import pki
 from armrig.rig.client import RefusedError, Rig, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.credential import Credential, read_credential

@@ -15,9 +15,9 @@ import armrig
 import pytest
 import zenoh
 from armrig.cli import main
-from armrig.rig import fleet_recorder
+from armrig.lab import fleet_recorder
+from armrig.lab.fleet_recorder import FleetRecorder
 from armrig.rig.client import Rig
-from armrig.rig.fleet_recorder import FleetRecorder
 from armrig.rig.remote_recording import CUT_OFF
 from armrig.rig.session import RigError, open_connection, open_endpoint
 from armrig_core.history import encode_past

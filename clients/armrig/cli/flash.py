@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from armrig_core.firmware_image import FirmwareImage
     from armrig_protocol.messages import HelloReply
 
-    from armrig.rig.flash.boards import Board
+    from armrig.lab.flash.boards import Board
 
 Port = Annotated[
     str | None,
@@ -72,8 +72,8 @@ def flash(
     from armrig_core.firmware_image import read_image, shipped_image
 
     from armrig.cli.spinner import spinner
-    from armrig.rig.flash import avrdude
-    from armrig.rig.flash.boards import chosen, held, plugged_in
+    from armrig.lab.flash import avrdude
+    from armrig.lab.flash.boards import chosen, held, plugged_in
 
     if fuse is not None:
         _say_fuse(fuse, port, json=json)
@@ -107,7 +107,7 @@ def flash(
 
 
 def _program() -> str:
-    from armrig.rig.flash import avrdude
+    from armrig.lab.flash import avrdude
 
     program = avrdude.find()
     if program is None:
@@ -117,7 +117,7 @@ def _program() -> str:
 
 def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
     """Say the brown-out level, and how another is set."""
-    from armrig.rig.flash import avrdude
+    from armrig.lab.flash import avrdude
 
     value = avrdude.fuse(_program(), programmer, port)
     level = avrdude.BROWN_OUT.get(value & 7, "reserved")
@@ -135,7 +135,7 @@ def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
 
 
 def _check_size(firmware: FirmwareImage) -> None:
-    from armrig.rig.flash.avrdude import CHIP, FLASH_BYTES
+    from armrig.lab.flash.avrdude import CHIP, FLASH_BYTES
 
     size = len(firmware.data)
     if size > FLASH_BYTES:
@@ -174,8 +174,8 @@ def _written(
     from armrig_protocol.messages import State
 
     from armrig.cli.spinner import spinner
-    from armrig.rig.flash import avrdude
-    from armrig.rig.flash.greeting import greeting
+    from armrig.lab.flash import avrdude
+    from armrig.lab.flash.greeting import greeting
 
     with spinner("flash:") as moved:
         avrdude.write(call, moved)

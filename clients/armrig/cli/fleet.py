@@ -13,7 +13,7 @@ from armrig_core.signal_pipe import SignalPipe
 from armrig.cli.options import echo, print_json, tell, tell_error
 
 if TYPE_CHECKING:
-    from armrig.rig.fleet_recorder import RigRecorded
+    from armrig.lab.fleet_recorder import RigRecorded
 
 
 def default_name(rig: str) -> str:
@@ -31,7 +31,7 @@ def record_many(
     json: bool,
 ) -> None:
     """Record the rigs at an endpoint, into files in the folder `out`; None are all of them."""
-    from armrig.rig.fleet_recorder import FleetRecorder
+    from armrig.lab.fleet_recorder import FleetRecorder
     from armrig.rig.session import configured_connect, open_endpoint
 
     where = source or configured_connect()

@@ -66,8 +66,8 @@ def doctor(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
 
     What cannot be told or mended here is a note, and does not count.
     """
-    from armrig.rig.doctor import doctor as examine_this_host
-    from armrig.rig.doctor import is_well
+    from armrig.lab.doctor import doctor as examine_this_host
+    from armrig.lab.doctor import is_well
 
     checks = examine_this_host(rig, connect)
     if json:

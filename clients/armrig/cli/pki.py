@@ -11,7 +11,7 @@ import typer
 from armrig.cli.options import Json, echo, print_json
 
 if TYPE_CHECKING:
-    from armrig.rig.pki import Issued
+    from armrig.lab.pki import Issued
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
@@ -33,7 +33,7 @@ def ca(
     directory: Directory = _PKI, days: Days = 3650, force: Force = False, json: Json = False
 ) -> None:
     """Make an authority, which signs all others, and an empty access list."""
-    from armrig.rig.pki import ACCESS_LIST, make_authority
+    from armrig.lab.pki import ACCESS_LIST, make_authority
 
     path = make_authority(directory, days=days, force=force)
     if json:
@@ -60,7 +60,7 @@ def rig(
     json: Json = False,
 ) -> None:
     """Make the certificate that a rig's daemon shows, to clients and to a router."""
-    from armrig.rig.pki import issue_to_rig
+    from armrig.lab.pki import issue_to_rig
 
     issued = issue_to_rig(directory, name, host or (), days=days, force=force)
     _say(issued, "[access] certificate", json)
@@ -78,7 +78,7 @@ def router(
     json: Json = False,
 ) -> None:
     """Make the certificate that a lab's router shows."""
-    from armrig.rig.pki import issue_to_router
+    from armrig.lab.pki import issue_to_router
 
     _say(issue_to_router(directory, host, days=days, force=force), "armrig router's", json)
 
@@ -92,7 +92,7 @@ def operator(
     json: Json = False,
 ) -> None:
     """Make the certificate of somebody who may drive the rigs, and watch."""
-    from armrig.rig.pki import issue_to_person
+    from armrig.lab.pki import issue_to_person
 
     issued = issue_to_person(directory, name, "operators", days=days, force=force)
     _say(issued, "[client] certificate", json)
@@ -107,7 +107,7 @@ def observer(
     json: Json = False,
 ) -> None:
     """Make the certificate of somebody who may watch the rigs."""
-    from armrig.rig.pki import issue_to_person
+    from armrig.lab.pki import issue_to_person
 
     issued = issue_to_person(directory, name, "observers", days=days, force=force)
     _say(issued, "[client] certificate", json)
@@ -121,7 +121,7 @@ def renew(
     json: Json = False,
 ) -> None:
     """Make a new key and certificate for a rig, router or person before the old one expires."""
-    from armrig.rig.pki import renew as renewed
+    from armrig.lab.pki import renew as renewed
 
     issued = renewed(directory, name, days=days)
     where = {"rig": "[access] certificate", "router": "armrig router's"}
@@ -131,8 +131,8 @@ def renew(
 @app.command(context_settings=_HELP)
 def revoke(name: Name, directory: Directory = _PKI, json: Json = False) -> None:
     """Take all rights from a name, for good."""
-    from armrig.rig.pki import ACCESS_LIST
-    from armrig.rig.pki import revoke as revoked
+    from armrig.lab.pki import ACCESS_LIST
+    from armrig.lab.pki import revoke as revoked
 
     revoked(directory, name)
     if json:
@@ -147,7 +147,7 @@ def revoke(name: Name, directory: Directory = _PKI, json: Json = False) -> None:
 @app.command("list", context_settings=_HELP)
 def list_issued(directory: Directory = _PKI, json: Json = False) -> None:
     """Show who has a certificate, what for, and until when."""
-    from armrig.rig.pki import issued
+    from armrig.lab.pki import issued
 
     found = issued(directory)
     if json:

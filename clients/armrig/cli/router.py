@@ -31,7 +31,7 @@ def router(
     and recorders connect again by themselves.
     """
     with until_signal() as ended:
-        from armrig.rig.router import open_router
+        from armrig.lab.router import open_router
 
         session, people = open_router(listen, certificate, names)
         with session:

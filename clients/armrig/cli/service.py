@@ -12,7 +12,7 @@ from armrig_core.errors import OperationError
 from armrig.cli.options import Json, agree, echo, print_json
 
 if TYPE_CHECKING:
-    from armrig.rig.installation import Part, Plan
+    from armrig.lab.installation import Part, Plan
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
@@ -65,7 +65,7 @@ def install(
     The command shows the content of each new file, and of each file that changes the difference,
     before it does anything. It also renews what is installed already.
     """
-    from armrig.rig.installation import installing
+    from armrig.lab.installation import installing
 
     chosen: dict[Part, bool] = {"router": router, "recorder": recorder}
     parts = [part for part, is_chosen in chosen.items() if is_chosen] or ["rig"]
@@ -79,7 +79,7 @@ def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -
 
     Configurations, recordings, drop-ins and users stay.
     """
-    from armrig.rig.installation import uninstalling
+    from armrig.lab.installation import uninstalling
 
     plan = uninstalling(root.absolute())
     if not (plan.first or plan.removed):
@@ -93,7 +93,7 @@ def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -
 @app.command(context_settings=_HELP, epilog="Example: armrig service status")
 def status(root: Root = _SYSTEM, json: Json = False) -> None:
     """Say which files are installed, and how each rig, the router and the recorder are."""
-    from armrig.rig.installation import files, parts_of, units_of
+    from armrig.lab.installation import files, parts_of, units_of
 
     parts = parts_of(root.absolute()) or {"rig"}
     states = {str(file.path): file.state for file in files(root.absolute(), parts)}
@@ -115,7 +115,7 @@ def status(root: Root = _SYSTEM, json: Json = False) -> None:
 
 def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
     """Show a plan and, where it is agreed to, carry it out; return whether it was."""
-    from armrig.rig.installation import run_command
+    from armrig.lab.installation import run_command
 
     echo("\n".join(plan.lines()))
     if dry_run:

@@ -1,4 +1,4 @@
-"""What opens a session to a daemon, or measures this host."""
+"""What opens a session to a daemon."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import os
 import signal
 from contextlib import suppress
 
-from armrig.rig.host import lock_memory, set_fifo
+from armrig.lab.host import lock_memory, set_fifo
 
 PARENT = "BENCH_PARENT"
 """Environment variable: the process that the programs must not outlive."""

@@ -7,7 +7,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from armrig.rig.host import cpuinfo, governors, granted, load, preemption, text, virtual
+from armrig.lab.host import cpuinfo, governors, granted, load, preemption, text, virtual
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 import pytest
 from armrig.cli import main
-from armrig.rig.host import PRIORITY
+from armrig.lab.host import PRIORITY
 from armrig.rig.session import RigError
 from armrig_core.errors import OperationError
 from armrig_core.volts import applied_code, code_of, volts_of

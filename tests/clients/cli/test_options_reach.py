@@ -50,7 +50,7 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     for name in (
         "armrig.cli.demo.demo",
         "armrig.rig.local_daemon.running",
-        "armrig.rig.router.open_router",
+        "armrig.lab.router.open_router",
         "armrig.cli.record.record_many",
         "armrig.cli.record._record_one",
     ):
@@ -250,7 +250,7 @@ def test_a_board_is_asked_what_it_runs_at_the_speed_that_was_given(
 ) -> None:
     """Where it does not answer, that speed is named."""
     asked: list[Any] = []
-    flash = "armrig.rig.flash"
+    flash = "armrig.lab.flash"
     monkeypatch.setattr(f"{flash}.avrdude.find", lambda: "avrdude")
     monkeypatch.setattr(f"{flash}.avrdude.loader", lambda program, port: "4.4")
     monkeypatch.setattr(f"{flash}.avrdude.write", lambda *call: asked.append(call[0]))

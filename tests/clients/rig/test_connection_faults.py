@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 import zenoh
-from armrig.rig import connection_faults, pki
+from armrig.lab import pki
+from armrig.rig import connection_faults
 from armrig.rig.client import Rig
 from armrig.rig.connection_faults import why_not_connected
 from armrig.rig.session import NoReplyError, RigError

@@ -39,7 +39,7 @@ def test_a_name_that_the_room_has_not_is_refused() -> None:
 
 def test_a_module_of_the_room_does_not_load_zenoh() -> None:
     """What is run to measure this host loads nothing that it does not use."""
-    program = "import sys, armrig.rig.host; sys.exit('zenoh' in sys.modules)"
+    program = "import sys, armrig.lab.host; sys.exit('zenoh' in sys.modules)"
 
     done = subprocess.run([sys.executable, "-c", program], check=False)
 

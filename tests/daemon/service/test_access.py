@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from armrig.rig import pki
+from armrig.lab import pki
 from armrig_core.access_control import at_router, of_router, remote, size_limits
 from armrig_core.access_list import AccessList
 from armrig_core.errors import InputError

@@ -22,7 +22,7 @@ from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.errors import InputError
 from armrig_core.toml_file import read_toml
 
-from armrig.rig.host import PRIORITY, governors, granted, load, preemption, text, virtual
+from armrig.lab.host import PRIORITY, governors, granted, load, preemption, text, virtual
 
 if TYPE_CHECKING:
     from armrig_core.commands import StatusReport

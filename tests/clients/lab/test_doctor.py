@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 from armrig.cli import main
-from armrig.rig import doctor
-from armrig.rig.doctor import Granted, Host, HostCheck, examine, is_well
-from armrig.rig.host import preemption
+from armrig.lab import doctor
+from armrig.lab.doctor import Granted, Host, HostCheck, examine, is_well
+from armrig.lab.host import preemption
 from armrig_core.commands import StatusReport
 from fake_daemon import FakeDaemon
 from msgspec.structs import replace

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.rig import installation
-from armrig.rig.installation import (
+from armrig.lab import installation
+from armrig.lab.installation import (
     SHIPPED,
     UNITS,
     Plan,

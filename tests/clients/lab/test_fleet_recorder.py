@@ -9,8 +9,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from armrig.rig import fleet_recorder
-from armrig.rig.fleet_recorder import FleetRecorder
+from armrig.lab import fleet_recorder
+from armrig.lab.fleet_recorder import FleetRecorder
 from armrig.rig.remote_recording import DiskError
 from armrig.rig.session import RigError
 

@@ -22,8 +22,8 @@ import pytest
 import uno_with_optiboot
 from armrig.cli import flash as command
 from armrig.cli import main
-from armrig.rig.flash import avrdude, boards
-from armrig.rig.flash.boards import Board, chosen
+from armrig.lab.flash import avrdude, boards
+from armrig.lab.flash.boards import Board, chosen
 from armrig_core.errors import OperationError
 from armrig_core.firmware_image import read_image, shipped_image
 from armrig_daemon.emulator.device import Device
@@ -97,7 +97,7 @@ def test_a_program_that_does_not_answer_is_told(
     monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
     """As of a firmware that was built for another speed of the line."""
-    monkeypatch.setattr("armrig.rig.flash.greeting.greeting", lambda port, baud: None)
+    monkeypatch.setattr("armrig.lab.flash.greeting.greeting", lambda port, baud: None)
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port, "--yes", "--baud", "1000000"]) == 1
 

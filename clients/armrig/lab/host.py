@@ -20,7 +20,7 @@ _MCL_CURRENT_AND_FUTURE = 3  # <sys/mman.h>
 
 def granted() -> tuple[bool, bool]:
     """Return whether SCHED_FIFO and mlockall are granted, tried in a process of its own."""
-    program = [sys.executable, "-m", "armrig.rig.host", str(PRIORITY)]
+    program = [sys.executable, "-m", "armrig.lab.host", str(PRIORITY)]
     printed = subprocess.run(program, capture_output=True, check=True, text=True).stdout.split()
     return printed[0] == "1", printed[1] == "1"
 
