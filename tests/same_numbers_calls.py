@@ -1387,9 +1387,9 @@ def report() -> Variants:
 
 @variants
 def batch() -> Variants:
-    from armrig.batch.items import items_in
-    from armrig.batch.rows import row_of
-    from armrig.batch.tasks import Identify, Validate, Verify
+    from armrig.report.batch.items import items_in
+    from armrig.report.batch.rows import row_of
+    from armrig.report.batch.tasks import Identify, Validate, Verify
 
     lab = folder() / "batch"
     lab.mkdir(exist_ok=True)
@@ -1415,7 +1415,7 @@ def batch() -> Variants:
 def validations() -> list[int]:
     """Return the number of the recording that validates each of a folder, of several the newest."""
     import made_recordings as made
-    from armrig.batch.items import items_in
+    from armrig.report.batch.items import items_in
 
     lab = folder() / "pairs"
     lab.mkdir(exist_ok=True)

@@ -16,8 +16,8 @@ from armrig.cli.model_structures import Given, estimation_options, requested
 from armrig.cli.options import Detrend, Json, Na, Nb, Nf, Nk, echo, print_json, tell
 
 if TYPE_CHECKING:
-    from armrig.batch.batch import Batch
-    from armrig.batch.tasks import Task
+    from armrig.report.batch.batch import Batch
+    from armrig.report.batch.tasks import Task
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 
@@ -80,7 +80,7 @@ def identify(
     json: Json = False,
 ) -> None:
     """Estimate a model from each recording: parameters, deviations, fit, and the model itself."""
-    from armrig.batch.tasks import Identify
+    from armrig.report.batch.tasks import Identify
 
     task = Identify(**asdict(requested(given)), signal=signal, detrend=detrend)
     _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
@@ -106,9 +106,9 @@ def validate(
     json: Json = False,
 ) -> None:
     """Judge one model by each recording: how it simulates it, and what its residuals still hold."""
-    from armrig.batch.tasks import Validate
     from armrig.models.model_file import load_fit
     from armrig.models.model_writing import model_text
+    from armrig.report.batch.tasks import Validate
 
     task = Validate(model=model_text(load_fit(model)), detrend=detrend)
     _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
@@ -126,7 +126,7 @@ def verify(
     json: Json = False,
 ) -> None:
     """Check that each recording is what its run was. Exit code 1 where a check fails."""
-    from armrig.batch.tasks import Verify
+    from armrig.report.batch.tasks import Verify
 
     _do(Verify(), folder, output, rig, kind, workers, scheduler, force=force, json=json)
 
@@ -153,7 +153,7 @@ def report(
     json: Json = False,
 ) -> None:
     """Write a report of each recording, with the one that validates it where there is one."""
-    from armrig.batch.tasks import Report
+    from armrig.report.batch.tasks import Report
 
     task = Report(folder=str(reports.resolve()), na=na, nb=nb, nf=nf, nk=nk)
     _do(task, folder, output, rig, kind, workers, scheduler, force=force, json=json)
@@ -174,9 +174,9 @@ def _do(
     """Do it, and say what came of it; exit code 1 where some gave nothing or failed a check."""
     from functools import partial
 
-    from armrig.batch.batch import batch
-    from armrig.batch.workers import cluster, processes
     from armrig.cli.spinner import spinner
+    from armrig.report.batch.batch import batch
+    from armrig.report.batch.workers import cluster, processes
 
     if output.suffix != ".parquet":
         raise InputError(f"-o {output}: a table's name ends in .parquet")
@@ -234,7 +234,7 @@ def _say(done: Batch, *, json: bool) -> None:
 
 def _failed(row: dict[str, Any]) -> str:
     """Return which checks a recording failed, and what was found."""
-    from armrig.batch.columns import CHECKS
+    from armrig.report.batch.columns import CHECKS
 
     failed = (about for about in CHECKS if row[f"{about}_result"] == "failed")
     return "; ".join(f"{about} failed: {row[f'{about}_found']}" for about in failed)

@@ -17,10 +17,10 @@ import armrig
 import numpy as np
 import pytest
 from armrig import Dataset
-from armrig.batch.tasks import Identify, Report, Validate, Verify
 from armrig.cli import main
 from armrig.cli.rig import _sample_line
 from armrig.dashboard.foxglove import LAYOUTS
+from armrig.report.batch.tasks import Identify, Report, Validate, Verify
 from armrig.report.study import Orders
 from armrig.rig.live_gaps import LiveGap
 from armrig_core.arm import ArmParameters
@@ -172,7 +172,7 @@ def test_a_batch_does_its_task_for_the_recordings_that_were_chosen(
     given: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each of the four with the orders, the choice and the workers of its own."""
-    monkeypatch.setattr("armrig.batch.batch.batch", _taken(given))
+    monkeypatch.setattr("armrig.report.batch.batch.batch", _taken(given))
     monkeypatch.chdir(tmp_path)
     armrig.arx(_data(), na=1, nb=2).save("m.json")
     shared = ["weeks", "-o", "t.parquet", "--rig", "7", "--rig", "8", "--kind", "bla", "--force"]

@@ -8,12 +8,12 @@ from typing import Any, get_args
 import armrig
 import numpy as np
 import pytest
-from armrig.batch.tasks import Identify, Verify, digest, sha256
 from armrig.cli import main
 from armrig.cli.model_structures import requested
 from armrig.cli.next_model import options_of
 from armrig.estimation.request import OPTIONS, Request
 from armrig.models.structure_table import OFFERED, users
+from armrig.report.batch.tasks import Identify, Verify, digest, sha256
 from msgspec.structs import asdict
 
 DATA = armrig.Dataset(

@@ -11,8 +11,8 @@ import msgspec
 from armrig_core.errors import OperationError
 from armrig_core.recording_file.file_lock import lock
 
-from armrig.batch.items import Item
-from armrig.batch.rows import Row
+from armrig.report.batch.items import Item
+from armrig.report.batch.rows import Row
 
 OTHER = (
     "holds what came of another folder, task or choice, of other options or versions; give another "

@@ -8,9 +8,9 @@ from pathlib import Path
 import batches
 import made_recordings
 import pytest
-from armrig.batch import workers
-from armrig.batch.batch import batch
-from armrig.batch.tasks import Identify
+from armrig.report.batch import workers
+from armrig.report.batch.batch import batch
+from armrig.report.batch.tasks import Identify
 
 
 @pytest.fixture(scope="session")

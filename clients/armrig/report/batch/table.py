@@ -12,14 +12,14 @@ from typing import Any
 import msgspec
 from armrig_core.errors import OperationError
 
-from armrig.batch.columns import Kind, columns_of
-from armrig.batch.progress import OTHER, SUFFIX
-from armrig.batch.rows import Row
-from armrig.batch.tasks import Task, Validate, digest, name_of, sha256
 from armrig.recordings.export import imported
 from armrig.recordings.recording_summary import shown_path
+from armrig.report.batch.columns import Kind, columns_of
+from armrig.report.batch.progress import OTHER, SUFFIX
+from armrig.report.batch.rows import Row
+from armrig.report.batch.tasks import Task, Validate, digest, name_of, sha256
 
-KEY = b"armrig.batch"
+KEY = b"armrig.report.batch"
 """Of the table's metadata, where its header stands."""
 
 

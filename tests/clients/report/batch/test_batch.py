@@ -20,17 +20,23 @@ import made_recordings
 import msgspec
 import numpy as np
 import pytest
-from armrig.batch import running, workers
-from armrig.batch.batch import batch
-from armrig.batch.columns import OF_THE_FILE, OF_THE_RESULT, OF_THE_RUN, OF_THE_TASK, columns_of
-from armrig.batch.items import Item, items_in
-from armrig.batch.progress import SUFFIX, Progress, still_right
-from armrig.batch.rows import row_of
-from armrig.batch.table import header_of
-from armrig.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
 from armrig.cli import main
 from armrig.models.model_writing import model_text
 from armrig.recordings.verification import verify
+from armrig.report.batch import running, workers
+from armrig.report.batch.batch import batch
+from armrig.report.batch.columns import (
+    OF_THE_FILE,
+    OF_THE_RESULT,
+    OF_THE_RUN,
+    OF_THE_TASK,
+    columns_of,
+)
+from armrig.report.batch.items import Item, items_in
+from armrig.report.batch.progress import SUFFIX, Progress, still_right
+from armrig.report.batch.rows import row_of
+from armrig.report.batch.table import header_of
+from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
 from armrig_core.errors import OperationError
 from batches import SHORT, kept, started, telegraph, wait_for_rows
 from deadly import deadly
@@ -150,7 +156,7 @@ def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path)
 def test_a_table_says_how_it_was_made(identified: Path) -> None:
     """Task, options and versions; no time of day, so that the same makes the same bytes."""
     header = json.loads(
-        pyarrow_parquet.read_table(str(identified)).schema.metadata[b"armrig.batch"]
+        pyarrow_parquet.read_table(str(identified)).schema.metadata[b"armrig.report.batch"]
     )
     assert header["task"] == "identify"
     assert json.loads(header["options"])["orders"] == {"na": 4, "nb": 4}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig.batch.tasks import Task, name_of
+from armrig.report.batch.tasks import Task, name_of
 
 Kind = str
 """text, truth, count, number; texts and numbers are several in one cell."""

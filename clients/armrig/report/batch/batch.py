@@ -11,13 +11,13 @@ from pathlib import Path
 
 from armrig_core.errors import InputError
 
-from armrig.batch.columns import columns_of
-from armrig.batch.items import Item, items_in
-from armrig.batch.progress import Progress, still_right
-from armrig.batch.rows import Row, row_of
-from armrig.batch.running import results
-from armrig.batch.table import check_writable, header_of, read_rows, write_table
-from armrig.batch.tasks import Report, Task
+from armrig.report.batch.columns import columns_of
+from armrig.report.batch.items import Item, items_in
+from armrig.report.batch.progress import Progress, still_right
+from armrig.report.batch.rows import Row, row_of
+from armrig.report.batch.running import results
+from armrig.report.batch.table import check_writable, header_of, read_rows, write_table
+from armrig.report.batch.tasks import Report, Task
 
 Count = Callable[[int, int, str], None]
 """Takes how many this start has done, how many it has to do, and the name of the one done."""
@@ -64,7 +64,7 @@ def batch(
     table : Path
         Parquet file to write.
     open_executor : callable
-        Gives the workers; see `armrig.batch.workers`.
+        Gives the workers; see `armrig.report.batch.workers`.
     at_once : int
         Runs that are handed to them and not back yet.
     rigs, kinds : collection of str

@@ -13,15 +13,15 @@ import numpy as np
 from armrig_core.errors import ArmrigError
 from armrig_core.telemetry import THETA_1, OutputName
 
-from armrig.batch.columns import columns_of
-from armrig.batch.items import Item
-from armrig.batch.tasks import Identify, Report, Task, Validate, Verify
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import detrend
 from armrig.models.fit import Fit
 from armrig.recordings.doubts import doubts, doubts_of_estimation, doubts_of_pair
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
+from armrig.report.batch.columns import columns_of
+from armrig.report.batch.items import Item
+from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify
 
 Row = dict[str, Any]
 
