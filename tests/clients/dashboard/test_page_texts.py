@@ -110,7 +110,8 @@ def test_data_that_waited_in_a_slow_network_are_older(page: Path) -> None:
     told = _run(
         page,
         "const ages = [];"
-        "for (const [at, at_s] of [[1000, 500], [2000, 501], [6000, 502], [7000, 506], [8000, 3]]) {"
+        "const came = [[1000, 500], [2000, 501], [6000, 502], [7000, 506], [8000, 3]];"
+        "for (const [at, at_s] of came) {"
         " globalThis.at = at; if (at_s === 3) status.begin([]);"
         " status.showLive({ at_s, age_s: 0.25, is_stale: false }); ages.push(text('age')); }"
         "told.ages = ages;",
