@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 from armrig.canvas import save
 from armrig.excitation.named_signals import realisations
+from armrig_core.codes import COMPLETE
 from armrig_core.manifest import CALIBRATION, Manifest
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
@@ -79,7 +80,7 @@ def record(
             if s is not None and 0 <= s.k - started.k_first < u.size
         ]
     )
-    recording.finish("complete")
+    recording.finish(COMPLETE)
     recording.join()
     return path
 

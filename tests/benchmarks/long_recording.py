@@ -18,6 +18,7 @@ import armrig
 import msgspec
 import numpy as np
 from armrig_core.calibration import Calibration
+from armrig_core.codes import Ending
 from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
@@ -83,7 +84,7 @@ def make(path: Path, seconds: int, pacing: str = "scheduled") -> int:
             time.sleep(0.01)
         ended = [record for record in records if isinstance(record, RunEnded)]
         if ended:
-            recording.finish(ended[0].outcome)
+            recording.finish(Ending(ended[0].outcome_code, ended[0].outcome))
             recording.join()
             if recording.error:
                 raise SystemExit(recording.error)

@@ -171,7 +171,7 @@ class Recording:
     def _wait_for_the_end(self) -> None:
         """Have the error seen, and pass over what still comes of the run."""
         self._changed()
-        while not isinstance(self._queue.get(), Ending):
+        while isinstance(self._queue.get(), list):
             pass
 
     def _write_until_the_end(self) -> Ending:
@@ -183,7 +183,7 @@ class Recording:
                 batch = self._queue.get(timeout=FLUSH_S)
             except queue.Empty:
                 batch = []
-            if isinstance(batch, Ending):
+            if not isinstance(batch, list):
                 return batch
             for message in batch:
                 self._add(message)
