@@ -25,6 +25,13 @@ if TYPE_CHECKING:
     from armrig.estimation.bj import bj
     from armrig.estimation.iv4 import iv4
     from armrig.estimation.n4sid import n4sid
+    from armrig.estimation.nonparametric.bla import bla
+    from armrig.estimation.nonparametric.correlation import correlation
+    from armrig.estimation.nonparametric.etfe import etfe
+    from armrig.estimation.nonparametric.impulse import impulse_response
+    from armrig.estimation.nonparametric.sampling_time import sampling_time
+    from armrig.estimation.nonparametric.spectral import spa
+    from armrig.estimation.nonparametric.step_analysis import step_analysis
     from armrig.estimation.oe import oe
     from armrig.estimation.order_table import select_orders
     from armrig.estimation.pem import pem
@@ -48,13 +55,6 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.models.model_file import load_fit
     from armrig.models.subspace_fit import SubspaceFit
-    from armrig.nonparametric.bla import bla
-    from armrig.nonparametric.correlation import correlation
-    from armrig.nonparametric.etfe import etfe
-    from armrig.nonparametric.impulse import impulse_response
-    from armrig.nonparametric.sampling_time import sampling_time
-    from armrig.nonparametric.spectral import spa
-    from armrig.nonparametric.step_analysis import step_analysis
     from armrig.physics.grey_box.agreement import agreement
     from armrig.physics.grey_box.estimate import greybox
     from armrig.physics.grey_box.fit import GreyFit
@@ -215,13 +215,13 @@ _MODULES = {
     "physics.integrators.stability": ("stability_limit",),
     "physics.integrators.stepping": ("integrate",),
     "physics.step_response": ("characteristics", "step_sensitivities"),
-    "nonparametric.bla": ("bla",),
-    "nonparametric.correlation": ("correlation",),
-    "nonparametric.etfe": ("etfe",),
-    "nonparametric.impulse": ("impulse_response",),
-    "nonparametric.sampling_time": ("sampling_time",),
-    "nonparametric.spectral": ("spa",),
-    "nonparametric.step_analysis": ("step_analysis",),
+    "estimation.nonparametric.bla": ("bla",),
+    "estimation.nonparametric.correlation": ("correlation",),
+    "estimation.nonparametric.etfe": ("etfe",),
+    "estimation.nonparametric.impulse": ("impulse_response",),
+    "estimation.nonparametric.sampling_time": ("sampling_time",),
+    "estimation.nonparametric.spectral": ("spa",),
+    "estimation.nonparametric.step_analysis": ("step_analysis",),
     "validation.structure_hints": ("structure_hints",),
     "physics.systems": ("ArmParameters", "arm", "chassis", "rehearse"),
     "data.treatment": (

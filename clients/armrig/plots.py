@@ -23,17 +23,17 @@ from armrig.canvas import (
 )
 from armrig.data.figures import plot_data, plot_spectrum, plot_values
 from armrig.estimation.figures import plot_orders
-from armrig.excitation.figures import plot_input
-from armrig.models.figures import plot_bode, plot_fit, plot_step
-from armrig.models.pole_zero_figure import plot_poles_zeros
-from armrig.models.spectral_figure import plot_spectral
-from armrig.nonparametric.figures import (
+from armrig.estimation.nonparametric.figures import (
     plot_correlation,
     plot_impulse,
     plot_sampling_time,
     plot_step_analysis,
     plot_structure,
 )
+from armrig.excitation.figures import plot_input
+from armrig.models.figures import plot_bode, plot_fit, plot_step
+from armrig.models.pole_zero_figure import plot_poles_zeros
+from armrig.models.spectral_figure import plot_spectral
 from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
 from armrig.physics.grey_box.figures import plot_greybox, plot_split
 from armrig.physics.integrators.figures import (

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import armrig
 import numpy as np
 from armrig.data.dataset import Dataset
-from armrig.nonparametric.sampling_time import nearest_125
+from armrig.estimation.nonparametric.sampling_time import nearest_125
 from armrig.numerics.polynomial import filtered
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray

@@ -17,8 +17,8 @@ import same_numbers_calls as of
 from armrig import Dataset, plots
 from armrig.cli.figures import write_plot
 from armrig.cli.recording_info import _plot_timing
+from armrig.estimation.nonparametric.step_analysis import StepAnalysis
 from armrig.excitation import telegraph
-from armrig.nonparametric.step_analysis import StepAnalysis
 from armrig.numerics.polynomial import filtered
 from armrig.physics.integrators.accuracy import convergence, sinusoid
 from armrig.physics.physical_model import PhysicalModel, physical_model

@@ -22,9 +22,9 @@ import pytest
 from armrig import Dataset, Fit, oe, plots
 from armrig.canvas import named_by_run, save
 from armrig.canvas.captions import _fits
+from armrig.estimation.nonparametric.spectral_reference import spectral_reference
 from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
-from armrig.nonparametric.spectral_reference import spectral_reference
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
 from armrig.recordings.loading import load

@@ -30,8 +30,8 @@ from armrig.cli.recorded_data import Signals, from_recording, loaded, source_fac
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.data.finding import Finding
-    from armrig.nonparametric.sampling_time import SamplingTime
-    from armrig.nonparametric.step_analysis import StepAnalysis
+    from armrig.estimation.nonparametric.sampling_time import SamplingTime
+    from armrig.estimation.nonparametric.step_analysis import StepAnalysis
     from armrig.validation.structure_hints import StructureHints
 
 Drawing = Annotated[
@@ -88,7 +88,7 @@ def sampling(
     samples in the transient.
     """
     from armrig.cli.spinner import spinner
-    from armrig.nonparametric.sampling_time import sampling_time
+    from armrig.estimation.nonparametric.sampling_time import sampling_time
 
     check_plot(plot, [file])
     signals = Signals(
@@ -124,7 +124,7 @@ def sampling(
 
 def _steps(data: Dataset) -> StepAnalysis | None:
     """Return the analysis of the steps; None where they are not held for long enough."""
-    from armrig.nonparametric.step_analysis import step_analysis
+    from armrig.estimation.nonparametric.step_analysis import step_analysis
 
     try:
         return step_analysis(data)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from armrig import plots
 from armrig.canvas import legend, named_by_run, pens, save
-from armrig.nonparametric.spectral_reference import spectral_reference
+from armrig.estimation.nonparametric.spectral_reference import spectral_reference
 from armrig.report.study import STEP, Study, kind_of
 
 STYLE: Any = {

@@ -9,8 +9,8 @@ from typing import TypeVar
 from armrig_core.arm import ArmParameters, arm_matrices
 
 from armrig.data.dataset import Dataset
-from armrig.nonparametric.sampling_time import SamplingTime, sampling_time
-from armrig.nonparametric.step_analysis import StepAnalysis, step_analysis
+from armrig.estimation.nonparametric.sampling_time import SamplingTime, sampling_time
+from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.physics.grey_box.estimate import greybox
 from armrig.physics.grey_box.fit import GreyFit
 from armrig.physics.grey_box.split_study import SplitStudy, split_study

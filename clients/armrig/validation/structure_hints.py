@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
+from armrig.estimation.nonparametric.coherence import explained
+from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
+from armrig.estimation.nonparametric.spectral import spa
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.coherence import explained
-from armrig.nonparametric.impulse import ImpulseResponse, long_enough
-from armrig.nonparametric.spectral import spa
 from armrig.numerics.quantities import minus, plural, times
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -104,7 +104,7 @@ class StructureHints:
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of |G| with what was read off it: see `armrig.plots.plot_structure`."""
         from armrig.canvas import figure_of
-        from armrig.nonparametric.figures import plot_structure
+        from armrig.estimation.nonparametric.figures import plot_structure
 
         return figure_of(plot_structure(self, ax=ax))
 

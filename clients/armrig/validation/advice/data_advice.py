@@ -13,10 +13,10 @@ from armrig.data.step import LINE, codes_of
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
 from armrig.estimation.arx import arx
 from armrig.estimation.data_faults import NO_OPTION, level_without_input
+from armrig.estimation.nonparametric.integrator import Integration, integration
 from armrig.estimation.oe import oe
 from armrig.excitation.input_description import describe_input
 from armrig.models.fit import Fit
-from armrig.nonparametric.integrator import Integration, integration
 from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
 from armrig.validation.advice.finding import finding
 from armrig.validation.feedback_and_delay.delay import delay

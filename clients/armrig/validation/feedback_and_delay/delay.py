@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
-from armrig.nonparametric.impulse import ImpulseResponse, impulse_response
-from armrig.nonparametric.integrator import integration
+from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_response
+from armrig.estimation.nonparametric.integrator import integration
 from armrig.numerics.quantities import plural
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.determined_lags import determined_lags

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from armrig.nonparametric.impulse import ImpulseResponse
+from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.quantities import p_relation, plural, times
 from armrig.validation.feedback_and_delay.lag_tests import LEVEL, Before
 from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING

@@ -15,7 +15,7 @@ from armrig.validation.residual_figure import BAND_99_PERCENT
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from armrig.nonparametric.impulse import ImpulseResponse
+    from armrig.estimation.nonparametric.impulse import ImpulseResponse
     from armrig.validation.feedback_and_delay.sims import Sims
 
 Vector = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.nonparametric.impulse import ImpulseResponse
+from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.criteria import aic
 from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import filtered

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from armrig.data.dataset import Dataset
+from armrig.estimation.nonparametric.spectral import spa
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.spectral import spa
 
 LONGEST = 300
 """Lag window in samples, at most."""

@@ -27,8 +27,8 @@ class Covariances:
 def covariances(data: Dataset, L: int) -> Covariances:
     """Return R(k) = (1/N) sum over t of x(t + k) z(t), the biased form, for |k| <= L.
 
-    No sample may be missing: see `armrig.nonparametric.missing_outputs`. A spectrum of these
-    covariances is positive wherever the lag window's is.
+    No sample may be missing: see `armrig.estimation.nonparametric.missing_outputs`. A spectrum
+    of these covariances is positive wherever the lag window's is.
     """
     u = [part.u - np.mean(part.u) for part in data.experiments()]
     y = [part.y - np.mean(part.y) for part in data.experiments()]

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
+from armrig.estimation.nonparametric.coherence import explained
+from armrig.estimation.nonparametric.impulse import impulse_response, long_enough
+from armrig.estimation.nonparametric.integrator import integration
+from armrig.estimation.nonparametric.missing_outputs import filled
+from armrig.estimation.nonparametric.spectral import spa
+from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
+from armrig.estimation.nonparametric.welch import welch
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
-from armrig.nonparametric.coherence import explained
-from armrig.nonparametric.impulse import impulse_response, long_enough
-from armrig.nonparametric.integrator import integration
-from armrig.nonparametric.missing_outputs import filled
-from armrig.nonparametric.spectral import spa
-from armrig.nonparametric.step_analysis import StepAnalysis, step_analysis
-from armrig.nonparametric.welch import welch
 from armrig.numerics.quantities import times, with_std
 from armrig.numerics.step_times import linear_crossing, rise_time
 from armrig.numerics.stretches import constant
@@ -98,7 +98,7 @@ class SamplingTime:
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of step response and spectrum: `armrig.plots.plot_sampling_time`."""
         from armrig.canvas import figure_of
-        from armrig.nonparametric.figures import plot_sampling_time
+        from armrig.estimation.nonparametric.figures import plot_sampling_time
 
         return figure_of(plot_sampling_time(self, ax=ax))
 

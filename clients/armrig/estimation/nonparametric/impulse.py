@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.estimation.nonparametric.fir_regression import FirRegression, regression
+from armrig.estimation.nonparametric.integrator import integration
+from armrig.estimation.nonparametric.kernels import KERNELS, Evidence, Kernel
 from armrig.models.responses import StepResponse
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.fir_regression import FirRegression, regression
-from armrig.nonparametric.integrator import integration
-from armrig.nonparametric.kernels import KERNELS, Evidence, Kernel
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.covariance import exogenous_score_in_blocks
 from armrig.numerics.least_squares import Basis, orthonormal
@@ -166,7 +166,7 @@ class ImpulseResponse:
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
         """Return a figure of g with its band about zero: see `armrig.plots.plot_impulse`."""
         from armrig.canvas import figure_of
-        from armrig.nonparametric.figures import plot_impulse
+        from armrig.estimation.nonparametric.figures import plot_impulse
 
         return figure_of(plot_impulse(self, level=level, ax=ax))
 

@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.excitation import telegraph
-from armrig.nonparametric.impulse import impulse_response
 from armrig.numerics.polynomial import filtered
 from armrig.validation.recommended_structures import Recommended, Tried, _chosen
 from armrig.validation.structure_hints import _extremes, structure_hints

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.estimation.nonparametric.bla import bla
+from armrig.estimation.nonparametric.correlation import correlation
+from armrig.estimation.nonparametric.etfe import etfe
+from armrig.estimation.nonparametric.impulse import impulse_response
+from armrig.estimation.nonparametric.integrator import integration
+from armrig.estimation.nonparametric.sampling_time import sampling_time
+from armrig.estimation.nonparametric.spectral import spa
+from armrig.estimation.nonparametric.step_analysis import step_analysis
 from armrig.excitation import multisine
-from armrig.nonparametric.bla import bla
-from armrig.nonparametric.correlation import correlation
-from armrig.nonparametric.etfe import etfe
-from armrig.nonparametric.impulse import impulse_response
-from armrig.nonparametric.integrator import integration
-from armrig.nonparametric.sampling_time import sampling_time
-from armrig.nonparametric.spectral import spa
-from armrig.nonparametric.step_analysis import step_analysis
 from armrig.numerics.polynomial import filtered
 
 REASON = "behaves as an integrating output"

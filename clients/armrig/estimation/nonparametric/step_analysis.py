@@ -15,9 +15,9 @@ from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.data.treatment import difference
-from armrig.nonparametric.integrator import integration
-from armrig.nonparametric.step_answer import Answer, step_answer
-from armrig.nonparametric.step_lag import area_above, lag_of_angle
+from armrig.estimation.nonparametric.integrator import integration
+from armrig.estimation.nonparametric.step_answer import Answer, step_answer
+from armrig.estimation.nonparametric.step_lag import area_above, lag_of_angle
 from armrig.numerics.quantities import plural, times, with_std
 from armrig.numerics.stretches import Mask, constant, stretches
 
@@ -104,7 +104,7 @@ class StepAnalysis:
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of the answer to a step: see `armrig.plots.plot_step_analysis`."""
         from armrig.canvas import figure_of
-        from armrig.nonparametric.figures import plot_step_analysis
+        from armrig.estimation.nonparametric.figures import plot_step_analysis
 
         return figure_of(plot_step_analysis(self, ax=ax))
 
@@ -146,8 +146,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     before and weighted by the size of its step. Of an integrating y the rate is analysed, whose
     sample (y(t) - y(t-1))/Ts belongs to the middle of its interval. 63 % time, settling, overshoot
     and dead time are those of curves drawn from a Gaussian process given all of the record
-    (`armrig.nonparametric.step_answer`), each from its own final value; their deviations are the
-    curves', and grow where samples are missing. A dead time is claimed only where the probability
+    (`armrig.estimation.nonparametric.step_answer`), each from its own final value; their deviations
+    are the curves', and grow where samples are missing. A dead time is claimed only where the probability
     of none is below 1 %; where none is claimed, the 63 % time's deviation has what may be there.
 
     Parameters

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.nonparametric.correlation import correlation
+from armrig.estimation.nonparametric.correlation import correlation
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 

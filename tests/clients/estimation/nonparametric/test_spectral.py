@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.nonparametric.spectral import spa
+from armrig.estimation.nonparametric.spectral import spa
 from armrig.numerics.polynomial import filtered
 
 OMEGA = np.linspace(0.3, 2.8, 12)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from armrig.data.dataset import Dataset
-from armrig.nonparametric.impulse import impulse_response
+from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered
 

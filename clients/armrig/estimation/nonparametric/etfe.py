@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
+from armrig.estimation.nonparametric.integrator import integration
+from armrig.estimation.nonparametric.periodicity import excited, period
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.integrator import integration
-from armrig.nonparametric.periodicity import excited, period
 from armrig.numerics.polynomial import summation
 
 Vector = NDArray[np.float64]

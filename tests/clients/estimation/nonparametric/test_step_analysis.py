@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.nonparametric.step_analysis import StepAnalysis, step_analysis
+from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import with_std
 from numpy.typing import NDArray

@@ -120,7 +120,7 @@ def reference() -> Callable[[str], NDArray[np.float64]]:
     """Return a reader of the real data sets, which skips where there are none."""
 
     def read(name: str) -> NDArray[np.float64]:
-        beside = Path(__file__).resolve().parents[4] / "shared" / "reference"
+        beside = Path(__file__).resolve().parents[5] / "shared" / "reference"
         folder = Path(os.environ.get("ARMRIG_REFERENCE_DATA", beside))
         if not (folder / name).is_file():
             pytest.skip("no reference data: set ARMRIG_REFERENCE_DATA to their folder")

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from armrig import excitation
 from armrig.data.dataset import Dataset, merge
-from armrig.nonparametric.bla import bla
-from armrig.nonparametric.periodicity import excited
+from armrig.estimation.nonparametric.bla import bla
+from armrig.estimation.nonparametric.periodicity import excited
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 

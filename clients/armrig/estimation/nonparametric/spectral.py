@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
+from armrig.estimation.nonparametric.blackman_tukey import NO_POWER, blackman_tukey, blunted
+from armrig.estimation.nonparametric.integrator import integration
+from armrig.estimation.nonparametric.missing_outputs import filled
+from armrig.estimation.nonparametric.welch import Spectra, welch
 from armrig.models.spectral_estimate import SpectralEstimate
-from armrig.nonparametric.blackman_tukey import NO_POWER, blackman_tukey, blunted
-from armrig.nonparametric.integrator import integration
-from armrig.nonparametric.missing_outputs import filled
-from armrig.nonparametric.welch import Spectra, welch
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.polynomial import summation
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.nonparametric.covariance_functions import Covariances, covariances
-from armrig.nonparametric.welch import Spectra
+from armrig.estimation.nonparametric.covariance_functions import Covariances, covariances
+from armrig.estimation.nonparametric.welch import Spectra
 
 Vector = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.nonparametric.integrator import integration
+from armrig.estimation.nonparametric.integrator import integration
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantile import two_sided
@@ -64,7 +64,7 @@ class Correlation:
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
         """Return a figure of g and its band: see `armrig.plots.plot_correlation`."""
         from armrig.canvas import figure_of
-        from armrig.nonparametric.figures import plot_correlation
+        from armrig.estimation.nonparametric.figures import plot_correlation
 
         return figure_of(plot_correlation(self, level=level, ax=ax))
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.estimation.nonparametric.sampling_time import DIFFERENCED, nearest_125, sampling_time
 from armrig.excitation import step, telegraph
-from armrig.nonparametric.sampling_time import DIFFERENCED, nearest_125, sampling_time
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import times
 from numpy.typing import NDArray
