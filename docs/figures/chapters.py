@@ -8,7 +8,6 @@ from pathlib import Path
 
 import armrig
 import matplotlib as mpl
-from armrig.canvas import save
 from armrig.physics.figures import plot_physical_step, plot_rig, plot_sensitivities
 from armrig.physics.integrators.figures import (
     plot_convergence,
@@ -17,6 +16,7 @@ from armrig.physics.integrators.figures import (
     plot_stability_regions,
 )
 from armrig.physics.integrators.methods import METHODS
+from armrig.plots.layout import save
 from armrig_core.arm import arm_matrices
 from matplotlib.axes import Axes
 

@@ -13,8 +13,8 @@ import armrig
 import matplotlib as mpl
 import msgspec
 import numpy as np
-from armrig.canvas import save
 from armrig.excitation.named_signals import realisations
+from armrig.plots.layout import save
 from armrig_core.codes import COMPLETE
 from armrig_core.manifest import CALIBRATION, Manifest
 from armrig_core.recording_file.outgoing import Outgoing

@@ -20,13 +20,13 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
-from armrig.canvas import named_by_run, save
-from armrig.canvas.captions import _fits
 from armrig.estimation.nonparametric.spectral_reference import spectral_reference
 from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
+from armrig.plots.captions import _fits, named_by_run
+from armrig.plots.layout import save
 from armrig.recordings.loading import load
 from armrig.recordings.overview import overview
 from armrig.recordings.overview_figure import plot_overview

@@ -77,7 +77,7 @@ _LOOKS |= {
 }
 _NO_RESULT = {"strict", "refresh_per_second"}
 _TITLES = re.compile(r"\w+\.(set_(title|[xy](label|ticks|ticklabels))|suptitle|legend|grid)")
-_FIGURES = re.compile(r"figures?\.py$|canvas/")
+_FIGURES = re.compile(r"figures?\.py$|plots/")
 _MARGIN = 1e-6  # shares below it absorb rounding
 _SMALL = 10
 """Above it a number is doubled: one more would change a limit too little to matter."""

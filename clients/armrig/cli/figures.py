@@ -110,8 +110,9 @@ def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[
     """
     if path is None:
         return []
-    from armrig.canvas import named_by_run, save
     from armrig.cli.spinner import spinner
+    from armrig.plots.captions import named_by_run
+    from armrig.plots.layout import save
 
     figures = {path: list(draw.values())}
     if path.stem == _EACH:

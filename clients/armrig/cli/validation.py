@@ -170,9 +170,9 @@ def _print_validation_json(validated: _Validated, model: Path) -> None:
 
 
 def _print_validation(validated: _Validated, file: Path, *, verbose: bool, drawn: bool) -> None:
-    from armrig.canvas import signature
     from armrig.cli.model_output import lags_outside, residual_lines, simulated_to, tests_sentence
     from armrig.models.equation import input_and_output
+    from armrig.plots.captions import signature
 
     fit, table, tests = validated.fit, validated.simulated, validated.tests
     simulated = simulated_to(table[0], table.unit)

@@ -168,9 +168,9 @@ def _figures(fit: Fit, table: Any, tests: Any) -> list[tuple[str, str]]:
 
     import matplotlib as mpl
 
-    from armrig.canvas import figure_of
     from armrig.models.figures import plot_bode
     from armrig.models.pole_zero_figure import plot_poles_zeros
+    from armrig.plots.layout import figure_of
 
     mpl.use("svg")
     made = []

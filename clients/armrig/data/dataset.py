@@ -186,8 +186,8 @@ class Dataset:
             Against time, their power spectra, or how often each value was taken: see
             `plot_data`, `plot_spectrum` and `plot_values` of `armrig.plots`.
         """
-        from armrig.canvas import figure_of
         from armrig.data.figures import plot_data, plot_spectrum, plot_values
+        from armrig.plots.layout import figure_of
 
         kinds = {"time": plot_data, "spectrum": plot_spectrum, "values": plot_values}
         if kind not in kinds:
@@ -302,7 +302,7 @@ class Dataset:
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook: what it says, and its figure."""
-        from armrig.canvas.notebook import html
+        from armrig.plots.notebook import html
 
         return html(self)
 

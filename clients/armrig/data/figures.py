@@ -8,20 +8,11 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import (
-    BLUE,
-    INK,
-    NAMES,
-    bare_minor,
-    finish,
-    hertz,
-    legend,
-    named,
-    panels,
-    shade,
-    sign,
-)
 from armrig.numerics.quantities import NBSP, minus
+from armrig.plots.captions import NAMES, legend, named, sign
+from armrig.plots.colours import BLUE, INK
+from armrig.plots.layout import finish, panels, shade
+from armrig.plots.scales import bare_minor, hertz
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

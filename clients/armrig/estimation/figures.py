@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, GREY, VERMILION, axes, finish, legend, logarithmic
 from armrig.numerics.criteria import Criterion
+from armrig.plots.captions import legend
+from armrig.plots.colours import BLUE, GREY, VERMILION
+from armrig.plots.layout import axes, finish
+from armrig.plots.scales import logarithmic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -226,8 +226,8 @@ class OrderTable:
 
     def plot(self, criterion: Criterion | None = None, *, ax: Axes | None = None) -> Figure:
         """Return a figure of the share of y not explained against the number of parameters."""
-        from armrig.canvas import figure_of
         from armrig.estimation.figures import plot_orders
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_orders(self, criterion, ax=ax))
 

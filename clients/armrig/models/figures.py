@@ -8,21 +8,6 @@ import numpy as np
 from armrig_core.telemetry import THETA_1, VELOCITY
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.canvas import (
-    GREY,
-    INK,
-    NAMES,
-    axes,
-    decibel_ticks,
-    decibels,
-    finish,
-    hertz,
-    legend,
-    letter,
-    panels,
-    pens,
-    sign,
-)
 from armrig.models.characteristics import integrates
 from armrig.models.labels import (
     Labels,
@@ -38,6 +23,10 @@ from armrig.models.pole_zero_figure import plot_poles_zeros
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.models.uncertainty import frequency_bands, step_band
 from armrig.numerics.confidence_regions import HALF_WIDTH, Band
+from armrig.plots.captions import NAMES, legend, sign
+from armrig.plots.colours import GREY, INK, pens
+from armrig.plots.layout import axes, finish, letter, panels
+from armrig.plots.scales import decibel_ticks, decibels, hertz
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -106,8 +106,8 @@ class SpectralEstimate:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of magnitude and phase with ±2 σ: see `armrig.plots.plot_spectral`."""
-        from armrig.canvas import figure_of
         from armrig.models.spectral_figure import plot_spectral
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_spectral(self, ax=ax))
 

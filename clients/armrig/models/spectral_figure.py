@@ -7,22 +7,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import (
-    BLUE,
-    GREEN,
-    GREY,
-    SKY,
-    VERMILION,
-    bare_minor,
-    decibel_ticks,
-    decibels,
-    finish,
-    hertz,
-    legend,
-    panels,
-    sign,
-)
 from armrig.numerics.confidence_regions import HALF_WIDTH
+from armrig.plots.captions import legend, sign
+from armrig.plots.colours import BLUE, GREEN, GREY, SKY, VERMILION
+from armrig.plots.layout import finish, panels
+from armrig.plots.scales import bare_minor, decibel_ticks, decibels, hertz
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.canvas import BLUE, GREY, INK, VERMILION, axes, finish, legend, pens, symbol
 from armrig.physics.step_response import characteristics, step_response, step_sensitivities
 from armrig.physics.systems import ArmParameters
+from armrig.plots.captions import legend, symbol
+from armrig.plots.colours import BLUE, GREY, INK, VERMILION, pens
+from armrig.plots.layout import axes, finish
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

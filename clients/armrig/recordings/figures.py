@@ -7,7 +7,10 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, SKY, VERMILION, axes, finish, legend, logarithmic, short, sign
+from armrig.plots.captions import legend, short, sign
+from armrig.plots.colours import BLUE, SKY, VERMILION
+from armrig.plots.layout import axes, finish
+from armrig.plots.scales import logarithmic
 from armrig.recordings.jitter import jitter_us, lateness_us
 
 if TYPE_CHECKING:

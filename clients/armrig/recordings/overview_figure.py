@@ -10,7 +10,9 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, INK, NAMES, VERMILION, finish, legend, rows, shade, sign
+from armrig.plots.captions import NAMES, legend, sign
+from armrig.plots.colours import BLUE, INK, VERMILION
+from armrig.plots.layout import finish, rows, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

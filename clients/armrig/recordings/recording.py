@@ -208,14 +208,14 @@ class Recording:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of theta_1 and u against time: see `armrig.plots.plot_data`."""
-        from armrig.canvas import figure_of
         from armrig.data.figures import plot_data
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_data(self, ax=ax))
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook: what it says, and its figure."""
-        from armrig.canvas.notebook import html
+        from armrig.plots.notebook import html
 
         return html(self)
 

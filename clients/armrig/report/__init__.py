@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from armrig.report.data_facts import treatment
-    from armrig.report.document import report
+from armrig_core.public_names import homes, public
 
-__all__ = ["report", "treatment"]
+__all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 
 
 def __getattr__(name: str) -> Any:
     """Return a public name; only now typst is loaded, which a study does without."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from armrig.report import data_facts, document
-
-    return getattr(data_facts if name == "treatment" else document, name)
+    return public(__name__, name)

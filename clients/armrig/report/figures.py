@@ -11,8 +11,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armrig import plots
-from armrig.canvas import legend, named_by_run, pens, save
 from armrig.estimation.nonparametric.spectral_reference import spectral_reference
+from armrig.plots.captions import legend, named_by_run
+from armrig.plots.colours import pens
+from armrig.plots.layout import save
 from armrig.report.study import STEP, Study, kind_of
 
 STYLE: Any = {

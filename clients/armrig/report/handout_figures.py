@@ -12,9 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from armrig import plots
-from armrig.canvas import named_by_run, save
 from armrig.physics.integrators.accuracy import convergence
 from armrig.physics.systems import ArmParameters
+from armrig.plots.captions import named_by_run
+from armrig.plots.layout import save
 from armrig.report.figures import STYLE, WIDTH
 from armrig.report.handout_study import METHODS, HandoutStudy
 

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from armrig.rig.client import BusyError, RefusedError, Rig, RunEndedError
-    from armrig.rig.session import NoReplyError, RigError
+from armrig_core.public_names import homes, public
 
-__all__ = ["BusyError", "NoReplyError", "RefusedError", "Rig", "RigError", "RunEndedError"]
+__all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 
 
 def __getattr__(name: str) -> Any:
     """Return a public name; zenoh is loaded only now."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from armrig.rig import client, session
-
-    return getattr(session if name in ("NoReplyError", "RigError") else client, name)
+    return public(__name__, name)

@@ -92,14 +92,14 @@ class ComparisonTable:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of data and models, and their errors: see `armrig.plots.plot_compare`."""
-        from armrig.canvas import figure_of
+        from armrig.plots.layout import figure_of
         from armrig.validation.comparison_figure import plot_comparison
 
         return figure_of(plot_comparison(self.data, self.rows, ax=ax))
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook: what it says, and its figure."""
-        from armrig.canvas.notebook import html
+        from armrig.plots.notebook import html
 
         return html(self)
 

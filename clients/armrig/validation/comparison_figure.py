@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import GREY, INK, MISSING, finish, legend, panels, pens, shade, sign
 from armrig.data.figures import without_ramp
 from armrig.models.labels import Labels
 from armrig.numerics.quantities import error, minus
+from armrig.plots.captions import legend, sign
+from armrig.plots.colours import GREY, INK, pens
+from armrig.plots.layout import MISSING, finish, panels, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, GREY, VERMILION, finish, legend, panels, sign, stems
 from armrig.numerics.quantities import NBSP, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
+from armrig.plots.captions import legend, sign
+from armrig.plots.colours import BLUE, GREY, VERMILION
+from armrig.plots.layout import finish, panels, stems
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -104,7 +104,7 @@ class ResidualTest:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of both correlations: see `armrig.plots.plot_residuals`."""
-        from armrig.canvas import figure_of
+        from armrig.plots.layout import figure_of
         from armrig.validation.residual_figure import plot_residual_test
 
         return figure_of(plot_residual_test(self, ax=ax))

@@ -8,7 +8,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import COLOURS, GREY, INK, axes, finish, legend, logarithmic
+from armrig.plots.captions import legend
+from armrig.plots.colours import COLOURS, GREY, INK
+from armrig.plots.layout import axes, finish
+from armrig.plots.scales import logarithmic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -142,7 +142,7 @@ class SearchResult:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of error against number of parameters: see `armrig.plots.plot_search`."""
-        from armrig.canvas import figure_of
+        from armrig.plots.layout import figure_of
         from armrig.validation.search_figure import plot_search
 
         return figure_of(plot_search(self, ax=ax))

@@ -103,8 +103,8 @@ class StructureHints:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of |G| with what was read off it: see `armrig.plots.plot_structure`."""
-        from armrig.canvas import figure_of
         from armrig.estimation.nonparametric.figures import plot_structure
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_structure(self, ax=ax))
 

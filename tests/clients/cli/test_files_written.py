@@ -12,9 +12,9 @@ from typing import Any
 
 import armrig
 import pytest
-from armrig.canvas import sign
 from armrig.cli import main
 from armrig.cli.figures import name_runs, write_plot
+from armrig.plots.captions import sign
 from armrig.report.answers import read_answers
 from made_recordings import manifest, recorded, sample, written
 from matplotlib.figure import Figure

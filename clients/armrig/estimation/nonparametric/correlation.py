@@ -63,8 +63,8 @@ class Correlation:
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
         """Return a figure of g and its band: see `armrig.plots.plot_correlation`."""
-        from armrig.canvas import figure_of
         from armrig.estimation.nonparametric.figures import plot_correlation
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_correlation(self, level=level, ax=ax))
 

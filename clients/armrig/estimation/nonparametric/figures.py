@@ -7,26 +7,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import (
-    BLUE,
-    GREEN,
-    GREY,
-    INK,
-    NAMES,
-    SKY,
-    VERMILION,
-    axes,
-    bare_minor,
-    decibel_ticks,
-    decibels,
-    finish,
-    hertz,
-    legend,
-    panels,
-    sign,
-    stems,
-)
 from armrig.numerics.quantities import minus
+from armrig.plots.captions import NAMES, legend, sign
+from armrig.plots.colours import BLUE, GREEN, GREY, INK, SKY, VERMILION
+from armrig.plots.layout import axes, finish, panels, stems
+from armrig.plots.scales import bare_minor, decibel_ticks, decibels, hertz
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -165,8 +165,8 @@ class ImpulseResponse:
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
         """Return a figure of g with its band about zero: see `armrig.plots.plot_impulse`."""
-        from armrig.canvas import figure_of
         from armrig.estimation.nonparametric.figures import plot_impulse
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_impulse(self, level=level, ax=ax))
 

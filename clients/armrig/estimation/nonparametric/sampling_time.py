@@ -97,14 +97,14 @@ class SamplingTime:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of step response and spectrum: `armrig.plots.plot_sampling_time`."""
-        from armrig.canvas import figure_of
         from armrig.estimation.nonparametric.figures import plot_sampling_time
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_sampling_time(self, ax=ax))
 
     def _repr_html_(self) -> str:
         """Show itself in a notebook: what it says, and its figure."""
-        from armrig.canvas.notebook import html
+        from armrig.plots.notebook import html
 
         return html(self)
 

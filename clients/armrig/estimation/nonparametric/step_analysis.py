@@ -103,8 +103,8 @@ class StepAnalysis:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of the answer to a step: see `armrig.plots.plot_step_analysis`."""
-        from armrig.canvas import figure_of
         from armrig.estimation.nonparametric.figures import plot_step_analysis
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_step_analysis(self, ax=ax))
 
@@ -147,8 +147,9 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     sample (y(t) - y(t-1))/Ts belongs to the middle of its interval. 63 % time, settling, overshoot
     and dead time are those of curves drawn from a Gaussian process given all of the record
     (`armrig.estimation.nonparametric.step_answer`), each from its own final value; their deviations
-    are the curves', and grow where samples are missing. A dead time is claimed only where the probability
-    of none is below 1 %; where none is claimed, the 63 % time's deviation has what may be there.
+    are the curves', and grow where samples are missing. A dead time is claimed only where the
+    probability of none is below 1 %; where none is claimed, the 63 % time's deviation has what may
+    be there.
 
     Parameters
     ----------

@@ -8,26 +8,15 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import (
-    BLUE,
-    GREY,
-    MISSING,
-    VERMILION,
-    axes,
-    finish,
-    in_mathtext,
-    legend,
-    logarithmic,
-    panels,
-    shade,
-    sign,
-    symbol,
-)
 from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import listed, plural, raised, scaled
 from armrig.physics.grey_box.least_squares_problem import GreyBox
 from armrig.physics.grey_box.parameters import COULOMB, UNITS
 from armrig.physics.grey_box.sampled_model import Physics
+from armrig.plots.captions import in_mathtext, legend, sign, symbol
+from armrig.plots.colours import BLUE, GREY, VERMILION
+from armrig.plots.layout import MISSING, axes, finish, panels, shade
+from armrig.plots.scales import logarithmic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

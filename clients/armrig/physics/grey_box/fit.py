@@ -167,8 +167,8 @@ class GreyFit:
 
     def plot(self, data: Dataset, *, ax: Axes | None = None) -> Figure:
         """Return a figure of measured and simulated output and, below, the error."""
-        from armrig.canvas import figure_of
         from armrig.physics.grey_box.figures import plot_greybox
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_greybox(self, data, ax=ax))
 

@@ -179,8 +179,8 @@ class SplitStudy:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of the estimates with ±2 deviations and, below, the law 1/sqrt(N)."""
-        from armrig.canvas import figure_of
         from armrig.physics.grey_box.figures import plot_split
+        from armrig.plots.layout import figure_of
 
         return figure_of(plot_split(self, ax=ax))
 

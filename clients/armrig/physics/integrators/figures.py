@@ -9,24 +9,15 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike
 
-from armrig.canvas import (
-    BLUE,
-    GREY,
-    INK,
-    MISSING,
-    VERMILION,
-    axes,
-    finish,
-    legend,
-    panels,
-    pens,
-)
 from armrig.numerics.quantities import number
 from armrig.physics.integrators.accuracy import Convergence, Sinusoid, all_methods
 from armrig.physics.integrators.linear_system import system
 from armrig.physics.integrators.methods import METHODS, amplification
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.integrators.stepping import integrate
+from armrig.plots.captions import legend
+from armrig.plots.colours import BLUE, GREY, INK, VERMILION, pens
+from armrig.plots.layout import MISSING, axes, finish, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

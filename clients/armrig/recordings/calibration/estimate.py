@@ -90,7 +90,7 @@ class Estimate:
 
     def plot(self, turns: Recording | Readings, *, ax: Axes | None = None) -> Drawing:
         """Return a figure of what the turns say: see `armrig.plots.plot_calibration`."""
-        from armrig.canvas import figure_of
+        from armrig.plots.layout import figure_of
         from armrig.recordings.calibration.figures import plot_calibration
 
         return figure_of(plot_calibration(self, turns, ax=ax))

@@ -157,7 +157,7 @@ class Delay:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of impulse response and losses: see `armrig.plots.plot_delay`."""
-        from armrig.canvas import figure_of
+        from armrig.plots.layout import figure_of
         from armrig.validation.feedback_and_delay.figures import plot_delay
 
         return figure_of(plot_delay(self, ax=ax))

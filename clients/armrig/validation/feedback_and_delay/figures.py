@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.canvas import BLUE, GREY, INK, NAMES, VERMILION, axes, finish, legend, panels, sign
 from armrig.numerics.quantities import NBSP, p_relation
+from armrig.plots.captions import NAMES, legend, sign
+from armrig.plots.colours import BLUE, GREY, INK, VERMILION
+from armrig.plots.layout import axes, finish, panels
 from armrig.validation.residual_figure import BAND_99_PERCENT
 
 if TYPE_CHECKING:

@@ -118,7 +118,7 @@ class OpenLoop:
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of how y regresses on u: see `armrig.plots.plot_open_loop`."""
-        from armrig.canvas import figure_of
+        from armrig.plots.layout import figure_of
         from armrig.validation.feedback_and_delay.figures import plot_open_loop
 
         return figure_of(plot_open_loop(self, ax=ax))

@@ -5,9 +5,9 @@ from __future__ import annotations
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
-from armrig.canvas.colours import INK, ORANGE
-from armrig.canvas.notebook import show_once
 from armrig.numerics.stretches import stretches
+from armrig.plots.colours import INK, ORANGE
+from armrig.plots.notebook import show_once
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY
 
-from armrig.canvas.colours import GREY
 from armrig.numerics.quantities import three_digits
+from armrig.plots.colours import GREY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

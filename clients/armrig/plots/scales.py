@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import tau
 from typing import TYPE_CHECKING, Any
 
-from armrig.canvas.colours import GREY
+from armrig.plots.colours import GREY
 
 if TYPE_CHECKING:
     import numpy as np
