@@ -79,9 +79,21 @@ class Device(Table, frozen=True, kw_only=True):
 
     Where nobody says it, `run --emulate` has the longest.
     """
+    oversampling: int = 1
+    """Conversions averaged in one reading of each channel, 1 to 255; all must fit into Ts."""
+    rail_ticks: int = 0
+    """Samples in a row at a rail after which a run is stopped, 0 to 65535; 0 is no guard."""
 
     def __post_init__(self) -> None:
-        """Refuse a port that would act on terminals that show it, and a path of no socket."""
+        """Refuse a port that acts on terminals or is no socket's, and what the wire cannot say."""
+        if not 1 <= self.oversampling <= 255:
+            raise InputError(
+                f"oversampling = {self.oversampling} must be 1 to 255; 1 is a single conversion"
+            )
+        if not 0 <= self.rail_ticks <= 65535:
+            raise InputError(
+                f"rail_ticks = {self.rail_ticks} must be 0 to 65535; give 0 to have no guard"
+            )
         if not self.port.isprintable():
             raise InputError(f"port = '{printable(self.port)}' must be of characters that print")
         socket_path(self.port)
@@ -286,7 +298,8 @@ class Config(Table, frozen=True, kw_only=True):
             baud=self.device.baud,
             stop_after=self.timing.stop_after,
             turns=round(limits.revolutions * 100),
-            rail_ticks=0,
+            rail_ticks=self.device.rail_ticks,
+            oversampling=self.device.oversampling,
             calibration=msgspec.structs.replace(self.calibration, made=None),
         )
 
@@ -338,7 +351,7 @@ def load(
     tables = _merged(tables, overrides)
     config = _check(tables, ", ".join(map(str, paths)) or "configuration")
     try:
-        check(config.ts_us, config.device.baud)
+        check(config.ts_us, config.device.baud, oversampling=config.device.oversampling)
     except ValueError as err:
         raise InputError(f"[timing] {err}") from err
     return config

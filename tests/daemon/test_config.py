@@ -53,6 +53,21 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[limits]\nrevolutions = 656", r"limits\.revolutions = 656: expected `float` <= 655"),
         ("[limits]\nalpha_rad = -0.1", r"limits\.alpha_rad = -0\.1: expected `float` >= 0"),
         ("[limits]\nalpha_rad = true", r"limits\.alpha_rad = True: expected `float`, got `bool`"),
+        (
+            "[device]\noversampling = 0",
+            r"device: oversampling = 0 must be 1 to 255; 1 is a single conversion",
+        ),
+        ("[device]\noversampling = 256", r"device: oversampling = 256 must be 1 to 255"),
+        (
+            "[device]\nrail_ticks = -1",
+            r"device: rail_ticks = -1 must be 0 to 65535; give 0 to have no guard",
+        ),
+        ("[device]\nrail_ticks = 65536", r"device: rail_ticks = 65536 must be 0 to 65535"),
+        (
+            "[timing]\nTs = 0.004\n[device]\noversampling = 16",
+            r"exchange mode with \[device\] oversampling = 16: at least 0\.004368 s, or a higher "
+            "baud rate, or less oversampling$",
+        ),
         ("[motor]\nrest_v = 2.5", r"motor: rest_v = 2\.5 must be 0: every stop .* is 0 V"),
         ("[motor]\nenable_line = true", r"motor\.enable_line = True: no such key; allowed are"),
         ("[arm]\nJ_1 = 0", r"arm\.J_1 = 0: expected `float` > 0"),
@@ -161,6 +176,14 @@ def test_the_rig_that_runs_are_rehearsed_on_is_the_handout_s_but_for_what_is_giv
     assert config.arm.removed
 
 
+@pytest.mark.parametrize("key", ["oversampling = 255", "rail_ticks = 65535"])
+def test_what_config_can_say_is_taken(tmp_path: Path, key: str) -> None:
+    """The ends of the fields on the wire; 255 conversions take 53 ms."""
+    device = _load(tmp_path, f"[timing]\nTs = 0.1\n[device]\n{key}").device
+
+    assert f"{key.split()[0]}={key.split()[2]}" in repr(device)
+
+
 def test_the_rules_of_the_core_are_the_configuration_s() -> None:
     """Volts as codes; no slew limit is 0."""
     rules = Config().rules()
@@ -174,7 +197,7 @@ def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
     rules = _load(
         tmp_path,
         "[timing]\nTs = 0.02\nstop_after = 3\n"
-        "[device]\nbaud = 115200\nwatchdog_ms = 60\n"
+        "[device]\nbaud = 115200\nwatchdog_ms = 60\noversampling = 4\nrail_ticks = 30\n"
         "[limits]\nu_min_v = 0.5\nu_max_v = 4.0\nslew_v = 2.0\nrevolutions = 1.25\n"
         "[calibration.theta_1]\nzero_counts = 7.5\n",
     ).rules()
@@ -188,7 +211,8 @@ def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
         baud=115_200,
         stop_after=3,
         turns=125,
-        rail_ticks=0,
+        rail_ticks=30,
+        oversampling=4,
         calibration=Calibration(theta_1=Potentiometer(zero_counts=7.5)),
     )
 

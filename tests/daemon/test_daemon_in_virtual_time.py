@@ -842,3 +842,28 @@ def test_a_limit_of_the_configuration_reaches_the_device() -> None:
 
     assert config is not None
     assert (config.u_max, config.watchdog_ms, config.turns) == (code_of(2.0), 50, 150)
+
+
+@pytest.mark.parametrize("scheduled", [False, True])
+@pytest.mark.parametrize(("rail_ticks", "trips"), [(0, False), (14, True), (17, False)])
+def test_a_rail_guard_shorter_than_the_dead_band_stops_the_run_in_it(
+    rail_ticks: int, trips: bool, scheduled: bool
+) -> None:
+    """At 1 rad/s its 8 degrees last 14 samples, with a rail on either side 15 or 16; 0 is off."""
+    bench = Bench(Config(device=Device(rail_ticks=rail_ticks)), theta_1_zero_deg=310.0)
+    bench.arm()
+
+    said: list[bytes] = []
+    bench.ports.from_device = lambda data: said.append(data) or data
+    turning = {"codes": codes(*[0.537] * 120), "scheduled": scheduled}
+    bench.ask(pipe.Run, lease=LEASE, n=0, run_id="r", **turning)
+    bench.run_for(1300)
+
+    frames = feed(b"", b"".join(said))[1]
+    stops = [i for i, m in enumerate(frames) if getattr(m, "cause", 0) == Cause.ADC_RAIL]
+    until = frames[: stops[0] if stops else len(frames)]
+    railed = [m for m in until if isinstance(m, DeviceSample) and m.flags & Flag.ADC0_RAIL]
+    assert (bench.phase is Phase.FAULT, bool(stops), bench.volts) == (trips, trips, 0.0)
+    assert (bench.of(RunEnded)[0].outcome == "complete") == (not trips)
+    assert [m.k for m in railed] == [*range(railed[0].k, railed[-1].k + 1)]
+    assert len(railed) in ((rail_ticks,) if trips else (15, 16))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Message, Ping, Pong
 from armrig_protocol.messages import Sample as DeviceSample
+from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon.decisions import clockmap
@@ -22,15 +23,28 @@ def by_pong(state: State, now_ns: int, pong: Pong) -> State:
 def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
     """Return the state after a SAMPLE that answers an EXCHANGE.
 
-    The request had come `skew_us` before theta_1's trigger, where alpha was triggered; the answer
-    began to leave one conversion after it.
+    The request had come when alpha was first triggered, with oversampling m 2 m - 1 conversions
+    before `t_us`, the last trigger of theta_1; the answer began to leave one conversion after it.
     """
     device, clock = state.device, state.clock
     if device is None or clock is None or now_ns - clock.compared_ns < PING_US * 1000:
         return state
-    rx_us, tx_us = (m.t_us - device.skew_us) & 0xFFFFFFFF, (m.t_us + device.skew_us) & 0xFFFFFFFF
+    before_us = (2 * _oversampling(state, sent, m) - 1) * device.skew_us
+    rx_us, tx_us = (m.t_us - before_us) & 0xFFFFFFFF, (m.t_us + device.skew_us) & 0xFFFFFFFF
     ways = (Exchange, DeviceSample)
     return _compared(state, clock, ways, sent.sent_ns, rx_us, tx_us, now_ns)
+
+
+def _oversampling(state: State, sent: Sent, m: DeviceSample) -> int:
+    """Return how many conversions of each channel a reading is made of, and 1 where that is open.
+
+    Too few make a round trip that looks long, and counts for little; too many one that looks
+    shorter than any, and would lead.
+    """
+    in_force = state.configuration
+    if m.state == DeviceState.IDLE or in_force is None or sent.sent_ns < in_force.asked_ns:
+        return 1
+    return state.rules.oversampling
 
 
 def _compared(

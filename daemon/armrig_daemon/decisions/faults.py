@@ -73,7 +73,7 @@ OF_DEVICE: dict[int, str] = {
     Cause.WATCHDOG: "it heard nothing from this host in time",
     Cause.RANGE: "a voltage was outside its limits",
     Cause.SLEW: "the voltage changed by more than limits.slew_v in a sample",
-    Cause.ADC_RAIL: "a potentiometer was out of its range for too long",
+    Cause.ADC_RAIL: "a potentiometer was at a rail for device.rail_ticks samples",
     Cause.REV_LIMIT: "the chassis reached limits.revolutions",
     Cause.UNDERRUN: "its queue of setpoints ran dry",
     Cause.VCC_LOW: "its supply is too low",

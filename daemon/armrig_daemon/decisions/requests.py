@@ -182,7 +182,7 @@ def config(rules: Rules, ts_us: int, seq: int, *, scheduled: bool) -> Config:
         mode=Mode.SCHEDULED if scheduled else Mode.EXCHANGE,
         underrun=Underrun.ZERO,
         hold=0,
-        oversampling=1,
+        oversampling=rules.oversampling,
         rail_ticks=rules.rail_ticks,
         turns=rules.turns,
     )

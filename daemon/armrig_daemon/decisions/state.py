@@ -60,7 +60,9 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     turns: int
     """Turns of theta_1 allowed in a run, in turns/100; 0 is no limit."""
     rail_ticks: int
-    """Samples in a row at a rail allowed in a run; 0 is no limit."""
+    """Samples in a row at a rail that are FAULT(ADC_RAIL) in a run; 0 is no limit."""
+    oversampling: int = 1
+    """Conversions averaged in one reading of each channel; a trace without it has 1."""
     calibration: Calibration
     service_ns: int = 0
     """Silence of the service after which the motor is stopped; 0 where there is none to watch."""
@@ -232,6 +234,8 @@ class Configuration(msgspec.Struct, frozen=True, gc=False):
     config_crc: int
     nonce: int
     """What ARM and START carry."""
+    asked_ns: int = 0
+    """When its CONFIG was sent."""
 
 
 class Clock(msgspec.Struct, frozen=True, gc=False):

@@ -328,6 +328,11 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
         return state, []
     if reply.code != Code.OK:
         error = f"the device refuses the configuration: {name_of(reply.code)}"
+        if state.rules.oversampling > 1:
+            error += (
+                f"; it may not have [device] oversampling = {state.rules.oversampling}, or not at "
+                f"Ts={asked.ts_us / 1e6:g} s: lower it, or sample slower"
+            )
         return give_up(state, now_ns, error)
     wanted = config(state.rules, asked.ts_us, 0, scheduled=asked.scheduled)
     if reply.config_crc != config_crc(wanted):
@@ -339,7 +344,9 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     arms = isinstance(asked.order, Arm | Run)
     # The pace begins anew here: the ticks before it say nothing of the new period. Which of our
     # frames it answers it does not say, so that it proves no round trip to who wants to drive.
-    accepted = Configuration(asked.ts_us, asked.scheduled, reply.config_crc, reply.nonce)
+    accepted = Configuration(
+        asked.ts_us, asked.scheduled, reply.config_crc, reply.nonce, asked.sent_ns
+    )
     proven = {} if arms else {"fresh_ns": asked.sent_ns}
     state = replace(
         linked(state, beats=(), **proven),
@@ -372,15 +379,17 @@ def begin_arming(state: State, now_ns: int, order: Arm) -> Step:
     if device is None:
         return state, refuse(order, NO_DEVICE, RefusalCode.NO_DEVICE)
     scheduled = bool(device.capabilities & Capability.SCHEDULED)
+    baud, m = state.rules.baud, state.rules.oversampling
     try:
-        check(ts_us, state.rules.baud, device.skew_us, scheduled=scheduled)
+        check(ts_us, baud, device.skew_us, scheduled=scheduled, oversampling=m)
     except ValueError as err:
         return state, refuse(order, str(err))
-    if ts_us < device.ts_min_us:
+    least_us = device.ts_min_us + 2 * (m - 1) * device.skew_us
+    if ts_us < least_us:
         error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"
-        return state, refuse(order, f"{error} {device.ts_min_us / 1e6:g} s")
+        return state, refuse(order, f"{error} {least_us / 1e6:g} s")
     # Until a run begins the host paces, as fast as the wire allows it.
-    fits = ts_us >= exchange_us(state.rules.baud, device.skew_us)
+    fits = ts_us >= exchange_us(baud, device.skew_us, m)
     paced_us = ts_us if fits else state.rules.ts_us
     return ask(state, now_ns, Want.CONFIGURE, order, ts_us=paced_us)
 

@@ -300,7 +300,8 @@ class Commands:
             return 0
         if round(Ts * 1e6, 3) % 1:
             raise InputError(f"Ts={Ts} must be a whole number of microseconds")
-        check(round(Ts * 1e6), self._config.device.baud, scheduled=True)
+        device = self._config.device
+        check(round(Ts * 1e6), device.baud, scheduled=True, oversampling=device.oversampling)
         return round(Ts * 1e6)
 
     def _order(

@@ -41,6 +41,16 @@ def test_no_baud_rate_outruns_the_converter() -> None:
     assert scheduled_us(100_000_000) == 208
 
 
+@pytest.mark.parametrize("scheduled", [False, True])
+def test_each_conversion_of_an_oversampled_reading_takes_its_time(scheduled: bool) -> None:
+    """Of each channel; in exchange mode request and answer come on top."""
+    least_us = 32 * 104 + (0 if scheduled else 1040)
+
+    check(least_us, 500_000, scheduled=scheduled, oversampling=16)
+    with pytest.raises(ValueError, match=f"oversampling = 16: at least {least_us / 1e6:g} s"):
+        check(least_us - 1, 500_000, scheduled=scheduled, oversampling=16)
+
+
 def test_what_does_not_fit_is_refused_with_the_way_out() -> None:
     """1 kHz at 500 kbaud does not fit."""
     with pytest.raises(ValueError, match=r"Ts=0.001 s .* at least 0.001248 s, or a higher baud"):

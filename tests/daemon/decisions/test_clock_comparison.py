@@ -6,6 +6,7 @@ from math import isnan
 
 import pytest
 from armrig_core.volts import volts_of
+from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions import clock_comparison, clockmap
 from armrig_daemon.decisions.budget import PING_US
 from armrig_daemon.decisions.clockmap import ClockMap
@@ -14,7 +15,9 @@ from armrig_daemon.decisions.state import Sent, State
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Flag, Ping, Pong
 from armrig_protocol.messages import Sample as DeviceSample
+from armrig_protocol.messages import State as DeviceState
 from decision_states import changed, device_sample, rested
+from virtual_bench import Bench
 
 NOW = 9_000_000_000
 WRAP = 1 << 32
@@ -58,6 +61,41 @@ def test_a_sample_was_asked_for_one_conversion_before_its_trigger(
     h1, h4 = sent.sent_ns + _on_the_wire_ns(Exchange), NOW - _on_the_wire_ns(DeviceSample)
     assert after.clock.map == clockmap.update(ClockMap(), h1, rx, tx, h4)
     assert after.clock.device_us == tx
+
+
+@pytest.mark.parametrize(
+    ("reported", "asked_ns", "pairs"),
+    [
+        (DeviceState.READY, NOW - 3_000_000, 8),
+        (DeviceState.RUN, NOW - 2_000_000, 8),
+        (DeviceState.READY, NOW - 1_999_999, 1),
+        (DeviceState.IDLE, NOW - 3_000_000, 1),
+        (DeviceState.READY, None, 1),
+    ],
+)
+def test_an_oversampled_sample_was_asked_for_before_all_its_conversions(
+    reported: int, asked_ns: int | None, pairs: int
+) -> None:
+    """Where the configuration was surely in force then: a round trip never looks too short."""
+    state = _fresh(**({"configuration": None} if asked_ns is None else {"asked_ns": asked_ns}))
+    state = changed(state, rules=changed(state.rules, oversampling=8))
+    sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
+
+    taken = device_sample(state, t_us=5001)._replace(state=reported)
+    after = clock_comparison.by_sample(state, NOW, sent, taken)
+
+    h1, h4 = sent.sent_ns + _on_the_wire_ns(Exchange), NOW - _on_the_wire_ns(DeviceSample)
+    rx = 5001 - (2 * pairs - 1) * 104
+    assert after.clock.map == clockmap.update(ClockMap(), h1, rx, 5105, h4)
+
+
+def test_oversampling_does_not_shift_the_clocks_against_each_other() -> None:
+    """In virtual time the device's clock is the host's."""
+    bench = Bench(Config(device=Device(oversampling=8)))
+
+    found = clockmap.estimate(bench.loop.state.clock.map)
+
+    assert abs(found.offset_ns) < 10_000
 
 
 def test_the_device_s_clock_is_followed_through_its_wraps() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 from armrig_daemon import pipe
+from armrig_daemon.config import Config as Configured
 from armrig_daemon.decisions import transitions
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import NO_DEVICE, config
@@ -559,7 +560,7 @@ def test_the_device_is_asked_for_the_rules(scheduled: bool) -> None:
     rules = changed(
         rested().loop.state.rules, code_min=9, code_max=60_000, slew=5, watchdog_ms=60, turns=7
     )
-    rules = changed(rules, rail_ticks=8)
+    rules = changed(rules, rail_ticks=8, oversampling=4)
 
     assert config(rules, 2_000, 33, scheduled=scheduled) == Config(
         state=0,
@@ -573,9 +574,50 @@ def test_the_device_is_asked_for_the_rules(scheduled: bool) -> None:
         mode=Mode.SCHEDULED if scheduled else Mode.EXCHANGE,
         underrun=Underrun.ZERO,
         hold=0,
-        oversampling=1,
+        oversampling=4,
         rail_ticks=8,
         turns=7,
+    )
+
+
+@pytest.mark.parametrize(
+    ("scheduled", "frame"),
+    [
+        (False, "0202022103102701010103ffff010101026401010102010101010526dac36600"),
+        (True, "0202022103102701010103ffff0101010264020101020101010105b8da69aa00"),
+    ],
+)
+def test_a_configuration_without_keys_asks_the_device_for_what_it_always_did(
+    scheduled: bool, frame: str
+) -> None:
+    """Byte for byte: CONFIG alone carries the keys of [device] and [limits]."""
+    default = config(Configured().rules(), 10_000, 33, scheduled=scheduled)
+
+    assert encode(default).hex() == frame
+
+
+def test_an_accepted_configuration_is_known_with_when_it_was_asked_for() -> None:
+    """A sample that was asked for before it may have had another one, or none."""
+    bench = rested()
+    state = awaiting(bench.loop.state, Want.CONFIGURE, ts_us=10_000, sent_ns=bench.ports.now - 7)
+
+    decided = heard(bench, _reply(state), state)
+
+    assert decided.state.configuration.asked_ns == bench.ports.now - 7
+
+
+def test_a_device_that_refuses_an_oversampling_is_told_with_what_to_do() -> None:
+    """It does not say which of the keys it was."""
+    bench = rested()
+    rules = changed(bench.loop.state.rules, oversampling=16)
+    state = awaiting(changed(bench.loop.state, rules=rules), Want.CONFIGURE, ARM, ts_us=10_000)
+
+    decided = heard(bench, _reply(state, code=int(Code.UNSUPPORTED)), state)
+
+    (answer,) = decided.told(Answer)
+    assert answer.error == (
+        "the device refuses the configuration: UNSUPPORTED; it may not have [device] "
+        "oversampling = 16, or not at Ts=0.01 s: lower it, or sample slower"
     )
 
 
@@ -734,6 +776,25 @@ def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
 
     assert refusal.error == "Ts=0.014999 s is too short for the device: at least 0.015 s"
     assert [type(m) for m in allowed.sent] == [Config]
+
+
+def test_a_sampling_time_that_holds_no_oversampled_reading_is_refused() -> None:
+    """By the device's own figures; exactly the shortest is armed."""
+    bench = rested()
+    state, device = bench.loop.state, bench.loop.state.device
+    assert device is not None
+    rules = changed(state.rules, oversampling=4)
+    slow = changed(state, rules=rules, device=device._replace(ts_min_us=15_000))
+
+    (refusal,) = ordered(bench, changed(ARM, ts_us=15_623), slow).told(Answer)
+    allowed = ordered(bench, changed(ARM, ts_us=15_624), slow)
+    (unpaced,) = ordered(bench, changed(ARM, ts_us=831), changed(state, rules=rules)).told(Answer)
+    (by_host,) = ordered(bench, changed(ARM, ts_us=1871), changed(state, rules=rules)).sent
+
+    assert refusal.error == "Ts=0.015623 s is too short for the device: at least 0.015624 s"
+    assert [type(m) for m in allowed.sent] == [Config]
+    assert "scheduled mode with [device] oversampling = 4: at least 0.000832 s" in unpaced.error
+    assert by_host.ts_us == rules.ts_us  # until the run, exchange mode: 1872 us
 
 
 def test_the_owner_is_granted_what_he_may_do() -> None:

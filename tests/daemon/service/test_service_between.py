@@ -241,6 +241,18 @@ def test_a_sampling_time_that_the_wire_cannot_carry_is_not_armed_with(between: B
     assert between.commands._ts_us(0.005) == 5000
 
 
+def test_a_sampling_time_that_holds_no_oversampled_reading_is_not_armed_with(
+    between: Between,
+) -> None:
+    """Before the loop is asked, which knows the device's own figures."""
+    config = between.commands._config
+    device = msgspec.structs.replace(config.device, oversampling=30)
+    between.commands._config = msgspec.structs.replace(config, device=device)
+
+    with pytest.raises(ValueError, match=r"oversampling = 30: at least 0\.00624 s"):
+        between.commands._ts_us(0.005)
+
+
 def test_a_command_too_many_is_refused_at_once(between: Between) -> None:
     """R1: what waits is bounded, and nobody waits in silence."""
     for _ in range(publish.MOST_WAITING):
