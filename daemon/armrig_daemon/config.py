@@ -146,12 +146,12 @@ class Limits(Table, frozen=True, kw_only=True):
 class Motor(Table, frozen=True, kw_only=True):
     """`[motor]`: the driver of the motor."""
 
-    rest_v: float = 0.0
-    """Voltage at which the motor's driver stands still, in V; only 0 is allowed."""
+    rest_v: float | None = None
+    """Means nothing: every stop is 0 V. 0 is accepted with a line; another value is refused."""
 
     def __post_init__(self) -> None:
         """Refuse what a stop of ours would not be."""
-        if self.rest_v != 0:
+        if self.rest_v:
             raise InputError(
                 f"rest_v = {self.rest_v} must be 0: every stop of this daemon is 0 V; it cannot "
                 "drive a rig whose driver stands still at another voltage"

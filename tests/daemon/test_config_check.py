@@ -47,6 +47,19 @@ def test_a_file_that_the_daemon_takes_is_told_in_one_line(tmp_path: Path) -> Non
     assert said.count("\n") == 1
 
 
+@pytest.mark.parametrize(("text", "notes"), [("rest_v = 0.0", 1), ("rest_v = 0", 1), ("", 0)])
+def test_a_rest_voltage_of_0_is_taken_and_said_to_mean_nothing(
+    tmp_path: Path, text: str, notes: int
+) -> None:
+    """In the line of the daemon's start, too; a file without it is told nothing."""
+    file = tmp_path / "new.toml"
+    file.write_text(f"[motor]\n{text}\n")
+
+    code, said = _armrigd("config", "--check", file)
+
+    assert (code, said.count("motor.rest_v = 0 means nothing: remove it")) == (0, notes)
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [

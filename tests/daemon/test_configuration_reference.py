@@ -55,8 +55,8 @@ def test_the_example_as_it_is_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_the_values_of_the_example_are_the_defaults(tmp_path: Path) -> None:
-    """With every # taken away: a core to stay on has none, and a file excludes its tables."""
-    config = _with_all_keys(tmp_path, "file", "cpu")
+    """With every # taken away: two keys have none, and a file excludes its tables."""
+    config = _with_all_keys(tmp_path, "file", "cpu", "rest_v")
 
     assert config.arm.parameters() == Config().arm.parameters()
     assert config.emulator.arm_parameters() == EmulatorSettings().arm_parameters()

@@ -28,10 +28,11 @@ def served(config: Config, ended_by: str = "Ctrl-C") -> str:
 
 
 def line_and_limits(config: Config) -> str:
-    """Return the line to the device, and the voltages that a command may ask for."""
+    """Return the line to the device, the voltages of commands, and a key that means nothing."""
     device, limits = config.device, config.limits
     volts = f"{limits.u_min_v:g} to {limits.u_max_v:g} V"
-    return f"port {device.port} at {device.baud} baud, {volts}"
+    rest = "" if config.motor.rest_v is None else "; motor.rest_v = 0 means nothing: remove it"
+    return f"port {device.port} at {device.baud} baud, {volts}{rest}"
 
 
 def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:
