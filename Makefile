@@ -39,6 +39,7 @@ check: .venv/dev
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python tests/rooms.py
+	$(BIN)/python tests/words.py
 
 # Every branch of the core and of the device's state machine; what adds nothing to that is left out.
 coverage: .venv/dev
