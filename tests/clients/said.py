@@ -32,7 +32,7 @@ _TINY = 1e-9  # two numbers that are smaller are rounding
 _NUMBER = re.compile(r" *(?<![\w.])[-+−]?\d+(?:\.\d+)*(?:e[-+]?\d+)? *")
 _SHOWN, _ITEMS, _LINES = ("  ", "! ", "+ ", "exit "), 8, 40
 _OTHERS = (  # of another machine, another day, another version of zstd
-    (re.compile(r"(?<![\w.])(?=\w*[a-f])[0-9a-f]{12,64}(?![\w-]|\.\w)"), "HASH"),
+    (re.compile(r"(?<![\w.])(?:[0-9a-f]{12}|(?=\w*[a-f])[0-9a-f]{13,64})(?![\w-]|\.\w)"), "HASH"),
     (re.compile(r"━ 100% \d\d:\d\d"), "━ 100%"),
     (re.compile(r"(bytes|_offset_ns|modified_ns): \d+"), r"\1: …"),
     (re.compile(r"\b20[2-9]\d-\d\d-\d\d([T ]\d\d:\d\d[\d:.]*(Z|[-+]\d\d:\d\d)?)?"), "DATE"),

@@ -19,7 +19,7 @@ from armrig.report.batch.progress import OTHER, SUFFIX
 from armrig.report.batch.rows import Row
 from armrig.report.batch.tasks import Task, Validate, digest, name_of, sha256
 
-KEY = b"armrig.report.batch"
+KEY = b"armrig.batch"
 """Of the table's metadata, where its header stands."""
 
 

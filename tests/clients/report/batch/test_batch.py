@@ -156,7 +156,7 @@ def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path)
 def test_a_table_says_how_it_was_made(identified: Path) -> None:
     """Task, options and versions; no time of day, so that the same makes the same bytes."""
     header = json.loads(
-        pyarrow_parquet.read_table(str(identified)).schema.metadata[b"armrig.report.batch"]
+        pyarrow_parquet.read_table(str(identified)).schema.metadata[b"armrig.batch"]
     )
     assert header["task"] == "identify"
     assert json.loads(header["options"])["orders"] == {"na": 4, "nb": 4}
