@@ -67,7 +67,7 @@ ROWS: dict[str, Row] = {
     ),
     "kill service": Row(
         "`kill -9` of the service",
-        "the loop: the kernel tells it, and its pipes end",
+        "the loop: the kernel signals it, and its pipes end",
         "the loop's tick, 10 ms",
         _signal(signal.SIGKILL),
         leaves_file=True,
@@ -89,14 +89,14 @@ ROWS: dict[str, Row] = {
         most=5,
     ),
     "kill who holds by hand": Row(
-        "`kill -9` of who holds a voltage by hand",
+        "`kill -9` of the client that holds a voltage by hand",
         "the core: the lease (100 ms)",
         "210 ms",
         lambda s: os.kill(s.client.pid, signal.SIGKILL),
         "hand",
     ),
     "freeze who holds by hand": Row(
-        "SIGSTOP of who holds a voltage by hand",
+        "SIGSTOP of the client that holds a voltage by hand",
         "the core: the lease",
         "210 ms",
         Stand.freeze_client,
@@ -119,7 +119,7 @@ ROWS: dict[str, Row] = {
     "disk full": Row(
         "disk full",
         "the service: its writer flushes at 10 Hz",
-        "none: the input is still the one asked for",
+        "none: the input is still the requested input",
         Stand.fill_disk,
     ),
     "recordings moved": Row(

@@ -158,7 +158,7 @@ def tables(names: list[str], columns: list[dict[str, list[Result]]]) -> Iterator
         fewer = f" (n = {len(columns[0][name])})" if len(columns[0][name]) == row.most else ""
         yield f"| {row.what}{fewer} | {row.who} | {row.bound} | {values} |"
     yield ""
-    yield f"| beside that | bound | {heads} |"
+    yield f"| other times | bound | {heads} |"
     yield "|---" * 6 + "|"
     for name in names:
         row = ROWS[name]
