@@ -63,6 +63,7 @@ ALLOWED = {
     ("clients/armrig/lab/host.py", r"^flags\s*:.*\bhypervisor\b"): _OTHERS,
     ("clients/armrig/lab/router.py", r"os error (\d+)"): _OTHERS,
     ("daemon/armrig_core/version_1.py", ": try again"): _OLD,
+    ("daemon/armrig_core/version_1.py", "stopped by "): _OLD,
     ("daemon/armrig_core/emulator_stall.py", r"emulator held up (\d+) ms"): _OLD,
     ("daemon/armrig_daemon/config.py", r"(?:{}) \(at line (\d+)"): _OTHERS,
     ("daemon/armrig_daemon/loop/link.py", "inappropriate ioctl"): _OTHERS,
