@@ -38,11 +38,11 @@ from armrig.numerics.confidence_regions import (
     linearised_band,
     linearised_region,
     regions,
+    root_draws,
     sampled_band,
     sampled_region,
 )
 from armrig.numerics.polynomial import evaluate, filtered
-from armrig.numerics.root_draws import root_draws
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 

@@ -15,7 +15,7 @@ from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
 from armrig.models.fit import Fit
 from armrig.numerics.checks import require_integers
-from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import column_norms, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected

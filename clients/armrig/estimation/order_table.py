@@ -25,10 +25,9 @@ from armrig.numerics.criteria import (
     simplest_as_good,
     standard_error,
 )
-from armrig.numerics.least_squares import column_norms
+from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.polynomial import Array
 from armrig.numerics.regressors import arx_rows, in_blocks
-from armrig.numerics.triangular import triangle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,8 +11,7 @@ from armrig.models.innovations import Errors, Experiment, LinearPart, errors, re
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import MOST_STEPS, Optimum, levenberg_marquardt
-from armrig.numerics.polynomial import Array, stable
-from armrig.numerics.unit_circle import drawn_to_edge, outward_normals
+from armrig.numerics.polynomial import Array, drawn_to_edge, outward_normals, stable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

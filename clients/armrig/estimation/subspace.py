@@ -29,10 +29,9 @@ from scipy.linalg.lapack import dggev
 from armrig.models.structure_table import Weights
 from armrig.numerics.criteria import aic, mdl
 from armrig.numerics.gram import cholesky_factor, gram_of_windows
-from armrig.numerics.least_squares import least_squares, without_span
+from armrig.numerics.least_squares import least_squares, triangle, without_span
 from armrig.numerics.polynomial import Array
 from armrig.numerics.stretches import stretches
-from armrig.numerics.triangular import triangle
 
 Integers = NDArray[np.int_]
 _BLOCK = 1024  # rows decomposed at once

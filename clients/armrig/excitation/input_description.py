@@ -10,9 +10,9 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.numerics.checks import column
+from armrig.numerics.least_squares import triangle
 from armrig.numerics.power_spectrum import power_spectrum
 from armrig.numerics.regressors import in_blocks
-from armrig.numerics.triangular import triangle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

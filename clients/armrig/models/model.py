@@ -12,8 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.models.responses import FrequencyResponse, Roots, StepResponse
 from armrig.models.structure_table import named
 from armrig.numerics.checks import column, require_integers
-from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
-from armrig.numerics.sensitivity import by_denominator, by_numerator
+from armrig.numerics.polynomial import (
+    by_denominator,
+    by_numerator,
+    evaluate,
+    filtered,
+    roots,
+    without_integrator,
+)
 
 if TYPE_CHECKING:
     import control

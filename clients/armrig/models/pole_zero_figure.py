@@ -11,8 +11,7 @@ from armrig.models.cancellation import overlapping
 from armrig.models.labels import Labels, labels_of, left_out, sources_of
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.uncertainty import pole_regions, zero_regions
-from armrig.numerics.confidence_regions import Region
-from armrig.numerics.root_draws import HighestDensityRegion
+from armrig.numerics.confidence_regions import HighestDensityRegion, Region
 from armrig.plots.captions import legend, sign
 from armrig.plots.colours import GREY, INK, pens
 from armrig.plots.layout import axes, finish

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.data.treatment.rate import rate_name
+from armrig.data.treatment.integrating import rate_name
 from armrig.numerics.polynomial import summation
 
 if TYPE_CHECKING:

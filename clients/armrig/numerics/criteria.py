@@ -79,3 +79,14 @@ def simplest_as_good(excess: Array, std: Array, parameters: ArrayLike) -> int:
     d = np.asarray(parameters)
     as_good = np.flatnonzero(excess <= std).tolist()
     return int(min(as_good, key=lambda i: (d[i], excess[i])))
+
+
+# The one measure of fit that all of the package quotes.
+
+
+def fit_percent(y: Array, sse: float) -> float:
+    """Return 100 (1 - |y - ŷ| / |y - mean y|) for the squared error sse = |y - ŷ|²."""
+    spread = float(np.linalg.norm(y - np.mean(y))) if y.size else 0.0
+    if not np.isfinite(sse):
+        return -np.inf
+    return 100 * (1 - float(np.sqrt(sse)) / spread) if spread > 0 else float("nan")

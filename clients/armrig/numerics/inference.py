@@ -23,7 +23,7 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.numerics.covariance import correlated_score, exogenous_score
-from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.criteria import fit_percent
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import (

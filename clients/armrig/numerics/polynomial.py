@@ -1,4 +1,15 @@
-"""Polynomials in q^-1: coefficient k stands beside q^-k, so [1, -0.5] is 1 - 0.5 q^-1."""
+"""Polynomials in q^-1: coefficient k stands beside q^-k, so [1, -0.5] is 1 - 0.5 q^-1.
+
+Derivatives of a filtered signal with respect to the filter's coefficients.
+
+With y = B/P u the derivatives are again filtered signals, one filter and then shifts::
+
+    dy/db_k = q^-k u / P,    dy/dp_k = -q^-k y / P
+
+References
+----------
+.. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 10.3.
+"""
 
 from __future__ import annotations
 
@@ -90,3 +101,60 @@ def with_roots_inside(z: Array, radius: float = 0.999) -> Array:
     inside = np.where(magnitude > 1.0, 1.0 / np.maximum(magnitude, 1.0), magnitude)
     shrink = np.minimum(inside, radius) / np.where(magnitude > 0, magnitude, 1.0)
     return np.real(np.poly(np.where(magnitude >= 1.0 - _BESIDE, z * shrink, z)))
+
+
+# Polynomials whose roots may reach the unit circle and not cross it.
+
+
+EDGE = 1 - 1e-7  # modulus that no root exceeds; a double root is computed so far off
+_ROUNDING = 1e-9
+_LEFT = 0.1  # share of the way to the circle that a step leaves
+_APART = 1e-3  # angle of two roots that reach the same point of the real axis
+
+
+def drawn_to_edge(p: Array, previous: Array) -> Array:
+    """Return p with each root outside the unit circle moved along its radius into it.
+
+    At most nine tenths of the way from the outermost root of the polynomial before to the circle
+    are gone at once: a single step to the edge often ends in a poor minimum there. Two real roots
+    at the edge become a pair: two real ones could not leave each other along the circle.
+    """
+    z = roots(p)
+    size = np.abs(z)
+    if not z.size or size.max() <= EDGE:
+        return p
+    farthest = min(EDGE, 1 - _LEFT * (1 - np.abs(roots(previous)).max()))
+    z = z * np.minimum(1.0, farthest / np.maximum(size, farthest))
+    for side in (1, -1):
+        at = np.flatnonzero((z.imag == 0) & (side * z.real >= EDGE - _ROUNDING))
+        if at.size >= 2:
+            z = z.astype(np.complex128)
+            z[at[:2]] = side * EDGE * np.exp([1j * _APART, -1j * _APART])
+    return np.real(np.poly(z))
+
+
+def outward_normals(p: Array) -> Array:
+    """Return for each root at the edge the unit gradient of its modulus by p's coefficients.
+
+    From p(r) = 0 follows dr = -sum_k r^(n - k) dp_k / p'(r); the modulus grows by its part along r.
+    Of a pair one is enough. Shape (k, n) for n coefficients after the leading one.
+    """
+    z = roots(p)
+    n = z.size
+    rows = []
+    for i in np.flatnonzero((np.abs(z) >= EDGE - _ROUNDING) & (z.imag >= 0)):
+        slope = np.prod(z[i] - np.delete(z, i))
+        if slope != 0:
+            row = -np.real(np.conj(z[i]) * z[i] ** np.arange(n - 1, -1, -1) / slope)
+            rows.append(row / np.linalg.norm(row))
+    return np.array(rows).reshape(len(rows), n)
+
+
+def by_numerator(u: Array, P: Array, lags: Sequence[int]) -> Array:
+    """Return (N, len(lags)), the derivatives of B/P u by the coefficients of B at `lags`."""
+    return lagged(filtered([1.0], P, u), lags)
+
+
+def by_denominator(y: Array, P: Array, n: int) -> Array:
+    """Return (N, n), the derivatives of y = B/P u by the n coefficients of P after the 1."""
+    return -lagged(filtered([1.0], P, y), range(1, n + 1))

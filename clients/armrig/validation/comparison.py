@@ -17,7 +17,7 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.model import Model
 from armrig.models.prediction import predicted
-from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.criteria import fit_percent
 from armrig.validation.model_differences import explanation, table
 
 if TYPE_CHECKING:

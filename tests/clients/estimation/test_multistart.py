@@ -19,8 +19,7 @@ from armrig.excitation import telegraph
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.levenberg_marquardt import levenberg_marquardt
-from armrig.numerics.polynomial import filtered, roots
-from armrig.numerics.unit_circle import EDGE
+from armrig.numerics.polynomial import EDGE, filtered, roots
 from numpy.typing import NDArray
 
 BANK = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "lowest_minimum.py"))

@@ -11,8 +11,7 @@ from armrig.estimation.prediction_error import PredictionError
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.levenberg_marquardt import levenberg_marquardt
-from armrig.numerics.polynomial import filtered
-from armrig.numerics.sensitivity import by_denominator, by_numerator
+from armrig.numerics.polynomial import by_denominator, by_numerator, filtered
 from numpy.typing import NDArray
 
 B, F = np.array([0, 0, 1.0, -0.4, 0.2]), np.array([1, -1.5, 0.9, -0.2])

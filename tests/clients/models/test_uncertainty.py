@@ -22,6 +22,7 @@ from armrig.models.uncertainty import (
     zero_regions,
 )
 from armrig.numerics.confidence_regions import (
+    RootDraws,
     band,
     chosen_region,
     linearised_band,
@@ -29,7 +30,6 @@ from armrig.numerics.confidence_regions import (
     sampled_region,
 )
 from armrig.numerics.polynomial import filtered
-from armrig.numerics.root_draws import RootDraws
 from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray

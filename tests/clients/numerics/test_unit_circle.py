@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.numerics.polynomial import roots
-from armrig.numerics.unit_circle import EDGE, drawn_to_edge, outward_normals
+from armrig.numerics.polynomial import EDGE, drawn_to_edge, outward_normals, roots
 from numpy.typing import NDArray
 
 

@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from io import BytesIO
+from math import prod
+from typing import IO, Any
+from zipfile import ZipFile
 
 import numpy as np
+from armrig_core.errors import FileError
 
+from armrig.data.files.mat_variables import DamageError, TooLongError, Unread, variables
 from armrig.data.files.table import Column, Vector
 
 MOST_BYTES = 1 << 28
@@ -96,3 +101,112 @@ def _no_columns(array: Any) -> str:
     if array.ndim > 2 or (array.ndim == 0 and array.size != 1):
         return f"has {array.ndim} dimensions; save it as a vector, or a matrix of columns"
     return ""
+
+
+# The columns of a MAT-file: vectors and matrices, structures of them, and old iddata objects.
+
+
+_FIELDS = {"OutputData": "y", "InputData": "u"}  # those of iddata, by our names
+_AGAIN = "save it in MATLAB as save('data.mat', 'u', 'y', 'Ts', '-v7')"
+
+
+def read_mat(data: bytes) -> ArrayTable:
+    """Return the columns of a MAT-file of version 4 to 7.
+
+    Raises
+    ------
+    FileError
+        It is damaged, or too large once unpacked.
+    """
+    arrays: dict[str, Any] = {}
+    refused: dict[str, str] = {}
+    most = most_unpacked(len(data))
+    try:
+        for name, value in variables(data, most):
+            _sort(name, value, arrays, refused)
+    except DamageError as err:
+        raise FileError(f"is a damaged MAT-file ({err}); {_AGAIN}") from err
+    except TooLongError as err:
+        raise FileError(f"unpacked it has more than {most >> 20} MiB; {_AGAIN}") from err
+    return table_of(arrays, refused)
+
+
+def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]) -> None:
+    """Put a variable, or the fields of a structure, where they belong."""
+    while isinstance(value, list) and len(value) == 1:
+        value = value[0]  # a cell of one experiment
+    if isinstance(value, dict):
+        for field, inner in value.items():
+            _sort(f"{name}.{_FIELDS.get(field, field)}", inner, arrays, refused)
+    elif isinstance(value, list):
+        refused[name] = f"is a cell of {len(value)} values; save one of them"
+    elif isinstance(value, Unread):
+        refused[name] = value.why
+    else:
+        arrays[name] = value
+
+
+# The arrays of a file that numpy.savez has written.
+
+
+_PICKLED = "holds Python objects, which are programs and never loaded; save numbers instead"
+
+
+def read_npz(data: bytes) -> ArrayTable:
+    """Return the columns of an .npz; nothing that is pickled is loaded.
+
+    Raises
+    ------
+    FileError
+        It is a ZIP archive of other things, is damaged, or is too large once unpacked.
+    """
+    arrays: dict[str, Any] = {}
+    refused: dict[str, str] = {}
+    try:
+        with ZipFile(BytesIO(data)) as archive:
+            members = [m.filename for m in archive.infolist() if m.filename.endswith(".npy")]
+            most = most_unpacked(len(data))
+            if sum(_size(archive, member) for member in members) > most:
+                msg = f"unpacked it has more than {most >> 20} MiB; save only input and "
+                raise FileError(msg + "output")
+            for member in members:
+                with archive.open(member) as file:
+                    array = _array(file)
+                name = member.removesuffix(".npy")
+                if array is None:
+                    refused[name] = _PICKLED
+                else:
+                    arrays[name] = array
+    except FileError:
+        raise
+    except Exception as err:  # whatever a damaged archive makes of its reader
+        raise FileError(
+            f"is a damaged .npz: {type(err).__name__}; save it again with numpy.savez"
+        ) from err
+    if not (arrays or refused):
+        raise FileError(
+            "is a ZIP archive without arrays, such as an Excel workbook; save its sheet as CSV"
+        )
+    return table_of(arrays, refused)
+
+
+def _size(archive: ZipFile, member: str) -> int:
+    """Return what an array takes once its numbers have 8 B each, by its head."""
+    with archive.open(member) as file:
+        is_first = np.lib.format.read_magic(file) == (1, 0)
+        # The third version has the form of the second, and names in UTF-8.
+        head = (
+            np.lib.format.read_array_header_1_0 if is_first else np.lib.format.read_array_header_2_0
+        )
+        shape, _, kind = head(file)
+    return prod(shape) * max(8, kind.itemsize)
+
+
+def _array(file: IO[bytes]) -> Any:
+    """Return the array of an .npy; None where it would have to be unpickled."""
+    try:
+        return np.lib.format.read_array(file, allow_pickle=False)
+    except ValueError as err:
+        if "allow_pickle" in str(err):
+            return None
+        raise

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+import codecs
 import errno
 import hashlib
+from collections.abc import Callable
 from math import isclose
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from armrig_core.bounded import read_bounded
+from armrig_core.bounded import decoded, read_bounded
 from armrig_core.calls import checked_call
 from armrig_core.errors import FileError
 
 from armrig.data.dataset import Dataset, require_size
-from armrig.data.files.kinds import table_of
-from armrig.data.files.sampling import sampling_time
-from armrig.data.files.table import NoColumnError, Table, Vector, chosen, listed, shown
+from armrig.data.files import arrays, text
+from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
 
 MOST_BYTES = 1 << 27
 """Longest file, in B: a million rows of eight numbers have less."""
@@ -199,3 +200,109 @@ def _values(table: Table, i: int, what: str) -> Vector:
         msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "
         raise FileError(msg + listed(table, what))
     return values
+
+
+# Which kind of file it is, told by how its bytes begin.
+
+
+_READ = "armrig reads CSV and other tables of text, .mat (to -v7) and .npz"
+_AGAIN = "save it there with save('data.mat', 'u', 'y', '-v7')"
+_UTF_16 = 'is saved as UTF-16, as Excel\'s "Unicode text" is; save it as "CSV UTF-8"'
+_OTHERS = (
+    (b"\x89MCAP0\r\n", "is a recording and no table; armrig.load(path).dataset() reads it"),
+    (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_AGAIN}"),
+    (b"\x89HDF\r\n", f"is HDF5, which armrig does not read; if MATLAB wrote it, {_AGAIN}"),
+    (b"# Created by Octave", "is Octave's own text; save it there with save -v7 data.mat u y"),
+    (b"\xd0\xcf\x11\xe0", "is an old Excel workbook; save its sheet as CSV"),
+    (b"\x93NUMPY", "is an .npy, an array without a name; save it with numpy.savez(…, u=u, y=y)"),
+    (b"PAR1", "is Parquet, which armrig does not read; save it as CSV"),
+    (b"\x1f\x8b", "is packed with gzip; unpack it first (gunzip)"),
+    (codecs.BOM_UTF16_LE, _UTF_16),
+    (codecs.BOM_UTF16_BE, _UTF_16),
+)
+
+
+def table_of(data: bytes, suffix: str) -> Table:
+    """Return the table in a file; its suffix, such as .mat, decides where its beginning does not.
+
+    Raises
+    ------
+    FileError
+        It is of another kind, or damaged.
+    """
+    for beginning, what in _OTHERS:
+        if data.startswith(beginning):
+            raise FileError(what)
+    if data.startswith(b"PK\x03\x04"):
+        return arrays.read_npz(data)
+    if data.startswith(b"MATLAB 5.0") or (suffix == ".mat" and b"\0" in data[:128]):
+        return arrays.read_mat(data)
+    if b"\0" in data:
+        raise FileError(f"is no text, and no other kind of file that is known; {_READ}")
+    try:
+        content = decoded(data)
+    except FileError as err:
+        raise FileError(f'{err} (in Excel: "CSV UTF-8")') from err
+    return text.table_of(content)
+
+
+# The sampling time that a column of times gives.
+
+
+_UNEVEN = 0.05
+"""Share of Ts by which an interval may differ from it."""
+_SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6}
+_SECONDS |= {"min": 60.0, "h": 3600.0}
+_DIGITS = 12
+
+
+def sampling_time(t: Vector, column: Column, place: Callable[[int], str]) -> float:
+    """Return Ts in s of times that must be evenly apart.
+
+    It is the mean interval, or the roundest number that the times agree with as well: those of a
+    file often have few digits.
+
+    Parameters
+    ----------
+    t : ndarray, shape (N,)
+        Times in the column's unit; in s where it has none.
+    place : callable
+        Where in the file instant k stands.
+
+    Raises
+    ------
+    FileError
+        A time is missing, or an interval differs from the mean by more than a twentieth.
+    """
+    name = f"the times in column {column.name}" if column.name else "the times"
+    if column.unit.casefold() not in _SECONDS:
+        known = ", ".join(unit for unit in _SECONDS if unit)
+        raise FileError(f"{name} are in {column.unit}, known are {known}; give Ts in s (--Ts)")
+    missing = ~np.isfinite(t)
+    if missing.any():
+        msg = f"{place(int(np.argmax(missing)))}: {name} have none here; fill it in, or give Ts in "
+        raise FileError(msg + "s (--Ts)")
+    if t.size < 2:
+        raise FileError(f"{name} are {t.size}, which tells no interval; give Ts in s (--Ts)")
+    t = t * _SECONDS[column.unit.casefold()]
+    intervals = np.diff(t)
+    usual = float(np.median(intervals))
+    wrong = ~(np.abs(intervals - usual) <= _UNEVEN * usual)
+    if wrong.any() or usual <= 0:
+        k = int(np.argmax(wrong)) + 1
+        raise FileError(
+            f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, usual is {usual:.6g} s; "
+            "sample evenly, cut the file, or give Ts in s (--Ts) if the times are wrong"
+        )
+    return _roundest(t)
+
+
+def _roundest(t: Vector) -> float:
+    k = np.arange(t.size)
+    mean = float(t[-1] - t[0]) / (t.size - 1)
+    apart = 1.1 * float(np.ptp(t - mean * k)) + 1e-9 * mean
+    for digits in range(1, _DIGITS):
+        rounded = float(f"{mean:.{digits}g}")
+        if float(np.ptp(t - rounded * k)) <= apart:
+            return rounded
+    return mean

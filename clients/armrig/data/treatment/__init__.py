@@ -10,10 +10,10 @@ from armrig.data.treatment.filtering import prefilter, resample
 from armrig.data.treatment.integrating import (
     INTEGRATING_OUTPUTS,
     IntegratingOutputWarning,
+    difference,
     integrating,
 )
-from armrig.data.treatment.outliers import hampel
-from armrig.data.treatment.rate import difference
+from armrig.data.treatment.wrong_samples import hampel
 
 __all__ = [
     "INTEGRATING_OUTPUTS",

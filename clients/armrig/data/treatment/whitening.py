@@ -10,10 +10,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from armrig.data.dataset import Vector
 from armrig.numerics.gram import cholesky_factor
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.least_squares import orthonormal, triangle
 from armrig.numerics.polynomial import Array
 from armrig.numerics.regressors import complete, in_blocks
-from armrig.numerics.triangular import triangle
 
 _ROWS = 2_000
 _ENOUGH = 100_000  # rows: more do not make it a better judge of single samples

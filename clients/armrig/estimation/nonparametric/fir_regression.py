@@ -10,8 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.triangular import triangle
+from armrig.numerics.least_squares import orthonormal, triangle
 
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]

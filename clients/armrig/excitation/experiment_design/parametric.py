@@ -14,8 +14,14 @@ from armrig.excitation.experiment_design.planned_model import ModelWithNoise, in
 from armrig.excitation.experiment_design.predicted_std import PredictedStd, inverted, planned_data
 from armrig.models.free_response import free_columns, transient_count
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, filtered, lagged, without_integrator
-from armrig.numerics.sensitivity import by_denominator, by_numerator
+from armrig.numerics.polynomial import (
+    Array,
+    by_denominator,
+    by_numerator,
+    filtered,
+    lagged,
+    without_integrator,
+)
 
 
 def predicted_std(

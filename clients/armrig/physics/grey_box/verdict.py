@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.quantisation import too_quiet
-from armrig.numerics.goodness_of_fit import fit_percent
+from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import Inference
 from armrig.physics.grey_box.least_squares_problem import bipolar
 from armrig.physics.grey_box.parameters import SIGNED

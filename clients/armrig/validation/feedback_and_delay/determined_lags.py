@@ -9,9 +9,8 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.numerics.least_squares import column_norms
+from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.regressors import in_blocks
-from armrig.numerics.triangular import triangle
 
 Matrix = NDArray[np.float64]
 

@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from armrig.data.dataset import Dataset
 from armrig.estimation.nonparametric.impulse import ImpulseResponse
 from armrig.numerics.criteria import aic
-from armrig.numerics.least_squares import column_norms
+from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.regressors import arx_rows, in_blocks
-from armrig.numerics.triangular import triangle
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]

@@ -153,9 +153,9 @@ def test_an_archive_that_unpacks_without_end_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type
 ) -> None:
     """By what it says of its length, before it is unpacked; a byte becomes a number of 8 B."""
-    from armrig.data.files import npz
+    from armrig.data.files import arrays
 
-    monkeypatch.setattr(npz, "most_unpacked", lambda _: 1 << 20)
+    monkeypatch.setattr(arrays, "most_unpacked", lambda _: 1 << 20)
     n = (1 << 20) // 8
     whole, bomb = tmp_path / "whole.npz", tmp_path / "bomb.npz"
     np.savez_compressed(whole, u=np.arange(n - 50.0).astype(kind), y=np.ones(50, kind))
@@ -171,9 +171,9 @@ def test_an_array_that_lies_of_its_length_costs_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its head says four numbers; a gigabyte follows, of which no more is unpacked."""
-    from armrig.data.files import npz
+    from armrig.data.files import arrays
 
-    monkeypatch.setattr(npz, "most_unpacked", lambda _: 1 << 20)
+    monkeypatch.setattr(arrays, "most_unpacked", lambda _: 1 << 20)
     path = tmp_path / "liar.npz"
     honest = BytesIO()
     np.save(honest, np.arange(4.0))
@@ -282,9 +282,9 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As soon as it is too large."""
-    from armrig.data.files import matlab
+    from armrig.data.files import arrays
 
-    monkeypatch.setattr(matlab, "most_unpacked", lambda _: 1 << 20)
+    monkeypatch.setattr(arrays, "most_unpacked", lambda _: 1 << 20)
     packed = zlib.compress(bytes(1 << 22))
     path = tmp_path / "bomb.mat"
     path.write_bytes(mat5(struct.pack("<II", 15, len(packed)) + packed))

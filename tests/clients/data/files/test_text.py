@@ -9,7 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig import FileError, load_data
-from armrig.data.files import kinds, loading, text
+from armrig.data.files import loading, text
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -219,7 +219,7 @@ def test_garbage_is_refused_or_read_and_never_more(data: bytes) -> None:
     for suffix in (".csv", ".mat"):
         said = ""
         try:
-            read = kinds.table_of(data, suffix)
+            read = loading.table_of(data, suffix)
             for i in range(len(read.columns)):
                 read.numbers(i)
         except FileError as err:
