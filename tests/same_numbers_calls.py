@@ -1247,22 +1247,22 @@ def data_verdict() -> Variants:
 
 @variants
 def of_recordings() -> Variants:
-    from armrig.recordings import doubts, hidden_step, jitter, overview, timing_disturbances
+    from armrig.recordings import doubts, findings, jitter, overview
     from armrig.recordings.export import columns
     from armrig.recordings.recording_summary import summary_of
     from armrig.recordings.verification import verify_recording
 
     for start in HIDDEN:
-        yield f"hidden {start}", hidden_step.hidden_step(armrig.load(hidden(start)))
+        yield f"hidden {start}", findings.hidden_step(armrig.load(hidden(start)))
     for path in (recorded("validation"), recorded("turned"), told()):
         r = armrig.load(path)
-        yield f"{path.stem} disturbances", timing_disturbances.disturbances(r)
+        yield f"{path.stem} disturbances", jitter.disturbances(r)
         yield f"{path.stem} overview", overview.overview(r)
         yield f"{path.stem} verification", verify_recording(r)
         yield f"{path.stem} columns", columns(r, raw=True)
         yield f"{path.stem} summary", summary_of(path)
         yield f"{path.stem} jitter", [jitter.jitter_us(r), jitter.lateness_us(r)]
-        yield f"{path.stem} hidden", hidden_step.hidden_step(r)
+        yield f"{path.stem} hidden", findings.hidden_step(r)
         turned = jitter.angle_of_jitter(armrig.sampling_statistics(r), r.dataset())
         yield f"{path.stem} angle", turned
         yield f"{path.stem} doubts", doubts.all_doubts([r, armrig.load(recorded("step"))])

@@ -15,7 +15,7 @@ import numpy as np
 from armrig.physics.grey_box.response import linear_parts
 from armrig.physics.grey_box.sampled_model import Physics
 from armrig.physics.systems import ArmParameters, chassis
-from armrig.recordings.unwrapping import outside_dead_band, unwrap
+from armrig.recordings.channels import outside_dead_band, unwrap
 from armrig_daemon.emulator import plant
 from numpy.typing import NDArray
 

@@ -27,9 +27,9 @@ from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.numerics.polynomial import filtered
 from armrig.plots.captions import _fits, named_by_run
 from armrig.plots.layout import save
+from armrig.recordings.figures import plot_overview
 from armrig.recordings.loading import load
 from armrig.recordings.overview import overview
-from armrig.recordings.overview_figure import plot_overview
 from armrig.recordings.recording import Recording
 from armrig.report.study import Study, study
 from armrig.validation.comparison import compare

@@ -13,7 +13,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.recordings.timing_disturbances import disturbances
+from armrig.recordings.jitter import disturbances
 from fork_server import ForkServer
 from processes import Bench, Process, freeze, wait_for
 

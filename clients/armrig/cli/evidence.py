@@ -86,9 +86,8 @@ def export(
     """
     from armrig.cli.output_file import check_output
     from armrig.cli.spinner import spinner
-    from armrig.recordings.export import write_csv, write_mat, write_parquet
+    from armrig.recordings.export import write_csv, write_mat, write_parquet, write_transforms
     from armrig.recordings.loading import load
-    from armrig.recordings.transforms import write_transforms
 
     asked = {"csv": csv, "mat": mat, "parquet": parquet, "transforms": transforms}
     kind = _kind(out, asked)

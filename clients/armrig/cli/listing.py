@@ -69,8 +69,7 @@ def ls(
     if live:
         _list_rigs(connect, json=json)
         return
-    from armrig.recordings.catalogue import catalogue
-    from armrig.recordings.catalogue_columns import facts_of
+    from armrig.recordings.catalogue import catalogue, facts_of
     from armrig.recordings.recording_summary import shown_path
 
     folder = where or recording_folder()

@@ -122,7 +122,7 @@ def step_again(recording: Recording) -> str:
 
     Where the chassis rests before the step, no time is better than another: it is to be turned.
     """
-    from armrig.recordings.hidden_step import hidden_step
+    from armrig.recordings.findings import hidden_step
 
     manifest = recording.manifest
     kind, _, name = manifest.experiment.partition("-")

@@ -58,8 +58,7 @@ def info(
 def _recording_facts(rec: Recording) -> dict[str, Any]:
     """Return what a recording holds, for a program."""
     from armrig.recordings.calibration.staleness import remarks
-    from armrig.recordings.jitter import sampling_statistics
-    from armrig.recordings.timing_disturbances import disturbances
+    from armrig.recordings.jitter import disturbances, sampling_statistics
     from armrig.recordings.usability import data_verdict
 
     return {
@@ -87,9 +86,8 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
 def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
     """Give what a recording holds, for a person: names and values."""
     from armrig.recordings.calibration.staleness import calibrated, remarks
-    from armrig.recordings.gap_summary import gap_lines
-    from armrig.recordings.jitter import sampling_statistics
-    from armrig.recordings.timing_disturbances import disturbances
+    from armrig.recordings.daemon_reports import gap_lines
+    from armrig.recordings.jitter import disturbances, sampling_statistics
     from armrig.recordings.usability import data_verdict
 
     manifest, timing = rec.manifest, sampling_statistics(rec)

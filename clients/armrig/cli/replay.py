@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from armrig.numerics.quantities import plural
 from armrig.recordings.container import Content, read, streamed
 from armrig.recordings.loading import files_of, run_content
-from armrig.recordings.recorded_input import recorded_input
 from armrig.recordings.sample_rows import SAMPLE_DTYPE
+from armrig.recordings.verification import recorded_input
 
 MOST_CHUNK = 4096
 """Bytes of steps in one chunk; with so few there cannot be many."""

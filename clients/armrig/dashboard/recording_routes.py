@@ -26,8 +26,7 @@ from starlette.routing import Route
 from armrig.dashboard.app import Answer, error, value
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.study_of_one import csv, curves, facts, identified, report
-from armrig.recordings.catalogue import Catalogue, catalogue
-from armrig.recordings.catalogue_columns import facts_of
+from armrig.recordings.catalogue import Catalogue, catalogue, facts_of
 from armrig.recordings.recording_summary import shown_path
 
 _MOST_LISTED = 200

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from itertools import groupby
+from math import floor
 from operator import attrgetter
 from typing import Any
 
 from armrig_core import protobuf
+
+from armrig.numerics.quantities import plural
 
 _LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
 
@@ -187,3 +192,17 @@ def device_clock_of(message: Any, clock: Clock) -> DeviceClock:
         drift_std_ppm=message.drift_std_ppm,
         bound_ns=message.bound_ns,
     )
+
+
+def gap_lines(gaps: Iterable[Gap]) -> list[str]:
+    """Return what is missing, at most one line a second; the counts are whole."""
+    return [_gap_line(list(some)) for _, some in groupby(gaps, key=lambda gap: floor(gap.t))]
+
+
+def _gap_line(gaps: list[Gap]) -> str:
+    count = sum(gap.count for gap in gaps)
+    samples = plural(count, "sample")
+    reasons = ", ".join(dict.fromkeys(gap.reason for gap in gaps))
+    if len(gaps) == 1:
+        return f"{samples} at {gaps[0].t:.3f} s, {reasons}"
+    return f"{samples} in {len(gaps)} gaps from {gaps[0].t:.3f} s to {gaps[-1].t:.3f} s, {reasons}"

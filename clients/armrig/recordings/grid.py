@@ -10,7 +10,7 @@ import numpy as np
 from armrig_core.codes import OutcomeCode
 from armrig_core.errors import InputError
 from armrig_core.manifest import Manifest, Outcome
-from armrig_core.recording_file.budget import SAMPLES_LIMIT
+from armrig_core.recording_file.budget import SAMPLES_LIMIT, DamageError
 from numpy.typing import NDArray
 
 MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10
@@ -18,6 +18,8 @@ MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10
 
 The grid has rows for them: a file of two samples must not ask for 10^18 rows.
 """
+TS_LEAST_S, TS_LIMIT_S = 1e-6, 86_400.0
+"""No sampling time is shorter than the first, or as long as the second, in s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,3 +128,11 @@ def grid(
 def first_of(manifest: Manifest) -> int:
     """Return the index of the first sample that was due in a file; -1 where it does not say."""
     return manifest.part_k_first if manifest.part > 1 else manifest.k_first
+
+
+def check_sampling_time(manifest: Manifest) -> None:
+    """Raise DamageError where a recording says of a sampling time that none has."""
+    if not TS_LEAST_S <= manifest.Ts < TS_LIMIT_S:
+        raise DamageError(
+            f"its manifest says Ts={manifest.Ts!r} s, which must be from 1 µs to below a day"
+        )

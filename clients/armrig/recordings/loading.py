@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
-from dataclasses import fields
-from itertools import chain
+from itertools import chain, pairwise
 from math import ceil, inf
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,18 +13,16 @@ import msgspec
 import numpy as np
 from armrig_core import manifest as records
 from armrig_core import telemetry
-from armrig_core.calibration import Calibration, Driver, Potentiometer
+from armrig_core.calibration import Calibration, Driver
 from armrig_core.calibration_file import read_calibration
-from armrig_core.errors import FileError, InputTypeError
-from armrig_core.manifest import Manifest, Outcome, Recovered
-from armrig_core.protobuf import ABSENT
+from armrig_core.errors import FileError, InputError, InputTypeError
+from armrig_core.manifest import OUTCOME, RECOVERED, RUN, Manifest, Outcome, Recovered
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.part_names import part_number, part_paths
-from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
 
 from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
-from armrig.numerics.stretches import Mask
+from armrig.recordings.channels import channels_of
 from armrig.recordings.container import Content, Part, read
 from armrig.recordings.daemon_reports import (
     Clock,
@@ -36,18 +34,14 @@ from armrig.recordings.daemon_reports import (
     note_of,
     timing_of,
 )
-from armrig.recordings.grid import Grid, grid
-from armrig.recordings.parts import joined
-from armrig.recordings.recording import Channel, Recording, Vector
-from armrig.recordings.sampling_time import check_sampling_time
-from armrig.recordings.unwrapping import outside_dead_band, turns_unknown, unwrap
+from armrig.recordings.grid import Grid, check_sampling_time, grid
+from armrig.recordings.recording import Recording, Vector
 
 EVERYTHING = (0, 1 << 63)
 """Between which indices all samples are."""
 _BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
 _LATE_NS = 1_000_000_000  # by how much reports may be written before or after the samples they tell
 _LATEST = 1e15  # s, and samples: later than any, and still whole numbers
-_FIELDS = frozenset(field.name for field in fields(Recording))
 _ROUNDING = 1e-6  # of a sample: 0.3 / 0.1 is not 3
 
 
@@ -299,7 +293,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         k_first=rows.k_first,
         t=t,
         u=_terminal(_input(samples, rows, gaps), calibration.driver if calibration else Driver()),
-        **_channels(samples, rows, calibration, manifest.Ts, before),
+        **channels_of(samples, rows, calibration, manifest.Ts, before),
         present=rows.present,
         samples=samples,
         truncated=bool(content.damage),
@@ -352,62 +346,48 @@ def _terminal(u: Vector, driver: Driver) -> Vector:
     return terminal
 
 
-def _channels(
-    samples: NDArray[np.void],
-    rows: Grid,
-    calibration: Calibration | None,
-    Ts: float,
-    before: NDArray[np.void],
-) -> dict[str, Any]:
-    """Return the channels, where they are valid, and where the turns are not known."""
-    found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
-    for channel in telemetry.CHANNELS:
-        pot: Potentiometer | None = getattr(calibration, channel.name, None)
-        y = _on_grid(_calibrated(samples, channel, pot), rows.present)
-        valid = _valid(samples, channel, rows.present, before) & np.isfinite(y)
-        if channel.turns and (pot is None or pot.wraps):
-            y = unwrap(y, valid)
-            found["turns_unknown"] += tuple(turns_unknown(valid, rows.present, Ts).tolist())
-        y[~valid] = np.nan
-        if channel.name in _FIELDS:
-            found |= {channel.name: y, channel.valid: valid}
-        else:
-            found["others"][channel.name] = Channel(y, valid)
-    return found
+def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Content:
+    """Return what consecutive parts of one run hold together.
 
-
-def _valid(
-    samples: NDArray[np.void], channel: telemetry.Channel, present: Mask, before: NDArray[np.void]
-) -> Mask:
-    """Return (N,) where a sample came whose reading is at no end of its range."""
-    rail = int(Flag[channel.rail])  # as a Flag numpy takes 8 bytes each
-    valid, rails = present.copy(), samples["flags"]
-    if channel.turns:
-        # The sample before the first decides whether that one shows an angle.
-        near = np.concatenate([before["flags"][-1:], rails])
-        valid[present] = outside_dead_band((near & rail) != 0)[near.size - rails.size :]
-    else:
-        valid[present] = (rails & rail) == 0
-    return valid
-
-
-def _calibrated(
-    samples: NDArray[np.void], channel: telemetry.Channel, pot: Potentiometer | None
-) -> Vector:
-    if pot is None:
-        return np.array(samples[channel.value_field], np.float64)
-    counts = samples[channel.counts_field]
-    y: Vector = counts.astype(np.float64)
-    y -= pot.zero_counts
-    y *= pot.rad_per_count
-    y[counts == ABSENT["fixed32"]] = np.nan
-    return y
-
-
-def _on_grid(values: Vector, present: Mask) -> Vector:
-    """Return the values (n,) of the samples that came in their rows, NaN in the others, (N,)."""
-    if values.size == present.size:
-        return values
-    on_grid = np.full(present.size, np.nan)
-    on_grid[present] = values
-    return on_grid
+    Raises
+    ------
+    ValueError
+        They are of different runs, or one is missing.
+    """
+    for before, after in pairwise(manifests):
+        if (before.rig, before.run_id) != (after.rig, after.run_id):
+            raise InputError(
+                f"run {after.run_id} of rig {after.rig} is not run {before.run_id} of rig "
+                f"{before.rig}: only the parts of one run are joined"
+            )
+        if after.part != before.part + 1:
+            raise InputError(
+                f"part {after.part} does not follow part {before.part}: give the parts of a run "
+                "in their order, with none left out"
+            )
+    whole = Content(
+        sha256=hashlib.sha256("".join(c.sha256 for c in contents).encode()).hexdigest(),
+        size=sum(c.size for c in contents),
+        damage="; ".join(
+            f"part {m.part}: {c.damage}"
+            for c, m in zip(contents, manifests, strict=True)
+            if c.damage
+        ),
+        cut_off=any(c.cut_off for c in contents),
+        read=sum(c.read for c in contents),
+        samples=np.concatenate([c.samples for c in contents]),
+        metadata={RUN: contents[0].metadata[RUN]},
+        attachments=contents[0].attachments,
+        input=contents[0].input,
+    )
+    for content in contents:
+        for stream, messages in content.messages.items():
+            whole.messages.setdefault(stream, []).extend(messages)
+        if RECOVERED in content.metadata:
+            whole.metadata[RECOVERED] = content.metadata[RECOVERED]
+    if OUTCOME in contents[-1].metadata:
+        whole.metadata[OUTCOME] = contents[-1].metadata[OUTCOME]
+    k = whole.samples["k"]
+    if k.size and not (k[1:] > k[:-1]).all():
+        raise InputError("the samples of one part do not stand behind those of the part before")
+    return whole

@@ -80,7 +80,7 @@ class Overview:
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of u, theta_1, its rate and alpha against time, with what was found."""
         from armrig.plots.layout import figure_of
-        from armrig.recordings.overview_figure import plot_overview
+        from armrig.recordings.figures import plot_overview
 
         return figure_of(plot_overview(self, ax=ax))
 

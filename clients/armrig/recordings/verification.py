@@ -6,6 +6,7 @@ What fails here can be loaded and exported all the same.
 from __future__ import annotations
 
 import hashlib
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
@@ -17,6 +18,8 @@ import numpy as np
 from armrig_core.codes import OutcomeCode
 from armrig_core.manifest import CONFIG
 from armrig_core.recording_file.budget import DamageError
+from armrig_core.recording_file.file_records import Place
+from armrig_core.recording_file.opening import regular_file
 from armrig_core.recording_file.part_names import part_number
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import CODE_FULL_SCALE
@@ -25,7 +28,6 @@ from numpy.typing import NDArray
 from armrig.numerics.quantities import NBSP, plural
 from armrig.recordings.jitter import sampling_statistics
 from armrig.recordings.loading import beginning, load
-from armrig.recordings.recorded_input import recorded_input
 from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import REMOTE
 
@@ -36,6 +38,9 @@ _CODE_V = U_MAX_V / CODE_FULL_SCALE
 _MOST_DRIFT_PPM = 6_000.0
 """A ceramic resonator is good to 5 000 ppm, a crystal to 100; with more the times are wrong."""
 _SIGMAS = 6.0
+_BLOCK = 1 << 20  # B
+_TIMES = 8 + 8  # B, before the name in an attachment
+_LINE_LIMIT = 64  # B; a voltage takes 24 at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -322,3 +327,60 @@ def rows(found: Verification) -> Iterator[tuple[str, str]]:
     yield "sha256", found.sha256
     for check in found.checks:
         yield check.about, f"{check.result}: {check.text}"
+
+
+def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
+    """Return the voltages, (n,) in V, of the attachment at `place`; an hour at 1 kHz has 20 MB.
+
+    Parameters
+    ----------
+    most : int
+        How many there may be.
+
+    Raises
+    ------
+    DamageError
+        It is no list of voltages, its checksum is wrong, or there are more than `most`.
+    """
+    parts: list[NDArray[np.float64]] = []
+    found = 0
+    with regular_file(path) as file:
+        file.seek(place.at)
+        head, size = _head(file.read(min(place.length, _TIMES + 2 * 128)))
+        if head + size + 4 != place.length:
+            raise DamageError("the attached input has not the form of one")
+        file.seek(place.at)
+        crc, rest = zlib.crc32(file.read(head)), b""
+        while size > 0:
+            block = file.read(min(size, _BLOCK))
+            size = size - len(block) if block else 0
+            crc = zlib.crc32(block, crc)
+            lines = (rest + block).split(b"\n")
+            rest = lines.pop() if size else b""
+            parts.append(_voltages(lines, first=not parts))
+            found += parts[-1].size
+            if found > most or len(rest) > _LINE_LIMIT:
+                raise DamageError(
+                    f"the attached input is longer than the {most} samples of the run"
+                )
+        expected = int.from_bytes(file.read(4), "little")
+    if expected and expected != crc:
+        raise DamageError("the checksum of the attached input is wrong")
+    return np.concatenate(parts) if parts else np.zeros(0)
+
+
+def _head(begin: bytes) -> tuple[int, int]:
+    """Return where the data of an attachment begin, and their length, in B."""
+    at = _TIMES
+    for _ in range(2):  # name and media type
+        at += 4 + int.from_bytes(begin[at : at + 4], "little")
+    return at + 8, int.from_bytes(begin[at : at + 8], "little")
+
+
+def _voltages(lines: list[bytes], *, first: bool) -> NDArray[np.float64]:
+    if first:
+        del lines[:1]
+    try:
+        return np.array([float(line) for line in lines if line], np.float64)
+    except ValueError as err:
+        raise DamageError(f"the attached input is no list of voltages ({err})") from err

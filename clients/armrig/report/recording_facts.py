@@ -8,9 +8,8 @@ import numpy as np
 
 from armrig.numerics.quantities import NBSP, microseconds, milliseconds, number
 from armrig.recordings.calibration.staleness import calibrated
-from armrig.recordings.jitter import SamplingStatistics, Spread
+from armrig.recordings.jitter import Disturbances, SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
-from armrig.recordings.timing_disturbances import Disturbances
 from armrig.report.study import STAIRCASE, STEP, Study, kind_of
 
 _MOST_NOTES = 20  # of a recording

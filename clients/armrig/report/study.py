@@ -18,9 +18,13 @@ from armrig.models.fit import Fit
 from armrig.models.model import Model
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.physical_model import physical_model
-from armrig.recordings.jitter import SamplingStatistics, sampling_statistics
+from armrig.recordings.jitter import (
+    Disturbances,
+    SamplingStatistics,
+    disturbances,
+    sampling_statistics,
+)
 from armrig.recordings.recording import Recording
-from armrig.recordings.timing_disturbances import Disturbances, disturbances
 from armrig.validation.comparison import Comparison, compare
 from armrig.validation.residuals import ResidualTest, residuals
 

@@ -8,7 +8,7 @@ from armrig_core.errors import InputError
 from armrig_core.recording_file.outgoing import Outgoing
 from google.protobuf.message import DecodeError
 
-from armrig.recordings.sampling_time import TS_LEAST_S, TS_LIMIT_S
+from armrig.recordings.grid import TS_LEAST_S, TS_LIMIT_S
 from armrig.rig.session import RigError
 from armrig.rig.telemetry_stream import decoded
 

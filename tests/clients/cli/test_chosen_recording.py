@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
-from armrig.recordings import metadata
+from armrig.recordings import recording_summary
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import Outcome
 from made_recordings import manifest, recorded, sample, written
@@ -208,7 +208,7 @@ def test_a_name_reads_only_what_may_be_meant(
 ) -> None:
     """Of thousands of recordings the others are passed over by their names."""
     opened: list[str] = []
-    whole = metadata.read_metadata
+    whole = recording_summary.read_metadata
 
     def counted(path: Path) -> dict[str, dict[str, str]]:
         opened.append(path.name)

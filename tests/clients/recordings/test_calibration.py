@@ -15,9 +15,9 @@ from armrig.recordings.calibration import (
     estimate,
     remarks,
 )
-from armrig.recordings.calibration.deflection import sign_by_hand
+from armrig.recordings.calibration.estimate import sign_by_hand
 from armrig.recordings.calibration.motor import TerminalVoltage, speeds, terminal_voltage
-from armrig.recordings.calibration.rest import mean_reading, rounding_variance, spread
+from armrig.recordings.calibration.readings import mean_reading, rounding_variance, spread
 from armrig.recordings.calibration.rotation import Turning, turning
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
 from armrig_core.errors import InputError

@@ -15,9 +15,8 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 from armrig.recordings import catalogue as catalogue_module
-from armrig.recordings import catalogue_index, metadata, recording_summary
-from armrig.recordings.catalogue import catalogue
-from armrig.recordings.catalogue_columns import COLUMNS, facts_of
+from armrig.recordings import recording_summary
+from armrig.recordings.catalogue import COLUMNS, catalogue, facts_of
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import OUTCOME, RUN, Outcome
 from armrig_core.recording_file.budget import DamageError
@@ -29,6 +28,8 @@ from mcap.records import Footer, MetadataIndex
 from mcap.writer import Writer
 
 OLD = 1_700_000_000  # s: files that were changed then are settled
+
+NOW_NS = catalogue_module.now_ns
 
 
 def made(folder: Path, number: int, *, experiment: str = "step", samples: int = 3) -> Path:
@@ -64,7 +65,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(catalogue_module, "WORTH_KEEPING", 1)
-    ahead = catalogue_index.now_ns() + 60_000_000_000
+    ahead = NOW_NS() + 60_000_000_000
     monkeypatch.setattr(catalogue_module, "now_ns", lambda: ahead)
     names: list[str] = []
 
@@ -224,7 +225,7 @@ def test_a_file_that_was_just_written_is_not_trusted(
     folder: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Within a tick of the file system's clock it may change and have the same times."""
-    monkeypatch.setattr(catalogue_module, "now_ns", catalogue_index.now_ns)
+    monkeypatch.setattr(catalogue_module, "now_ns", NOW_NS)
     catalogue(folder)
     opened.clear()
 
@@ -397,15 +398,15 @@ def test_a_summary_longer_than_any_is_not_read(
     (start,) = struct.unpack_from("<Q", data, len(data) - 8 - 4 - 8 - 8)
     length = len(data) - start - 8 - 29  # up to the footer
 
-    monkeypatch.setattr(metadata, "RECORD_LIMIT", length)
-    assert RUN in metadata.read_metadata(path)
-    monkeypatch.setattr(metadata, "RECORD_LIMIT", length - 1)
+    monkeypatch.setattr(recording_summary, "RECORD_LIMIT", length)
+    assert RUN in recording_summary.read_metadata(path)
+    monkeypatch.setattr(recording_summary, "RECORD_LIMIT", length - 1)
     with pytest.raises(DamageError, match="its footer says of no summary"):
-        metadata.read_metadata(path)
+        recording_summary.read_metadata(path)
     monkeypatch.undo()
     path.write_bytes(data[:-28] + bytes(8) + data[-20:])
     with pytest.raises(DamageError, match="its footer says of no summary"):
-        metadata.read_metadata(path)
+        recording_summary.read_metadata(path)
 
 
 def test_a_record_longer_than_any_is_not_read(tmp_path: Path) -> None:
@@ -422,6 +423,6 @@ def test_a_record_longer_than_any_is_not_read(tmp_path: Path) -> None:
         path = written(tmp_path, bytes(data))
         if why:
             with pytest.raises(DamageError, match=why):
-                metadata.read_metadata(path)
+                recording_summary.read_metadata(path)
         else:
-            assert RUN in metadata.read_metadata(path)
+            assert RUN in recording_summary.read_metadata(path)

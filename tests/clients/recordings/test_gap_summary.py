@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from armrig.recordings.daemon_reports import Gap
-from armrig.recordings.gap_summary import gap_lines
+from armrig.recordings.daemon_reports import Gap, gap_lines
 
 
 def _gap(t: float, count: int = 1, reason: str = "a frame was lost") -> Gap:

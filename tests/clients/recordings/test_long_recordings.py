@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig.recordings.container import Content, read, streamed
 from armrig.recordings.loading import load
-from armrig.recordings.recorded_input import recorded_input
+from armrig.recordings.verification import recorded_input
 from armrig_core.recording_file.budget import DamageError
 from made_recordings import manifest, recorded, sample, timing, written
 

@@ -12,15 +12,14 @@ import numpy as np
 import pytest
 from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.catalogue import catalogue
+from armrig.recordings.channels import turns_unknown
 from armrig.recordings.export import columns
-from armrig.recordings.jitter import fastest_rate, intervals_us, sampling_statistics
+from armrig.recordings.jitter import disturbances, fastest_rate, intervals_us, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.overview import overview
 from armrig.recordings.published import published
 from armrig.recordings.recording import Recording
 from armrig.recordings.recording_summary import summary_of
-from armrig.recordings.timing_disturbances import disturbances
-from armrig.recordings.unwrapping import turns_unknown
 from armrig.recordings.verification import (
     check_clock,
     check_envelope,

@@ -20,10 +20,9 @@ import pytest
 import zstandard
 from armrig.numerics.quantities import NBSP
 from armrig.recordings import container, grid, sample_rows
-from armrig.recordings.jitter import sampling_statistics
+from armrig.recordings.jitter import disturbances, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig.recordings.timing_disturbances import disturbances
 from armrig_core import protobuf, telemetry
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.errors import FileError

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from armrig.cli import main
+from armrig.recordings.export import transforms
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig.recordings.transforms import transforms
 from armrig_core.topics import topic
 from layouts import frame_angles, frames_class
 from made_recordings import manifest, of_the_arm, recorded, sample, written

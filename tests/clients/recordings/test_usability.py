@@ -18,8 +18,8 @@ from armrig.recordings.findings import (
     check_signal,
     check_timing,
     check_turns,
+    hidden_step,
 )
-from armrig.recordings.hidden_step import hidden_step
 from armrig.recordings.jitter import fastest_rate, sampling_statistics
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import degrees, hypot, sqrt, tau
 from typing import TYPE_CHECKING
 
+import numpy as np
 from armrig_core.calibration import Calibration, Driver, Figure, Made, Potentiometer
 from armrig_core.errors import InputError
 from armrig_core.telemetry import ALPHA, THETA_1
@@ -14,7 +15,6 @@ from armrig_core.volts import U_MAX_V
 from msgspec.structs import replace
 
 from armrig.numerics.quantities import plural
-from armrig.recordings.calibration.deflection import sign_by_hand, sign_of_lag
 from armrig.recordings.calibration.motor import (
     IDEAL_DRIVER,
     Speeds,
@@ -22,11 +22,12 @@ from armrig.recordings.calibration.motor import (
     speeds,
     terminal_voltage,
 )
-from armrig.recordings.calibration.readings import Readings, readings_of
-from armrig.recordings.calibration.rest import (
+from armrig.recordings.calibration.readings import (
+    Readings,
     at_rail,
     mean_reading,
     noise_before_rounding,
+    readings_of,
     resolution,
     rounding_variance,
     spread,
@@ -39,9 +40,14 @@ if TYPE_CHECKING:
 
     from armrig.recordings.recording import Recording
 
+
 _UNSTEADY = 1.5  # residuals at constant speed over what noise and rounding explain
 _METER_MAY_ERR = 1.005  # what a common meter's reading is uncertain by
 _MOVED = 10.0  # spread of readings at rest, in steps of the converter
+CLEAR = 8.0
+"""Deflections are told from noise of so many standard deviations, and a step beside."""
+HAND_RAD = 0.02
+"""Shortest deflection by hand that counts, in rad: a touch says nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -266,3 +272,46 @@ def _warnings(
                 "says"
             )
     return found
+
+
+def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
+    """Return the sign of alpha for growing counts, 0 where the arm was not seen to deflect.
+
+    When the motor sets the chassis in motion from rest, towards positive angles, the arm stays
+    behind: alpha is negative first.
+
+    Parameters
+    ----------
+    readings : Readings
+        A run that begins at 0 V and at rest.
+    noise : float
+        Standard deviation of alpha's readings at rest, in counts.
+    step : float
+        The converter's step, in counts.
+    """
+    driven = np.flatnonzero(readings.u > 0)
+    if not driven.size or driven[0] == 0:
+        return 0
+    deflection = readings.alpha - readings.alpha[: driven[0]].mean()
+    seen = np.flatnonzero(np.abs(deflection) > CLEAR * noise + step)
+    seen = seen[seen > driven[0]]
+    return 0 if not seen.size else int(-np.sign(deflection[seen[0]]))
+
+
+def sign_by_hand(readings: Readings, rest: Figure, rad_per_count: float) -> int:
+    """Return the sign of alpha for growing counts; 0 where the arm was deflected either way or not.
+
+    Parameters
+    ----------
+    readings : Readings
+        The arm deflected by hand towards positive alpha, and let go or held.
+    rest : Figure
+        Reading at rest, in counts.
+    rad_per_count : float
+        About how much a count is, in rad; the sign does not matter.
+    """
+    deflection = (readings.alpha - rest.value) * abs(rad_per_count)
+    # Quantiles count the time in which the arm is held; once let go it swings either way.
+    low, high = np.quantile(deflection, [0.25, 0.75])
+    farthest = max(low, high, key=abs)
+    return 0 if abs(farthest) < HAND_RAD else int(np.sign(farthest))

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.stretches import Mask, constant
-from armrig.recordings.calibration.readings import Readings
-from armrig.recordings.calibration.rest import FULL_COUNTS, RAIL_COUNTS
+from armrig.recordings.calibration.readings import FULL_COUNTS, RAIL_COUNTS, Readings
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
