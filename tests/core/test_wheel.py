@@ -1,4 +1,4 @@
-"""What is in the wheel: the firmware's image, and nothing of its GPL harness."""
+"""The wheel contains the firmware's image and the glossary, and nothing of the GPL harness."""
 
 from __future__ import annotations
 
@@ -40,6 +40,20 @@ def wheel(unpacked: Path) -> dict[str, bytes]:
 def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
     """Where `shipped_image` looks for it; it is that which is committed beside its source."""
     assert wheel[IMAGE] == shipped_image().read_bytes()
+
+
+@pytest.mark.usefixtures("wheel")
+def test_an_installed_armrig_reads_its_own_glossary(unpacked: Path) -> None:
+    """The page of docs, without a checkout."""
+    program = "from armrig.cli import glossary; print(glossary._page())"
+    call = [sys.executable, "-c", program]
+    found = subprocess.run(
+        call, env={"PYTHONPATH": str(unpacked)}, capture_output=True, text=True, check=True
+    )
+
+    page = Path(found.stdout.strip())
+    assert page == unpacked / "armrig" / "glossary.md"
+    assert page.read_bytes() == (ROOT / "docs" / "glossary.md").read_bytes()
 
 
 @pytest.mark.usefixtures("wheel")

@@ -16,6 +16,7 @@ COMMANDS = [
     "note",
     "calibrate",
     "doctor",
+    "glossary",
     "info",
     "recover",
     "replay",

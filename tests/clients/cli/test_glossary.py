@@ -1,0 +1,61 @@
+"""The command glossary and its page are one text."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from armrig.cli import main
+from armrig.cli.glossary import read_terms
+
+PAGE = (Path(__file__).parents[3] / "docs" / "glossary.md").read_text(encoding="utf-8")
+
+
+def test_each_entry_of_the_page_is_a_term_of_one_sentence() -> None:
+    """At least forty, each found by its name, once."""
+    terms = read_terms(PAGE)
+
+    assert len(terms) == PAGE.count("\n- ") >= 40
+    assert [name for name, text in terms.items() if not re.fullmatch(r".*[^.]\.", text)] == []
+    assert len({name.casefold() for name in terms}) == len(terms)
+
+
+@pytest.mark.parametrize(
+    "typed", ["velocity fit", "Velocity-Fit", "velocity_fit", " VELOCITY  FIT"]
+)
+def test_a_term_is_found_in_any_spelling(typed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Case, hyphens, underscores and blanks do not matter."""
+    assert main(["glossary", typed]) == 0
+
+    assert capsys.readouterr().out.startswith("velocity fit: The fit computed")
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [
+        ("inovation", "innovation"),
+        ("hankel", "Hankel singular value"),
+        ("zzzz", "`armrig glossary`"),
+    ],
+)
+def test_an_unknown_term_is_refused_with_the_nearest(
+    typed: str, offered: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A beginning, too; without a near term the list is named."""
+    assert main(["glossary", typed]) == 1
+
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert offered in shown.err
+
+
+def test_without_a_term_all_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    """A line each; as JSON with their sentences."""
+    assert main(["glossary"]) == 0
+    listed = capsys.readouterr().out.splitlines()
+    assert main(["glossary", "--json"]) == 0
+
+    explained = json.loads(capsys.readouterr().out)
+    assert listed == list(explained) == list(read_terms(PAGE))
