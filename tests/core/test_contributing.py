@@ -1,0 +1,94 @@
+"""CONTRIBUTING.md, SECURITY.md and the policy: what they name exists."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = ("CONTRIBUTING.md", "SECURITY.md", "docs/compatibility.md")
+_SPAN = re.compile(r"`([\w.-]*/?[\w./-]+(?:/|\.\w+))(?:: ([\w.]+))?`")
+"""A folder or file in code, and after a colon a name in it."""
+_MAKE = re.compile(r"(?:`|^)make ([\w-]+)", re.MULTILINE)
+
+
+def lacking(text: str) -> set[str]:
+    """Return the files, names and make targets of a page that are not in the tree."""
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    targets = set(re.findall(r"^([\w-]+(?: [\w-]+)*):", makefile, re.MULTILINE))
+    known = {target for line in targets for target in line.split()}
+    spans = {span for span in _SPAN.findall(text) if "/" in span[0] or span[1]}
+    return {": ".join(filter(None, span)) for span in spans if not _exists(*span)} | {
+        f"make {target}" for target in _MAKE.findall(text) if target not in known
+    }
+
+
+def _exists(path: str, name: str) -> bool:
+    file = ROOT / path
+    if not name or not file.exists():
+        return file.exists()
+    text = file.read_text(encoding="utf-8")
+    if file.suffix != ".py":
+        return bool(re.search(rf"^\w[\w *]*\b{re.escape(name)}\(", text, re.MULTILINE))
+    body: list[ast.stmt] = ast.parse(text).body
+    for part in name.split("."):
+        found = next((node for node in body if part in _names(node)), None)
+        if found is None:
+            return False
+        body = getattr(found, "body", [])
+    return True
+
+
+def _names(node: ast.stmt) -> set[str]:
+    """Return the names that a statement defines."""
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return {node.name}
+    targets = [*getattr(node, "targets", []), getattr(node, "target", None)]
+    return {target.id for target in targets if isinstance(target, ast.Name)}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_what_a_page_for_maintainers_names_exists(page: str) -> None:
+    """Files, folders, functions, classes, methods, constants and make targets."""
+    assert lacking((ROOT / page).read_text(encoding="utf-8")) == set()
+
+
+def test_contributing_names_a_function_for_each_hop() -> None:
+    """The three flows have at least nine hops each, each with a file."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+
+    flows = re.findall(r"^## The flow of .*?(?=^## )", text, re.MULTILINE | re.DOTALL)
+
+    hops = [re.findall(r"^\d+\. .*$", flow, re.MULTILINE) for flow in flows]
+    assert [len(of_one) >= 9 for of_one in hops] == [True] * 3
+    assert [hop for of_one in hops for hop in of_one if not _SPAN.search(hop)] == []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "`clients/armrig/gone.py`",
+        "`tests/gone/`",
+        "`tests/gone.toml`",
+        "`clients/armrig/models/fit.py: gone`",
+        "`clients/armrig/models/fit.py: Fit.gone`",
+        "`firmware_protocol/firmware/core/rig_motor.c: gone`",
+        "`make gone`",
+        "```\nmake gone\n```",
+    ],
+)
+def test_a_name_that_is_gone_is_found(text: str) -> None:
+    """As after a move of a module."""
+    assert len(lacking(text)) == 1
+
+
+def test_decisions_are_numbered_without_a_hole() -> None:
+    """Their titles have the numbers of their files."""
+    files = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+
+    assert [int(file.name[:4]) for file in files] == list(range(1, len(files) + 1))
+    titles = [file.read_text(encoding="utf-8").partition("\n")[0] for file in files]
+    assert [int(title.split()[1].rstrip(".")) for title in titles] == list(range(1, len(files) + 1))
