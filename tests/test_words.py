@@ -76,6 +76,14 @@ def test_messages_that_a_test_quotes_and_names_are_left_out() -> None:
     assert not list(module_findings('row["told"]'))
 
 
+def test_a_sentence_ends_at_its_period() -> None:
+    """Also before a name in small letters, and not after e.g. and the like."""
+    half = "word " * 20
+
+    assert not list(page_findings(f"{half} end. zenoh {half} end.\n"))
+    assert len(list(page_findings(f"{half} (e.g. one) {half} end.\n"))) == 1
+
+
 def test_a_finding_names_its_line() -> None:
     """The line of the sentence in the file."""
     text = "# Title\n\nA sentence. Another\none.\n\n```\ncode\n```\n\nIt was told.\n"

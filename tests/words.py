@@ -28,7 +28,7 @@ KINDS = ("phrase", "long", "first")
 LEFT_OUT = (
     *("tests/words.py", "tests/words.toml", "tests/test_words.py", "tests/clients/cli/said"),
     *("docs/figures", "tests/data", "clients/armrig/dashboard/page/vendor"),
-    *("firmware_protocol/armrig_protocol/messages.py", "CHANGELOG.md"),
+    "firmware_protocol/armrig_protocol/messages.py",
 )
 _PHRASES = {
     re.compile(rf"\b(?:{phrase})\b", re.IGNORECASE): better
@@ -40,7 +40,8 @@ _CODE = re.compile(r"``[^`]+``|`[^`\n]+(?:\n[^`\n]+)?`|\$[^$\n]+\$|<[^<>\n]+>")
 _QUOTED = re.compile(r"[“\"][^”\"]{2,300}[”\"]")
 _LINK = re.compile(r"!?\[([^]]*)\]\([^)]*\)")
 _BLOCK = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*+]|\d+\.)\s)")
-_END = re.compile(r"(?<=[.!?])[)”*_]*\s+(?=[^a-z])|:\s*\n")
+_END = re.compile(r"(?:(?<=\w{3}[.!?])|(?<=[.!?])(?=\W+[^a-z]))[)”*_]*\s+|:\s*\n")
+"""A period ends a sentence, but not after two letters (e.g.) if a small letter follows."""
 _WORD = re.compile(r"[^\W\d_]")
 _PROSE = re.compile(r"[^\W\d_]{2,},? [^\W\d_]{2,}")
 _PAGE_TEXT = re.compile(r'"([^"\n]*)"|`([^`]*)`|>([^<>{}]+)<')
@@ -152,11 +153,12 @@ def room_of(path: Path) -> str:
 
 
 def tree_findings() -> Iterator[tuple[Path, Finding]]:
-    """Yield the findings of all files that git lists."""
-    listed = subprocess.run(
-        ["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    for path in map(Path, listed.stdout.splitlines()):
+    """Yield the findings of all files that git lists or that are new."""
+    call = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
+    listed = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=True)
+    for path in sorted({Path(line) for line in listed.stdout.splitlines()}):
+        if not (ROOT / path).is_file():  # deleted, and not committed
+            continue
         if path.suffix in _READERS and not str(path).startswith(LEFT_OUT):
             text = (ROOT / path).read_text(encoding="utf-8")
             found = (
