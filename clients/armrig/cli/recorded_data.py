@@ -16,7 +16,6 @@ from armrig_core.telemetry import THETA_1, OutputName
 from armrig.cli.figures import name_runs
 from armrig.cli.options import SAME_DATA, tell, warned
 from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
-from armrig.data.step import MEAN, codes_of
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -222,6 +221,8 @@ def source_facts(data: Dataset) -> dict[str, str]:
 
 
 def _without_means(model: Model | None) -> bool:
+    from armrig.data.step import MEAN, codes_of
+
     return MEAN in codes_of(getattr(model, "history", ()))
 
 
