@@ -54,7 +54,7 @@ from armrig.physics.grey_box.inverse_dynamics import inverse_dynamics as inverse
 from armrig.physics.grey_box.split_study import split_study as split_study
 from armrig.physics.integrators.accuracy import convergence as convergence
 from armrig.physics.integrators.accuracy import sinusoid as sinusoid
-from armrig.physics.integrators.exact import exact as exact
+from armrig.physics.integrators.linear_system import exact as exact
 from armrig.physics.integrators.stability import stability_limit as stability_limit
 from armrig.physics.integrators.step_choice import recommend_step as recommend_step
 from armrig.physics.integrators.stepping import integrate as integrate

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, minus
 from armrig.plots.captions import NAMES, legend, named, sign
-from armrig.plots.colours import BLUE, INK
-from armrig.plots.layout import finish, panels, shade
+from armrig.plots.layout import BLUE, INK, finish, panels, shade
 from armrig.plots.scales import bare_minor, hertz
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.criteria import Criterion
 from armrig.plots.captions import legend
-from armrig.plots.colours import BLUE, GREY, VERMILION
-from armrig.plots.layout import axes, finish
+from armrig.plots.layout import BLUE, GREY, VERMILION, axes, finish
 from armrig.plots.scales import logarithmic
 
 if TYPE_CHECKING:

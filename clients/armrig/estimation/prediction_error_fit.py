@@ -20,9 +20,8 @@ from armrig.estimation.prediction_error import PredictionError, Solution
 from armrig.estimation.stability import with_stability_warning, with_stable_poles
 from armrig.models.estimate import MOST_CURVED, Start
 from armrig.models.fit import Fit
-from armrig.models.free_response import FreeResponse, offset_from_ramp
 from armrig.models.innovations import Errors, Unknown, prepared
-from armrig.models.structure import Structure
+from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
 from armrig.models.structure_table import Initial, Starts
 from armrig.numerics.inference import Inference, infer
 from armrig.numerics.levenberg_marquardt import Optimum

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from armrig.models.free_response import free_columns
 from armrig.models.innovations import trend
-from armrig.models.structure import Structure
+from armrig.models.structure import Structure, free_columns
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
 

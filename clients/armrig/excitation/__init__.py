@@ -3,11 +3,9 @@
 All are float64 (N,), the same for the same seed, and none leaves the interval asked for.
 """
 
-from armrig.excitation.binary import prbs, telegraph
+from armrig.excitation.binary import prbs, telegraph, white_noise
 from armrig.excitation.from_file import from_csv
-from armrig.excitation.levels import staircase, step
-from armrig.excitation.limits import HIGHEST_V, LOWEST_V, within
-from armrig.excitation.noise import white_noise
+from armrig.excitation.levels import HIGHEST_V, LOWEST_V, staircase, step, within
 from armrig.excitation.sines import chirp, multisine
 
 __all__ = [

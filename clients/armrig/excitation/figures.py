@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.plots.colours import BLUE, INK, SKY
-from armrig.plots.layout import finish
+from armrig.plots.layout import BLUE, INK, SKY, finish
 from armrig.plots.scales import hertz
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from armrig_core.bounded import read_text
 from armrig_core.calls import checked_call
 from armrig_core.errors import FileError, InputError
 
-from armrig.excitation.limits import HIGHEST_V, LOWEST_V, Vector, require_levels
+from armrig.excitation.levels import HIGHEST_V, LOWEST_V, Vector, require_levels
 from armrig.numerics.checks import require_numbers
 
 _SEPARATORS = str.maketrans(",;", "  ")

@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import InputError
 
-from armrig.excitation.binary import prbs, telegraph
-from armrig.excitation.levels import staircase, step
-from armrig.excitation.limits import Vector
-from armrig.excitation.noise import white_noise
+from armrig.excitation.binary import prbs, telegraph, white_noise
+from armrig.excitation.levels import Vector, staircase, step
 from armrig.excitation.sines import chirp, multisine
 from armrig.numerics.checks import require_integers, require_numbers
 

@@ -9,7 +9,7 @@ import numpy as np
 from armrig_core.calls import checked_call
 from armrig_core.errors import InputError
 
-from armrig.excitation.limits import Vector, generator, require_levels, within
+from armrig.excitation.levels import Vector, generator, require_levels, within
 from armrig.numerics.checks import require_integers, require_numbers
 
 

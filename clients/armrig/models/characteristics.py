@@ -14,10 +14,12 @@ from armrig.models.parameter_draws import Draws, directions, drawn
 from armrig.models.uncertainty import pole_regions
 from armrig.numerics.confidence_regions import FEWEST, Band, band, linearised_band, sampled_band
 from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
+from armrig.numerics.quantile import joint_p_value
 from armrig.numerics.step_times import mean_lag, rise_time, slowest_time
 
 if TYPE_CHECKING:
     from armrig.models.model import Model
+
 
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -41,6 +43,10 @@ _STEP = 1e-2  # of a standard deviation
 _POINTS = 600
 _LOWEST = 1 / 3000  # of Nyquist
 _LONGEST = 2000  # samples of a step response
+SAME = 0.01
+"""p value of a pole and a zero that cannot be told apart."""
+_NEAR = 0.3  # largest distance in the z plane at which they are compared
+_REAL = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -283,3 +289,44 @@ def _first_below(x: Vector, y: Vector, level: float) -> float:
         return float(x[0])
     share = (level - y[i - 1]) / (y[i] - y[i - 1])
     return float(x[i - 1] + share * (x[i] - x[i - 1]))
+
+
+def overlapping(model: Model) -> list[tuple[complex, complex, float]]:
+    """Return pole, zero and p value of the pairs that cannot be told apart (1 %), nearest first.
+
+    The difference of a pole and a zero has the covariance J P J^T, J their derivatives by theta:
+    where the order is too high both wander, together, and only this difference is small. A
+    conjugate pair is told once.
+    """
+    poles = [(letter, z) for letter in ("a", "f") for z in _roots(model, letter)]
+    found = []
+    for letter, pole in poles:
+        if pole.imag < 0 or (letter == model.integrating and abs(pole - 1) < 1e-6):
+            continue
+        for zero in _roots(model, "b"):
+            apart = pole - zero
+            if zero.imag < -_REAL or abs(apart) > _NEAR:
+                continue
+            d = _derivative(model, letter, pole) - _derivative(model, "b", zero)
+            J = np.vstack([d.real, d.imag])
+            s = np.array([apart.real, apart.imag])
+            p = joint_p_value(s, J @ model.trusted_covariance @ J.T)
+            if p >= SAME:
+                found.append((complex(pole), complex(zero), p))
+    return sorted(found, key=lambda pair: abs(pair[0] - pair[1]))
+
+
+def _roots(model: Model, letter: str) -> Complex:
+    p = getattr(model, letter.upper())
+    return np.roots(p[model.nk :] if letter == "b" else p).astype(np.complex128)
+
+
+def _derivative(model: Model, letter: str, root: complex) -> Complex:
+    """Return the derivative of a root by theta (d,): dz = -z^(n-k) / p'(z) dp_k."""
+    p = getattr(model, letter.upper())
+    p, first = (p[model.nk :], 0) if letter == "b" else (p, 1)
+    powers = p.size - 1 - np.arange(first, p.size)
+    out = np.zeros(model.theta.size, dtype=np.complex128)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        out[model.slice_of(letter)] = -(root**powers) / np.polyval(np.polyder(p), root)
+    return out

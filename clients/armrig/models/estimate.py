@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding
-from armrig.models.free_response import FreeResponse
 from armrig.models.model import Matrix, Model, Vector, freeze, standard_deviations
 from armrig.models.responses import NoiseSpectrum
+from armrig.models.structure import FreeResponse
 from armrig.models.structure_table import KINDS
 from armrig.numerics import criteria
 from armrig.numerics.whiteness import Whiteness

@@ -17,8 +17,8 @@ from armrig.data.finding import EstimateFinding
 from armrig.data.step import LINE, MEAN, Step
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
-from armrig.models.free_response import FreeResponse
 from armrig.models.model_writing import FORMAT, VERSION
+from armrig.models.structure import FreeResponse
 from armrig.models.subspace_fit import SubspaceFit
 
 MOST_BYTES = 1 << 26

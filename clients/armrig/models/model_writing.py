@@ -15,7 +15,7 @@ import numpy as np
 
 from armrig.data.step import codes_of
 from armrig.models.estimate import Estimate, Start
-from armrig.models.free_response import FreeResponse
+from armrig.models.structure import FreeResponse
 
 FORMAT = "armrig model"
 VERSION = 1

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.models.cancellation import overlapping
+from armrig.models.characteristics import overlapping
 from armrig.models.labels import Labels, labels_of, left_out, sources_of
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.uncertainty import pole_regions, zero_regions

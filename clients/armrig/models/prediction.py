@@ -10,9 +10,8 @@ import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
 from armrig.data.dataset import Dataset, Vector
-from armrig.models.free_response import free_columns, transient_count
 from armrig.models.innovations import Unknown, errors, masked, prepared, regression, summed_input
-from armrig.models.structure import Structure
+from armrig.models.structure import Structure, free_columns, transient_count
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, impulse, lagged, without_integrator
 from armrig.numerics.regressors import complete, past

@@ -7,8 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from armrig.models.cancellation import overlapping
-from armrig.models.characteristics import SCALARS, ModelCharacteristics, model_characteristics
+from armrig.models.characteristics import (
+    SCALARS,
+    ModelCharacteristics,
+    model_characteristics,
+    overlapping,
+)
 from armrig.models.estimate import Estimate
 from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.uncertainty import pole_regions, zero_regions

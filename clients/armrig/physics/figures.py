@@ -12,8 +12,7 @@ import numpy as np
 from armrig.physics.step_response import characteristics, step_response, step_sensitivities
 from armrig.physics.systems import ArmParameters
 from armrig.plots.captions import legend, symbol
-from armrig.plots.colours import BLUE, GREY, INK, VERMILION, pens
-from armrig.plots.layout import axes, finish
+from armrig.plots.layout import BLUE, GREY, INK, VERMILION, axes, finish, pens
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

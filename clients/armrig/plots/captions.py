@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY
 
 from armrig.numerics.quantities import three_digits
-from armrig.plots.colours import GREY
+from armrig.plots.layout import GREY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
 from armrig.numerics.stretches import stretches
-from armrig.plots.colours import INK, ORANGE
 from armrig.plots.notebook import show_once
 
 if TYPE_CHECKING:
@@ -18,9 +18,24 @@ if TYPE_CHECKING:
     from matplotlib.gridspec import SubplotSpec
     from numpy.typing import NDArray
 
+
 MISSING = "#BBBBBB"
 _LETTER = "_letter"
 _WIDE = 2.0  # width over height, from which on two panels stand side by side
+# M. Okabe, K. Ito, "Color Universal Design", 2008; without the yellow, too pale on paper.
+BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
+PURPLE, ORANGE, SKY = "#CC79A7", "#E69F00", "#56B4E9"
+INK, GREY = "#222222", "#777777"
+COLOURS = (SKY, VERMILION, BLUE, GREEN, PURPLE, INK)
+DASHES: tuple[Any, ...] = (
+    "-",
+    (0, (4, 2)),
+    "-",
+    (0, (6, 1.5, 1, 1.5)),
+    (0, (1, 1)),
+    (0, (8, 3)),
+)
+WIDTHS = (3.6, 2.0, 0.8, 1.2, 1.2, 0.8)
 
 
 def axes(ax: Axes | None) -> Axes:
@@ -176,3 +191,17 @@ def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
     ax.vlines(x, 0, y, color=colour, lw=1.0)
     ax.plot(x, y, "o", color=colour, ms=2.6)
     ax.axhline(0, color=INK, lw=0.6)
+
+
+def pens(curves: int) -> list[dict[str, Any]]:
+    """Return what draws each of so many curves: colour, dashes and width.
+
+    The first is the widest: where curves agree, each shows beside the next.
+    """
+    if curves == 1:
+        return [{"color": BLUE, "ls": "-", "lw": 1.4}]
+    each = cycle(zip(COLOURS, DASHES, WIDTHS, strict=True))
+    return [
+        {"color": colour, "ls": dash, "lw": width}
+        for (colour, dash, width), _ in zip(each, range(curves), strict=False)
+    ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import tau
 from typing import TYPE_CHECKING, Any
 
-from armrig.plots.colours import GREY
+from armrig.plots.layout import GREY
 
 if TYPE_CHECKING:
     import numpy as np

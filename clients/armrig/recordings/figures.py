@@ -11,8 +11,7 @@ from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY
 from numpy.typing import NDArray
 
 from armrig.plots.captions import NAMES, legend, short, sign
-from armrig.plots.colours import BLUE, INK, SKY, VERMILION
-from armrig.plots.layout import axes, finish, rows, shade
+from armrig.plots.layout import BLUE, INK, SKY, VERMILION, axes, finish, rows, shade
 from armrig.plots.scales import logarithmic
 from armrig.recordings.jitter import jitter_us, lateness_us
 

@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 from armrig import plots
 from armrig.estimation.nonparametric.spectral_reference import spectral_reference
 from armrig.plots.captions import legend, named_by_run
-from armrig.plots.colours import pens
-from armrig.plots.layout import save
+from armrig.plots.layout import pens, save
 from armrig.report.study import STEP, Study, kind_of
 
 STYLE: Any = {

@@ -12,8 +12,7 @@ from armrig.data.figures import without_ramp
 from armrig.models.labels import Labels
 from armrig.numerics.quantities import error, minus
 from armrig.plots.captions import legend, sign
-from armrig.plots.colours import GREY, INK, pens
-from armrig.plots.layout import MISSING, finish, panels, shade
+from armrig.plots.layout import GREY, INK, MISSING, finish, panels, pens, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from armrig.numerics.quantities import NBSP, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
 from armrig.plots.captions import legend, sign
-from armrig.plots.colours import BLUE, GREY, VERMILION
-from armrig.plots.layout import finish, panels, stems
+from armrig.plots.layout import BLUE, GREY, VERMILION, finish, panels, stems
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

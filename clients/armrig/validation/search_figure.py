@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armrig.plots.captions import legend
-from armrig.plots.colours import COLOURS, GREY, INK
-from armrig.plots.layout import axes, finish
+from armrig.plots.layout import COLOURS, GREY, INK, axes, finish
 from armrig.plots.scales import logarithmic
 
 if TYPE_CHECKING:

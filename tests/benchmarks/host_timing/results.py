@@ -99,8 +99,7 @@ def _machine_lines(result: Result) -> Iterator[str]:
 
 def write_figure(result: Result, path: Path) -> None:
     """Write the share of times above each time: lateness, and the way to a subscriber."""
-    from armrig.plots.colours import BLUE, GREEN, INK, ORANGE, VERMILION
-    from armrig.plots.layout import finish, letter
+    from armrig.plots.layout import BLUE, GREEN, INK, ORANGE, VERMILION, finish, letter
     from matplotlib.figure import Figure
 
     late = (

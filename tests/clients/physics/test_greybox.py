@@ -9,7 +9,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.physics.grey_box.verdict import no_model
+from armrig.physics.grey_box.estimate import no_model
 from armrig.physics.systems import ArmParameters, arm, chassis
 from chassis_data import Make, Ts, angle
 

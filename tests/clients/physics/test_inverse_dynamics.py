@@ -6,8 +6,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.physics.grey_box.smoothed_noise import smoothed_noise_p_value
-from armrig.physics.grey_box.smoothing import kernels, smoothed
+from armrig.physics.grey_box.smoothing import kernels, smoothed, smoothed_noise_p_value
 from armrig.physics.systems import ArmParameters
 from chassis_data import Make, Ts, angle
 

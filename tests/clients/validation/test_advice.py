@@ -10,7 +10,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.models.cancellation import overlapping
+from armrig.models.characteristics import overlapping
 from armrig.numerics.polynomial import filtered
 from armrig.validation.advice.advice import Advice
 from armrig.validation.advice.data_advice import examine_fit_of

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.quantities import minus
 from armrig.plots.captions import NAMES, legend, sign
-from armrig.plots.colours import BLUE, GREEN, GREY, INK, SKY, VERMILION
-from armrig.plots.layout import axes, finish, panels, stems
+from armrig.plots.layout import BLUE, GREEN, GREY, INK, SKY, VERMILION, axes, finish, panels, stems
 from armrig.plots.scales import bare_minor, decibel_ticks, decibels, hertz
 
 if TYPE_CHECKING:

@@ -1,8 +1,7 @@
 """Standard deviations before the experiment: what a planned input would teach."""
 
-from armrig.excitation.experiment_design.parametric import predicted_std
+from armrig.excitation.experiment_design.parametric import PlannedModel, predicted_std
 from armrig.excitation.experiment_design.physical import predicted_parameter_std
-from armrig.excitation.experiment_design.planned_model import PlannedModel
 from armrig.excitation.experiment_design.predicted_std import PredictedStd
 
 __all__ = ["PlannedModel", "PredictedStd", "predicted_parameter_std", "predicted_std"]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from armrig.data.dataset import Dataset, Vector
 from armrig.excitation.experiment_design.predicted_std import PredictedStd, inverted, planned_data
-from armrig.models.free_response import free_columns
+from armrig.models.structure import free_columns
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered

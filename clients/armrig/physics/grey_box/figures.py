@@ -14,8 +14,7 @@ from armrig.physics.grey_box.least_squares_problem import GreyBox
 from armrig.physics.grey_box.parameters import COULOMB, UNITS
 from armrig.physics.grey_box.sampled_model import Physics
 from armrig.plots.captions import in_mathtext, legend, sign, symbol
-from armrig.plots.colours import BLUE, GREY, VERMILION
-from armrig.plots.layout import MISSING, axes, finish, panels, shade
+from armrig.plots.layout import BLUE, GREY, MISSING, VERMILION, axes, finish, panels, shade
 from armrig.plots.scales import logarithmic
 
 if TYPE_CHECKING:

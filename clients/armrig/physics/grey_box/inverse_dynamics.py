@@ -29,17 +29,24 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.physics.grey_box.fit import GreyFit, below_zero
-from armrig.physics.grey_box.free_parameters import (
+from armrig.physics.grey_box.least_squares_problem import bipolar
+from armrig.physics.grey_box.parameters import (
+    COULOMB,
     Friction,
     checked_fixed_std,
     free_names,
     require_output,
 )
-from armrig.physics.grey_box.least_squares_problem import bipolar
-from armrig.physics.grey_box.parameters import COULOMB
 from armrig.physics.grey_box.sampled_model import Physics
-from armrig.physics.grey_box.smoothed_noise import SMOOTHED_NOISE, smoothed_noise_p_value
-from armrig.physics.grey_box.smoothing import LEAST_WIDTH, kernels, reach, smoothed
+from armrig.physics.grey_box.smoothing import (
+    LEAST_WIDTH,
+    SMOOTHED_NOISE,
+    kernels,
+    near_standstill,
+    reach,
+    smoothed,
+    smoothed_noise_p_value,
+)
 from armrig.physics.grey_box.uncertainty import named_std
 from armrig.physics.systems import chassis
 
@@ -52,9 +59,7 @@ _COLOURED = (
     "the residuals are more than smoothed noise (p {p}): the model leaves something of the rig out "
     "(friction?), or the noise is not white"
 )
-_SLOW = 0.05  # share of the effective speed below which its sign is not trusted
 _ROWS = 10  # values that are left, for each unknown: fewer show too small a deviation
-_STOPS = 2.0  # widths of the kernel in which it is taken to stop, at its effective acceleration
 _STEP = 2**0.5  # from one width that is tried to the next
 _WIDEST = 6  # such kernels, at least, are in the longest experiment
 
@@ -406,7 +411,7 @@ def _torque_balance(
         if COULOMB in names:
             columns.append(-np.sign(x.velocity))
             slopes.append(0.0)
-            target[_near_standstill(part, s, x.reach)] = np.nan
+            target[near_standstill(part, s, x.reach)] = np.nan
         if _offset_is_free(data, names):
             columns.append(np.ones(part.N))
             slopes.append(0.0)
@@ -420,26 +425,6 @@ def _torque_balance(
         by_velocity=by_velocity,
         sizes=tuple(t.size for t in targets),
     )
-
-
-def _near_standstill(part: Dataset, s: float, reach: int) -> NDArray[np.bool_]:
-    """Return where the kernel's window touches an instant at which the chassis may stand still."""
-    # A narrower kernel, or the short stops would be smoothed away.
-    width = max(s / 4, LEAST_WIDTH * part.Ts)
-    fine = smoothed(part, width)
-    v = fine.velocity
-    # It may stop for less than the kernel's width, and turn between two samples.
-    within = _STOPS * width * _effective(smoothed(part, s).acceleration)
-    least = max(_SLOW * _effective(v), within)
-    turns = np.append(v[:-1] * v[1:] < 0, False)
-    slow = ((np.abs(v) < least) | turns).astype(np.float64)
-    window = np.ones(2 * (reach + fine.reach) + 1)
-    return np.asarray(np.convolve(slow, window)[reach + fine.reach :][: part.N] > 0.5)
-
-
-def _effective(x: Vector) -> float:
-    known = x[np.isfinite(x)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else 0.0
 
 
 def _by_experiment(

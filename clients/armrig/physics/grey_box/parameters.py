@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from typing import Literal, get_args
 
+import numpy as np
 from armrig_core.arm import ArmParameters
+from armrig_core.errors import InputError
+from armrig_core.telemetry import OutputName
+
+from armrig.data.dataset import Dataset
 
 NAMES = tuple(f.name for f in fields(ArmParameters))
 SIGNED = frozenset({"b_1"})
@@ -21,3 +28,47 @@ UNITS = {
     "b_1": "Nms/rad",
     COULOMB: "Nm",
 }
+Friction = Literal["viscous", "coulomb", "both"]
+_RECORDED = get_args(OutputName)
+
+
+def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...]:
+    """Return the free parameters, those of the friction last."""
+    if isinstance(free, str):
+        free = (free,)
+    if friction not in (None, "viscous", "coulomb", "both"):
+        raise InputError(f'friction={friction!r} must be None, "viscous", "coulomb" or "both"')
+    for name in free:
+        if name not in NAMES:
+            msg = f"free={name!r} is none of {', '.join(NAMES)}"
+            msg += "; give several one by one" if "," in name else ""
+            raise InputError(msg)
+    names = list(free)
+    if friction in ("viscous", "both") and "b_1" not in names:
+        names.append("b_1")
+    if friction in ("coulomb", "both"):
+        names.append(COULOMB)
+    if not free or len(set(names)) < len(names):
+        raise InputError(f"free={tuple(free)} must name at least one parameter, and none twice")
+    return tuple(names)
+
+
+def require_output(data: Dataset, output: str) -> None:
+    """Refuse a recording's data of another output than the model's."""
+    if data.output in _RECORDED and data.output != output:
+        raise InputError(
+            f"the data are {data.output}, the model's output is {output}; take "
+            f"recording.dataset(output={output!r})"
+        )
+
+
+def checked_fixed_std(fixed_std: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
+    """Return the standard deviations of what is held fixed, or refuse a wrong one."""
+    for name, std in fixed_std.items():
+        if name not in NAMES or name in names:
+            msg = f"fixed_std={name!r} is no parameter that is held fixed; these are "
+            msg += ", ".join(x for x in NAMES if x not in names)
+            raise InputError(msg)
+        if not (np.isfinite(std) and std >= 0):
+            raise InputError(f"fixed_std[{name!r}]={std!r} must be finite and >= 0")
+    return dict(fixed_std)

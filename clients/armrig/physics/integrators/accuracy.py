@@ -10,8 +10,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.physics.integrators.exact import exact
-from armrig.physics.integrators.linear_system import require_positive, system
+from armrig.physics.integrators.linear_system import exact, require_positive, system
 from armrig.physics.integrators.methods import METHODS, method_named
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.integrators.stepping import integrate

@@ -16,8 +16,7 @@ from armrig.physics.integrators.methods import METHODS, amplification
 from armrig.physics.integrators.stability import stability_limit
 from armrig.physics.integrators.stepping import integrate
 from armrig.plots.captions import legend
-from armrig.plots.colours import BLUE, GREY, INK, VERMILION, pens
-from armrig.plots.layout import MISSING, axes, finish, panels
+from armrig.plots.layout import BLUE, GREY, INK, MISSING, VERMILION, axes, finish, panels, pens
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

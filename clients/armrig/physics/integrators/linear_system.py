@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import expm
+
+from armrig.numerics.checks import require_numbers
 
 Matrix = NDArray[np.float64]
 
@@ -49,3 +52,60 @@ def require_positive(**values: float) -> None:
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{name}={value!r} must be finite and > 0")
+
+
+def exact(
+    A: ArrayLike,
+    B: ArrayLike,
+    amplitude: float,
+    omega: float,
+    x0: ArrayLike,
+    t: ArrayLike,
+) -> Matrix:
+    """Return the solution (len(t), nx) of x' = A x + B amplitude sin(omega t), x(0) = x0.
+
+    Sine and cosine are states of their own, s' = omega c, c' = -omega s, so that one exponential
+    gives everything, at any A and omega: integrator and resonance need no case of their own ::
+
+        [x]         [A  B amplitude  0    ]    [x0]
+        [s](t) = exp[0  0            omega] t  [0 ]
+        [c]         [0  -omega       0    ]    [1 ]
+
+    Parameters
+    ----------
+    A : array_like, shape (nx, nx)
+    B : array_like, shape (nx,) or (nx, 1)
+    amplitude : float
+        Of the input, in its unit.
+    omega : float
+        Angular frequency in rad/s.
+    x0 : array_like, shape (nx,)
+    t : array_like, shape (N,)
+        Times in s, in any order.
+
+    Raises
+    ------
+    ValueError
+        A shape is wrong, there is more than one input, or a number is not finite.
+
+    References
+    ----------
+    .. [1] C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404.
+    """
+    A_, B_, x0_ = system(A, B, x0)
+    require_numbers(amplitude=amplitude, omega=omega)
+    times = np.atleast_1d(np.asarray(t, dtype=np.float64))
+    if B_.shape[1] != 1 or times.ndim != 1:
+        raise InputError(
+            f"B has shape {B_.shape} and t {times.shape}; one input and t (N,) are allowed"
+        )
+    if not (np.isfinite([amplitude, omega]).all() and np.isfinite(times).all()):
+        raise InputError(f"amplitude={amplitude!r}, omega={omega!r} and all t must be finite")
+    n = A_.shape[0]
+    block = np.zeros((n + 2, n + 2))
+    block[:n, :n], block[:n, n] = A_, amplitude * B_[:, 0]
+    block[n, n + 1], block[n + 1, n] = omega, -omega
+    start = np.concatenate([x0_, [0.0, 1.0]])
+    # A thousand exponentials at a time: a million at once would take 300 MB.
+    parts = np.array_split(times, max(1, times.size // 1000))
+    return np.concatenate([(expm(block * p[:, None, None]) @ start)[:, :n] for p in parts])

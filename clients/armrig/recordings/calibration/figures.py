@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.quantities import scaled, with_std
 from armrig.plots.captions import legend
-from armrig.plots.colours import BLUE, GREY, INK, VERMILION
-from armrig.plots.layout import finish, panels
+from armrig.plots.layout import BLUE, GREY, INK, VERMILION, finish, panels
 from armrig.recordings.calibration.motor import IDEAL_DRIVER, Speeds, TerminalVoltage
 from armrig.recordings.calibration.readings import Readings, readings_of
 from armrig.recordings.calibration.rotation import Turning

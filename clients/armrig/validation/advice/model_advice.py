@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from armrig.data.finding import Finding
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.models.cancellation import overlapping
+from armrig.models.characteristics import overlapping
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
 from armrig.models.structure_table import KINDS

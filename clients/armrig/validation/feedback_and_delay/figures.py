@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, p_relation
 from armrig.plots.captions import NAMES, legend, sign
-from armrig.plots.colours import BLUE, GREY, INK, VERMILION
-from armrig.plots.layout import axes, finish, panels
+from armrig.plots.layout import BLUE, GREY, INK, VERMILION, axes, finish, panels
 from armrig.validation.residual_figure import BAND_99_PERCENT
 
 if TYPE_CHECKING:
