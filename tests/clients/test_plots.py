@@ -20,7 +20,7 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import Dataset, Fit, oe, plots
-from armrig.estimation.nonparametric.spectral_reference import spectral_reference
+from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.models.model import Model
 from armrig.models.parameter_draws import drawn
 from armrig.numerics.confidence_regions import HALF_WIDTH

@@ -270,7 +270,7 @@ def warn_of_estimation_data(table: ComparisonTable) -> None:
 def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
     """Return the frequency response that the data show without a model; empty where they do not."""
     from armrig.cli.spinner import spinner
-    from armrig.estimation.nonparametric.spectral_reference import spectral_reference
+    from armrig.estimation.nonparametric.spectral import spectral_reference
 
     try:
         with spinner("estimating the spectrum"):

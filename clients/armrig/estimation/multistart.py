@@ -1,15 +1,25 @@
-"""The search from several start values, and from more where the minimum is in doubt."""
+"""The search from several start values, and from more where the minimum is in doubt.
+
+Further start values have one mode of C, D or F at another place.
+
+In strong noise the prediction error has minima of little difference, in which a weak mode has
+settled on the noise of some frequency. Slow noise and slow inputs have others, in which a real root
+has. So each mode is tried elsewhere.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import combinations, product
 
 import numpy as np
 
-from armrig.estimation.moved_modes import moved_modes
+from armrig.estimation.hannan_rissanen import armax_start, noise_start
 from armrig.estimation.prediction_error import PredictionError
-from armrig.estimation.start_values import start_values
+from armrig.estimation.steiglitz_mcbride import equation_error, high_order_output, steiglitz_mcbride
 from armrig.numerics.levenberg_marquardt import Optimum
+from armrig.numerics.polynomial import Array, filtered, reflected, roots
 
 Ends = list[tuple[str, Optimum]]
 """Name of each start and where it led."""
@@ -21,6 +31,14 @@ _ROUNDS = 6
 _MOST_MOVED = 30  # coefficients of C, D and F; of 60 each round takes a minute
 _STAGES = ((10, 8), (40, 1))  # steps from each other start, how many of them go on
 _RETURNED = 1e-7  # relative difference in cost up to which a search has come back
+_ANGLES = np.linspace(0.1, 3.0, 15)  # of the moved mode, in rad a sample
+_REAL = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
+_MOST_REAL = 0.998
+_IS_REAL = 1e-9
+_RADII = (0.98, 0.85, 0.6)
+_EACH = 6  # starts of a kind
+_OF_F = 2  # its place among the polynomials
+_OE_STEPS = 12  # of the search for an output-error start; it need not end at the minimum
 
 
 def searched_minimum(
@@ -123,3 +141,165 @@ def _doubtful(problem: PredictionError, ends: Ends, *, strict: bool) -> bool:
     noise = sum(float(np.sum(v**2)) for v in left)
     variance = sum(float(np.sum((s - s.mean()) ** 2)) for s in y if s.size)
     return noise > _MUCH_NOISE * variance
+
+
+def moved_modes(
+    problem: PredictionError, theta: Array, *, all_kinds: bool = True
+) -> Iterator[Array]:
+    """Yield start values in which one mode of C, D or F is moved; those of least cost of each kind.
+
+    A complex pair, or the two smallest real roots, becomes a pair at another frequency, or two
+    other real roots; a real root becomes another one.
+
+    Parameters
+    ----------
+    all_kinds : bool
+        Or only pairs of F at other frequencies.
+    """
+    polynomials = problem.polynomials(theta)
+    kinds = (_other_pairs, _other_reals, _other_real) if all_kinds else (_other_pairs,)
+    for which, polynomial in enumerate(polynomials):
+        for kind in kinds if all_kinds or which == _OF_F else ():
+            starts = []
+            for moved in kind(roots(polynomial)):
+                others = [*polynomials]
+                others[which] = np.real(np.poly(moved))
+                start = np.concatenate([other[1:] for other in others])
+                starts.append((problem.cost(start), start))
+            starts.sort(key=lambda start: start[0])
+            yield from (start for _, start in starts[:_EACH])
+    if all_kinds:
+        yield from _moved_together(problem, theta)
+        yield from _with_white_noise(problem, theta)
+
+
+def _moved_together(problem: PredictionError, theta: Array) -> Iterator[Array]:
+    """Yield starts in which a real root of C and one of D nearly cancel at another place."""
+    C, D, F = problem.polynomials(theta)
+    starts = []
+    for z, w in product(_without_one_real(roots(C)), _without_one_real(roots(D))):
+        for root, share in product(_REAL, (0.9, 1 / 0.9)):
+            near = np.clip(root * share, -_MOST_REAL, _MOST_REAL)
+            c, d = np.real(np.poly(np.append(z, near))), np.real(np.poly(np.append(w, root)))
+            start = np.concatenate([c[1:], d[1:], F[1:]])
+            starts.append((problem.cost(start), start))
+    starts.sort(key=lambda start: start[0])
+    yield from (start for _, start in starts[:_EACH])
+
+
+def _with_white_noise(problem: PredictionError, theta: Array) -> Iterator[Array]:
+    """Yield starts in which F is estimated again, from signals filtered by D/C."""
+    n = problem.structure
+    C, D, _ = problem.polynomials(theta)
+    if n.nf == 0 or n.nc + n.nd == 0:
+        return
+    signals = [(filtered(D, C, x.u), filtered(D, C, x.y)) for x in problem.experiments]
+    smooth = high_order_output(signals, n)
+    for F, on in ((np.ones(1), smooth), (np.ones(1), signals)):
+        for better in steiglitz_mcbride(on, F, n, iterations=5):
+            yield np.concatenate([theta[: n.nc + n.nd], better[1:]])
+
+
+def _other_pairs(z: Array) -> Iterator[Array]:
+    for kept in _without_one_pair(z):
+        for radius, angle in product(_RADII, _ANGLES):
+            yield np.concatenate([kept, radius * np.exp(1j * np.array([angle, -angle]))])
+
+
+def _other_reals(z: Array) -> Iterator[Array]:
+    for kept in _without_one_pair(z):
+        for pair in combinations(_REAL, 2):
+            yield np.concatenate([kept, pair])
+
+
+def _other_real(z: Array) -> Iterator[Array]:
+    for kept in _without_one_real(z):
+        for root in _REAL:
+            yield np.append(kept, root)
+
+
+def _without_one_real(z: Array) -> Iterator[Array]:
+    for i in np.flatnonzero(np.abs(z.imag) <= _IS_REAL):
+        yield np.delete(z, i)
+
+
+def _without_one_pair(z: Array) -> Iterator[Array]:
+    """Yield what is left without each complex pair, and without the two smallest real roots."""
+    rest = np.arange(z.size)
+    for i in np.flatnonzero(z.imag > _IS_REAL):
+        partner = int(np.argmin(np.abs(z - np.conj(z[i]))))
+        yield z[(rest != i) & (rest != partner)]
+    real = np.flatnonzero(np.abs(z.imag) <= _IS_REAL)
+    if real.size >= 2:
+        smallest = real[np.argsort(np.abs(z[real]))[:2]]
+        yield z[~np.isin(rest, smallest)]
+
+
+def start_values(problem: PredictionError) -> Iterator[tuple[str, Array]]:
+    """Yield named start values (c, d, f), C and F stable.
+
+    F comes from output-error models, C and D then from the noise that is left. A Box-Jenkins
+    search from the output-error model alone sticks in a poor minimum where the noise is strong.
+    """
+    n = problem.structure
+    if n.nf == 0:
+        yield from _without_denominator(problem)
+        return
+    output_error = replace(problem, structure=replace(n, na=0, nc=0, nd=0))
+    found = []
+    for name, F in denominators(output_error):
+        found.append(F)
+        yield name, _with_noise(problem, F)
+    if n.nc + n.nd:
+        best = min(found, key=lambda F: output_error.cost(F[1:]))
+        f = output_error.minimise(best[1:], most=_OE_STEPS).theta
+        yield "OE", _with_noise(problem, np.append(1.0, f))
+
+
+def denominators(problem: PredictionError) -> Iterator[tuple[str, Array]]:
+    """Yield named stable F of an output-error problem.
+
+    The starts, and only they, use interpolated values where y is missing.
+    """
+    signals = [(x.u, x.y) for x in problem.experiments]
+    n = problem.structure
+    F, _ = equation_error(signals, np.ones(1), n)
+    yield "ARX", reflected(F)
+    smooth = high_order_output(signals, n)
+    at_rest = replace(n, at_rest=True)
+    *_, F_smooth = steiglitz_mcbride(smooth, np.ones(1), at_rest, iterations=5)
+    candidates = [F_smooth, *steiglitz_mcbride(signals, F_smooth, n, iterations=5)]
+    yield (
+        "high-order ARX, Steiglitz-McBride",
+        min(candidates, key=lambda F: problem.cost(F[1:])),
+    )
+
+
+def _without_denominator(problem: PredictionError) -> Iterator[tuple[str, Array]]:
+    n = problem.structure
+    plain = np.ones(1)
+    if n.nc + n.nd == 0:
+        yield "least squares", np.zeros(0)
+        return
+    if n.na and n.nc and not n.nd:
+        C = armax_start(problem.experiments, na=n.na, nb=n.nb, nc=n.nc, nk=n.nk)
+        yield "Hannan-Rissanen", C[1:]
+    yield "ARX" if n.na else "FIR", _with_noise(problem, plain)
+
+
+def _with_noise(problem: PredictionError, F: Array) -> Array:
+    """Return (c, d, f) with C and D fitted to the noise that A and B/F leave."""
+    n = problem.structure
+    f = F[1:]
+    if n.nc + n.nd == 0:
+        return f
+    theta = np.concatenate([np.zeros(n.nc + n.nd), f])
+    solution = problem.solve(theta)
+    A = problem.named(solution.ab, theta)["A"]
+    v = []
+    for x, part in zip(problem.experiments, solution.parts, strict=True):
+        noise = filtered(A, [1.0], x.y) - part.driven
+        noise[~x.rows] = np.nan
+        v.append(noise)
+    C, D = noise_start(v, nc=n.nc, nd=n.nd)
+    return np.concatenate([C[1:], D[1:], f])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
 import numpy as np
@@ -13,6 +13,8 @@ from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_faults import NO_OPTION, data_faults
+from armrig.estimation.hannan_rissanen import noise_start
+from armrig.estimation.prediction_error import PredictionError, Solution
 from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.subspace import (
@@ -21,17 +23,21 @@ from armrig.estimation.subspace import (
     suggested_order,
     visible_states,
 )
-from armrig.estimation.subspace_horizon import delayed_signals, usable_windows
-from armrig.estimation.subspace_poles import Poles, best_poles, poles_at
-from armrig.estimation.subspace_simulation import simulating
-from armrig.models.innovations import errors, prepared, regression
+from armrig.estimation.subspace_horizon import (
+    Poles,
+    best_poles,
+    delayed_signals,
+    poles_at,
+    usable_windows,
+)
+from armrig.models.innovations import Experiment, errors, prepared, regression
 from armrig.models.structure import Structure
 from armrig.models.structure_table import Focus, Weights
 from armrig.models.subspace_fit import SubspaceFit
 from armrig.numerics.checks import require_integers
 from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
-from armrig.numerics.polynomial import Array, without_integrator
+from armrig.numerics.polynomial import Array, filtered, reflected, without_integrator
 
 _MOST = 10  # order that is suggested at most
 _NEAR_ONE = 0.02  # distance of a pole from 1 that is worth a word
@@ -287,3 +293,71 @@ def _pole_std(A: Array, z: complex, covariance: Array) -> float:
         return float("inf")
     by_a = np.real(-(z ** np.arange(n - 1, -1, -1)) / slope)
     return float(np.sqrt(max(by_a @ covariance[:n, :n] @ by_a, 0.0)))
+
+
+def simulating(
+    data: Dataset, n: Structure, A: Array, C: Array, *, orders: str
+) -> tuple[Array, Array, Array]:
+    """Return A, B and C of the model that simulates the data best, from a subspace's A and C.
+
+    For given A the simulation error y - (B u + x) / A is linear in B and in what the unknown
+    state x adds, so a search from the subspace's poles, reflected into the circle, is over A
+    alone. C is then the one of least one-step loss for this A and B of three: the subspace's, the
+    one that Hannan and Rissanen's regressions find in A y - B u, and A itself, which is noise
+    that is white on the output.
+
+    Raises
+    ------
+    ValueError
+        u determines fewer coefficients than B has.
+    """
+    output = Structure(nb=n.nb, nf=n.na, nk=n.nk, integrator="f" if n.integrator else "")
+    experiments = tuple(prepared(part, output) for part in data.experiments())
+    problem = PredictionError(experiments=experiments, structure=output)
+    start = stabilised(without_integrator(A) if n.integrator else A)
+    found = problem.minimise(start[1:])
+    solution = problem.solve(found.theta)
+    if solution.rank < n.nb:
+        raise InputError(
+            f"{orders}: u determines only {solution.rank} of {n.nb} numerator coefficients; "
+            "lower the order or excite with a richer input"
+        )
+    free = stabilised(np.append(1.0, found.theta))
+    B = np.append(np.zeros(n.nk), solution.ab)
+    whole = np.convolve([1.0, -1.0], free) if n.integrator else free
+    noises = [C, _of_what_is_left(experiments, solution, whole, n.nc), reflected(whole)]
+    one_step = [prepared(part, n) for part in data.experiments()]
+    losses = [_one_step_loss(one_step, n, free, B, noise) for noise in noises]
+    return whole, B, noises[int(np.argmin(losses))]
+
+
+def _of_what_is_left(
+    experiments: Sequence[Experiment], solution: Solution, A: Array, nc: int
+) -> Array:
+    """Return C of C e = A (y - simulated y)."""
+    v = []
+    for x, part in zip(experiments, solution.parts, strict=True):
+        left = x.y - part.driven
+        left[~x.rows] = np.nan
+        left = filtered(A, [1.0], left) if np.isfinite(left).all() else _convolved(A, left)
+        left[: A.size - 1] = np.nan
+        v.append(left)
+    C, _ = noise_start(v, nc=nc, nd=0)
+    return C
+
+
+def _convolved(A: Array, x: Array) -> Array:
+    """Return A x, NaN where it looks back on a hole."""
+    return np.asarray(np.convolve(x, A)[: x.size])
+
+
+def _one_step_loss(
+    experiments: Sequence[Experiment], n: Structure, A: Array, B: Array, C: Array
+) -> float:
+    """Return the sum of squared one-step errors, the unknown past fitted."""
+    one, total = np.ones(1), 0.0
+    for x in experiments:
+        given = regression(x, n, C=C, D=one, F=one)
+        raw = given.y - given.X @ np.append(A[1:], B[n.nk :])
+        total += float(np.sum(given.unknown.without(raw[:, None]) ** 2))
+    return total

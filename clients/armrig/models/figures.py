@@ -24,8 +24,7 @@ from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.models.uncertainty import frequency_bands, step_band
 from armrig.numerics.confidence_regions import HALF_WIDTH, Band
 from armrig.plots.captions import NAMES, legend, sign
-from armrig.plots.colours import GREY, INK, pens
-from armrig.plots.layout import axes, finish, letter, panels
+from armrig.plots.layout import GREY, INK, axes, finish, letter, panels, pens
 from armrig.plots.scales import decibel_ticks, decibels, hertz
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from armrig.models.parameter_draws import Draws, drawn
 from armrig.models.uncertainty import pole_regions, zero_regions
 from armrig.numerics.confidence_regions import HighestDensityRegion, Region
 from armrig.plots.captions import legend, sign
-from armrig.plots.colours import GREY, INK, pens
-from armrig.plots.layout import axes, finish
+from armrig.plots.layout import GREY, INK, axes, finish, pens
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

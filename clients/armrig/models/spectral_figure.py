@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.plots.captions import legend, sign
-from armrig.plots.colours import BLUE, GREEN, GREY, SKY, VERMILION
-from armrig.plots.layout import finish, panels
+from armrig.plots.layout import BLUE, GREEN, GREY, SKY, VERMILION, finish, panels
 from armrig.plots.scales import bare_minor, decibel_ticks, decibels, hertz
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armrig import plots
-from armrig.estimation.nonparametric.spectral_reference import spectral_reference
+from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.plots.captions import legend, named_by_run
 from armrig.plots.layout import pens, save
 from armrig.report.study import STEP, Study, kind_of

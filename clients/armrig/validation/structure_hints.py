@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import INTEGRATING_OUTPUTS
-from armrig.estimation.nonparametric.coherence import explained
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.estimation.nonparametric.spectral import spa
+from armrig.estimation.nonparametric.welch import explained
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.quantities import minus, plural, times
 from armrig.validation.feedback_and_delay.delay import delay

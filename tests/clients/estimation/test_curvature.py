@@ -5,8 +5,8 @@ from __future__ import annotations
 import armrig
 import numpy as np
 import pytest
-from armrig.estimation.curvature import curvature
 from armrig.estimation.prediction_error import PredictionError
+from armrig.estimation.prediction_error_fit import curvature
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.polynomial import filtered

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
+from armrig.estimation.nonparametric.etfe import excited, period
 from armrig.estimation.nonparametric.integrator import integration
-from armrig.estimation.nonparametric.periodicity import excited, period
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import summation

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
-from armrig.estimation.nonparametric.covariance_functions import Covariances, covariances
+from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.estimation.nonparametric.welch import Spectra
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import filtered
 
 Vector = NDArray[np.float64]
 
@@ -15,6 +19,7 @@ FINER = 4  # times the lag window of G, for the noise and for what the window bl
 NO_POWER = 1e-8  # share of u's largest spectrum below which G is not known
 _BLUNTED = 1.1  # factor by which |G| is higher through the longer window
 _SURE = 4.0  # standard deviations of it, one of some hundred frequencies
+LONGEST = 60  # lags of the response
 
 
 def blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int) -> Spectra:
@@ -100,3 +105,67 @@ def _noise_covariance(data: Dataset, L: int, fine: int, N: int) -> Vector:
     Phi = np.maximum(np.real(spectrum(R.yy)) - np.where(known, explained, 0.0), 0.0)
     Phi = Phi * nu / max(nu - 1, 1e-3) * data.N / N  # filled outputs carry no noise
     return np.asarray(np.real(np.fft.ifft(Phi))[np.arange(-L, L + 1)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Covariances:
+    """Sample covariances at lags -L … L, each experiment about its own means."""
+
+    uu: Vector
+    """(2 L + 1,), of u(t + lag) with u(t)."""
+    yy: Vector
+    """(2 L + 1,), of y(t + lag) with y(t)."""
+    yu: Vector
+    """(2 L + 1,), of y(t + lag) with u(t): at a positive lag the input came first."""
+
+
+def covariances(data: Dataset, L: int) -> Covariances:
+    """Return R(k) = (1/N) sum over t of x(t + k) z(t), the biased form, for |k| <= L.
+
+    No sample may be missing: see `armrig.estimation.nonparametric.blackman_tukey`. A spectrum
+    of these covariances is positive wherever the lag window's is.
+    """
+    u = [part.u - np.mean(part.u) for part in data.experiments()]
+    y = [part.y - np.mean(part.y) for part in data.experiments()]
+    return Covariances(
+        uu=_sums(u, u, L) / data.N, yy=_sums(y, y, L) / data.N, yu=_sums(y, u, L) / data.N
+    )
+
+
+def _sums(x: list[Vector], z: list[Vector], L: int) -> Vector:
+    """Return the sums of x(t + k) z(t), k = -L … L, over all experiments."""
+    total = np.zeros(2 * L + 1)
+    for a, b in zip(x, z, strict=True):
+        size = 1 << int(np.ceil(np.log2(a.size + L + 1)))
+        product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
+        reach = min(L, a.size - 1)
+        k = np.arange(-reach, reach + 1)
+        total[L + k] += product[k]
+    return total
+
+
+def filled(data: Dataset, *, integrator: bool) -> Dataset:
+    """Return the data with each missing y replaced by what the input explains of it.
+
+    That is the regularised impulse response's answer plus the experiment's own level (and, with an
+    integrator, ramp), not an interpolation between neighbours. Correlating with holes instead
+    would turn all of y into noise, not only what u does not explain. A filled sample adds no
+    information: who counts samples must count the valid ones.
+    """
+    if data.missing == 0:
+        return data
+    n = max(2, min((data.N - data.missing) // 5, LONGEST))
+    response = impulse_response(data, n, "tc", integrator=integrator)
+    g, _ = response.decaying
+    y = np.array(data.y)
+    mean = float(np.mean(data.u))
+    for a, b in zip(data.starts, (*data.starts[1:], data.N), strict=True):
+        u = data.u[a:b] - mean
+        x = data.Ts * np.cumsum(u) if integrator else u
+        there = data.valid[a:b]
+        explained = filtered(g, [1.0], x)
+        own = np.vander(np.linspace(-1, 1, b - a), 1 + integrator)
+        basis = orthonormal(own[there])
+        free = own @ basis.coefficients((data.y[a:b] - explained)[there])
+        y[a:b] = np.where(there, data.y[a:b], explained + free)
+    return data.replaced(y=y, valid=np.ones(data.N, dtype=np.bool_), step=None)

@@ -12,9 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.estimation.nonparametric.fir_regression import FirRegression, regression
 from armrig.estimation.nonparametric.integrator import integration
-from armrig.estimation.nonparametric.kernels import KERNELS, Evidence, Kernel
+from armrig.estimation.nonparametric.kernels import (
+    KERNELS,
+    Evidence,
+    FirRegression,
+    Kernel,
+    regression,
+)
 from armrig.models.responses import StepResponse
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import column, require_integers

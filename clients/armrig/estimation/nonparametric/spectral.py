@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
-from armrig.estimation.nonparametric.blackman_tukey import NO_POWER, blackman_tukey, blunted
+from armrig.estimation.nonparametric.blackman_tukey import NO_POWER, blackman_tukey, blunted, filled
 from armrig.estimation.nonparametric.integrator import integration
-from armrig.estimation.nonparametric.missing_outputs import filled
 from armrig.estimation.nonparametric.welch import Spectra, welch
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import column, require_integers
@@ -23,6 +22,9 @@ from armrig.numerics.polynomial import summation
 Vector = NDArray[np.float64]
 
 LOGARITHMIC_RESOLUTION = 0.5  # width of the window at omega, as a share of omega
+LONGEST = 300
+"""Lag window in samples, at most."""
+POINTS = 40
 
 
 @takes_recordings
@@ -255,3 +257,20 @@ def _estimate(
         source=data.source,
         notes=tuple(notes),
     )
+
+
+def spectral_reference(data: Dataset) -> SpectralEstimate:
+    """Return the spectral analysis of data that a model is drawn beside.
+
+    Its lag window is N/10, 300 samples at most, ten times what `spa` takes by itself: a blunted
+    resonance would be held against the model, wide bars are not. The 40 frequencies are equally
+    spaced on a logarithmic scale from the lowest that the window resolves, 2 pi/(window Ts).
+
+    Raises
+    ------
+    ValueError
+        u is constant, or there are too few samples.
+    """
+    window = max(2, min(data.N // 10, LONGEST))
+    nyquist = np.pi / data.Ts
+    return spa(data, window, np.geomspace(2 * nyquist / window, nyquist, POINTS))

@@ -9,9 +9,11 @@ from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
+from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 
 Vector = NDArray[np.float64]
 OVERLAP_CORRELATION = 1 / 36  # of periodograms of Hann-tapered segments that overlap by half
+FEWEST_FREQUENCIES = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,3 +85,24 @@ def _transforms(
             begin += max(length // 2, 1)
     empty = np.zeros((0, turn.shape[1]), dtype=np.complex128)
     return (np.array(U), np.array(Y)) if U else (empty, empty)
+
+
+def explained(estimate: SpectralEstimate) -> NDArray[np.int_]:
+    """Return the indices up to the last frequency at which u explains y, known ones only.
+
+    Raises
+    ------
+    ValueError
+        u explains y at fewer than three frequencies.
+    """
+    coherence = np.nan_to_num(np.zeros(1) if estimate.coherence is None else estimate.coherence)
+    good = np.flatnonzero(coherence > COHERENT)
+    if good.size < FEWEST_FREQUENCIES:
+        at = ("no frequency", "one frequency", "two frequencies")[good.size]
+        raise InputError(
+            f"u explains y at {at} (coherence above {COHERENT:g}), and {FEWEST_FREQUENCIES} are "
+            "needed: record longer, or with a "
+            "larger or richer input"
+        )
+    known = np.flatnonzero(np.isfinite(estimate.G))
+    return np.asarray(known[(known >= good[0]) & (known <= good[-1])])

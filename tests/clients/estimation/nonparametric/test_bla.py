@@ -9,7 +9,7 @@ import pytest
 from armrig import excitation
 from armrig.data.dataset import Dataset, merge
 from armrig.estimation.nonparametric.bla import bla
-from armrig.estimation.nonparametric.periodicity import excited
+from armrig.estimation.nonparametric.etfe import excited
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.estimation.nonparametric.etfe import etfe
-from armrig.estimation.nonparametric.periodicity import period
+from armrig.estimation.nonparametric.etfe import etfe, period
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
