@@ -1432,7 +1432,7 @@ def validations() -> list[int]:
 @variants
 def live() -> Variants:
     from armrig.dashboard import bins
-    from armrig.dashboard.live_model import LiveModel
+    from armrig.dashboard.feed import LiveModel
 
     r = armrig.load(recorded("validation"))
     k = np.flatnonzero(r.present)

@@ -20,7 +20,7 @@ Ts, SECONDS = 0.002, 20
 
 def record(bench: Bench, pacing: str) -> armrig.Recording:
     """Play a telegraph and return what was recorded, whatever became of it."""
-    from armrig.rig.client import RunEndedError
+    from armrig.rig.replies import RunEndedError
 
     u = armrig.telegraph(round(SECONDS / Ts), 0.02, low=0.5, high=4.5, seed=1)
     with bench.rig() as rig:

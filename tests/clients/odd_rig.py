@@ -11,11 +11,11 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from armrig.dashboard.experiments import Experiment
-from armrig.dashboard.live_model import LiveModel
-from armrig.dashboard.preview import previewed
+from armrig.dashboard.experiments import Experiment, previewed
+from armrig.dashboard.feed import LiveModel
 from armrig.excitation import telegraph
-from armrig.lab.doctor import Granted, Host, examine
+from armrig.lab.doctor import examine
+from armrig.lab.host import Granted, Host
 from armrig_core import protobuf
 from armrig_core.calibration import Calibration, Potentiometer
 from armrig_core.commands import LastRun, StatusReport

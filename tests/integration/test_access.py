@@ -21,7 +21,8 @@ from armrig.cli import main
 from armrig.dashboard.foxglove import foxglove
 from armrig.dashboard.serving import Settings, dashboard
 from armrig.lab import pki
-from armrig.rig.client import RefusedError, Rig, RunEndedError
+from armrig.rig.client import Rig
+from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.credential import Credential, read_credential
 from armrig_core.open_files import MOST

@@ -5,7 +5,7 @@ from __future__ import annotations
 import armrig
 import numpy as np
 import pytest
-from armrig.rig.client import RefusedError
+from armrig.rig.replies import RefusedError
 from armrig_core.commands import RunAccepted
 from armrig_core.rehearsal import rehearse
 from driving import samples

@@ -17,7 +17,7 @@ import pytest
 from armrig.cli.replay import replay
 from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
-from armrig.rig.client import RefusedError
+from armrig.rig.replies import RefusedError
 from armrig_core.calibration import Calibration, Made, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW

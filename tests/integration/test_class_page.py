@@ -10,7 +10,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from armrig.rig.client import BusyError, RefusedError, Rig
+from armrig.rig.client import Rig
+from armrig.rig.replies import BusyError, RefusedError
 from armrig_daemon import config
 from armrig_daemon.config import MEND
 from armrig_daemon.emulator.settings import EmulatorSettings

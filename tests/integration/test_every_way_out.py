@@ -16,7 +16,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.rig.client import RefusedError, RunEndedError
+from armrig.rig.replies import RefusedError, RunEndedError
 from driving import begin
 from processes import WITHIN_S, Bench, freeze, wait_for
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig.rig.client import RefusedError
+from armrig.rig.replies import RefusedError
 from driving import STOPPED_S, check_every_k, check_volts, driven, hold, outcome, recorded
 from processes import WITHIN_S, Bench, Process, freeze, wait_for
 

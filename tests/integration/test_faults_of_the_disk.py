@@ -13,7 +13,7 @@ from pathlib import Path
 
 import armrig
 import pytest
-from armrig.rig.client import RefusedError, RunEndedError
+from armrig.rig.replies import RefusedError, RunEndedError
 from armrig_core.codes import COMPLETE
 from armrig_core.commands import parse
 from armrig_core.manifest import Manifest

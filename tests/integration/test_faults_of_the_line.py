@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from armrig.rig.client import RefusedError
+from armrig.rig.replies import RefusedError
 from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, samples
 from fork_server import ForkServer
 from processes import Bench, settled, wait_for

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
-from armrig.rig.client import RefusedError, Rig
+from armrig.rig.client import Rig
+from armrig.rig.replies import RefusedError
 from armrig_core import commands
 from processes import Bench, wait_for
 from test_dead_man import DEAD_MAN_S, LATE_S, RUNNER

@@ -9,7 +9,7 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.cli.replay import replay
-from armrig.rig.client import RunEndedError
+from armrig.rig.replies import RunEndedError
 from armrig_core.errors import FileError
 from armrig_daemon.decisions import setpoints
 from processes import Bench

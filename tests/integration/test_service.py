@@ -11,7 +11,7 @@ from pathlib import Path
 import armrig
 import numpy as np
 import pytest
-from armrig.rig.client import RefusedError
+from armrig.rig.replies import RefusedError
 from armrig_core.manifest import CONFIG
 from armrig_daemon.config import MEND
 from mcap.reader import make_reader

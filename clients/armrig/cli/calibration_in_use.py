@@ -34,8 +34,9 @@ def take_into_use(
     RigError
         The daemon refuses it, or does not answer where `wanted` is true.
     """
-    from armrig.rig.client import RefusedError, Rig
+    from armrig.rig.client import Rig
     from armrig.rig.collection import refusal_sentence, reset_command
+    from armrig.rig.replies import RefusedError
     from armrig.rig.session import NoReplyError, RigError
 
     named, is_used = "", False

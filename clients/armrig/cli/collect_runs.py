@@ -145,8 +145,8 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
     from dataclasses import replace
 
     from armrig.recordings.recording_summary import VALIDATION_OF
-    from armrig.rig.client import this_user
     from armrig.rig.collection import Plan, collect
+    from armrig.rig.replies import this_user
 
     each = list(played)
     plans = [

@@ -10,11 +10,12 @@ from armrig_core.codes import TRY_AGAIN
 from rich.console import Console
 
 from armrig.cli.demo_plan import RIG, Experiment, Ts
-from armrig.rig.client import BusyError, RefusedError, Rig, RunEndedError
+from armrig.rig.client import Rig
 from armrig.rig.local_daemon import running
 from armrig.rig.progress import bar, timing_note
-from armrig.rig.realtime_status import scheduling_sentences
+from armrig.rig.replies import BusyError, RefusedError, RunEndedError
 from armrig.rig.session import RigError
+from armrig.rig.status_rows import scheduling_sentences
 
 MOST_ENDED = 3
 """Runs that a busy machine may end, before the demonstration goes on in virtual time."""

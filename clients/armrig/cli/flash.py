@@ -175,7 +175,7 @@ def _written(
 
     from armrig.cli.spinner import spinner
     from armrig.lab.flash import avrdude
-    from armrig.lab.flash.greeting import greeting
+    from armrig.lab.flash.boards import greeting
 
     with spinner("flash:") as moved:
         avrdude.write(call, moved)

@@ -124,8 +124,9 @@ def note(
 @contextmanager
 def _opened(rig: str, connect: str | None) -> Iterator[Any]:
     """Give the rig; a refusal of its daemon names the whole command that helps."""
-    from armrig.rig.client import RefusedError, Rig
+    from armrig.rig.client import Rig
     from armrig.rig.collection import refusal_sentence, reset_command
+    from armrig.rig.replies import RefusedError
 
     with Rig(rig, connect=connect) as opened:
         try:

@@ -6,7 +6,8 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Annotated, Any
+from importlib.resources import files
+from typing import Annotated, Any, NamedTuple
 
 import msgspec
 from armrig_core.errors import InputError
@@ -19,10 +20,8 @@ from starlette.routing import Route
 
 from armrig.dashboard.connections import Connections
 from armrig.dashboard.driver import BusyDriverError, Driver
-from armrig.dashboard.experiments import Experiment, plan_of
+from armrig.dashboard.experiments import Experiment, plan_of, previewed
 from armrig.dashboard.feed import Feed
-from armrig.dashboard.page_files import PAGE_FILES, PageFile
-from armrig.dashboard.preview import previewed
 from armrig.dashboard.stream import Stream
 from armrig.dashboard.viewers import TooManyViewersError, Viewer
 from armrig.rig.session import RigError
@@ -30,6 +29,40 @@ from armrig.rig.session import RigError
 _Owner = Annotated[str, Meta(min_length=1, max_length=80)]
 _VISITOR = "a visitor of the dashboard"  # in no name of his choice: recordings keep who stopped
 Answer = Callable[[Request], Awaitable[Response]]
+_TYPES = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "svg": "image/svg+xml",
+    "LICENSE": "text/plain; charset=utf-8",
+}
+_NAMES = (
+    "dashboard.css",
+    "main.js",
+    "stream.js",
+    "live_plots.js",
+    "live_keys.js",
+    "live_saving.js",
+    "live_signals.js",
+    "time_axis.js",
+    "picture.js",
+    "arm.js",
+    "replay.js",
+    "compared.js",
+    "rows.js",
+    "chart.js",
+    "status.js",
+    "control.js",
+    "recordings.js",
+    "recording.js",
+    "model.js",
+    "elements.js",
+    "note.js",
+    "icon.svg",
+    "vendor/uPlot.iife.min.js",
+    "vendor/uPlot.min.css",
+    "vendor/uPlot.LICENSE",
+)
 
 
 class _Stopped(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -206,3 +239,22 @@ async def _after(first: bytes, messages: AsyncIterator[bytes]) -> AsyncIterator[
     yield first
     async for message in messages:
         yield message
+
+
+class PageFile(NamedTuple):
+    """One of them."""
+
+    name: str
+
+    @property
+    def media_type(self) -> str:
+        """What it is, for a browser."""
+        return _TYPES[self.name.rpartition(".")[2]]
+
+    def read(self) -> bytes:
+        """Return it."""
+        return files("armrig.dashboard").joinpath("page", *self.name.split("/")).read_bytes()
+
+
+PAGE_FILES = {"/": PageFile("index.html")} | {f"/{name}": PageFile(name) for name in _NAMES}
+"""Each path that is served, and nothing else of the disk."""

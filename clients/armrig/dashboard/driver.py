@@ -14,8 +14,9 @@ from typing import Any
 import msgspec
 from armrig_core.errors import OperationError
 
-from armrig.rig.client import Progress, Rig
+from armrig.rig.client import Rig
 from armrig.rig.collection import Plan, collect
+from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError, RigError
 
 

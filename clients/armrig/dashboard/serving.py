@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import logging
 import resource
 import secrets
 import socket
+import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from typing import Any
 
 import uvicorn
+from armrig_core.commands import StatusReport
 from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
@@ -20,19 +26,41 @@ from armrig.dashboard.connections import Connections
 from armrig.dashboard.driver import Driver
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.guard import Guard, Pass
-from armrig.dashboard.listener import Listener
 from armrig.dashboard.recording_routes import RecordingRoutes
-from armrig.dashboard.server_thread import QUIET, Server, ServerThread
 from armrig.dashboard.share import PORT as SHARED_PORT
 from armrig.dashboard.share import Certificate, certificate
 from armrig.dashboard.stream import Stream
 from armrig.dashboard.viewers import Viewers
-from armrig.rig.session import RigError
+from armrig.rig.client import Rig
+from armrig.rig.remote_source import RemoteSource
+from armrig.rig.session import RigError, open_session
+from armrig.rig.telemetry_stream import decoded
 
 HOST = "127.0.0.1"
 PORT = 8807
 _FILES = 16_384
 _ONCE_S = 60.0  # in which a browser is started
+_START_S = 20.0
+_ENDS_S = 2
+QUIET: dict[str, Any] = {
+    "log_config": None,
+    "log_level": "error",  # of what is not HTTP anybody could have it warn
+    "access_log": False,
+    "lifespan": "off",
+    "ws": "none",
+    "server_header": False,
+    "date_header": False,
+    "proxy_headers": False,
+    "timeout_graceful_shutdown": _ENDS_S,
+    "timeout_keep_alive": 30,
+    "h11_max_incomplete_event_size": 16_384,
+}
+"""How uvicorn is set: it prints nothing, says nothing of itself, and ends soon."""
+_LOOK_S = 0.025
+_STATUS_S = 0.5
+_SILENT_S = 2.0  # and Ts: then the connection is made anew, whatever the daemon answers
+_AGAIN_S = 0.3
+_MOST_PIECES = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -177,3 +205,164 @@ def _listening(host: str, usual: int, port: int | None) -> socket.socket:
             raise RigError(f"port {tried} of {host}: {err.strerror}; take another --port") from err
         return listening
     raise AssertionError
+
+
+class Server(uvicorn.Server):
+    """uvicorn's server, which leaves the signals to who calls."""
+
+    def __init__(
+        self, config: uvicorn.Config, listening: socket.socket, connections: Connections
+    ) -> None:
+        super().__init__(config)
+        self._listening, self._connections = listening, connections
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Capture none: the command line ends us."""
+        yield
+
+    async def run_here(self) -> None:
+        """Serve until `should_exit`."""
+        await self.serve([self._listening])
+        # Who does not read his last messages would keep his connection open.
+        self._connections.end()
+        await asyncio.sleep(0)  # they are closed in the loop's next turn
+
+
+class ServerThread:
+    """The loop of one door's server: what besieges a door takes nothing from the other."""
+
+    def __init__(self, server: Server, stream: Stream) -> None:
+        self._server, self._stream = server, stream
+        self._thread = threading.Thread(target=self._run, name="server", daemon=True)
+
+    def begin(self) -> None:
+        """Begin, and wait until it listens."""
+        # As uvicorn's: whoever breaks off what he reads would have a line on the terminal.
+        logging.getLogger("asyncio").setLevel(logging.ERROR)
+        self._thread.start()
+        pause = threading.Event()
+        for _ in range(int(_START_S / 0.01)):
+            if self._server.started:
+                return
+            pause.wait(0.01)
+        raise RigError("the server does not start")
+
+    def end(self) -> None:
+        """End, and wait for it."""
+        self._server.should_exit = True
+        self._thread.join(_ENDS_S + 5.0)
+
+    def _run(self) -> None:
+        asyncio.run(self._serve())
+
+    async def _serve(self) -> None:
+        filling = asyncio.create_task(self._stream.fill())
+        ending = asyncio.create_task(self._end_streams())
+        try:
+            await self._server.run_here()
+        finally:
+            for task in (filling, ending):
+                task.cancel()
+                with contextlib.suppress(asyncio.CancelledError):
+                    await task
+
+    async def _end_streams(self) -> None:
+        """End the streams as soon as the server is to end, which waits for them."""
+        while not self._server.should_exit:
+            await asyncio.sleep(0.05)
+        self._stream.viewers.end()
+
+
+class Listener:
+    """Fills a feed for as long as it runs, in a thread of its own."""
+
+    def __init__(
+        self, feed: Feed, *, rig: str, connect: str | None, found: Callable[[], None]
+    ) -> None:
+        """Prepare to listen to a rig, found as by `armrig.Rig`; `found` is called when it is."""
+        self._found = found
+        self._feed = feed
+        self._rig = rig
+        self._connect = connect
+        self._ends = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="listener", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def end(self) -> None:
+        """End, and wait for it."""
+        self._ends.set()
+        self._thread.join(5.0)
+
+    def _run(self) -> None:
+        while not self._ends.is_set():
+            try:
+                with Rig(self._rig, connect=self._connect) as opened:
+                    self._listen(opened)
+            except (RigError, ValueError) as err:
+                self._feed.trouble = str(err)
+            self._ends.wait(_AGAIN_S)
+
+    def _listen(self, rig: Rig) -> None:
+        """Listen until the end, or until nothing comes any more."""
+        feed = self._feed
+        with (
+            rig.arrivals("sample") as samples,
+            rig.arrivals("gap") as gaps,
+            rig.arrivals("timing") as reports,
+            rig.arrivals("state") as states,
+            rig.arrivals("event") as events,
+        ):
+            feed.status = status = rig.status()
+            feed.trouble = ""
+            self._found()
+            self._take_past()
+            asked_s = heard_s = time.monotonic()
+            while not self._ends.wait(_LOOK_S):
+                feed.add_gaps(gaps())
+                if came := samples():
+                    feed.add_samples(came)
+                    heard_s = time.monotonic()
+                for report in reports():
+                    feed.add_report(report)
+                feed.add_events(events())
+                now = time.monotonic()
+                feed.add_states(fresh := states())
+                if _changed(fresh, status) or now - asked_s >= _STATUS_S:
+                    feed.status = status = rig.status()
+                    feed.trouble, asked_s = "", now
+                if now - heard_s > _SILENT_S + 2 * status.Ts:
+                    return  # a session may outlive the daemon that it led to
+
+    def _take_past(self) -> None:
+        """Take what the daemon still has of the last minutes."""
+        with open_session(self._connect, rig=self._rig) as session:
+            source = RemoteSource(session, self._rig)
+            for _ in range(_MOST_PIECES):
+                piece = source.next_piece()
+                if piece is None or self._ends.is_set():
+                    return
+                for name, take in self._takers():
+                    take(
+                        [decoded(name, data) for kind, data in piece.past.messages if kind == name]
+                    )
+                if not piece.is_full:
+                    return
+
+    def _takers(self) -> tuple[tuple[str, Callable[[list[Any]], None]], ...]:
+        return (
+            ("gap", self._feed.add_gaps),
+            ("state", self._feed.add_states),
+            ("event", self._feed.add_events),
+            ("sample", lambda samples: self._feed.add_samples(samples, live=False)),
+        )
+
+
+def _changed(states: list[Any], status: StatusReport) -> bool:
+    """Tell whether the daemon has published another state than the status that we have."""
+    return any(
+        (s.phase, s.owner, s.reason) != (status.phase, status.owner, status.reason) for s in states
+    )

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
+from math import degrees, isfinite
+from pathlib import PurePosixPath
+from typing import Any
 
+import msgspec
+from armrig_core.commands import LastRun, StatusReport
+from armrig_core.telemetry import CHANNELS, Sample
+
+from armrig.dashboard.bins import Rows, as_lists
 from armrig.dashboard.driver import Driver
-from armrig.dashboard.feed import LATE_US, Feed
-from armrig.dashboard.history import History
-from armrig.dashboard.messages import event, live_facts, status_facts, timing_facts
+from armrig.dashboard.feed import LATE_US, Feed, News, Timing
 from armrig.dashboard.viewers import Viewer, Viewers
+from armrig.rig.status_rows import status_rows
 
 PERIOD_S = 1 / 30
 _TIMING_S = 1.0
+PAUSE_S = 0.25
+"""From one encoding to the next, at least: to connect again and again costs no more."""
+_PIECE = 500  # rows in a message
+_STALE_S = 0.3
+"""And two sampling times: without a sample for so long the data are stale."""
 
 
 class Stream:
@@ -89,3 +101,105 @@ class Stream:
             if self._told.get(name) != message:
                 self._told[name] = message
                 self.viewers.send(message)
+
+
+class History:
+    """Shares one encoding of the past between all who come while it waits to begin."""
+
+    def __init__(self, rows: Callable[[], Rows]) -> None:
+        """Take what gives the rows of the past."""
+        self._rows = rows
+        self._next: asyncio.Task[list[bytes]] | None = None
+        self._began_s = -PAUSE_S
+
+    async def messages(self) -> list[bytes]:
+        """Return the messages of a past that was read after this call."""
+        if self._next is None:
+            self._next = asyncio.create_task(self._encoded())
+        return await asyncio.shield(self._next)  # who leaves takes it from nobody
+
+    async def _encoded(self) -> list[bytes]:
+        await asyncio.sleep(self._began_s + PAUSE_S - time.monotonic())
+        # Whoever comes from here on gets the next: this one may lack rows just before him.
+        self._began_s, self._next = time.monotonic(), None
+        return await asyncio.to_thread(lambda: encoded(self._rows()))
+
+
+def encoded(rows: Rows) -> list[bytes]:
+    """Return rows as messages, and one that says that these are all."""
+    pieces = (rows[i : i + _PIECE] for i in range(0, rows.shape[0], _PIECE))
+    return [*(event("past", as_lists(piece)) for piece in pieces), event("whole", {})]
+
+
+def event(name: str, value: Any) -> bytes:
+    """Return a server-sent event; JSON has no line breaks in it."""
+    return b"event: %s\ndata: %s\n\n" % (name.encode(), msgspec.json.encode(value))
+
+
+def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
+    """Return what is new: rows, and the age of the newest sample."""
+    limit_s = _STALE_S + 2 * (status.Ts if status else 0.0)
+    return {
+        "at_s": round(news.at_s, 3),
+        "age_s": round(news.age_s, 3) if isfinite(news.age_s) else None,
+        "is_stale": not news.age_s <= limit_s,
+        "rows": as_lists(news.rows) if news.rows.size else [],
+        "newest": _newest(news.newest),
+    }
+
+
+def timing_facts(timing: Timing) -> dict[str, Any]:
+    """Return how well the rig is timed."""
+    return {
+        "late": timing.late,
+        "missing": timing.missing,
+        "unheard": timing.unheard,
+        "last_gap": timing.last_gap,
+        "report": timing.report,
+    }
+
+
+def status_facts(feed: Feed) -> dict[str, Any]:
+    """Return how the rig is, in the words of `armrig status`."""
+    status: StatusReport | None = feed.status
+    if status is None:
+        return {"trouble": feed.trouble, "rows": []}
+    return {
+        "trouble": feed.trouble,
+        "rows": status_rows(status),
+        "rig": status.rig,
+        "phase": status.phase,
+        "fault": status.fault,
+        "reason": status.reason,
+        "remedy": status.remedy,
+        "line": status.line,
+        "owner": status.owner,
+        "Ts": status.Ts,
+        "u_min": status.u_min,
+        "u_max": status.u_max,
+        "arm_removed": status.arm_removed,
+        "last_run": _run_facts(status.last_run),
+    }
+
+
+def _newest(sample: Sample | None) -> dict[str, float | None] | None:
+    if sample is None:
+        return None
+    angles = {c.name: getattr(sample, c.value_field) for c in CHANNELS}
+    return {
+        "u": sample.u_applied_v,
+        **{name: round(degrees(y), 2) if isfinite(y) else None for name, y in angles.items()},
+    }
+
+
+def _run_facts(last: LastRun | None) -> dict[str, Any] | None:
+    if last is None:
+        return None
+    return {
+        "run_id": last.run_id,
+        "file": PurePosixPath(last.recording).name.removesuffix(".active"),
+        "finished": last.finished,
+        "samples": last.samples,
+        "synced": last.synced,
+        "outcome": last.outcome,
+    }

@@ -7,27 +7,29 @@ the user who would start one. The doctor changes nothing.
 
 from __future__ import annotations
 
-import grp
 import os
 import re
-import shutil
 from collections.abc import Callable, Iterable
-from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-import platformdirs
-from armrig_core.bounded import CONFIGURATION_LIMIT
 from armrig_core.errors import InputError
-from armrig_core.toml_file import read_toml
 
-from armrig.lab.host import PRIORITY, governors, granted, load, preemption, text, virtual
+from armrig.lab.host import (
+    PRIORITY,
+    Host,
+    HostCheck,
+    governors,
+    load,
+    preemption,
+    probe,
+    text,
+    virtual,
+)
 
 if TYPE_CHECKING:
     from armrig_core.commands import StatusReport
 
-Level = Literal["good", "note", "bad"]
 
 IDLE_MOST_US = 20
 """Waking from an idle state that takes longer than this is seen in the lateness, in µs."""
@@ -42,56 +44,6 @@ _BUSY_COSTS = "any busy program delays ticks by milliseconds"
 _PAGE_COSTS = "a page that was put away delays a tick by milliseconds"
 _DEEP_COSTS = "the loop cannot hold off deep idle states"
 _LIMITS = "/etc/security/limits.d/armrig.conf, then log in anew"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HostCheck:
-    """One thing that was examined, and what was found."""
-
-    name: str
-    level: Level
-    """bad: it costs timing here; note: it costs little, or cannot be told or mended here; good."""
-    found: str
-    costs: str = ""
-    """What it costs; empty where it is good."""
-    mend: str = ""
-    """How to mend it."""
-
-    def __str__(self) -> str:
-        """Return the line for a person."""
-        parts = [f"{self.level:4}  {self.name}: {self.found}", self.costs, self.mend]
-        return "; ".join(part for part in parts if part)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Granted:
-    """What only a trial tells."""
-
-    fifo: bool
-    """SCHED_FIFO at the loop's priority."""
-    memory_lock: bool
-    """mlockall."""
-    is_root: bool
-    groups: frozenset[str]
-    """Names of this user's groups."""
-    cpus: int
-    """Processors that this process may use."""
-    recordings: Path
-    """Where recordings go."""
-    free_bytes: int
-    """Free space there."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Host:
-    """One host: its files and what it grants."""
-
-    root: Path
-    granted: Granted
-    daemon: StatusReport | None = None
-    """What the daemon of this machine reports; it is judged in place of the user who calls."""
-    silent: str = ""
-    """Why the service of this machine does not answer; the user who calls will start none."""
 
 
 def doctor(rig: str = "1", connect: str | None = None) -> list[HostCheck]:
@@ -138,40 +90,6 @@ def examine(host: Host) -> list[HostCheck]:
 def is_well(checks: Iterable[HostCheck]) -> bool:
     """Return whether nothing found costs timing here."""
     return not any(check.level == "bad" for check in checks)
-
-
-def probe(recordings: Path | None = None) -> Granted:
-    """Try, in a process of its own, what only a trial tells; the folder is the installed one."""
-    fifo, memory_lock = granted()
-    user = Path(platformdirs.user_config_dir("armrig"))
-    directory = recordings or recordings_directory(Path("/"), user)
-    # Of a folder that this user may not enter the one above it tells.
-    there = next(path for path in (directory, *directory.parents) if os.access(path, os.F_OK))
-    names = set()
-    for gid in {os.getegid(), *os.getgroups()}:
-        with suppress(KeyError):  # a group without a name
-            names.add(grp.getgrgid(gid).gr_name)
-    return Granted(
-        fifo=fifo,
-        memory_lock=memory_lock,
-        is_root=os.geteuid() == 0,
-        groups=frozenset(names),
-        cpus=len(os.sched_getaffinity(0)),
-        recordings=directory,
-        free_bytes=shutil.disk_usage(there).free,
-    )
-
-
-def recordings_directory(root: Path, user: Path) -> Path:
-    """Return where the installed configuration, or none, lets recordings go."""
-    chosen = ""
-    for path in (root / "etc/armrig/armrig.toml", user / "armrig.toml"):
-        with suppress(OSError, ValueError, AttributeError):  # the daemon says what is wrong with it
-            tables = read_toml(path, CONFIGURATION_LIMIT)
-            chosen = tables.get("recording", {}).get("directory", "") or chosen
-    if chosen:
-        return Path(chosen).expanduser().absolute()
-    return Path(platformdirs.user_data_dir("armrig")) / "recordings"
 
 
 def _daemon(host: Host) -> list[HostCheck]:

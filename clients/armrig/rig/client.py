@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import getpass
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, suppress
@@ -14,12 +13,20 @@ import numpy as np
 import zenoh
 from armrig_core import commands, topics
 from armrig_core.calibration_file import raw_samples, read_calibration
-from armrig_core.codes import OutcomeCode
 from armrig_core.errors import InputError, MalformedReplyError
 from armrig_core.volts import U_MAX_V
 from numpy.typing import ArrayLike, NDArray
 
-from armrig.rig.replies import refusal_of, reply_of
+from armrig.rig.replies import (
+    BusyError,
+    Progress,
+    RefusedError,
+    complete_recording,
+    refusal_of,
+    refused,
+    reply_of,
+    this_user,
+)
 from armrig.rig.session import (
     RigError,
     configured_endpoint,
@@ -31,13 +38,8 @@ from armrig.rig.session import (
 )
 from armrig.rig.telemetry_stream import arrivals, listen
 
-Progress = Callable[[int, int], None]
-"""Called with the samples taken and the samples asked for."""
-
-REPLY_S = 5.0
-"""How long a reply may take, in s."""
-_REPLY_PER_SAMPLE_S = 5e-6
-"""And so much longer for each sample of a run, which is read, checked and rehearsed first."""
+REPLY_S = 5.0  # how long a reply may take
+_REPLY_PER_SAMPLE_S = 5e-6  # longer: each sample of a run is read, checked and rehearsed first
 _POLL_S = 0.1
 _AGAIN_S = 0.02  # until a command that was refused for the moment is repeated
 # How long a command is repeated that the daemon refuses only until it, or the device, is ready. The
@@ -45,35 +47,6 @@ _AGAIN_S = 0.02  # until a command that was refused for the moment is repeated
 _SETTLE_S = 2.5
 _R = TypeVar("_R")
 _TIMEOUT = b"Timeout"  # of zenoh: the daemon's own answers are JSON
-
-
-class RefusedError(RigError):
-    """The daemon refuses a command, which had no effect."""
-
-    def __init__(
-        self, message: str, code: str = "", parameters: Mapping[str, commands.Fact] | None = None
-    ) -> None:
-        """Take the message, and what a daemon of today says beside it."""
-        super().__init__(message)
-        self.code = code
-        """Why, for programs: an `armrig_core.codes.RefusalCode`; "" where it is not known."""
-        self.parameters = parameters or {}
-        """What the message is about, by name."""
-
-
-class BusyError(RefusedError):
-    """The daemon refuses a command for the moment, and may take the same a little later."""
-
-
-class RunEndedError(RigError):
-    """A run ended before its last sample."""
-
-    def __init__(self, why: str, recording: Path, *, is_named: bool = False) -> None:
-        """Take the reason; the message says where the recording is, unless the reason does."""
-        super().__init__(why if is_named else f"{why}; recorded in {recording}")
-        self.why = why
-        """How many samples were taken, and why the run ended."""
-        self.recording = recording
 
 
 class Rig:
@@ -248,7 +221,7 @@ class Rig:
                 self.stop()
             raise
         self._lease = ""
-        return _complete_recording(last, voltage.size)
+        return complete_recording(last, voltage.size)
 
     def _finished(
         self, request: commands.Run, run: commands.RunAccepted, progress: Progress
@@ -463,7 +436,7 @@ class Rig:
                     return reply_of(request.name, reply.ok.payload.to_bytes(), answer)
                 if reply.err is None or (error := reply.err.payload.to_bytes()) == _TIMEOUT:
                     continue
-                raise _refused(refusal_of(request.name, error))
+                raise refused(refusal_of(request.name, error))
         except MalformedReplyError as err:
             raise no_daemon(self.rig, self.endpoint, str(err)) from err
         if self._name:
@@ -475,26 +448,3 @@ def longest_reply_s(request: commands.Request) -> float:
     """Return how long the reply to a command may take, in s."""
     samples = len(request.u) if isinstance(request, commands.Run) else 0
     return REPLY_S + _REPLY_PER_SAMPLE_S * samples
-
-
-def _complete_recording(last: commands.LastRun, asked: int) -> Path:
-    """Return the recording of a run that has played all samples asked for."""
-    recording = Path(last.recording)
-    if not last.is_complete:
-        why = f"the run ended after {last.samples} of {asked} samples: {last.outcome}"
-        # Where the file failed, the outcome says what became of it, and where it is.
-        raise RunEndedError(why, recording, is_named=last.code == OutcomeCode.RECORDING)
-    return recording
-
-
-def this_user() -> str:
-    """Return the login name; "" where there is none."""
-    try:
-        return getpass.getuser()
-    except (OSError, KeyError):  # the latter before Python 3.13
-        return ""
-
-
-def _refused(refusal: commands.Refused) -> RefusedError:
-    kind = BusyError if refusal.passes else RefusedError
-    return kind(refusal.error, refusal.code, refusal.parameters)

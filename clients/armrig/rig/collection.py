@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from armrig.recordings.loading import load
 from armrig.recordings.usability import DataVerdict, data_verdict
-from armrig.rig.client import Progress, RefusedError, Rig, RunEndedError
+from armrig.rig.client import Rig
 from armrig.rig.progress import bar, timing_note
+from armrig.rig.replies import Progress, RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, service_has_stopped
 
 Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]

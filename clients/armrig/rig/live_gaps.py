@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from math import nan
-from typing import Any
+from threading import Lock
+from typing import Any, Generic, TypeVar
 
 from armrig_core.telemetry import Sample
-
-from armrig.rig.newest import Newest
 
 MISSED = "the listener, or the way to it, did not keep up"
 """Reason of a gap that the daemon knows nothing of."""
 MOST_TOLD, MOST_TOLD_BYTES = 10_000, 1 << 20
 """Gaps told that are kept until the sample behind them comes; a daemon's has 60 B."""
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,3 +84,46 @@ def _missed(before: Sample, after: Sample, first: int, end: int) -> LiveGap:
         reason=MISSED,
         published=True,
     )
+
+
+class Newest(Generic[_T]):
+    """Forgets the oldest where there is too much; one thread may add while another takes."""
+
+    def __init__(self, most: int, most_bytes: int) -> None:
+        """Keep at most so many, and of so many B together."""
+        self._most, self._most_bytes = most, most_bytes
+        self._kept: deque[tuple[_T, int]] = deque()
+        self._size = 0
+        self._lock = Lock()
+
+    def __len__(self) -> int:
+        """Return how many are kept."""
+        return len(self._kept)
+
+    def __iter__(self) -> Iterator[_T]:
+        """Give those that are kept, the oldest first; none is to be added meanwhile."""
+        return (value for value, _ in self._kept)
+
+    def add(self, value: _T, size: int) -> None:
+        """Add one of `size` B; one longer than all may be is forgotten at once."""
+        with self._lock:
+            self._kept.append((value, size))
+            self._size += size
+            while len(self._kept) > self._most or self._size > self._most_bytes:
+                self._forget_oldest()
+
+    def take(self) -> list[_T]:
+        """Return all, the oldest first, and forget them."""
+        with self._lock:
+            kept, self._kept, self._size = self._kept, deque(), 0
+        return [value for value, _ in kept]
+
+    def forget_while(self, is_over: Callable[[_T], bool]) -> None:
+        """Forget the oldest up to one that is not over."""
+        with self._lock:
+            while self._kept and is_over(self._kept[0][0]):
+                self._forget_oldest()
+
+    def _forget_oldest(self) -> None:
+        _, size = self._kept.popleft()
+        self._size -= size

@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from armrig.numerics.quantities import number
-from armrig.rig.client import Progress as Callback
 from armrig.rig.client import Rig
+from armrig.rig.replies import Progress as Callback
 
 _Arrived = Callable[[], list[Any]]
 _WINDOW_NS = 1_000_000_000

@@ -3,27 +3,34 @@
 from __future__ import annotations
 
 import os
+import platform
+import secrets
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import msgspec
 from armrig_core import protobuf
 from armrig_core.codes import CONTINUED, Ending, OutcomeCode
+from armrig_core.errors import InputError
+from armrig_core.manifest import Manifest, check_whole_numbers
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import ACTIVE
 from armrig_core.recording_file.recorder import Recording, RecordingError
 from armrig_core.telemetry import Sample
+from google.protobuf.message import DecodeError
 
-from armrig.recordings.grid import MISSING_LIMIT
-from armrig.rig.live_gaps import LiveGap, gaps_between, told_gaps
-from armrig.rig.newest import Newest
-from armrig.rig.remote_manifest import remote_manifest
-from armrig.rig.remote_message import RemoteMessage, remote_message
+from armrig.recordings.grid import MISSING_LIMIT, TS_LEAST_S, TS_LIMIT_S
+from armrig.recordings.recording_summary import REMOTE
+from armrig.rig.live_gaps import LiveGap, Newest, gaps_between, told_gaps
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
+from armrig.rig.telemetry_stream import decoded
 
 CUT_OFF = "the recorder was cut off for longer than the daemon keeps what it published"
 STARTED_ANEW = "the daemon was started anew, and counts anew"
@@ -34,6 +41,8 @@ _FILES, _FILES_S = 60, 60.0  # so many files in such a time are no daemon's
 _MOST_WAITING, _OVERHEAD = 16 << 20, 200  # B until a state says Ts, which it does once a second
 _MOST_BEHIND, _LOOK_S = 16, 0.01  # pieces that the disk may be behind
 Tell = Callable[[str], None]
+_LIMIT = 1 << 62
+"""Above any time in ns, and any index of a sample."""
 
 
 class DiskError(RigError):
@@ -235,3 +244,105 @@ def _gap(gap: LiveGap) -> bytes:
         reason=CUT_OFF if gap.published else gap.reason,
     )
     return bytes(message.SerializeToString())
+
+
+def remote_manifest(rig: str, endpoint: str, state: Any, clock_offset_ns: int) -> Manifest:
+    """Return the manifest of a recording that begins now.
+
+    Parameters
+    ----------
+    state : armrig.v1.State
+        What the daemon last said; of its device only what fits into a manifest is taken.
+    clock_offset_ns : int
+        Real-time clock less monotonic clock, where the samples are made.
+    """
+    uname = platform.uname()
+    manifest = Manifest(
+        rig=rig,
+        run_id=secrets.token_hex(4),
+        experiment=REMOTE,
+        details={"recorded_from": endpoint},
+        Ts=state.Ts_s,
+        samples=0,  # nobody asked for a number of them
+        started=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
+        clock_offset_ns=clock_offset_ns,
+        armrig=version("armrig"),
+        protocol="",
+        host={"kernel": f"{uname.system} {uname.release} {uname.version}"},
+    )
+    try:
+        device = msgspec.json.decode(state.device, type=dict[str, Any])
+        told = msgspec.structs.replace(manifest, device=device)
+        check_whole_numbers(told)
+        told.metadata()
+    except (ValueError, OverflowError, RecursionError):  # a DecodeError is a ValueError
+        return manifest
+    return told
+
+
+class RemoteMessage(NamedTuple):
+    """A message, and when it was published."""
+
+    stream: str
+    data: bytes
+    value: Any
+    """A `Sample`, or a protobuf message."""
+    t_ns: int
+    """On the host's monotonic clock."""
+
+    def outgoing(self) -> Outgoing:
+        """Return it as a recorder takes it."""
+        due_ns, number = self.t_ns, 0
+        if self.stream == "sample":
+            due_ns, number = self.value.t_sched_ns, self.value.k
+        return Outgoing(self.stream, self.t_ns, due_ns, number, self.data)
+
+
+def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMessage:
+    """Return a message as it came.
+
+    Parameters
+    ----------
+    clock_offset_ns : int
+        Real-time clock less monotonic clock, where it was made.
+
+    Raises
+    ------
+    RigError
+        It is none that a daemon sends.
+    """
+    try:
+        if not 0 <= clock_offset_ns < _LIMIT:
+            raise InputError(f"a clock offset of {clock_offset_ns} ns")
+        value = decoded(stream, data)
+        _check(stream, value)
+    except (ValueError, DecodeError) as err:
+        raise RigError(
+            f"{len(data)} B of the stream {stream!r} are no message of armrigd's ({err})"
+        ) from err
+    return RemoteMessage(stream, data, value, _host_ns(stream, value, clock_offset_ns))
+
+
+def _check(stream: str, value: Any) -> None:
+    """Refuse what no recording can hold, or no reader of one would take."""
+    times: list[int] = []
+    if stream == "sample":
+        times = [value.t_host_ns, value.t_sched_ns, value.k]
+    elif stream == "gap":
+        times = [value.t_from_ns, value.t_to_ns, value.k_first + value.count]
+    elif stream != "event":
+        times = [value.t_host_ns]
+    for ns in times:
+        if not 0 <= ns < _LIMIT:
+            raise InputError(f"a time or an index of {ns}")
+    # Until a rig is there it has no sampling time.
+    if stream == "state" and value.Ts_s != 0 and not TS_LEAST_S <= value.Ts_s < TS_LIMIT_S:
+        raise InputError(f"a sampling time of {value.Ts_s:g} s")
+
+
+def _host_ns(stream: str, value: Any, clock_offset_ns: int) -> int:
+    if stream == "event":
+        stamp = value.timestamp
+        told_ns = int(stamp.seconds) * 1_000_000_000 + int(stamp.nanos) - clock_offset_ns
+        return min(max(told_ns, 0), _LIMIT)  # the real-time clock may have been set
+    return int(value.t_to_ns if stream == "gap" else value.t_host_ns)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import socket
+import ssl
 import tempfile
 from collections.abc import Callable, Collection
 from contextlib import suppress
@@ -13,7 +15,7 @@ from typing import Any, NamedTuple
 
 import zenoh
 from armrig_core.client_settings import ClientSettings, client_settings
-from armrig_core.credential import read_credential
+from armrig_core.credential import Credential, read_credential
 from armrig_core.endpoint import (
     SERVICE_USER,
     SERVICES,
@@ -28,12 +30,16 @@ from armrig_core.printable import printable
 from armrig_core.recording_directory import installed, of_rig
 from armrig_core.topics import PLAYED, check_rig_id, is_rig_id
 
-from armrig.rig.connection_faults import why_not_connected
-
 UNIT = Path("/etc/systemd/system/armrigd@.service")
 """The services of this machine, where they are installed."""
 MOST_RECEIVED = 16 << 20
 """Longest message that is received, in B; beyond it the connection ends."""
+LONGEST_S = 3.0
+"""How long each step may take."""
+_LISTENS_S = 1.0  # a certificate is refused after the handshake, in TLS 1.3
+# X509_V_ERR_… of OpenSSL, x509_vfy.h
+_EXPIRED, _OTHER_HOST = 10, (62, 64)
+_SILENT = "nothing answers: see that the host is on, and that no firewall stands between"
 
 
 class RigError(OperationError):
@@ -338,4 +344,78 @@ def no_daemon(rig: str, where: str, what: str) -> RigError:
     """Return the error where the replies are not those of a daemon of this version."""
     return RigError(
         f"rig {rig} at {where}: {what}; what listens there is no armrigd, or one of another version"
+    )
+
+
+def why_not_connected(host: str, port: int, credential: Credential, path: Path) -> str:
+    """Return what is wrong and what to do, found by a handshake of our own; "" where it goes well.
+
+    Parameters
+    ----------
+    host, port
+        Of the rig's daemon.
+    credential : Credential
+        What is shown to it.
+    path : Path
+        Its file.
+    """
+    try:
+        line = socket.create_connection((host, port), timeout=LONGEST_S)
+    except socket.gaierror:
+        return f"there is no host {host}: see how it is spelt"
+    except ConnectionRefusedError:
+        listener = "armrigd runs, with [access], or `armrig router`"
+        return f"nobody listens at port {port} of {host}: see that {listener}"
+    except TimeoutError:
+        return _SILENT
+    except OSError as err:
+        return f"{err.strerror or err}: see that {host} can be reached from here"
+    with line:
+        try:
+            connected = _context(credential, path).wrap_socket(line, server_hostname=host)
+        except ssl.SSLCertVerificationError as err:
+            return _of_its_certificate(err, host)
+        except OSError:  # ssl.SSLError and TimeoutError are of them
+            return "what listens there does not speak TLS 1.3: see that its [access] listen is tls/"
+        with connected:
+            return _answer_to_ours(connected, credential)
+
+
+def _context(credential: Credential, path: Path) -> ssl.SSLContext:
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.minimum_version = ssl.TLSVersion.TLSv1_3
+    context.load_verify_locations(cadata=credential.authority.decode("ascii"))
+    context.load_cert_chain(path)
+    return context
+
+
+def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
+    """Return why it refuses our certificate; "" where it waits for what we have to say."""
+    connected.settimeout(_LISTENS_S)
+    try:
+        connected.recv(1)
+    except TimeoutError:
+        return ""
+    except ssl.SSLError as err:
+        alert = (err.reason or "").rpartition("ALERT_")[2].replace("_", " ").lower()
+        return (
+            f"it refuses the certificate of {credential.name} ({alert}): see whether both are of "
+            "the same authority, and whether its clock is set"
+        )
+    except OSError:
+        return ""
+    return ""
+
+
+def _of_its_certificate(err: ssl.SSLCertVerificationError, host: str) -> str:
+    if err.verify_code in _OTHER_HOST:
+        return (
+            f"its certificate is not for {host}: take a name that is in it, or have another made "
+            f"by `armrig pki rig ID --host {host}`"
+        )
+    if err.verify_code == _EXPIRED:
+        return "its certificate has expired: `armrig pki renew` makes a new one"
+    return (
+        f"its certificate is not of the authority that signed yours ({err.verify_message}): it is "
+        "another laboratory's, or a stranger's"
     )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from armrig_core.commands import StatusReport
+from typing import Any
 
-from armrig.rig.realtime_status import scheduling_sentences
+from armrig_core.commands import StatusReport
 
 
 def status_rows(report: StatusReport) -> list[tuple[str, str]]:
@@ -41,3 +41,16 @@ def status_rows(report: StatusReport) -> list[tuple[str, str]]:
         ("host", "; ".join(scheduling_sentences(report.host))),
         *([("device", device)] if not silent else []),
     ]
+
+
+def scheduling_sentences(host: dict[str, Any]) -> list[str]:
+    """Return what the daemon reports of real-time scheduling, a sentence each."""
+    if not host:
+        return ["nothing known yet"]
+    fifo = host.get("fifo")
+    sentences = [f"real-time scheduling at priority {fifo}" if fifo else "no real-time scheduling"]
+    refused = host.get("refused", [])
+    sentences += [
+        f"not allowed: {what}" for what in (refused if isinstance(refused, list) else [refused])
+    ]
+    return sentences

@@ -14,8 +14,7 @@ from armrig_core import protobuf, telemetry, topics
 from armrig_core.errors import InputError
 from google.protobuf.message import DecodeError
 
-from armrig.rig.live_gaps import gaps_between, told_gaps
-from armrig.rig.newest import Newest
+from armrig.rig.live_gaps import Newest, gaps_between, told_gaps
 from armrig.rig.session import (
     MOST_RECEIVED,
     NoReplyError,

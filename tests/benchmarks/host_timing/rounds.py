@@ -19,7 +19,8 @@ import numpy as np
 from armrig.lab.host import PRIORITY
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from armrig.rig.client import Rig, RunEndedError
+from armrig.rig.client import Rig
+from armrig.rig.replies import RunEndedError
 from armrig.rig.session import RigError
 from armrig_core.endpoint import endpoint
 from armrig_core.errors import InputError

@@ -18,7 +18,7 @@ import pytest
 from armrig.cli import main
 from armrig.cli.options import folded, tell
 from armrig.rig import live_rigs
-from armrig.rig.realtime_status import scheduling_sentences
+from armrig.rig.status_rows import scheduling_sentences
 from armrig_core import commands, telemetry
 from fake_daemon import FakeDaemon
 from made_recordings import sample, written

@@ -13,7 +13,8 @@ from armrig.cli import demo, demo_plan, demo_rig, demo_virtual
 from armrig.cli.demo_plan import Experiment
 from armrig.cli.demo_rig import Patience, TooBusyError
 from armrig.rig import client as rig_module
-from armrig.rig.client import RefusedError, Rig
+from armrig.rig.client import Rig
+from armrig.rig.replies import RefusedError
 from armrig.rig.session import RigError
 from armrig_core import commands
 from fake_daemon import FakeDaemon

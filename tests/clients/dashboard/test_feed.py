@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from armrig.dashboard import feed as feed_module
 from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
-from armrig.dashboard.messages import live_facts
+from armrig.dashboard.stream import live_facts
 from armrig_core.commands import StatusReport
 from armrig_core.telemetry import Sample
 from made_recordings import event, gap, note, sample

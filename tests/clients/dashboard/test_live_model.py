@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from armrig.dashboard.live_model import LiveModel
+from armrig.dashboard.feed import LiveModel
 from armrig.excitation import telegraph
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 

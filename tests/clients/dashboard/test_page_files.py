@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import armrig.dashboard
-from armrig.dashboard.page_files import PAGE_FILES
+from armrig.dashboard.app import PAGE_FILES
 
 PAGE = Path(armrig.dashboard.__file__).parent / "page"
 OWN = [path for path in PAGE.iterdir() if path.suffix in (".js", ".html", ".css")]

@@ -12,9 +12,7 @@ import pytest
 from armrig.dashboard.bins import COLUMNS, Rows
 from armrig.dashboard.driver import Driver, RunState
 from armrig.dashboard.feed import Feed
-from armrig.dashboard.history import History, encoded
-from armrig.dashboard.messages import event
-from armrig.dashboard.stream import Stream
+from armrig.dashboard.stream import History, Stream, encoded, event
 from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
 from made_recordings import sample
 

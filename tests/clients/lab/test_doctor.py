@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from armrig.cli import main
 from armrig.lab import doctor
-from armrig.lab.doctor import Granted, Host, HostCheck, examine, is_well
-from armrig.lab.host import preemption
+from armrig.lab.doctor import examine, is_well
+from armrig.lab.host import Granted, Host, HostCheck, preemption, recordings_directory
 from armrig_core.commands import StatusReport
 from fake_daemon import FakeDaemon
 from msgspec.structs import replace
@@ -237,17 +237,17 @@ def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> Non
         directory.mkdir(parents=True)
         (directory / "armrig.toml").write_text(content)
 
-    assert doctor.recordings_directory(tmp_path, user) == Path("/srv/rig")
+    assert recordings_directory(tmp_path, user) == Path("/srv/rig")
 
     (user / "armrig.toml").write_text('[recording]\ndirectory = "/home/a"\n')
-    assert doctor.recordings_directory(tmp_path, user) == Path("/home/a")
+    assert recordings_directory(tmp_path, user) == Path("/home/a")
 
     (user / "armrig.toml").write_text('[recording]\ndirectory = "/b"\n', encoding="utf-8-sig")
-    assert doctor.recordings_directory(tmp_path, user) == Path("/b")
+    assert recordings_directory(tmp_path, user) == Path("/b")
 
     (user / "armrig.toml").unlink()
     os.mkfifo(user / "armrig.toml")  # nobody writes to it
-    assert doctor.recordings_directory(tmp_path, user) == Path("/srv/rig")
+    assert recordings_directory(tmp_path, user) == Path("/srv/rig")
 
 
 @pytest.mark.parametrize(("fifo", "code"), [(True, 0), (False, 1)])

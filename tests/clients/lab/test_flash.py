@@ -97,7 +97,7 @@ def test_a_program_that_does_not_answer_is_told(
     monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
     """As of a firmware that was built for another speed of the line."""
-    monkeypatch.setattr("armrig.lab.flash.greeting.greeting", lambda port, baud: None)
+    monkeypatch.setattr("armrig.lab.flash.boards.greeting", lambda port, baud: None)
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port, "--yes", "--baud", "1000000"]) == 1
 

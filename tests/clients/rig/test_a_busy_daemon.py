@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 from armrig.rig import client as rig_module
-from armrig.rig.client import BusyError, RefusedError, Rig
+from armrig.rig.client import Rig
+from armrig.rig.replies import BusyError, RefusedError
 from armrig_core import commands
 from fake_daemon import FakeDaemon
 

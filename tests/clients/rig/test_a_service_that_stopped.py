@@ -14,13 +14,14 @@ import pytest
 import zenoh
 from armrig.cli import main
 from armrig.dashboard.feed import Feed
-from armrig.dashboard.listener import Listener
+from armrig.dashboard.serving import Listener
 from armrig.rig import client, remote_recorder, session, telemetry_stream
-from armrig.rig.client import Progress, Rig
+from armrig.rig.client import Rig
 from armrig.rig.collection import collect
 from armrig.rig.remote_recorder import RemoteRecorder
 from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecording
 from armrig.rig.remote_source import Piece
+from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.commands import StatusReport
 from armrig_core.endpoint import endpoint

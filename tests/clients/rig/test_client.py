@@ -18,7 +18,8 @@ import numpy as np
 import pytest
 import zenoh
 from armrig.rig import telemetry_stream
-from armrig.rig.client import REPLY_S, RefusedError, Rig, RunEndedError, longest_reply_s
+from armrig.rig.client import REPLY_S, Rig, longest_reply_s
+from armrig.rig.replies import RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import decoded, stream
 from armrig_core import commands, protobuf, telemetry

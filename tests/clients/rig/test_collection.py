@@ -12,8 +12,9 @@ import msgspec
 import numpy as np
 import pytest
 import zenoh
-from armrig.rig.client import Progress, Rig, RunEndedError
+from armrig.rig.client import Rig
 from armrig.rig.collection import Plan, _interrupted_sentence, collect
+from armrig.rig.replies import Progress, RunEndedError
 from armrig.rig.session import NoReplyError
 from armrig_core.codes import OutcomeCode
 from armrig_core.commands import Arm, LastRun, Run, Status, StatusReport

@@ -14,10 +14,9 @@ from typing import Any
 import pytest
 import zenoh
 from armrig.lab import pki
-from armrig.rig import connection_faults
+from armrig.rig import session
 from armrig.rig.client import Rig
-from armrig.rig.connection_faults import why_not_connected
-from armrig.rig.session import NoReplyError, RigError
+from armrig.rig.session import NoReplyError, RigError, why_not_connected
 from armrig_core.credential import read_credential
 
 
@@ -117,14 +116,14 @@ def test_a_rig_that_refuses_our_certificate_is_told(made: Path, tmp_path: Path) 
 @pytest.mark.exhaustive
 def test_what_speaks_no_tls_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Such as a daemon with passwords."""
-    monkeypatch.setattr(connection_faults, "LONGEST_S", 0.3)
+    monkeypatch.setattr(session, "LONGEST_S", 0.3)
     with _listening(made / "rig-1.pem", "tcp") as port:
         assert "does not speak TLS 1.3" in _told(made, port)
 
 
 def test_what_never_answers_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A program that hangs, or waits for another protocol's first word."""
-    monkeypatch.setattr(connection_faults, "LONGEST_S", 0.3)
+    monkeypatch.setattr(session, "LONGEST_S", 0.3)
     alice = made / "alice.pem"
     with socket.create_server(("127.0.0.1", 0)) as hanging:
         port = hanging.getsockname()[1]
@@ -137,7 +136,7 @@ def test_a_connection_that_goes_well_is_not_blamed(
     made: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where zenoh failed once, and the next try would not."""
-    monkeypatch.setattr(connection_faults, "_LISTENS_S", 0.2)
+    monkeypatch.setattr(session, "_LISTENS_S", 0.2)
     alice = made / "alice.pem"
     with _listening(made / "rig-1.pem") as port:
         told = why_not_connected("localhost", port, read_credential(alice, "client"), alice)

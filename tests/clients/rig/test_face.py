@@ -18,14 +18,14 @@ def test_the_errors_of_a_rig_are_imported_from_the_room() -> None:
         Rig,
         RigError,
         RunEndedError,
-        client,
+        replies,
         session,
     )
 
     assert Rig is armrig.Rig
     assert RigError is armrig.RigError
-    assert (RefusedError, BusyError) == (client.RefusedError, client.BusyError)
-    assert RunEndedError is client.RunEndedError
+    assert (RefusedError, BusyError) == (replies.RefusedError, replies.BusyError)
+    assert RunEndedError is replies.RunEndedError
     assert NoReplyError is session.NoReplyError
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from armrig.rig.newest import Newest
+from armrig.rig.live_gaps import Newest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 

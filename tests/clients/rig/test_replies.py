@@ -12,8 +12,8 @@ import msgspec
 import pytest
 import zenoh
 from armrig.cli import main
-from armrig.rig.client import BusyError, RefusedError, Rig
-from armrig.rig.replies import MOST_BYTES, refusal_of, reply_of
+from armrig.rig.client import Rig
+from armrig.rig.replies import MOST_BYTES, BusyError, RefusedError, refusal_of, reply_of
 from armrig.rig.session import MOST_RECEIVED, NoReplyError, RigError
 from armrig_core.codes import RefusalCode
 from armrig_core.commands import Done, LeaseGranted, Refused, StatusReport, refused

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import fcntl
 import os
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import serial
 from armrig_core.errors import OperationError
+from armrig_protocol.decoder import feed
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
 
 _UNOS = {
     (0x2341, 0x0043): "Arduino Uno R3",
@@ -22,6 +27,9 @@ _FREE_PORT = (
     "end it first, which leaves the motor at 0 V: Ctrl-C where `armrig lab` or `armrigd run` runs, "
     "or `systemctl stop armrigd@ID`"
 )
+WITHIN_S = 6.0
+"""How long a board may take: its boot loader listens for a second or two, in s."""
+_AGAIN_S = 0.25  # what comes during the boot is lost
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,3 +136,38 @@ def _board(port: str, vendor: int, product: int, description: str) -> Board:
 
 def _list(boards: Sequence[Board]) -> str:
     return ", ".join(map(str, boards))
+
+
+def greeting(port: str, baud: int, within_s: float = WITHIN_S) -> HelloReply | None:
+    """Open the port, which resets an Uno, and return its answer to HELLO; None where none comes.
+
+    HELLO commands nothing: whatever the board runs, the motor does not turn by it. The caller
+    holds the port (`boards.held`).
+
+    Raises
+    ------
+    OperationError
+        The port cannot be opened, or is gone.
+    """
+    until_s = time.monotonic() + within_s
+    with _opened(port, baud) as line:
+        pending, seq = b"", 0
+        while time.monotonic() < until_s:
+            line.write(b"\0" + encode(Hello(0, seq, VERSION, SCHEMA_HASH)))
+            seq += 1
+            again_s = time.monotonic() + _AGAIN_S
+            while time.monotonic() < again_s:
+                pending, messages = feed(pending, line.read(1) + line.read(line.in_waiting))
+                for message in messages:
+                    if isinstance(message, HelloReply):
+                        return message
+    return None
+
+
+@contextmanager
+def _opened(port: str, baud: int) -> Iterator[serial.Serial]:
+    try:
+        with serial.Serial(port, baudrate=baud, timeout=0.02, write_timeout=1.0) as line:
+            yield line
+    except (OSError, ValueError) as err:  # also SerialException, of a board that is unplugged
+        raise OperationError(f"{port}: {' '.join(str(err).split())}") from err
