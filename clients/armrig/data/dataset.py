@@ -16,7 +16,8 @@ from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.pandas_columns import plain, present
-from armrig.data.step import Step, Trend, codes_of
+from armrig.data.step import Step, codes_of
+from armrig.data.trend import Trend
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.stretches import Mask
 

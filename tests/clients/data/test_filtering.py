@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.data.step import Trend
 from armrig.data.treatment import detrend, prefilter, resample, retrend
+from armrig.data.trend import Trend
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered

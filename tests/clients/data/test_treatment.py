@@ -8,8 +8,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset, merge
-from armrig.data.step import LINE, MEAN, Trend, codes_of
+from armrig.data.step import LINE, MEAN, codes_of
 from armrig.data.treatment import IntegratingOutputWarning, detrend, difference, drift, retrend
+from armrig.data.trend import Trend
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered
 from hypothesis import given

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
-from armrig.data.step import LINE, MEAN, Step, Trend
+from armrig.data.step import LINE, MEAN, Step
 from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
+from armrig.data.trend import Trend
 from armrig.numerics.checks import column
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.stretches import Mask

@@ -9,7 +9,7 @@ from armrig_core.telemetry import THETA_1
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding, warning
-from armrig.data.step import Trend
+from armrig.data.trend import Trend
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import complete, past
 
