@@ -234,7 +234,7 @@ def _say(done: Batch, *, json: bool) -> None:
 
 def _failed(row: dict[str, Any]) -> str:
     """Return which checks a recording failed, and what was found."""
-    from armrig.report.batch.columns import CHECKS
+    from armrig.report.batch.rows import CHECKS
 
     failed = (about for about in CHECKS if row[f"{about}_result"] == "failed")
     return "; ".join(f"{about} failed: {row[f'{about}_found']}" for about in failed)

@@ -13,8 +13,7 @@ import typer
 from armrig_core.errors import FileError, InputError
 from armrig_core.telemetry import ALPHA
 
-from armrig.cli.calibration_in_use import take_into_use
-from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading
+from armrig.cli.calibration_runs import Dialogue, Player, check_turns, meter_reading, take_into_use
 from armrig.cli.chosen_recording import recording_path
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import naming, say_next

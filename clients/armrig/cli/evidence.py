@@ -84,7 +84,7 @@ def export(
 
     Which kind the ending of OUT says (.csv, .mat, .parquet), or the option.
     """
-    from armrig.cli.output_file import check_output
+    from armrig.cli.figures import check_output
     from armrig.cli.spinner import spinner
     from armrig.recordings.export import write_csv, write_mat, write_parquet, write_transforms
     from armrig.recordings.loading import load

@@ -12,12 +12,12 @@ import typer
 from armrig_core.errors import InputError
 
 from armrig.cli.options import tell
-from armrig.cli.output_file import check_output
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from armrig.recordings.recording import Recording
+
 
 Draw = Callable[..., Any]
 """Draws into `ax`."""
@@ -28,6 +28,7 @@ _RUNS: dict[str, str] = {}
 """Run of each recording that the command has read, by the recording's hash."""
 _ESTIMATION: dict[Path, str] = {}
 """Files that these recordings validate models of, which a saved model names by hash; their runs."""
+_MCAP = b"\x89MCAP0\r\n"
 
 
 def name_runs(*recordings: Recording) -> None:
@@ -146,3 +147,27 @@ def _drawn(subjects: Sequence[Draw], height: float) -> Figure:
     for ax in places[len(subjects) :]:
         ax.remove()
     return figure
+
+
+def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
+    """Refuse, before any work, a file that cannot be written, or must not: a recording is kept."""
+    name = f"-o {path}" if suffix else str(path)
+    if path.is_dir():
+        example = path / ("report.pdf" if suffix else "timing.png")
+        raise InputError(f"{name}: is a directory; give a file, such as {example}")
+    if path.exists() and any(f.exists() and path.samefile(f) for f in inputs):
+        raise InputError(
+            f"{name}: is one of the files to read, which would be lost; give another name"
+        )
+    if path.is_file():
+        with path.open("rb") as file:
+            if file.read(len(_MCAP)) == _MCAP:
+                raise InputError(f"{name}: is a recording, which would be lost; give another name")
+    if suffix and path.suffix.lower() != suffix:
+        raise InputError(f"{name}: a report is a PDF; give a name that ends in {suffix}")
+    if not path.absolute().parent.is_dir():
+        if path.parent.exists():
+            msg = f"{name}: {path.parent} is a file; give a directory that is there"
+        else:
+            msg = f"{name}: there is no directory {path.parent}; make it first"
+        raise InputError(msg)

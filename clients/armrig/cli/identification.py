@@ -11,7 +11,7 @@ import typer
 from armrig_core.errors import InputError
 
 from armrig.cli.chosen_recording import DataFile, recording_path
-from armrig.cli.figures import Plot, check_plot, write_plot
+from armrig.cli.figures import Plot, check_output, check_plot, write_plot
 from armrig.cli.model_structures import (
     Given,
     estimated,
@@ -38,7 +38,6 @@ from armrig.cli.options import (
     say,
     tell,
 )
-from armrig.cli.output_file import check_output
 from armrig.cli.recorded_data import Signals, from_recording, source_facts
 from armrig.estimation.request import Request
 from armrig.models.structure_table import users

@@ -12,6 +12,7 @@ from armrig_core.errors import InputError
 from armrig_core.printable import printable
 
 from armrig.cli.chosen_recording import recording_path
+from armrig.cli.figures import check_output
 from armrig.cli.next_step import free_name, opener, say_next
 from armrig.cli.options import (
     SAME_DATA,
@@ -25,7 +26,6 @@ from armrig.cli.options import (
     print_json,
     tell,
 )
-from armrig.cli.output_file import check_output
 from armrig.cli.parameters import AMPLITUDE_V, OMEGA, Amplitude, Given, Omega, cases
 
 if TYPE_CHECKING:
@@ -160,7 +160,7 @@ def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object
 
 def _write_questions(path: Path) -> None:
     """Write a file with the handout's questions."""
-    from armrig.report.questions import questions_toml
+    from armrig.report.answers import questions_toml
 
     text = questions_toml(printable(quote(str(path))))
     try:

@@ -1,2 +1,2 @@
-from armrig.report.data_facts import treatment as treatment
 from armrig.report.document import report as report
+from armrig.report.recording_facts import treatment as treatment

@@ -12,7 +12,6 @@ from typing import Any
 from armrig.numerics.quantities import error, percent
 from armrig.recordings.doubts import different_calibrations, emulation
 from armrig.report.conclusions import abstract, conclusions
-from armrig.report.data_facts import data_text, treatment
 from armrig.report.figures import DETAIL_S, write_figures
 from armrig.report.model_facts import (
     estimation,
@@ -24,6 +23,7 @@ from armrig.report.model_facts import (
     structure,
 )
 from armrig.report.recording_facts import (
+    data_text,
     disturbance_rows,
     facts,
     notes,
@@ -31,6 +31,7 @@ from armrig.report.recording_facts import (
     run_name,
     shared_facts,
     timing_rows,
+    treatment,
 )
 from armrig.report.study import STEP, Study, kind_of
 from armrig.report.typesetting import recorded, source_folder, typeset

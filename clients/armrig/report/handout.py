@@ -14,13 +14,12 @@ from armrig_core.errors import OperationError
 
 from armrig.numerics.quantities import milliseconds
 from armrig.recordings.doubts import different_calibrations, early_ends, emulation
-from armrig.report.answers import Answers
+from armrig.report.answers import QUESTIONS, Answers
 from armrig.report.conclusions import calibration_sentences
 from armrig.report.handout_figures import write_handout_figures
 from armrig.report.handout_study import HandoutStudy
 from armrig.report.identification_sections import identification_sections
 from armrig.report.physical_sections import numerical_sections, physical_sections
-from armrig.report.questions import QUESTIONS
 from armrig.report.recording_facts import notes, run_name
 from armrig.report.section import Section
 from armrig.report.typesetting import recorded, source_folder, typeset

@@ -8,8 +8,7 @@ from typing import Annotated
 
 import msgspec
 import typer
-from armrig.cli.figures import check_figure
-from armrig.cli.output_file import check_output
+from armrig.cli.figures import check_figure, check_output
 from armrig_core.errors import ArmrigError
 from benchmarks.host_timing.machine import machine
 from benchmarks.host_timing.results import Result, lines, write_figure

@@ -258,7 +258,7 @@ def test_a_board_is_asked_what_it_runs_at_the_speed_that_was_given(
     board = SimpleNamespace(port="/dev/ttyACM3", name="Uno")
     monkeypatch.setattr(f"{flash}.boards.chosen", lambda port, _: asked.append(port) or board)
     monkeypatch.setattr(f"{flash}.boards.held", lambda _: nullcontext())
-    monkeypatch.setattr(f"{flash}.greeting.greeting", lambda *of: asked.append(of))
+    monkeypatch.setattr(f"{flash}.boards.greeting", lambda *of: asked.append(of))
 
     assert main(["flash", "--port", "/dev/ttyACM3", "--baud", "115200", "--yes"]) == 1
 

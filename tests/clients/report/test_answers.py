@@ -6,10 +6,16 @@ import json
 from pathlib import Path
 
 import pytest
-from armrig.report.answers import MAX_REASONS, Answers, Student, read_answers
+from armrig.report.answers import (
+    MAX_REASONS,
+    QUESTIONS,
+    Answers,
+    Student,
+    questions_toml,
+    read_answers,
+)
 from armrig.report.handout import handout_report
 from armrig.report.handout_study import handout_study
-from armrig.report.questions import QUESTIONS, questions_toml
 from armrig_core.errors import FileError
 
 

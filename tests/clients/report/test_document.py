@@ -18,9 +18,8 @@ from armrig.physics.physical_model import physical_model
 from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
 from armrig.report.conclusions import abstract, conclusions
-from armrig.report.data_facts import treatment
 from armrig.report.document import content, report
-from armrig.report.recording_facts import role
+from armrig.report.recording_facts import role, treatment
 from armrig.report.study import AssessedFit, Orders, Study, assessed, study
 from armrig.report.typesetting import recorded as recorded_at
 from armrig.report.typesetting import typeset

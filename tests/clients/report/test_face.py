@@ -7,10 +7,10 @@ import pytest
 
 def test_the_report_is_imported_from_the_room() -> None:
     """`from armrig.report import …` gives what typesets a study, and its sentences."""
-    from armrig.report import data_facts, document, report, treatment
+    from armrig.report import document, recording_facts, report, treatment
 
     assert report is document.report
-    assert treatment is data_facts.treatment
+    assert treatment is recording_facts.treatment
 
 
 def test_a_name_that_the_room_has_not_is_refused() -> None:

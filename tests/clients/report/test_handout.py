@@ -21,12 +21,12 @@ from armrig.numerics.quantities import NBSP
 from armrig.recordings.daemon_reports import Note
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
+from armrig.report.answers import QUESTIONS
 from armrig.report.handout import MOST_PAGES, TEMPLATE, check_length, handout_report
 from armrig.report.handout_study import HandoutStudy, handout_study
 from armrig.report.identification_sections import identification_sections
 from armrig.report.model_facts import physics
 from armrig.report.physical_sections import numerical_sections, physical_sections
-from armrig.report.questions import QUESTIONS
 from armrig.report.recording_facts import run_name
 from armrig.report.section import Section
 from armrig.report.typesetting import compiled, typeset

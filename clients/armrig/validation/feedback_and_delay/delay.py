@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import ceil, sqrt
 
@@ -15,9 +16,10 @@ from armrig.data.dataset import Dataset
 from armrig.data.quantisation import quantum
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_response
 from armrig.estimation.nonparametric.integrator import integration
+from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.quantities import plural
+from armrig.numerics.regressors import in_blocks
 from armrig.validation.feedback_and_delay.delay_result import Delay
-from armrig.validation.feedback_and_delay.determined_lags import determined_lags
 from armrig.validation.feedback_and_delay.lag_tests import (
     MOST_COEFFICIENTS,
     MOST_LAGS,
@@ -34,6 +36,11 @@ SECOND_ORDER = frozenset({THETA_1, ALPHA})
 _FEWEST = 50  # samples
 _FAR = 3  # lags past nk to which losses are kept
 _FEW_CHANGES = 10  # of u, up to which an error of quantisation does not average out
+Matrix = NDArray[np.float64]
+
+_OWN = 0.005  # share of a lag of u that those before it must leave
+_POOREST = 28  # lags of their own, what a PRBS of period 31 has; few sines have fewer
+_BLOCK = 4096  # rows decomposed at once: they stay in the cache
 
 
 @takes_recordings
@@ -245,3 +252,33 @@ def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, li
         f"u changes {plural(read.changes, 'time')} only, which does not excite enough to tell a "
         f"delay from the first {hidden} samples that quantisation hides"
     ]
+
+
+def determined_lags(data: Dataset, most: int) -> int:
+    """Return how many successive lags of u each have a share of their own, `most` at most.
+
+    That of a lag is what those before it leave, sqrt(1 - R²) of its regression on them.
+
+    Raises
+    ------
+    ValueError
+        They are so few that u has power in a narrow band only: it follows from its own past, and
+        what the model lacks far away would look like a coefficient near lag 0.
+    """
+    R = triangle(_windows_of_u(data, most), most)
+    own = np.abs(np.diag(R)) > _OWN * column_norms(R)
+    found = int(np.argmin(np.append(own, False)))
+    if found < min(_POOREST, most):
+        raise InputError(
+            f"u determines {found} lags only: power in so narrow a band tells no delay; play a "
+            "telegraph or a PRBS"
+        )
+    return found
+
+
+def _windows_of_u(data: Dataset, length: int) -> Iterator[Matrix]:
+    """Yield u(t), u(t - 1) … about its mean in each experiment, in blocks of rows."""
+    for part in data.experiments():
+        if length <= part.N:
+            windows = np.lib.stride_tricks.sliding_window_view(part.u - part.u.mean(), length)
+            yield from in_blocks(windows[:, ::-1], _BLOCK)

@@ -23,19 +23,18 @@ import pytest
 from armrig.cli import main
 from armrig.models.model_writing import model_text
 from armrig.recordings.verification import verify
-from armrig.report.batch import running, workers
-from armrig.report.batch.batch import batch
-from armrig.report.batch.columns import (
+from armrig.report.batch import workers
+from armrig.report.batch.batch import batch, header_of, results
+from armrig.report.batch.items import Item, items_in
+from armrig.report.batch.progress import SUFFIX, Progress, still_right
+from armrig.report.batch.rows import (
     OF_THE_FILE,
     OF_THE_RESULT,
     OF_THE_RUN,
     OF_THE_TASK,
     columns_of,
+    row_of,
 )
-from armrig.report.batch.items import Item, items_in
-from armrig.report.batch.progress import SUFFIX, Progress, still_right
-from armrig.report.batch.rows import row_of
-from armrig.report.batch.table import header_of
 from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
 from armrig_core.errors import OperationError
 from batches import SHORT, kept, started, telegraph, wait_for_rows
@@ -437,7 +436,7 @@ def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: P
 def test_what_kills_each_worker_is_given_up_and_all_others_are_done() -> None:
     """Each other item has its own result, once."""
     items = ["a", "b", "deadly", "c", "d"]
-    came = list(running.results(deadly, items, partial(workers.processes, 2), at_once=4))
+    came = list(results(deadly, items, partial(workers.processes, 2), at_once=4))
     assert sorted(item for item, _ in came) == sorted(items)
     for item, result in came:
         if item == "deadly":
@@ -471,7 +470,7 @@ def test_so_many_workers_die_of_an_item_and_no_more(at_once: int, tries: int) ->
         runs.append([])
         return Mortal(runs[-1])
 
-    came = dict(running.results(str.upper, ["a", "deadly", "b"], opened, at_once=at_once))
+    came = dict(results(str.upper, ["a", "deadly", "b"], opened, at_once=at_once))
 
     assert sum("deadly" in run for run in runs) == tries
     assert "died, 2 times" in str(came.pop("deadly"))
