@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,39 +15,14 @@ from armrig.plots.scales import logarithmic
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from armrig.estimation.order_table import OrderTable
+
 Vector = NDArray[np.float64]
 Integers = NDArray[np.int_]
 
 
-class Orders(Protocol):
-    """The orders of one structure."""
-
-    @property
-    def na(self) -> int: ...  # noqa: D102
-    @property
-    def nb(self) -> int: ...  # noqa: D102
-    @property
-    def nk(self) -> int: ...  # noqa: D102
-
-
-class Losses(Protocol):
-    """What is drawn of the losses of many structures: `OrderTable` has it."""
-
-    @property
-    def parameters(self) -> Integers: ...  # noqa: D102
-    @property
-    def loss(self) -> Vector: ...  # noqa: D102
-    @property
-    def validation_loss(self) -> Vector | None: ...  # noqa: D102
-    @property
-    def criteria(self) -> tuple[Criterion, ...]: ...  # noqa: D102
-    def envelope(self, criterion: Criterion | None) -> Integers: ...  # noqa: D102
-    def chosen(self, criterion: Criterion) -> int: ...  # noqa: D102
-    def orders(self, i: int) -> Orders: ...  # noqa: D102
-
-
 def plot_orders(
-    table: Losses, criterion: Criterion | None = None, *, ax: Axes | None = None
+    table: OrderTable, criterion: Criterion | None = None, *, ax: Axes | None = None
 ) -> Axes:
     """Show the best structure for each number of parameters, and what each criterion chooses.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,60 +13,14 @@ from armrig.plots.scales import hertz
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from armrig.excitation.input_description import InputDescription
+
 Vector = NDArray[np.float64]
 
 _SHOWN = 1000  # samples; more of them would be a bar of ink
 
 
-class DescribedInput(Protocol):
-    """What the figure shows of an input: an `InputDescription` has it, and says more of it."""
-
-    @property
-    def u(self) -> Vector:
-        """The input (N,), in V."""
-
-    @property
-    def Ts(self) -> float:
-        """Sampling time, in s."""
-
-    @property
-    def std(self) -> float:
-        """Effective value about the mean, in V."""
-
-    @property
-    def crest_factor(self) -> float:
-        """Largest |u - mean| over `std`."""
-
-    @property
-    def order(self) -> int:
-        """Order of persistence of excitation."""
-
-    @property
-    def highest_order(self) -> int:
-        """Highest order looked for."""
-
-    @property
-    def omega(self) -> Vector:
-        """Frequencies of `spectrum`, in rad/s."""
-
-    @property
-    def spectrum(self) -> Vector:
-        """One-sided power density, in V² per rad/s."""
-
-    @property
-    def levels(self) -> Vector:
-        """Values taken, or the middles of bins, in V."""
-
-    @property
-    def shares(self) -> Vector:
-        """Share of the time at each level, or in each bin."""
-
-    @property
-    def binned(self) -> bool:
-        """`levels` are bins."""
-
-
-def plot_input(description: DescribedInput) -> Figure:
+def plot_input(description: InputDescription) -> Figure:
     """Return a figure of an input: its beginning, its spectrum, and the time at each level."""
     from matplotlib import pyplot as plt
 

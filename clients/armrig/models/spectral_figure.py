@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,39 +15,12 @@ from armrig.plots.scales import bare_minor, decibel_ticks, decibels, hertz
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from armrig.models.spectral_estimate import SpectralEstimate
+
 Vector = NDArray[np.float64]
 
 
-class Spectrum(Protocol):
-    """What is drawn: `SpectralEstimate` has it."""
-
-    @property
-    def omega(self) -> Vector: ...  # noqa: D102
-    @property
-    def G(self) -> NDArray[np.complex128]: ...  # noqa: D102
-    @property
-    def phase(self) -> Vector: ...  # noqa: D102
-    @property
-    def std_magnitude(self) -> Vector: ...  # noqa: D102
-    @property
-    def std_phase(self) -> Vector: ...  # noqa: D102
-    @property
-    def coherence(self) -> Vector | None: ...  # noqa: D102
-    @property
-    def noise_only_std(self) -> Vector | None: ...  # noqa: D102
-    @property
-    def nonlinear_std(self) -> Vector | None: ...  # noqa: D102
-    @property
-    def method(self) -> str: ...  # noqa: D102
-    @property
-    def unit(self) -> str: ...  # noqa: D102
-    @property
-    def input_unit(self) -> str: ...  # noqa: D102
-    @property
-    def source(self) -> str: ...  # noqa: D102
-
-
-def plot_spectral(estimate: Spectrum, *, ax: Axes | None = None) -> Axes:
+def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes:
     """Show magnitude, phase and, where it is known, coherence, with 95 % bands."""
     ax, below = panels(ax, 0.36)
     w, G = estimate.omega, estimate.G
@@ -107,7 +80,7 @@ def _of(x: NDArray[Any] | None, known: NDArray[np.bool_]) -> NDArray[np.float64]
     return np.full(int(np.count_nonzero(known)), np.nan) if x is None else np.asarray(x[known])
 
 
-def _gain(estimate: Spectrum) -> str:
+def _gain(estimate: SpectralEstimate) -> str:
     """Return the unit of y over that of u."""
     unit = estimate.unit or "–"
     return f"{unit}/{estimate.input_unit}" if estimate.input_unit else unit

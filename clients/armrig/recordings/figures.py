@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -18,6 +17,7 @@ from armrig.recordings.jitter import jitter_us, lateness_us
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from armrig.recordings.overview import Overview
     from armrig.recordings.recording import Recording
 
 
@@ -81,18 +81,6 @@ def _write_the_same(ax: Axes, recording: Recording, x: Vector, label: str) -> Ax
     ax.set(xticks=[], yticks=[], xlabel=label, ylabel="samples")
     finish(ax)
     return sign(ax, recording.sha256)
-
-
-class Overview(Protocol):
-    """What is drawn: see `armrig.recordings.overview`, whose fields say more."""
-
-    @property
-    def recording(self) -> Recording:
-        """Its signals."""
-
-    @property
-    def outliers(self) -> Mapping[str, NDArray[np.float64]]:
-        """Times in s, by output."""
 
 
 def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:

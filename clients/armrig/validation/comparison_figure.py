@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,31 +18,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.data.dataset import Dataset
+    from armrig.validation.comparison import Comparison
 
 
 _NAMED = 3  # models, up to which each difference has a name; the pens are those above
 _APART = 16.0  # points between two numbers, before a layout takes some of the height
 
 
-class Compared(Protocol):
-    """One model in it: see `armrig.validation.comparison.Comparison`, whose fields say more."""
-
-    @property
-    def name(self) -> str:
-        """Label."""
-
-    @property
-    def rms_error(self) -> float:
-        """In y's unit."""
-
-    @property
-    def y(self) -> NDArray[np.float64]:
-        """The model's output, (N,)."""
-
-
 def plot_comparison(
     data: Dataset,
-    compared: Sequence[Compared],
+    compared: Sequence[Comparison],
     *,
     labels: Labels = None,
     ax: Axes | None = None,
@@ -90,7 +75,7 @@ def plot_comparison(
     return sign(ax, data.source, above=legend(ax, *notes))
 
 
-def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Compared], best: int) -> float:
+def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Comparison], best: int) -> float:
     """Make the scale logarithmic beyond the best model's errors where another's are far larger.
 
     Returns from where on; 0 if the scale stays linear.

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
@@ -15,54 +14,12 @@ from armrig.plots.layout import BLUE, GREY, VERMILION, finish, panels, stems
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from armrig.validation.residuals import ResidualTest
+
 BAND_99_PERCENT = 2.58
 """Two-sided quantile of the normal distribution."""
 BAND = "99 % band of each lag"
 _JOINT = f"joint test, level {100 * WHITE_LEVEL:g}{NBSP}%"
-
-
-class ResidualTest(Protocol):
-    """What is drawn: see `armrig.validation.residuals.ResidualTest`, whose fields say more."""
-
-    @property
-    def lags(self) -> NDArray[np.int_]:
-        """Of the autocorrelation."""
-
-    @property
-    def autocorrelation(self) -> NDArray[np.float64]:
-        """At `lags`."""
-
-    @property
-    def autocorrelation_band(self) -> float:
-        """Of each lag."""
-
-    @property
-    def cross_lags(self) -> NDArray[np.int_]:
-        """Of the correlation with the input."""
-
-    @property
-    def cross_correlation(self) -> NDArray[np.float64]:
-        """At `cross_lags`."""
-
-    @property
-    def cross_std(self) -> NDArray[np.float64]:
-        """Its standard deviation, at `cross_lags`."""
-
-    @property
-    def white(self) -> Whiteness:
-        """What came out of the test of white residuals."""
-
-    @property
-    def missing_dynamics(self) -> float:
-        """Probability, p."""
-
-    @property
-    def feedback(self) -> float:
-        """Probability, p."""
-
-    @property
-    def source(self) -> str:
-        """Where the data come from."""
 
 
 def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:

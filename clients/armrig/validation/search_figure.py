@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,46 +14,15 @@ from armrig.plots.scales import logarithmic
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from armrig.validation.search_result import SearchResult
+
 Vector = NDArray[np.float64]
 
 _MARKERS = "osD^vP"
 _MOST = 1000.0  # times the least error; what is worse is off the figure, and counted
 
 
-class Candidate(Protocol):
-    """A structure with its orders."""
-
-    @property
-    def family(self) -> str: ...  # noqa: D102
-    @property
-    def name(self) -> str: ...  # noqa: D102
-
-
-class Scored(Protocol):
-    """A candidate with a model."""
-
-    @property
-    def candidate(self) -> Candidate: ...  # noqa: D102
-    @property
-    def parameters(self) -> int: ...  # noqa: D102
-
-
-class Search(Protocol):
-    """What is drawn of a search: `SearchResult` has it."""
-
-    @property
-    def ranked(self) -> Sequence[Scored]: ...  # noqa: D102
-    @property
-    def rms(self) -> Vector: ...  # noqa: D102
-    @property
-    def chosen_index(self) -> int: ...  # noqa: D102
-    @property
-    def horizon(self) -> int | None: ...  # noqa: D102
-    @property
-    def unit(self) -> str: ...  # noqa: D102
-
-
-def plot_search(found: Search, *, ax: Axes | None = None) -> Axes:
+def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
     """Show the error on the validation data against the number of parameters, by structure.
 
     A line joins the best of each structure with so many parameters; the chosen one is ringed.

@@ -15,6 +15,7 @@ from armrig.plots.scales import bare_minor, decibel_ticks, decibels, hertz
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from armrig.estimation.nonparametric.sampling_time import SamplingTime
     from armrig.models.spectral_estimate import SpectralEstimate
 
 Vector = NDArray[np.float64]
@@ -86,33 +87,6 @@ class Step(Signals, Protocol):
     def tau(self) -> float: ...  # noqa: D102
     @property
     def settling(self) -> float: ...  # noqa: D102
-
-
-class Sampling(Protocol):
-    """What is drawn of a recommended sampling time: `SamplingTime` has it."""
-
-    @property
-    def Ts(self) -> float: ...  # noqa: D102
-    @property
-    def t(self) -> Vector: ...  # noqa: D102
-    @property
-    def response(self) -> Vector: ...  # noqa: D102
-    @property
-    def gain(self) -> float: ...  # noqa: D102
-    @property
-    def settling(self) -> float: ...  # noqa: D102
-    @property
-    def omega(self) -> Vector: ...  # noqa: D102
-    @property
-    def power(self) -> Vector: ...  # noqa: D102
-    @property
-    def omega_step(self) -> float: ...  # noqa: D102
-    @property
-    def omega_spectrum(self) -> float: ...  # noqa: D102
-    @property
-    def spectrum(self) -> SpectralEstimate: ...  # noqa: D102
-    @property
-    def source(self) -> str: ...  # noqa: D102
 
 
 class Hints(Protocol):
@@ -211,7 +185,7 @@ def plot_step_analysis(result: Step, *, ax: Axes | None = None) -> Axes:
     return sign(ax, result.source, above=legend(ax))
 
 
-def plot_sampling_time(result: Sampling, *, ax: Axes | None = None) -> Axes:
+def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
     """Show the step response at the recommended instants, and the spectrum with its band."""
     ax, below = panels(ax, 0.5, sharex=False)
     end = 1.5 * result.settling

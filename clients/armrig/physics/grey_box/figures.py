@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,6 @@ from armrig.data.figures import without_ramp
 from armrig.numerics.quantities import listed, plural, raised, scaled
 from armrig.physics.grey_box.least_squares_problem import GreyBox
 from armrig.physics.grey_box.parameters import COULOMB, UNITS
-from armrig.physics.grey_box.sampled_model import Physics
 from armrig.plots.captions import in_mathtext, legend, sign, symbol
 from armrig.plots.layout import BLUE, GREY, MISSING, VERMILION, axes, finish, panels, shade
 from armrig.plots.scales import logarithmic
@@ -21,79 +19,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.data.dataset import Dataset
+    from armrig.physics.grey_box.fit import GreyFit
+    from armrig.physics.grey_box.split_study import SplitStudy
 
 Vector = NDArray[np.float64]
 
 
-class Estimate(Protocol):
-    """What is shown of a grey-box estimate."""
-
-    @property
-    def physics(self) -> Physics:
-        """The model."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Parameters that were free."""
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Estimates by name."""
-
-    @property
-    def std(self) -> dict[str, float]:
-        """Standard deviations by name."""
-
-
-class Parts(Protocol):
-    """What is shown of the estimates from k parts of the data."""
-
-    @property
-    def k(self) -> int:
-        """Number of parts."""
-
-    @property
-    def N(self) -> Vector:
-        """Samples in each part, (k,)."""
-
-    @property
-    def values(self) -> Vector:
-        """Estimates, (k,)."""
-
-    @property
-    def std(self) -> Vector:
-        """Standard deviations, (k,)."""
-
-    @property
-    def pooled(self) -> tuple[float, float]:
-        """Weighted mean and its standard deviation."""
-
-    @property
-    def scatter(self) -> float:
-        """Standard deviation of the estimates among each other."""
-
-    @property
-    def scatter_interval(self) -> tuple[float, float]:
-        """Its 95 % interval."""
-
-
-class Study(Protocol):
-    """What is shown of estimates from ever smaller parts of the data."""
-
-    @property
-    def parameter(self) -> str:
-        """Which parameter."""
-
-    @property
-    def splits(self) -> Sequence[Parts]:
-        """Estimates from so many parts."""
-
-    @property
-    def source(self) -> str:
-        """Hash of the recording, or ""."""
-
-
-def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axes:
+def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes:
     """Show measured and simulated output, initial state and offset refitted, and below the error.
 
     Coulomb friction is left out of the simulation here; its error shows what it does.
@@ -120,7 +52,7 @@ def plot_greybox(fit: Estimate, data: Dataset, *, ax: Axes | None = None) -> Axe
     return sign(ax, data.source, above=legend(ax, *notes))
 
 
-def plot_split(study: Study, *, ax: Axes | None = None) -> Axes:
+def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
     """Show each part's estimate with ±2 standard deviations and, below, those against N.
 
     The cross is the scatter of the parts: of four parts it has three degrees of freedom, so its

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
-from armrig_core.calibration import Figure
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
@@ -19,26 +18,14 @@ from armrig.recordings.calibration.rotation import Turning
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from armrig.recordings.calibration.estimate import Estimate
     from armrig.recordings.recording import Recording
 
 Vector = NDArray[np.float64]
 
 
-class Calibrated(Protocol):
-    """What is drawn of a calibration's estimate: `Estimate` has it."""
-
-    @property
-    def turned(self) -> Turning | None: ...  # noqa: D102
-    @property
-    def speeds(self) -> Speeds | None: ...  # noqa: D102
-    @property
-    def terminal(self) -> TerminalVoltage | None: ...  # noqa: D102
-    @property
-    def rad_per_count(self) -> Figure | None: ...  # noqa: D102
-
-
 def plot_calibration(
-    estimate: Calibrated, turns: Recording | Readings, *, ax: Axes | None = None
+    estimate: Estimate, turns: Recording | Readings, *, ax: Axes | None = None
 ) -> Axes:
     """Show theta_1's readings with the edges of its track and, below, speed against voltage.
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.estimation.nonparametric.impulse import ImpulseResponse
-    from armrig.validation.feedback_and_delay.sims import Sims
+    from armrig.validation.feedback_and_delay.delay_result import Delay
+    from armrig.validation.feedback_and_delay.open_loop import OpenLoop
 
 Vector = NDArray[np.float64]
 
@@ -28,43 +28,7 @@ _ABOUT = 15  # lags shown on the causal side
 _BEYOND = 6  # lags shown past nk
 
 
-class FeedbackTest(Protocol):
-    """What is drawn of a test for feedback: `OpenLoop` has it."""
-
-    @property
-    def verdict(self) -> str: ...  # noqa: D102
-    @property
-    def p_value(self) -> float: ...  # noqa: D102
-    @property
-    def level(self) -> float: ...  # noqa: D102
-    @property
-    def sims(self) -> Sims | None: ...  # noqa: D102
-    @property
-    def output(self) -> str: ...  # noqa: D102
-    @property
-    def unit(self) -> str: ...  # noqa: D102
-    @property
-    def input_unit(self) -> str: ...  # noqa: D102
-    @property
-    def source(self) -> str: ...  # noqa: D102
-
-
-class DelayTest(Protocol):
-    """What is drawn of a test for delay: `Delay` has it."""
-
-    @property
-    def nk(self) -> int: ...  # noqa: D102
-    @property
-    def response(self) -> ImpulseResponse: ...  # noqa: D102
-    @property
-    def nk_range(self) -> str: ...  # noqa: D102
-    @property
-    def arx_loss(self) -> Mapping[int, float]: ...  # noqa: D102
-    @property
-    def source(self) -> str: ...  # noqa: D102
-
-
-def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
+def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
     """Show the coefficients of u in the regression of y(t), and the test that decides.
 
     Where u came first stems may stand out; where it came later, shaded, none does in open loop.
@@ -96,7 +60,7 @@ def plot_open_loop(result: FeedbackTest, *, ax: Axes | None = None) -> Axes:
     return sign(ax, result.source, above=legend(ax, test))
 
 
-def plot_delay(result: DelayTest, *, ax: Axes | None = None) -> Axes:
+def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
     """Show the first coefficients with their band and, below, the losses by nk.
 
     Band and dotted line are at the level of the tests, 0.1 %.
