@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.cli import demo, demo_plan
-from armrig.cli.demo import Patience, TooBusyError
+from armrig.cli import demo, demo_plan, demo_rig
 from armrig.cli.demo_plan import Experiment
+from armrig.cli.demo_rig import Patience, TooBusyError
 from armrig.rig import client as rig_module
 from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError
@@ -90,7 +90,7 @@ def test_a_machine_that_refuses_for_good_is_given_up_in_time(
 ) -> None:
     """Where what is left would not be done 150 s after the beginning."""
     monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
-    monkeypatch.setattr(demo, "LATEST_S", -1.0)
+    monkeypatch.setattr(demo_rig, "LATEST_S", -1.0)
     daemon = StallingDaemon(where, refusals=[LATE] * 2, ends=[])
 
     with (
@@ -150,7 +150,7 @@ def test_a_rig_that_stays_in_its_fault_is_named_with_it(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A reset that changes nothing is not repeated for ever."""
-    monkeypatch.setattr(demo, "_SAFE_S", 0.0)
+    monkeypatch.setattr(demo_rig, "_SAFE_S", 0.0)
     daemon = FakeDaemon(where, demo_plan.RIG)
     daemon.fault = "the device stopped by itself: WATCHDOG"
 
@@ -159,7 +159,7 @@ def test_a_rig_that_stays_in_its_fault_is_named_with_it(
         Rig(demo_plan.RIG, connect=where) as rig,
         pytest.raises(RigError, match=f"not ready after 0 s: {daemon.fault}"),
     ):
-        demo.wait_until_safe(rig)
+        demo_rig.wait_until_safe(rig)
 
 
 class LateTrippingDaemon(StallingDaemon):
@@ -237,4 +237,4 @@ def test_the_report_says_what_was_made_in_virtual_time_and_why() -> None:
 def _recorded(rig: Rig, out: StringIO) -> Path:
     experiment = Experiment("step", np.full(3, 1.0), {})
     console = Console(file=out, width=400)
-    return demo.recorded(rig, experiment, console, Patience([experiment]))
+    return demo_rig.recorded(rig, experiment, console, Patience([experiment]))

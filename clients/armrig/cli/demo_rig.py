@@ -1,0 +1,123 @@
+"""The demonstration in real time: daemon and emulator are processes of their own.
+
+This module needs zenoh; the demonstration in virtual time does not.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from armrig_core.codes import TRY_AGAIN
+from rich.console import Console
+
+from armrig.cli.demo_plan import RIG, Experiment, Ts
+from armrig.rig.client import Rig
+from armrig.rig.local_daemon import running
+from armrig.rig.progress import bar, timing_note
+from armrig.rig.replies import BusyError, RefusedError, RunEndedError
+from armrig.rig.session import RigError
+from armrig.rig.status_rows import scheduling_sentences
+
+MOST_ENDED = 3
+"""Runs that a busy machine may end, before the demonstration goes on in virtual time."""
+LATEST_S = 150.0
+"""When it does so at the latest, in s, where the experiments take `_USUAL_S`."""
+_USUAL_S = 63.0
+_SAFE_S = 30.0
+
+
+class TooBusyError(RigError):
+    """The machine stalls too often for an emulated rig in real time."""
+
+
+class Patience:
+    """How long a demonstration is tried in real time, and how often."""
+
+    def __init__(self, plan: Sequence[Experiment]) -> None:
+        """Begin now."""
+        self._left_s = sum(experiment.seconds for experiment in plan)
+        self._until_s = time.monotonic() + max(LATEST_S, LATEST_S - _USUAL_S + self._left_s)
+        self._ended = 0
+
+    def recorded(self, experiment: Experiment) -> None:
+        """Note that an experiment is done."""
+        self._left_s -= experiment.seconds
+
+    def run_ended(self) -> None:
+        """Note that a run was ended."""
+        self._ended += 1
+
+    @property
+    def is_over(self) -> bool:
+        """Whether it is not to be tried once more: what is left would not be done in time."""
+        return self._ended >= MOST_ENDED or time.monotonic() + self._left_s > self._until_s
+
+
+def record_in_real_time(
+    plan: Sequence[Experiment], config: Path, console: Console, done: list[Path]
+) -> None:
+    """Play experiments on an emulated rig; put the recordings into `done`, one after the other.
+
+    Raises
+    ------
+    TooBusyError
+        The machine stalls too often.
+    RigError
+        The daemon does not start, or refuses.
+    """
+    patience = Patience(plan)
+    log = config.with_name("armrigd.log")
+    arguments = ["--config", str(config), "--emulate"]
+    with running(arguments, rig=RIG, log=log), Rig(RIG) as rig:
+        wait_until_safe(rig)
+        seconds = sum(experiment.seconds for experiment in plan)
+        console.print(
+            f"an emulated rig and its daemon run; {len(plan)} experiments take {seconds:.0f} s",
+            highlight=False,
+        )
+        for line in scheduling_sentences(rig.status().host):
+            console.print(f"  {line}", highlight=False, markup=False)
+        for experiment in plan:
+            done.append(recorded(rig, experiment, console, patience))
+            patience.recorded(experiment)
+
+
+def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patience) -> Path:
+    """Arm and run; where a busy machine has held up the emulator, say so and run once more."""
+    while True:
+        wait_until_safe(rig)
+        try:
+            rig.arm("armrig demo", Ts)
+            with (
+                timing_note(rig, experiment.u.size) as note,
+                bar(experiment.name, console, note=note) as progress,
+            ):
+                return rig.run(experiment.u, progress=progress, **experiment.request)
+        except (RunEndedError, RefusedError) as err:
+            has_tripped = rig.status().phase == "fault"
+            has_ended = has_tripped or isinstance(err, RunEndedError)
+            if not (has_ended or isinstance(err, BusyError)):
+                raise
+            if has_ended:
+                patience.run_ended()
+            why = err.why if isinstance(err, RunEndedError) else str(err)
+            if patience.is_over:
+                raise TooBusyError(why) from err
+            again = f"  {experiment.name} once more: {why.removesuffix(TRY_AGAIN)}"
+            console.print(again, highlight=False, markup=False, soft_wrap=True)
+            if not has_tripped:
+                rig.stop()  # gives back a rig that is still armed
+
+
+def wait_until_safe(rig: Rig) -> None:
+    """Wait until the rig can be armed; leave a fault, which may come behind a refusal, too."""
+    until = time.monotonic() + _SAFE_S
+    while (status := rig.status()).phase != "safe":
+        if time.monotonic() > until:
+            why = status.reason or status.line or status.phase
+            raise RigError(f"the emulated rig is not ready after {_SAFE_S:g} s: {why}")
+        if status.phase == "fault":
+            rig.reset()
+        time.sleep(0.05)
