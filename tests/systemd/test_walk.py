@@ -300,7 +300,7 @@ def test_router_and_recorder_are_kept_to_the_lab_s_network(lab: Lab) -> None:
     (score,), (after,) = before, {_score(lab, unit) for unit in units}
 
     assert f"gives {score} for the router and for the recorder" in SERVICE
-    assert f"`IPAddressAllow=` brings that down to {after}" in SERVICE
+    assert f"`IPAddressAllow=` reduces that to {after}" in SERVICE
     # The daemon comes back to a router by itself, some seconds after it.
     wait_for(lambda: "safe" in lab.alice(f"({AS_ALICE_2 + LOOK}) 2>&1 || :"))
     wait_for(lambda: lab.said("armrig-recorder").count("recording rig 2") > begun, 60)
