@@ -127,6 +127,7 @@ def test_a_port_that_is_not_there_is_told_with_the_way_out(tmp_path: Path) -> No
     assert of_this_test() == []
 
 
+@pytest.mark.real_time
 def test_a_program_hears_of_each_change_in_json(tmp_path: Path) -> None:
     """As `armrig status --json` prints it; ready is "safe"."""
     said = tmp_path / "said"
