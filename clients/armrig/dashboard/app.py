@@ -242,17 +242,17 @@ async def _after(first: bytes, messages: AsyncIterator[bytes]) -> AsyncIterator[
 
 
 class PageFile(NamedTuple):
-    """One of them."""
+    """A file of the page."""
 
     name: str
 
     @property
     def media_type(self) -> str:
-        """What it is, for a browser."""
+        """Media type of the file."""
         return _TYPES[self.name.rpartition(".")[2]]
 
     def read(self) -> bytes:
-        """Return it."""
+        """Return the bytes of the file."""
         return files("armrig.dashboard").joinpath("page", *self.name.split("/")).read_bytes()
 
 

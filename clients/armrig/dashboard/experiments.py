@@ -201,7 +201,9 @@ def _deviations(u: NDArray[np.float64], Ts: float, *, alone: bool) -> list[str]:
 
 def _cautions(status: StatusReport, plan: Plan) -> list[str]:
     """Return what a person should know before the motor turns."""
-    told = []
+    cautions = []
     if plan.without_arm and not status.arm_removed:
-        told.append("this is for the chassis alone, and the rig has its arm on: it will be refused")
-    return told
+        cautions.append(
+            "this is for the chassis alone, and the rig has its arm on: it will be refused"
+        )
+    return cautions

@@ -88,7 +88,7 @@ def virtual(root: Path) -> bool:
 
 
 def load(root: Path) -> float:
-    """Return the mean load of the last minute; NaN where it is not told."""
+    """Return the mean load of the last minute; NaN if the system does not report it."""
     return float((text(root / "proc/loadavg").split() or ["nan"])[0])
 
 

@@ -44,7 +44,7 @@ _POINTS = 600
 _LOWEST = 1 / 3000  # of Nyquist
 _LONGEST = 2000  # samples of a step response
 SAME = 0.01
-"""p value of a pole and a zero that cannot be told apart."""
+"""p value above which a pole and a zero count as equal."""
 _NEAR = 0.3  # largest distance in the z plane at which they are compared
 _REAL = 1e-9
 

@@ -211,7 +211,7 @@ def columns(recordings: Sequence[RecordingSummary]) -> dict[str, NDArray[Any]]:
 
 
 def facts_of(summary: RecordingSummary) -> dict[str, Any]:
-    """Return what is said of a recording, for a program."""
+    """Return the facts of a recording by name, as `--json` prints them."""
     return {
         "recording": shown_path(summary.path),
         "run_id": summary.run_id,

@@ -115,7 +115,7 @@ def file_records(
             raise CutOffError("without its footer")
         opcode, length = RECORD_HEAD.unpack(head)
         if not ended and opcode not in _DATA:
-            raise DamageError(f"a record of opcode {opcode} stands among the data")
+            raise DamageError(f"the data section contains a record of opcode {opcode}")
         if length > source.left:
             raise CutOffError(f"{length - source.left} B before the end of its last record")
         spend(1)

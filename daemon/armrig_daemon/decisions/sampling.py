@@ -169,7 +169,7 @@ def _publish(
     due: _Due,
     queued: int = -1,
 ) -> Step:
-    """Publish a sample, behind the gaps that it shows; link and run are those with it."""
+    """Publish a sample after the gaps before it; `link` and `run` include the sample."""
     state, done = gaps.tell_missing(state, due.k, now_ns, m.u_km1)
     t_us = extended(state.t_us, m.t_us)
     calibration = state.rules.calibration

@@ -283,7 +283,9 @@ def sampling_time(t: Vector, column: Column, place: Callable[[int], str]) -> flo
         msg = f"{place(int(np.argmax(missing)))}: {name} have none here; fill it in, or give Ts in "
         raise FileError(msg + "s (--Ts)")
     if t.size < 2:
-        raise FileError(f"{name} are {t.size}, which tells no interval; give Ts in s (--Ts)")
+        raise FileError(
+            f"{name}: a sampling time needs at least 2, got {t.size}; give Ts in s (--Ts)"
+        )
     t = t * _SECONDS[column.unit.casefold()]
     intervals = np.diff(t)
     usual = float(np.median(intervals))

@@ -277,7 +277,10 @@ def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_pat
         ("t,u,y\n0,1,2\n0,1,2\n0,1,2\n", "line 3: the times in column t go from 0 to 0 s"),
         ("t,u,y\n2,1,2\n1,1,2\n0,1,2\n", "line 3: the times in column t go from 2 to 1 s"),
         ("t,u,y\n0,1,2\n,1,2\n2,1,2\n", "line 3: the times in column t have none here; fill it"),
-        ("t,u,y\n0,1,2\n", "the times in column t are 1, which tells no interval; give Ts"),
+        (
+            "t,u,y\n0,1,2\n",
+            "the times in column t: a sampling time needs at least 2, got 1; give Ts",
+        ),
         ("t [days],u,y\n0,1,2\n1,1,2\n", "the times in column t are in days, known are s, "),
         ("u,y\n0,1\n1,2\n", r"the sampling time is not known: give it in s \(--Ts\)$"),
         (
