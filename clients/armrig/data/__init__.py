@@ -1,1 +1,1 @@
-"""Data to identify from, and their treatment."""
+"""Data for identification, and their treatment."""

@@ -1,4 +1,4 @@
-"""What functions of data take: a Dataset, or whatever can give one, such as a Recording."""
+"""Arguments of functions of data: a Dataset, or an object with `dataset()`, such as a Recording."""
 
 from __future__ import annotations
 
@@ -15,26 +15,26 @@ from armrig.data.dataset import Dataset, require_visible
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_WIDEST = 20
-"""Characters of a value that a message repeats."""
+_MAX_SHOWN_CHARACTERS = 20
+"""Number of characters up to which a message quotes the value of an argument."""
 
 
 class HasDataset(Protocol):
-    """What gives a Dataset: a recording does, of theta_1."""
+    """An object from which `dataset()` returns a Dataset; the output of a recording is theta_1."""
 
     def dataset(self) -> Dataset:
         """Return u and y."""
 
 
 def as_dataset(data: Dataset | HasDataset) -> Dataset:
-    """Return the data, of a recording its `dataset()`.
+    """Return a Dataset unchanged, or the Dataset that `dataset()` of a recording returns.
 
     Raises
     ------
     TypeError
-        It is neither.
+        The argument is neither a Dataset nor a recording.
     ValueError
-        Its numbers are so small that their powers vanish.
+        The magnitudes of u or y are below 1e-30, where powers can underflow in floating point.
     """
     if isinstance(data, Dataset):
         require_visible(data)
@@ -50,12 +50,12 @@ def as_dataset(data: Dataset | HasDataset) -> Dataset:
 def takes_recordings(
     f: Callable[Concatenate[Dataset, P], R],
 ) -> Callable[Concatenate[Dataset | HasDataset, P], R]:
-    """Let a function whose first argument is a Dataset take a recording for it.
+    """Decorate a function of a Dataset so that it also accepts a recording as first argument.
 
-    Orders that are given by position, as in MATLAB, are answered with how to name them.
+    If orders are given by position, as in MATLAB, the error message shows the call with names.
     """
-    asked = signature(f)
-    parameters = list(asked.parameters.values())
+    called = signature(f)
+    parameters = list(called.parameters.values())
     positional = sum(p.kind is Parameter.POSITIONAL_OR_KEYWORD for p in parameters)
     variadic = any(p.kind is Parameter.VAR_POSITIONAL for p in parameters)
     first = parameters[0].name
@@ -69,7 +69,7 @@ def takes_recordings(
             args = (options.pop(first),)
         if args:
             _check_order(f.__name__, first, parameters, args)
-        check_call(f.__name__, asked, args, options)
+        check_call(f.__name__, called, args, options)
         call: Callable[..., R] = f
         return call(*(as_dataset(a) for a in args[:1]), *args[1:], **options)
 
@@ -77,14 +77,14 @@ def takes_recordings(
 
 
 def _check_order(name: str, first: str, parameters: list[Parameter], args: tuple[Any, ...]) -> None:
-    """Refuse data that stand behind something else, such as a model."""
+    """Refuse a call in which another argument, such as a model, precedes the data."""
     if _is_data(args[0]) or not any(_is_data(a) for a in args[1:]):
         return
     rest = ", ".join(
         "fit" if p.kind is Parameter.VAR_POSITIONAL else p.name for p in parameters[1:2]
     )
     kind = type(args[0]).__name__
-    raise InputTypeError(f"{first} stand first, and a {kind} came: {name}({first}, {rest})")
+    raise InputTypeError(f"{first} must come first, got a {kind}: {name}({first}, {rest})")
 
 
 def _is_data(value: object) -> bool:
@@ -92,7 +92,7 @@ def _is_data(value: object) -> bool:
 
 
 def _by_name(name: str, parameters: list[Parameter], given: tuple[Any, ...]) -> str:
-    """Return how a call with positional orders is to be written."""
+    """Return the message for orders given by position, with the correct call."""
     listed = given[0] if len(given) == 1 and isinstance(given[0], list | tuple) else given
     orders = [p for p in parameters if p.kind is Parameter.KEYWORD_ONLY]
     needed = [p.name for p in orders if p.default is Parameter.empty]
@@ -101,9 +101,9 @@ def _by_name(name: str, parameters: list[Parameter], given: tuple[Any, ...]) -> 
     values = [*map(_short, listed), *("…" for _ in needed)]
     call = ", ".join(f"{n}={v}" for n, v in zip(names or ["…"], values, strict=False))
     first = parameters[0].name
-    return f"{name} takes what stands after {first} by name: {name}({first}, {call})"
+    return f"{name} takes the arguments after {first} by name: {name}({first}, {call})"
 
 
 def _short(value: object) -> str:
     text = repr(value)
-    return text if len(text) <= _WIDEST else "…"
+    return text if len(text) <= _MAX_SHOWN_CHARACTERS else "…"

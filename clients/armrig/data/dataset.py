@@ -1,4 +1,4 @@
-"""Data to identify from: input, output, sampling time, and what is missing."""
+"""Data for identification: input, output, sampling time, and missing samples."""
 
 from __future__ import annotations
 
@@ -27,41 +27,42 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-_LARGEST = 1e30  # fourth powers of data are taken, and products of those
-_SMALLEST = 1e-30  # the same; below it squares are lost
-_LISTED = 8  # lengths of parts that a history names
+_MAX_SIZE = 1e30  # products of fourth powers of data must be finite
+_MIN_SIZE = 1e-30  # powers of much smaller numbers underflow to 0
+_MAX_LISTED_LENGTHS = 8  # of merged parts, in a history
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, init=False, eq=False, repr=False)
 class Dataset:
-    """N equidistant samples of u and y, from one experiment or several.
+    """N equidistant samples of u and y, from one or several experiments.
 
     Parameters
     ----------
     u, y : array_like, shape (N,)
-        Input, held from each instant to the next (zero-order hold), and output. Of a masked array
-        y is missing where it is masked; u must not be masked.
+        Input, held from each instant to the next (zero-order hold), and output. If y is a masked
+        array, its masked samples are missing; u must not be masked.
     Ts : float
         Sampling time in s.
     valid : array_like of bool, shape (N,), optional
-        False where y is missing; there `y` reads NaN, so that no formula can use it unseen. Where a
-        column of pandas has no value y is missing, too.
+        False where y is missing. At these samples `y` is NaN, and every result computed from them
+        is NaN. A missing value of a pandas column is also missing in the Dataset.
     starts : sequence of int, default (0,)
-        Index of the first sample of each experiment; nothing is known across a boundary.
+        Index of the first sample of each experiment; no equation contains samples of two
+        experiments.
     output, unit, input_unit : str
         Name of y, its unit, and the unit of u.
     source : str
-        Hash of the recording, "" where there is none.
+        Hash of the recording or data file; "" for data without a file.
     history : sequence of str
-        The treatment so far, a sentence a step.
+        Steps of the treatment so far, one sentence for each.
     trends : sequence of Trend, default ()
-        What `detrend` took from each experiment, so that `retrend` can put it back.
+        Means and lines that `detrend` removed from each experiment; `retrend` restores them.
 
     Raises
     ------
     ValueError
-        The lengths differ, u or y is complex, u is masked or not finite, y is not finite where it
-        is valid, or Ts is not > 0.
+        The lengths differ, u or y is complex, u is masked or not finite, a valid y is not finite,
+        or Ts is not > 0.
     """
 
     u: Vector
@@ -71,9 +72,9 @@ class Dataset:
     Ts: float
     """Sampling time, in s."""
     valid: Mask
-    """(N,), False where y is missing."""
+    """Mask (N,), False where y is missing."""
     starts: tuple[int, ...]
-    """First sample of each experiment."""
+    """Index of the first sample of each experiment."""
     output: str
     """Name of y."""
     unit: str
@@ -81,11 +82,11 @@ class Dataset:
     input_unit: str
     """Unit of u."""
     source: str
-    """Hash of the recording, or ""."""
+    """Hash of the recording or data file; "" for data without a file."""
     history: tuple[str, ...]
-    """Steps of treatment, first to last, a sentence each."""
+    """Steps of the treatment, first to last, one sentence for each."""
     trends: tuple[Trend, ...]
-    """What was taken from each experiment; () where nothing was, or it cannot be put back."""
+    """Trend removed from each experiment; () if no trend was removed or it cannot be restored."""
 
     @checked_call
     def __init__(
@@ -113,19 +114,17 @@ class Dataset:
         valid_ = np.ones(N, dtype=np.bool_) if valid is None else _mask(valid)
         if valid_.shape != (N,):
             raise InputError(
-                f"valid has shape {valid_.shape}, u and y have ({N},); give one bool a sample"
+                f"valid has shape {valid_.shape}, u and y have ({N},); give one bool per sample"
             )
         valid_ &= ~np.ma.getmaskarray(np.ma.asanyarray(y))
-        _require_finite("u", u_, "an input that was not applied cannot be identified from: cut it")
+        _require_finite("u", u_, "a model needs the input at each instant: cut these samples out")
         _require_finite("y", y_, "mark them missing, valid=numpy.isfinite(y)", where=valid_)
         for name, x in (("u", u_), ("y", y_[valid_])):
             require_size(name, x)
         _require_one_number(Ts)
         if not (isfinite(Ts) and Ts > 0):
             raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
-        starts_ = tuple(int(s) for s in starts)
-        if starts_[:1] != (0,) or not all(a < b for a, b in pairwise((*starts_, N))):
-            raise InputError(f"starts={starts_} must begin with 0 and rise strictly, below N={N}")
+        starts_ = _starts(starts, N)
         if len(trends) not in (0, len(starts_)):
             raise InputError(
                 f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
@@ -147,16 +146,18 @@ class Dataset:
             "trends": tuple(trends),
         }
         for name, value in values.items():
-            object.__setattr__(self, name, value)  # the only way into a frozen dataclass
+            object.__setattr__(
+                self, name, value
+            )  # the only way to set a field of a frozen dataclass
 
     @property
     def N(self) -> int:
-        """Number of instants, missing ones included."""
+        """Number of instants, including missing samples."""
         return int(self.u.size)
 
     @property
     def t(self) -> Vector:
-        """Time (N,) in s from the first sample, as if experiments followed each other."""
+        """Time (N,) in s from the first sample, as if the experiments were consecutive."""
         return self.Ts * np.arange(self.N, dtype=np.float64)
 
     @property
@@ -166,25 +167,25 @@ class Dataset:
 
     @property
     def digest(self) -> str:
-        """Fingerprint of the numbers, to tell estimation data from validation data."""
+        """Hash of u, y, valid, Ts and starts, to distinguish estimation and validation data."""
         arrays = (self.u, self.y, self.valid, np.array([self.Ts]), np.array(self.starts))
         return hashlib.blake2b(b"".join(x.tobytes() for x in arrays), digest_size=8).hexdigest()
 
     def origin(self) -> dict[str, Any]:
-        """Return what a model from these data says of them, as the fields of a `Fit`."""
+        """Return the fields of a `Fit` that describe its data, such as units and history."""
         names = ("output", "unit", "input_unit", "source", "history", "digest")
         return {name: getattr(self, name) for name in names}
 
     def plot(
         self, kind: Literal["time", "spectrum", "values"] = "time", *, ax: Axes | None = None
     ) -> Figure:
-        """Return a figure of output and input, whatever may be wrong with them.
+        """Return a figure of output and input.
 
         Parameters
         ----------
         kind : {"time", "spectrum", "values"}
-            Against time, their power spectra, or how often each value was taken: see
-            `plot_data`, `plot_spectrum` and `plot_values` of `armrig.plots`.
+            Plot against time, the power spectra, or a histogram of the values: see `plot_data`,
+            `plot_spectrum` and `plot_values` of `armrig.plots`.
         """
         from armrig.data.figures import plot_data, plot_spectrum, plot_values
         from armrig.plots.layout import figure_of
@@ -199,21 +200,21 @@ class Dataset:
         return self.N
 
     def __getitem__(self, part: slice) -> Dataset:
-        """Return the samples of a slice; boundaries inside it stay boundaries."""
+        """Return the samples of a slice; the starts of experiments inside the slice are kept."""
         if not isinstance(part, slice) or part.step not in (None, 1):
             raise InputTypeError(
-                f"a Dataset is cut with data[a:b], got {part!r}; to thin it out, resample first"
+                f"a Dataset is cut with data[a:b], got {part!r}; for a lower rate, resample"
             )
         if not all(x is None or isinstance(x, Integral) for x in (part.start, part.stop)):
             raise InputTypeError(
-                f"data[{part.start}:{part.stop}] counts samples, in integers; the one at t s is "
-                "number round(t / data.Ts)"
+                f"data[{part.start}:{part.stop}] must have integers: sample numbers. The sample "
+                "at t s has the number round(t / data.Ts)"
             )
         a, b, _ = part.indices(self.N)
         if b <= a:
             raise InputError(f"data[{part.start}:{part.stop}] is empty: there are {self.N} samples")
         if (a, b) == (0, self.N):
-            return self  # it cannot be changed
+            return self  # a Dataset is immutable
         return self.replaced(
             u=self.u[a:b],
             y=self.y[a:b],
@@ -232,7 +233,7 @@ class Dataset:
         )
 
     def split(self, k: int) -> tuple[Dataset, ...]:
-        """Return k parts that follow each other, whose lengths differ by one sample at most.
+        """Return k consecutive parts, whose lengths differ by at most one sample.
 
         Raises
         ------
@@ -248,7 +249,7 @@ class Dataset:
         return tuple(self[a:b] for a, b in pairwise(edges))
 
     def experiments(self) -> Iterator[Dataset]:
-        """Iterate over the experiments, each a Dataset of its own."""
+        """Iterate over the experiments, each as a Dataset."""
         for a, b in zip(self.starts, (*self.starts[1:], self.N), strict=True):
             yield self[a:b]
 
@@ -258,7 +259,7 @@ class Dataset:
         Raises
         ------
         ValueError
-            There is no such experiment, or none was asked for.
+            An experiment does not exist, or no number is given.
         """
         parts = list(self.experiments())
         if not which or not all(0 <= i < len(parts) for i in which):
@@ -284,7 +285,7 @@ class Dataset:
         history: tuple[str, ...] | None = None,
         trends: tuple[Trend, ...] | None = None,
     ) -> Dataset:
-        """Return a copy with other numbers and `step` written down in its history."""
+        """Return a copy with the given fields replaced and `step`, unless None, in its history."""
         history = self.history if history is None else history
         return Dataset(
             u=self.u if u is None else u,
@@ -301,13 +302,13 @@ class Dataset:
         )
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook: what it says, and its figure."""
+        """Return text and figure as HTML for a notebook."""
         from armrig.plots.notebook import html
 
         return html(self)
 
     def __repr__(self) -> str:
-        """Say it in one line."""
+        """Describe the data in one line."""
         unit = f" [{self.unit}]" if self.unit else ""
         parts = [f"{self.N} samples at {self.Ts:g} s", f"output {self.output}{unit}"]
         if self.missing:
@@ -321,22 +322,22 @@ class Dataset:
 
 @checked_call
 def merge(parts: Sequence[Dataset]) -> Dataset:
-    """Return several experiments as one Dataset with a boundary between each two.
+    """Return several experiments as one Dataset, with boundaries between them.
 
     Parameters
     ----------
     parts : sequence of Dataset
-        At least one; Ts, output and units are the same in all.
+        At least one Dataset; Ts, output and units are the same in all.
 
     Returns
     -------
     Dataset
-        All samples in the order given; nothing is known across a boundary.
+        All samples in the order given, with the starts of all experiments.
 
     Raises
     ------
     ValueError
-        There is none, or they differ in Ts, output or unit.
+        The sequence is empty, or the parts differ in Ts, output or unit.
     """
     _require_datasets(parts)
     if not parts:
@@ -368,7 +369,7 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
 
 
 def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
-    """Return what all parts have in common once, then what is each one's own, and the merge."""
+    """Return the history of merged parts: the common steps, the other steps of each, the merge."""
     if len(parts) == 1:
         return parts[0].history
     common: list[str] = []
@@ -381,50 +382,60 @@ def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
         for i, d in enumerate(parts, 1)
         for step, code in list(zip(d.history, codes_of(d.history), strict=True))[len(common) :]
     ]
-    lengths = ", ".join(str(d.N) for d in parts[:_LISTED]) + (", …" if len(parts) > _LISTED else "")
+    lengths = ", ".join(str(d.N) for d in parts[:_MAX_LISTED_LENGTHS])
+    lengths += ", …" if len(parts) > _MAX_LISTED_LENGTHS else ""
     return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")
+
+
+def _starts(starts: Sequence[int], N: int) -> tuple[int, ...]:
+    """Return the indices of the first samples of the experiments; refuse indices out of order."""
+    starts_ = tuple(int(s) for s in starts)
+    if starts_[:1] != (0,) or not all(a < b for a, b in pairwise((*starts_, N))):
+        raise InputError(f"starts={starts_} must begin with 0 and rise strictly, below N={N}")
+    return starts_
 
 
 def _require_one_number(Ts: Any) -> None:
     if Ts is None or isinstance(Ts, str) or np.ndim(Ts):
         raise InputTypeError(
-            f"Ts is a {type(Ts).__name__}; give one number of seconds, such as Ts=0.01"
+            f"Ts is a {type(Ts).__name__}; give one number, in seconds, such as Ts=0.01"
         )
 
 
 def _require_datasets(parts: Any) -> None:
     if isinstance(parts, Dataset) or not all(isinstance(d, Dataset) for d in parts):
         raise InputTypeError(
-            "merge takes one list of Datasets, merge([d1, d2]); of a recording it is "
+            "merge takes one list of Datasets, merge([d1, d2]); for a recording, give "
             "recording.dataset()"
         )
 
 
 def _mask(valid: ArrayLike) -> Mask:
-    """Return a copy of the bools, False where they are masked themselves."""
+    """Return a copy of a validity mask; an entry that numpy masks becomes False."""
     return np.array(np.ma.filled(np.ma.asanyarray(valid), False), dtype=np.bool_)
 
 
 def require_size(name: str, x: Vector) -> None:
-    """Refuse numbers whose powers have no place among those of a computer, by a ValueError."""
+    """Refuse numbers whose powers overflow in floating point."""
     largest = float(np.max(np.abs(x), initial=0.0))
-    if largest > _LARGEST:
+    if largest > _MAX_SIZE:
         raise InputError(
-            f"the largest |{name}| is {largest:.3g}; take a unit in which it is below {_LARGEST:g}"
+            f"the largest |{name}| is {largest:.3g}; use a unit in which it is below {_MAX_SIZE:g}"
         )
 
 
 def require_visible(data: Dataset) -> None:
-    """Refuse a signal, other than zeros, whose powers vanish among the numbers of a computer.
+    """Refuse a signal whose powers can underflow in floating point; a signal of zeros is allowed.
 
-    Not every Dataset is asked: a response that has died away is a part of good data.
+    The constructor of Dataset does not make this check, because valid data can contain a part in
+    which the response has decayed.
     """
     for name, x in (("u", data.u), ("y", data.y[data.valid])):
         largest = float(np.max(np.abs(x), initial=0.0))
-        if 0 < largest < _SMALLEST:
+        if 0 < largest < _MIN_SIZE:
             raise InputError(
-                f"the largest |{name}| is {largest:.3g}; take a unit in which it is from "
-                f"{_SMALLEST:g} to {_LARGEST:g}"
+                f"the largest |{name}| is {largest:.3g}; use a unit in which it is from "
+                f"{_MIN_SIZE:g} to {_MAX_SIZE:g}"
             )
 
 

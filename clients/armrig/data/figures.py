@@ -1,4 +1,4 @@
-"""Figures of data: against time, their spectra, and how often each value was taken."""
+"""Figures of data: against time, spectra, and histograms of the values."""
 
 from __future__ import annotations
 
@@ -10,20 +10,19 @@ from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, minus
 from armrig.plots.captions import NAMES, legend, named, sign
-from armrig.plots.layout import BLUE, INK, finish, panels, shade
-from armrig.plots.scales import bare_minor, hertz
+from armrig.plots.layout import BLUE, INK, bare_minor, finish, hertz, panels, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Vector = NDArray[np.float64]
 
-_RAMP = 0.95  # share of the variance that a straight line explains, from which on it hides the rest
-_CHANGES = 5  # of the input; one that changes less often is a step
+MIN_RAMP_SHARE = 0.95  # share of the variance above which a straight line hides other motion
+_MIN_INPUT_CHANGES = 5  # an input with fewer changes is a step
 
 
 class Signals(Protocol):
-    """Input and output at N instants; a `Dataset` is one. Its fields say more."""
+    """Input and output at N instants; `Dataset` has these fields and documents them."""
 
     @property
     def u(self) -> Vector:
@@ -35,7 +34,7 @@ class Signals(Protocol):
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """(N,), False where the output is missing."""
+        """Mask (N,), False where the output is missing."""
 
     @property
     def t(self) -> Vector:
@@ -67,28 +66,28 @@ class Signals(Protocol):
 
 @runtime_checkable
 class HasSignals(Protocol):
-    """What signals can be taken from; a `Recording` is one."""
+    """An object with signals, such as a `Recording`."""
 
     def dataset(self) -> Signals:
-        """Return its signals."""
+        """Return the signals."""
 
 
 def without_ramp(data: Signals) -> tuple[Vector, str, tuple[str, ...]]:
-    """Return the ramp that hides what else an output does, (N,), and the label of what is left.
+    """Return the ramp (N,) that dominates an output, the label of the axis, and legend lines.
 
-    Last are the lines for the legend that explain the label: none where nothing is taken off.
+    The lines explain the label in the legend; there are none if the ramp is 0.
 
-    An angle that turns on for 140 rad shows nothing but that it turns. Where a straight line
-    explains nearly all of y its slope is taken off, and the label says so; the answer to a step
-    keeps it, for there the slope is the answer.
+    In a plot of an angle that turns by 140 rad, only the mean rotation is visible. If a straight
+    line explains nearly all of y, the slope of the line is removed and the label names the slope.
+    The response to a step keeps its slope, because the slope is part of the response.
     """
     none = np.zeros(data.t.size), named(data.output, data.unit), ()
     seen = data.valid
-    if np.count_nonzero(seen) < 3 or np.count_nonzero(np.diff(data.u)) < _CHANGES:
+    if np.count_nonzero(seen) < 3 or np.count_nonzero(np.diff(data.u)) < _MIN_INPUT_CHANGES:
         return none
     slope, level = np.polyfit(data.t[seen], data.y[seen], 1)
     left = np.var(data.y[seen] - level - slope * data.t[seen])
-    if not left < (1 - _RAMP) * np.var(data.y[seen]):
+    if not left < (1 - MIN_RAMP_SHARE) * np.var(data.y[seen]):
         return none
     name, digits = NAMES.get(data.output, data.output), minus(f"{abs(slope):.3g}")
     label = f"{name} {'−' if slope > 0 else '+'} {digits} $t$\n[{data.unit or '–'}]"
@@ -97,9 +96,9 @@ def without_ramp(data: Signals) -> tuple[Vector, str, tuple[str, ...]]:
 
 
 def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
-    """Show output and, below it, input against time; where the output is missing is shaded.
+    """Plot output and, below it, input against time; times without an output are shaded.
 
-    A recording shows theta_1. What is a ramp and little else is shown without it: see
+    A recording's output is theta_1. An output that is nearly a ramp is drawn without the ramp: see
     `without_ramp`.
     """
     data = _signals(source)
@@ -118,10 +117,11 @@ def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
-    """Show the power density of the output and, below it, of the input, both axes logarithmic.
+    """Plot the power density of the output and, below it, of the input, on logarithmic axes.
 
-    Averaged over the stretches without a gap, see `armrig.numerics.power_spectrum`. What
-    rises towards the right edge, the Nyquist frequency, was sampled too slowly, or is noise.
+    The density is averaged over the stretches without a gap: see `armrig.numerics.power_spectrum`.
+    A density that rises towards the right edge, the Nyquist frequency, shows noise or a sampling
+    rate that is too low.
     """
     from armrig.numerics.power_spectrum import power_spectrum
 
@@ -133,7 +133,7 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
         (below, [d.u for d in data.experiments()], INK, "$u$", data.input_unit),
     ):
         omega, density = power_spectrum(signals, data.Ts)
-        # A logarithmic axis has no 0; the density at Nyquist's frequency is not doubled.
+        # A logarithmic axis has no 0; the density at the Nyquist frequency is not doubled.
         omega, density = omega[1:-1], density[1:-1]
         panel.plot(omega, np.maximum(density, 1e-300), color=colour, lw=0.9)
         panel.set_xscale("log")
@@ -143,7 +143,7 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
         bare_minor(panel.xaxis, panel.yaxis)
         shown = density[density > 0]
         if shown.size:
-            # A periodic input has only rounding errors between its lines: show twelve decades.
+            # Between the spectral lines of a periodic input are rounding errors: show 12 decades.
             panel.set_ylim(max(float(shown.min()), 1e-12 * float(shown.max())) / 2, None)
     below.set_xlabel(r"$\omega$ [rad/s]")
     finish(ax, below, xlim=(float(omega[0]), np.pi / data.Ts))
@@ -152,9 +152,9 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
 
 
 def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
-    """Show how often each value of the output and, below it, of the input was taken.
+    """Plot histograms of the output and, below it, of the input.
 
-    The counts are logarithmic: a single sample far from all others, an outlier, shows.
+    The counts are logarithmic, so that a single sample far from all others is visible.
     """
     data = _signals(source)
     ax, below = panels(ax, 0.5, sharex=False)
@@ -173,7 +173,7 @@ def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes
 
 
 def squared(unit: str) -> str:
-    """Return a unit's square and a space, for an axis; nothing where there is no unit."""
+    """Return the squared unit and a space, for the label of an axis; "" without a unit."""
     return f"({unit})² " if "/" in unit else f"{unit}² " if unit else ""
 
 

@@ -1,4 +1,4 @@
-"""A finding: what a check found in data or in a model, as a value that programs decide by."""
+"""Result of a check of data or of a model, as a value on which programs decide."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 Asks = Literal["", "order", "integrator", "structure"]
-"""What another estimation should change; "" if nothing, or another treatment of the data."""
+"""Setting to change in the next estimation; "" if no setting must change."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """What one check found."""
+    """Result of one check."""
 
     level: Literal["good", "warning", "unusable"]
-    """Whether it stands in the way of identification."""
+    """Severity: good, doubtful, or a reason not to identify from the data."""
     about: str
-    """What was checked, by a name of one word that programs decide by."""
+    """Subject of the check, one word on which programs decide."""
     text: str
-    """What was found and, where it is not good, what to do."""
+    """Result and, if it is not good, the remedy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EstimateFinding(Finding):
-    """What an estimation found in its data or in its result."""
+    """Finding of an estimation about its data or its result."""
 
     asks: Asks = ""
     numbers: Mapping[str, float] = field(default_factory=dict)
-    """The figures in the text."""
+    """Numbers in the text, by name."""
 
 
 def warning(about: str, text: str, asks: Asks = "", **numbers: float) -> EstimateFinding:
-    """Return what an estimation warns of."""
+    """Return a finding of level "warning"."""
     return EstimateFinding(level="warning", about=about, text=text, asks=asks, numbers=numbers)

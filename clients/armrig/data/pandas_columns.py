@@ -1,4 +1,4 @@
-"""Columns of pandas, which armrig does not import, as arrays."""
+"""Columns of pandas as arrays, without an import of pandas."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from armrig_core.errors import InputError
 
 
 def plain(name: str, values: Any) -> Any:
-    """Return a column of pandas as an array, NaN where it has no value; others as they are.
+    """Return a pandas column as an array, NaN for missing values; return other values unchanged.
 
     Raises
     ------
     ValueError
-        It holds what is no number, or is a whole table.
+        A value is not a number, or `values` is a whole table.
     """
     if not is_pandas(values):
         return values
@@ -33,12 +33,12 @@ def plain(name: str, values: Any) -> Any:
 
 
 def is_pandas(values: Any) -> bool:
-    """Return whether values are of pandas, by what they can do."""
+    """Return whether `values` is a pandas object, recognised by its methods."""
     return hasattr(values, "to_numpy") and hasattr(values, "isna")
 
 
 def present(y: Any, valid: Any) -> Any:
-    """Return `valid`, False also where a column of pandas has no value; None where neither says."""
+    """Return `valid`, set to False where y is missing if y is a pandas column."""
     if is_pandas(valid):
         valid = valid.to_numpy(dtype=np.bool_, na_value=False)
     if not is_pandas(y):

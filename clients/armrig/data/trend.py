@@ -1,4 +1,4 @@
-"""What `detrend` took from an experiment: a straight line of u and one of y."""
+"""Trend that `detrend` removed from an experiment: a straight line of u and a line of y."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trend:
-    """Level and slope of u and of y; a slope is 0 where only the mean was taken."""
+    """Level and slope of u and of y; a slope is 0 if only the mean was removed."""
 
     u_level: float = 0.0
     """Value of u's line at the experiment's first sample, in u's unit."""
     u_slope: float = 0.0
-    """In u's unit per s."""
+    """Slope of u, in u's unit per s."""
     y_level: float = 0.0
     """Value of y's line at the experiment's first sample, in y's unit."""
     y_slope: float = 0.0
-    """In y's unit per s."""
+    """Slope of y, in y's unit per s."""
 
     def u(self, t: Vector) -> Vector:
         """Return u's line at t (n,) in s from the experiment's first sample."""
@@ -32,7 +32,7 @@ class Trend:
         return np.asarray(self.y_level + self.y_slope * t)
 
     def later(self, seconds: float) -> Trend:
-        """Return the same lines, as they count from a first sample that is so much later."""
+        """Return the same lines with their levels at an instant `seconds` later."""
         return Trend(
             u_level=self.u_level + self.u_slope * seconds,
             u_slope=self.u_slope,
@@ -41,6 +41,6 @@ class Trend:
         )
 
     def __add__(self, other: Trend) -> Trend:
-        """Return both together: what was taken in two steps."""
+        """Return the sum of two trends that were removed one after the other."""
         names = [field.name for field in fields(self)]
         return Trend(**{name: getattr(self, name) + getattr(other, name) for name in names})

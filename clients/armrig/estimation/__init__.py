@@ -1,1 +1,1 @@
-"""Estimators of parametric models, one module each, and the numerical work they share."""
+"""Estimators of parametric models, one module for each, and the search that they share."""

@@ -1,4 +1,4 @@
-"""ARARX: the prediction-error estimate where the equation's error is an autoregression."""
+"""ARARX: prediction-error estimate of an ARX model whose equation error is an autoregression."""
 
 from __future__ import annotations
 
@@ -27,21 +27,22 @@ def ararx(
 ) -> Fit:
     """Estimate A, B and D in A(q) y(t) = B(q) u(t) + 1/D(q) e(t).
 
-    The structure of generalised least squares: the error of an ARX model, whitened by D.
+    This is the structure of generalised least squares: D whitens the error of an ARX model.
 
     Parameters
     ----------
     data : Dataset
-        After a gap in y the noise's past is unknown again: it is estimated again.
+        N samples. After each gap in y the past of the noise is estimated again.
     na, nb, nd : int
-        Number of all a's, >= 0, of b's, >= 1, and of d's, >= 0.
+        Numbers of coefficients a, b and d: na >= 0, with the integrator's root, nb >= 1, nd >= 0.
     nk, integrator, offset, initial, stable, starts
         As in `armax`.
 
     Returns
     -------
     Fit
-        `covariance` is lambda (Psi^T Psi)^-1 of (a, b, d), `covariance_robust` Newey and West's.
+        `covariance` is lambda (Psi^T Psi)^-1 for (a, b, d). `covariance_robust` is the estimate of
+        Newey and West.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""ARMAX: the prediction-error estimate where noise and input share their poles."""
+"""ARMAX: prediction-error estimate of a model with the same poles for the input and the noise."""
 
 from __future__ import annotations
 
@@ -30,32 +30,36 @@ def armax(
     Parameters
     ----------
     data : Dataset
-        After a gap in y the noise's past is unknown again: it is estimated anew.
+        N samples. After each gap in y the past of the noise is estimated again.
     na, nb, nc : int
-        Number of all a's, >= 0, of b's, >= 1, and of c's, >= 0.
+        Numbers of coefficients a, b and c: na >= 0, with the integrator's root, nb >= 1, nc >= 0.
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
     integrator : bool, default False
-        A = (1 - q^-1) Ã with one root at 1 exactly, so that input *and noise* integrate: the
-        model of the differenced output, its input offset estimated along. Noise that does not
-        integrate, such as a sensor's, is `oe` or `bj` with an integrator.
+        Set A = (1 - q^-1) Ã, with one root at exactly 1, so that input *and noise* are integrated.
+        The model then describes the differenced output, with an estimated input offset. For noise
+        that is not integrated, such as sensor noise, use `oe` or `bj` with an integrator.
     offset : bool, default False
-        Estimate the input's offset of each experiment along; with an integrator it always is.
+        Also estimate an input offset for each experiment. With an integrator the offset is always
+        estimated.
     initial : {"estimate", "backcast", "zero", "auto"}
-        Estimate what the predictor remembers of before each experiment, or take it as zero, or
-        estimate it where an F-test says that it matters.
-        "backcast" is another name for "estimate": the state of least squares.
+        Treatment of the unknown past of each experiment. With "estimate" or "backcast" the past is
+        estimated by least squares. With "zero" the past is assumed zero. With "auto" the past is
+        estimated if an F-test finds it significant.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
+        Reflect poles outside the unit circle into it, and estimate B again. A finding of the fit
+        reports the reflection.
     starts : {"many", "few"}, default "many"
-        Whether each mode of the model is tried at other places, too, or only where searches
-        disagree. "few" takes a tenth to a half of the time, and ends more often in a poorer
-        minimum.
+        With "many" the search also starts from models in which one mode of the best model is moved.
+        With "few" only complex pairs of F are moved, and only if the first searches disagree or the
+        noise is strong. "few" needs a tenth to a half of the time of "many", but ends in a poorer
+        minimum more often.
 
     Returns
     -------
     Fit
-        `covariance` is lambda (Psi^T Psi)^-1 of (a, b, c), `covariance_robust` Newey and West's.
+        `covariance` is lambda (Psi^T Psi)^-1 for (a, b, c). `covariance_robust` is the estimate of
+        Newey and West.
 
     Raises
     ------

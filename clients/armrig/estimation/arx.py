@@ -21,8 +21,8 @@ from armrig.numerics.regressors import arx_rows
 def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) by least squares.
 
-    By QR of the column-scaled regressors, never through the normal equations. A row whose y or
-    past y is missing is left out, and so are the first max(na, nb + nk - 1) of each experiment.
+    The method is a QR decomposition of the scaled regressors, not the normal equations. Rows with a
+    missing y or past y, and the first max(na, nb + nk - 1) rows of each experiment, are not used.
 
     Parameters
     ----------
@@ -35,17 +35,19 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
+        Reflect poles outside the unit circle into it, and estimate B again. A finding of the fit
+        reports the reflection.
 
     Returns
     -------
     Fit
-        `covariance` is lambda (Phi^T Phi)^-1, `covariance_robust` Newey and West's.
+        `covariance` is lambda (Phi^T Phi)^-1. `covariance_robust` is the estimate of Newey and
+        West.
 
     Raises
     ------
     ValueError
-        N is too small for the orders asked for, or u does not excite the model.
+        N is too small for the orders, or u does not excite the model.
 
     References
     ----------
@@ -80,19 +82,12 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
         A=A,
         B=np.append(np.zeros(nk), theta[na:]),
         nk=nk,
-        covariance=found.covariance,
-        covariance_robust=found.covariance_robust,
-        noise_variance=found.noise_variance,
-        loss=found.loss,
-        N=found.N,
         Ts=data.Ts,
-        fit_percent=found.fit_percent,
-        whiteness=found.white.p_value,
-        whiteness_test=found.white.test,
         findings=(
             *reflection_warnings(free, A),
             *data_faults(data, residuals, way_out=NO_OPTION),
         ),
+        **found.quality(),
         **data.origin(),
     )
     return with_stability_warning(fit)

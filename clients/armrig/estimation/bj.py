@@ -1,4 +1,4 @@
-"""Box-Jenkins: the prediction-error estimate with a noise model of its own."""
+"""Box-Jenkins: prediction-error estimate of a model with separate polynomials for the noise."""
 
 from __future__ import annotations
 
@@ -31,33 +31,24 @@ def bj(
     Parameters
     ----------
     data : Dataset
-        B/F runs through a gap in y; the noise's past is unknown after it and estimated anew.
+        N samples. The output of B/F is simulated through a gap in y. After the gap the past of the
+        noise is estimated again.
     nb, nc, nd, nf : int
-        Number of b's, >= 1, of c's and d's, >= 0, and of all f's, >= 0.
-    nk : int, default 1
-        Samples before u reaches y; 0 is a direct term.
+        Numbers of coefficients: nb >= 1, nc >= 0, nd >= 0, and nf >= 0 with the integrator's root.
+    nk, offset, initial, starts
+        As in `armax`.
     integrator : bool, default False
-        F = (1 - q^-1) F̃ with one root at 1 exactly, the noise on the integrated output; level and
-        input offset of each experiment are estimated along.
-    offset : bool, default False
-        Estimate the input's offset of each experiment along; with an integrator it always is.
-    initial : {"estimate", "backcast", "zero", "auto"}
-        Estimate what is not known of before each experiment, or take it as zero, or estimate it
-        where an F-test says that it matters.
-        "backcast" is another name for "estimate": the state of least squares.
+        Set F = (1 - q^-1) F̃, with one root at exactly 1. The noise is added to the integrated
+        output. The level and the input offset of each experiment are estimated too.
     stable : bool, default False
-        Reflect poles of the noise, D, outside the unit circle into it, draw those of F on it
-        inside, and estimate B anew; the search lets no pole of F pass the circle.
-    starts : {"many", "few"}, default "many"
-        Whether each mode of the model is tried at other places, too, or only where searches
-        disagree. "few" takes a tenth to a half of the time, and ends more often in a poorer
-        minimum.
+        Reflect poles of D outside the unit circle into it, and move poles of F on the circle into
+        it. B is then estimated again. The search itself moves no pole of F outside the circle.
 
     Returns
     -------
     Fit
-        `covariance` is lambda (Psi^T Psi)^-1 of (b, c, d, f), `covariance_robust` Newey and
-        West's (of an output-error model, nc = nd = 0, as `oe` gives it).
+        `covariance` is lambda (Psi^T Psi)^-1 for (b, c, d, f). `covariance_robust` is the estimate
+        of Newey and West. For nc = nd = 0 both covariances equal those of `oe`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The figure of an order table: what is gained by more parameters."""
+"""Figure of an order table: loss against number of parameters."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from armrig.numerics.criteria import Criterion
 from armrig.plots.captions import legend
-from armrig.plots.layout import BLUE, GREY, VERMILION, axes, finish
-from armrig.plots.scales import logarithmic
+from armrig.plots.layout import BLUE, GREY, VERMILION, axes, finish, logarithmic
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,10 +23,10 @@ Integers = NDArray[np.int_]
 def plot_orders(
     table: OrderTable, criterion: Criterion | None = None, *, ax: Axes | None = None
 ) -> Axes:
-    """Show the best structure for each number of parameters, and what each criterion chooses.
+    """Plot the best structure for each number of parameters, and the choice of each criterion.
 
-    The ordinate is the loss one step ahead over the least of them, on the validation data where
-    there are some.
+    The ordinate is the one-step loss divided by the least loss. If there are validation data, the
+    losses are computed on them.
     """
     ax = axes(ax)
     on_other = table.validation_loss is not None
@@ -37,7 +36,7 @@ def plot_orders(
     best = table.envelope(criterion)
     shown = np.isfinite(share)
     ax.plot(d[shown], share[shown], ".", color=GREY, ms=4, alpha=0.5, label="all structures")
-    ax.plot(d[best], share[best], "o-", color=BLUE, ms=4, lw=1.0, label="best of so many")
+    ax.plot(d[best], share[best], "o-", color=BLUE, ms=4, lw=1.0, label="best for each number")
     chosen: dict[int, list[str]] = {}
     for name in table.criteria:
         chosen.setdefault(table.chosen(name), []).append(name)
@@ -59,7 +58,7 @@ def plot_orders(
     logarithmic(ax.yaxis, 0.6, max(1.5 * top, 2.5))
     ax.locator_params(axis="x", integer=True)
     ax.set_xlabel("number of parameters, $n_a + n_b$")
-    ax.set_ylabel(f"loss{' on validation data' if on_other else ''} over the least")
+    ax.set_ylabel(f"loss{' on validation data' if on_other else ''} over the least loss")
     finish(ax)
     legend(ax)
     return ax

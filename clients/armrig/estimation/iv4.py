@@ -1,4 +1,4 @@
-"""Four-stage instrumental variables: A and B that no colour of the noise biases."""
+"""Four-stage instrumental variables: estimates of A and B that coloured noise does not bias."""
 
 from __future__ import annotations
 
@@ -23,17 +23,18 @@ from armrig.numerics.regressors import ArxRows, arx_rows, complete
 from armrig.numerics.stretches import Mask
 from armrig.numerics.whiteness import autoregression, joined
 
-_LONGEST = 40  # holes between experiments, at least the order of the autoregression
+_SEPARATOR_SAMPLES = 40  # NaN samples between experiments, at least the autoregression's order
 
 
 @takes_recordings
 def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
-    """Estimate A and B in A(q) y(t) = B(q) u(t) + v(t), v of any colour, by instruments.
+    """Estimate A and B in A(q) y(t) = B(q) u(t) + v(t), v coloured, by instrumental variables.
 
-    Least squares, then instruments from its simulated output, then an autoregression L of what
-    is left, then instruments and regressors filtered by L, which makes the estimate optimal for
-    an autoregressive v. Consistent in open loop. A row whose regressors are not all known is left
-    out; L starts anew after a gap.
+    The first stage is least squares. The second stage uses the simulated output of the first model
+    in the instruments. The third stage fits an autoregression L to the residuals. The fourth stage
+    filters instruments and regressors by L, so that the estimate is optimal for an autoregressive
+    v. The estimate is consistent in open loop. Rows with an unknown regressor are not used, and the
+    filter L starts again after a gap.
 
     Parameters
     ----------
@@ -46,20 +47,22 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
+        Reflect poles outside the unit circle into it, and estimate B again. A finding of the fit
+        reports the reflection.
 
     Returns
     -------
     Fit
-        `loss` and `noise_variance` are of v = A y - B u, which need not be white; `whiteness` is
-        of L v, on which the classic deviations depend. With Z the filtered instruments
-        `covariance` is var(L v) (Z^T Phi)^-1 Z^T Z (Phi^T Z)^-1, and `covariance_robust` has
-        Newey and West's estimate in place of var(L v) Z^T Z.
+        `loss` and `noise_variance` are computed from v = A y - B u, which may be coloured.
+        `whiteness` is the test of L v, because the classic standard deviations assume that L v is
+        white. `covariance` is var(L v) (Z^T Phi)^-1 Z^T Z (Phi^T Z)^-1, with the filtered
+        instruments Z. In `covariance_robust` the estimate of Newey and West replaces var(L v) Z^T
+        Z.
 
     Raises
     ------
     ValueError
-        N is too small for the orders asked for, or u does not excite the model.
+        N is too small for the orders, or u does not excite the model.
 
     References
     ----------
@@ -71,12 +74,12 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     lags = range(nk, nk + nb)
     parts = [arx_rows(part.u, part.y, na=na, lags=lags) for part in data.experiments()]
     inputs = [part.u for part in data.experiments()]
-    whole = [p.block for p in parts]  # NaN where a row is not complete
+    whole = [p.block for p in parts]  # NaN in incomplete rows
     y, theta = _by_least_squares(parts, orders)
     N = y.size
     Z = _instruments(inputs, theta, na=na, nb=nb, nk=nk)
     theta, *_ = _solved(Z, whole, orders)
-    L, _ = autoregression(joined(_left(whole, theta), _LONGEST))
+    L, _ = autoregression(joined(_left(whole, theta), _SEPARATOR_SAMPLES))
 
     Z = [_filtered(L, z) for z in _instruments(inputs, theta, na=na, nb=nb, nk=nk)]
     prewhitened = [_filtered(L, block) for block in whole]
@@ -109,7 +112,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
 
 
 def _by_least_squares(parts: Sequence[ArxRows], orders: str) -> tuple[Array, Array]:
-    """Return y of all complete rows and theta of y = Phi theta + e, or refuse these data."""
+    """Return y of all complete rows and theta of y = Phi theta + e; refuse too few samples."""
     Phi = np.vstack([p.Phi[p.usable] for p in parts])
     y = np.concatenate([p.y[p.usable] for p in parts])
     d = Phi.shape[1]
@@ -124,7 +127,7 @@ def _by_least_squares(parts: Sequence[ArxRows], orders: str) -> tuple[Array, Arr
 
 
 def _with_given_poles(A: Array, blocks: Sequence[Array]) -> tuple[Array, list[Array]]:
-    """Return theta with B anew for a given A, by least squares: u needs no instrument."""
+    """Return theta and residuals for a given A; B needs no instruments, as u is free of noise."""
     na = A.size - 1
     known = np.vstack([block[complete(block)] for block in blocks])
     left = known[:, -1] - known[:, :na] @ A[1:]
@@ -134,14 +137,14 @@ def _with_given_poles(A: Array, blocks: Sequence[Array]) -> tuple[Array, list[Ar
 
 
 def _left(whole: Sequence[Array], theta: Array) -> list[Array]:
-    """Return y - Phi theta of each experiment, NaN where a row is not complete."""
+    """Return y - Phi theta of each experiment, NaN in incomplete rows."""
     return [block[:, -1] - block[:, :-1] @ theta for block in whole]
 
 
 def _instruments(
     inputs: Sequence[Array], theta: Array, *, na: int, nb: int, nk: int
 ) -> list[Array]:
-    """Return the regressors with the simulated output in place of y, free of its noise."""
+    """Return the regressors in which the simulated output, without noise, replaces y."""
     A, B = reflected(np.append(1.0, theta[:na])), np.append(np.zeros(nk), theta[na:])
     return [
         np.hstack([-lagged(filtered(B, A, u), range(1, na + 1)), lagged(u, range(nk, nk + nb))])
@@ -150,7 +153,7 @@ def _instruments(
 
 
 def _filtered(L: Array, block: Array) -> Array:
-    """Return the columns through L, NaN where something it looks back on is not known."""
+    """Return the columns filtered by L, with NaN in rows that depend on an unknown row."""
     known = complete(block)
     out = np.column_stack([filtered(L, [1.0], x) for x in np.where(known[:, None], block, 0.0).T])
     holes = np.where(known, 0.0, 1.0)
@@ -163,9 +166,10 @@ def _filtered(L: Array, block: Array) -> Array:
 def _solved(
     Z: Sequence[Array], blocks: Sequence[Array], orders: str
 ) -> tuple[Array, Array, list[Array], list[Array]]:
-    """Return theta of Z^T (y - Phi theta) = 0 for blocks [Phi, y] with holes (NaN).
+    """Return theta of Z^T (y - Phi theta) = 0 for blocks [Phi, y], NaN if unknown.
 
-    With Z = Q R also (Q^T Phi)^-1, the rows of Q in their places, and the residuals.
+    With Z = Q R the function also returns (Q^T Phi)^-1, the rows of Q in each experiment, and the
+    residuals.
     """
     rows = [complete(z, block) for z, block in zip(Z, blocks, strict=True)]
     basis = orthonormal(np.vstack([z[r] for z, r in zip(Z, rows, strict=True)]))

@@ -1,10 +1,9 @@
-"""The search from several start values, and from more where the minimum is in doubt.
+"""Search from several start values, and from additional start values if the minimum is in doubt.
 
-Further start values have one mode of C, D or F at another place.
-
-In strong noise the prediction error has minima of little difference, in which a weak mode has
-settled on the noise of some frequency. Slow noise and slow inputs have others, in which a real root
-has. So each mode is tried elsewhere.
+In an additional start value one mode of C, D or F is moved to another frequency or damping. If the
+noise is strong, the prediction error has several minima of nearly equal cost. In each of them a
+weak mode fits the noise at a different frequency. If the noise and the input are slow, a real root
+may also fit the noise. Therefore the search moves each mode.
 """
 
 from __future__ import annotations
@@ -15,55 +14,66 @@ from itertools import combinations, product
 
 import numpy as np
 
-from armrig.estimation.hannan_rissanen import armax_start, noise_start
-from armrig.estimation.prediction_error import PredictionError
-from armrig.estimation.steiglitz_mcbride import equation_error, high_order_output, steiglitz_mcbride
+from armrig.estimation.hannan_rissanen import (
+    armax_start,
+    equation_error,
+    high_order_output,
+    noise_start,
+    steiglitz_mcbride,
+)
+from armrig.estimation.prediction_error import PredictionErrorProblem
 from armrig.numerics.levenberg_marquardt import Optimum
-from armrig.numerics.polynomial import Array, filtered, reflected, roots
+from armrig.numerics.polynomial import Array, filtered, reduced, reflected, roots
 
 Ends = list[tuple[str, Optimum]]
-"""Name of each start and where it led."""
+"""Name of each start value, and the minimum that the search from it reached."""
 
-SAME_MINIMUM = 1e-6  # relative difference in cost up to which two searches agree
-ROUNDING = 1e-18  # share of |y|² below which |e|² is rounding noise
-_MUCH_NOISE = 0.2  # share of the output's variance from which a mode may settle on noise
-_ROUNDS = 6
-_MOST_MOVED = 30  # coefficients of C, D and F; of 60 each round takes a minute
-_STAGES = ((10, 8), (40, 1))  # steps from each other start, how many of them go on
-_RETURNED = 1e-7  # relative difference in cost up to which a search has come back
-_ANGLES = np.linspace(0.1, 3.0, 15)  # of the moved mode, in rad a sample
-_REAL = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
-_MOST_REAL = 0.998
-_IS_REAL = 1e-9
-_RADII = (0.98, 0.85, 0.6)
-_EACH = 6  # starts of a kind
-_OF_F = 2  # its place among the polynomials
-_OE_STEPS = 12  # of the search for an output-error start; it need not end at the minimum
+SAME_COST_TOLERANCE = 1e-6  # relative difference in cost up to which two searches agree
+ROUNDING_SHARE = 1e-18  # share of |y|² below which |e|² is rounding noise
+_MIN_NOISE_SHARE = 0.2  # share of the output's variance; above it a mode may fit noise
+_MAX_ROUNDS = 6
+_MAX_MOVED_COEFFICIENTS = 30  # coefficients of C, D and F; with 60 a round takes a minute
+_STAGES = ((10, 16), (40, 1))  # (steps of each search, number of searches that continue)
+_RETURN_TOLERANCE = 1e-7  # relative difference in cost up to which two minima are the same
+_PAIR_ANGLES = np.linspace(0.1, 3.0, 15)  # angles of a moved pair, in rad per sample
+_REAL_ROOTS = (0.99, 0.95, 0.8, 0.3, -0.3, -0.8)
+_MAX_REAL_ROOT = 0.998
+_REAL_TOLERANCE = 1e-9
+_PAIR_RADII = (0.98, 0.85, 0.6)
+_STARTS_PER_KIND = 6
+_F_INDEX = 2  # index of F in (C, D, F)
+_ADDED_ROOTS = (0.5, -0.5)  # roots added to F for a model of higher order
+_MAX_LARGER_STEPS = 60  # steps of the search for the model of higher order
+_MAX_OE_STEPS = 12  # steps of the search for an output-error start value; it need not converge
 
 
 def searched_minimum(
-    problem: PredictionError, part: PredictionError | None = None, *, thorough: bool = True
+    problem: PredictionErrorProblem,
+    part: PredictionErrorProblem | None = None,
+    *,
+    thorough: bool = True,
 ) -> Ends:
-    """Return where each start led, best first.
+    """Return the minimum of each start, best first.
 
-    A thorough search tries each mode of the best model at other frequencies too, again while that
-    leads lower; what does not is left out. Another search does so where the ends differ, or where
-    there is much noise. Of more than 30 coefficients no mode is tried: they mean little.
+    If the minimum is in doubt, the search moves each mode of the best model and starts again, as
+    long as the cost decreases. The minimum is always in doubt if the searches end in different
+    minima. In a thorough search without `part`, it is in doubt if the cost exceeds rounding. In any
+    other search, it is in doubt if the noise is strong. If C, D and F have more than 30
+    coefficients, no mode is moved, because single modes then mean little.
 
     Parameters
     ----------
-    part : PredictionError, optional
-        A part of much data: the starts are searched from on it first, and only where they lead
-        apart is the whole searched from more than once.
+    part : PredictionErrorProblem, optional
+        Problem for a part of long data, on which all searches start. Each minimum on the part is
+        then the start of one search on the whole data.
     thorough : bool
-        Whether modes of C and D, and real ones, are moved, too. Without `part` they are then moved
-        wherever the cost is more than rounding.
+        True: move complex pairs and real roots of C, D and F. False: move only complex pairs of F.
     """
     ends = _from_starts(problem) if part is None else _through(part, problem)
     if not (thorough or problem.structure.nf >= 2):
         return ends
     doubtful = _doubtful(problem, ends, strict=thorough and part is None)
-    for _ in range(_ROUNDS if doubtful else 0):
+    for _ in range(_MAX_ROUNDS if doubtful else 0):
         best = ends[0][1]
         lowest = _lowest_beside(problem, best, thorough=thorough)
         if same_minimum(problem, lowest.cost, best.cost):
@@ -72,15 +82,16 @@ def searched_minimum(
     return ends
 
 
-def _lowest_beside(problem: PredictionError, best: Optimum, *, thorough: bool) -> Optimum:
-    """Return the lowest minimum that a moved mode leads to, or `best`.
+def _lowest_beside(problem: PredictionErrorProblem, best: Optimum, *, thorough: bool) -> Optimum:
+    """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower.
 
-    After ten steps most starts are dropped: the poor ones, and those that return to `best`.
+    After ten steps only the 16 searches of least cost continue. Searches that returned to `best`
+    end.
     """
     starts = list(moved_modes(problem, best.theta, all_kinds=thorough))
     for steps, kept in _STAGES:
         near = [problem.minimise(start, most=steps, known=best.cost) for start in starts]
-        near = [end for end in near if abs(end.cost - best.cost) > _RETURNED * best.cost]
+        near = [end for end in near if abs(end.cost - best.cost) > _RETURN_TOLERANCE * best.cost]
         near.sort(key=lambda end: end.cost)
         starts = [end.theta for end in near[:kept]]
     lowest = min(near, key=lambda end: end.cost, default=best)
@@ -89,8 +100,8 @@ def _lowest_beside(problem: PredictionError, best: Optimum, *, thorough: bool) -
     return lowest if lowest.converged else problem.minimise(lowest.theta)
 
 
-def _from_starts(problem: PredictionError) -> Ends:
-    """Return where each start led, best first; the most promising start goes first."""
+def _from_starts(problem: PredictionErrorProblem) -> Ends:
+    """Return the minimum of each start value, best first; starts of low cost are searched first."""
     starts = sorted(start_values(problem), key=lambda start: problem.cost(start[1]))
     ends: Ends = []
     for name, theta in starts:
@@ -99,8 +110,8 @@ def _from_starts(problem: PredictionError) -> Ends:
     return sorted(ends, key=lambda end: end[1].cost)
 
 
-def _through(part: PredictionError, problem: PredictionError) -> Ends:
-    """Return where the ends that the starts have on a part lead on the whole, best first."""
+def _through(part: PredictionErrorProblem, problem: PredictionErrorProblem) -> Ends:
+    """Return the minima on the whole data, best first, searched from the minima on the part."""
     ends: Ends = []
     previous: tuple[float, Optimum] | None = None
     for name, on_part in _from_starts(part):
@@ -115,19 +126,19 @@ def _through(part: PredictionError, problem: PredictionError) -> Ends:
     return sorted(ends, key=lambda end: end[1].cost)
 
 
-def rounding_floor(problem: PredictionError) -> float:
-    """Return the cost below which nothing is left but rounding noise."""
-    return ROUNDING * sum(float(np.sum(x.y[x.rows] ** 2)) for x in problem.experiments)
+def rounding_floor(problem: PredictionErrorProblem) -> float:
+    """Return the cost below which the residuals are rounding errors."""
+    return ROUNDING_SHARE * sum(float(np.sum(x.y[x.rows] ** 2)) for x in problem.experiments)
 
 
-def same_minimum(problem: PredictionError, lower: float, higher: float) -> bool:
-    """Tell whether two costs are those of one minimum."""
-    return higher <= lower * (1 + SAME_MINIMUM) + rounding_floor(problem)
+def same_minimum(problem: PredictionErrorProblem, lower: float, higher: float) -> bool:
+    """Return whether two costs belong to the same minimum."""
+    return higher <= lower * (1 + SAME_COST_TOLERANCE) + rounding_floor(problem)
 
 
-def _doubtful(problem: PredictionError, ends: Ends, *, strict: bool) -> bool:
+def _doubtful(problem: PredictionErrorProblem, ends: Ends, *, strict: bool) -> bool:
     n = problem.structure
-    if not 0 < n.nc + n.nd + n.nf <= _MOST_MOVED:
+    if not 0 < n.nc + n.nd + n.nf <= _MAX_MOVED_COEFFICIENTS:
         return False
     if not same_minimum(problem, ends[0][1].cost, ends[-1][1].cost):
         return True
@@ -140,26 +151,27 @@ def _doubtful(problem: PredictionError, ends: Ends, *, strict: bool) -> bool:
     y = [x.y[x.rows] for x in problem.experiments]
     noise = sum(float(np.sum(v**2)) for v in left)
     variance = sum(float(np.sum((s - s.mean()) ** 2)) for s in y if s.size)
-    return noise > _MUCH_NOISE * variance
+    return noise > _MIN_NOISE_SHARE * variance
 
 
 def moved_modes(
-    problem: PredictionError, theta: Array, *, all_kinds: bool = True
+    problem: PredictionErrorProblem, theta: Array, *, all_kinds: bool = True
 ) -> Iterator[Array]:
-    """Yield start values in which one mode of C, D or F is moved; those of least cost of each kind.
+    """Yield start values with one moved mode of C, D or F, up to six for each kind of move.
 
-    A complex pair, or the two smallest real roots, becomes a pair at another frequency, or two
-    other real roots; a real root becomes another one.
+    A complex pair, or the two smallest real roots, is replaced by another complex pair or by two
+    other real roots. A real root is replaced by another real root. For each polynomial and each
+    kind of move, the start values of least cost are returned.
 
     Parameters
     ----------
     all_kinds : bool
-        Or only pairs of F at other frequencies.
+        True: move all modes. False: move only pairs of F, to other frequencies.
     """
     polynomials = problem.polynomials(theta)
     kinds = (_other_pairs, _other_reals, _other_real) if all_kinds else (_other_pairs,)
     for which, polynomial in enumerate(polynomials):
-        for kind in kinds if all_kinds or which == _OF_F else ():
+        for kind in kinds if all_kinds or which == _F_INDEX else ():
             starts = []
             for moved in kind(roots(polynomial)):
                 others = [*polynomials]
@@ -167,28 +179,29 @@ def moved_modes(
                 start = np.concatenate([other[1:] for other in others])
                 starts.append((problem.cost(start), start))
             starts.sort(key=lambda start: start[0])
-            yield from (start for _, start in starts[:_EACH])
+            yield from (start for _, start in starts[:_STARTS_PER_KIND])
     if all_kinds:
         yield from _moved_together(problem, theta)
         yield from _with_white_noise(problem, theta)
+        yield from _through_a_higher_order(problem, theta)
 
 
-def _moved_together(problem: PredictionError, theta: Array) -> Iterator[Array]:
-    """Yield starts in which a real root of C and one of D nearly cancel at another place."""
+def _moved_together(problem: PredictionErrorProblem, theta: Array) -> Iterator[Array]:
+    """Yield start values with moved real roots of C and D that nearly cancel."""
     C, D, F = problem.polynomials(theta)
     starts = []
     for z, w in product(_without_one_real(roots(C)), _without_one_real(roots(D))):
-        for root, share in product(_REAL, (0.9, 1 / 0.9)):
-            near = np.clip(root * share, -_MOST_REAL, _MOST_REAL)
+        for root, share in product(_REAL_ROOTS, (0.9, 1 / 0.9)):
+            near = np.clip(root * share, -_MAX_REAL_ROOT, _MAX_REAL_ROOT)
             c, d = np.real(np.poly(np.append(z, near))), np.real(np.poly(np.append(w, root)))
             start = np.concatenate([c[1:], d[1:], F[1:]])
             starts.append((problem.cost(start), start))
     starts.sort(key=lambda start: start[0])
-    yield from (start for _, start in starts[:_EACH])
+    yield from (start for _, start in starts[:_STARTS_PER_KIND])
 
 
-def _with_white_noise(problem: PredictionError, theta: Array) -> Iterator[Array]:
-    """Yield starts in which F is estimated again, from signals filtered by D/C."""
+def _with_white_noise(problem: PredictionErrorProblem, theta: Array) -> Iterator[Array]:
+    """Yield start values in which F is estimated again, from signals filtered by D/C."""
     n = problem.structure
     C, D, _ = problem.polynomials(theta)
     if n.nf == 0 or n.nc + n.nd == 0:
@@ -200,46 +213,64 @@ def _with_white_noise(problem: PredictionError, theta: Array) -> Iterator[Array]
             yield np.concatenate([theta[: n.nc + n.nd], better[1:]])
 
 
+def _through_a_higher_order(problem: PredictionErrorProblem, theta: Array) -> Iterator[Array]:
+    """Yield output-error start values: the minimum of a model of higher order, less one mode.
+
+    The larger model has one more b and f. In its search a mode can move past a frequency at which
+    the cost of the smaller model has a maximum.
+    """
+    n = problem.structure
+    if n.nf == 0 or n.na + n.nc + n.nd:
+        return
+    larger = replace(problem, structure=replace(n, nb=n.nb + 1, nf=n.nf + 1))
+    starts: list[Array] = []
+    for root in _ADDED_ROOTS:
+        F = np.convolve(np.append(1.0, theta), [1.0, -root])
+        found = larger.minimise(F[1:], most=_MAX_LARGER_STEPS).theta
+        starts.extend(lower[1:] for lower in reduced(np.append(1.0, found)))
+    yield from sorted(starts, key=problem.cost)[:_STARTS_PER_KIND]
+
+
 def _other_pairs(z: Array) -> Iterator[Array]:
     for kept in _without_one_pair(z):
-        for radius, angle in product(_RADII, _ANGLES):
+        for radius, angle in product(_PAIR_RADII, _PAIR_ANGLES):
             yield np.concatenate([kept, radius * np.exp(1j * np.array([angle, -angle]))])
 
 
 def _other_reals(z: Array) -> Iterator[Array]:
     for kept in _without_one_pair(z):
-        for pair in combinations(_REAL, 2):
+        for pair in combinations(_REAL_ROOTS, 2):
             yield np.concatenate([kept, pair])
 
 
 def _other_real(z: Array) -> Iterator[Array]:
     for kept in _without_one_real(z):
-        for root in _REAL:
+        for root in _REAL_ROOTS:
             yield np.append(kept, root)
 
 
 def _without_one_real(z: Array) -> Iterator[Array]:
-    for i in np.flatnonzero(np.abs(z.imag) <= _IS_REAL):
+    for i in np.flatnonzero(np.abs(z.imag) <= _REAL_TOLERANCE):
         yield np.delete(z, i)
 
 
 def _without_one_pair(z: Array) -> Iterator[Array]:
-    """Yield what is left without each complex pair, and without the two smallest real roots."""
+    """Yield the roots without each complex pair, and without the two smallest real roots."""
     rest = np.arange(z.size)
-    for i in np.flatnonzero(z.imag > _IS_REAL):
+    for i in np.flatnonzero(z.imag > _REAL_TOLERANCE):
         partner = int(np.argmin(np.abs(z - np.conj(z[i]))))
         yield z[(rest != i) & (rest != partner)]
-    real = np.flatnonzero(np.abs(z.imag) <= _IS_REAL)
+    real = np.flatnonzero(np.abs(z.imag) <= _REAL_TOLERANCE)
     if real.size >= 2:
         smallest = real[np.argsort(np.abs(z[real]))[:2]]
         yield z[~np.isin(rest, smallest)]
 
 
-def start_values(problem: PredictionError) -> Iterator[tuple[str, Array]]:
-    """Yield named start values (c, d, f), C and F stable.
+def start_values(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]:
+    """Yield named start values (c, d, f) with stable C and F.
 
-    F comes from output-error models, C and D then from the noise that is left. A Box-Jenkins
-    search from the output-error model alone sticks in a poor minimum where the noise is strong.
+    F is estimated by output-error models, and then C and D from the residual noise. If the noise is
+    strong, a Box-Jenkins search from the output-error model alone ends in a poor minimum.
     """
     n = problem.structure
     if n.nf == 0:
@@ -252,14 +283,14 @@ def start_values(problem: PredictionError) -> Iterator[tuple[str, Array]]:
         yield name, _with_noise(problem, F)
     if n.nc + n.nd:
         best = min(found, key=lambda F: output_error.cost(F[1:]))
-        f = output_error.minimise(best[1:], most=_OE_STEPS).theta
+        f = output_error.minimise(best[1:], most=_MAX_OE_STEPS).theta
         yield "OE", _with_noise(problem, np.append(1.0, f))
 
 
-def denominators(problem: PredictionError) -> Iterator[tuple[str, Array]]:
+def denominators(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]:
     """Yield named stable F of an output-error problem.
 
-    The starts, and only they, use interpolated values where y is missing.
+    Missing y are interpolated here, but not in the search itself.
     """
     signals = [(x.u, x.y) for x in problem.experiments]
     n = problem.structure
@@ -275,7 +306,7 @@ def denominators(problem: PredictionError) -> Iterator[tuple[str, Array]]:
     )
 
 
-def _without_denominator(problem: PredictionError) -> Iterator[tuple[str, Array]]:
+def _without_denominator(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]:
     n = problem.structure
     plain = np.ones(1)
     if n.nc + n.nd == 0:
@@ -287,8 +318,8 @@ def _without_denominator(problem: PredictionError) -> Iterator[tuple[str, Array]
     yield "ARX" if n.na else "FIR", _with_noise(problem, plain)
 
 
-def _with_noise(problem: PredictionError, F: Array) -> Array:
-    """Return (c, d, f) with C and D fitted to the noise that A and B/F leave."""
+def _with_noise(problem: PredictionErrorProblem, F: Array) -> Array:
+    """Return (c, d, f) with C and D fitted to the residual noise of A and B/F."""
     n = problem.structure
     f = F[1:]
     if n.nc + n.nd == 0:

@@ -1,4 +1,4 @@
-"""Subspace identification: a state space without a search, and so without a local minimum."""
+"""Subspace identification: a state-space model without an iterative search and its local minima."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from armrig.data.finding import EstimateFinding, warning
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.hannan_rissanen import noise_start
-from armrig.estimation.prediction_error import PredictionError, Solution
+from armrig.estimation.prediction_error import PredictionErrorProblem, Solution
 from armrig.estimation.prediction_error_fit import with_integrator
 from armrig.estimation.stability import REFLECT, reflection_warnings, stabilised, unstable
 from armrig.estimation.subspace import (
@@ -39,13 +39,16 @@ from armrig.numerics.inference import infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, reflected, without_integrator
 
-_MOST = 10  # order that is suggested at most
-_NEAR_ONE = 0.02  # distance of a pole from 1 that is worth a word
-_NO_GAIN = "no steady Kalman gain was found: the noise model is 1/1"
-_BOUND = "the deviations are the bound that a search attains; those of a subspace are larger"
-_NOT_LEAST = (
-    "the residuals are coloured, which a subspace model of the true order may show too, for it "
-    "does not minimise the one-step errors: see whether those of armax or bj are white"
+_MAX_SUGGESTED_ORDER = 10
+_MAX_DISTANCE_FROM_1 = 0.02  # largest distance from 1 of a pole with a warning
+_NO_GAIN_TEXT = "no steady Kalman gain was found: the noise model is 1/1"
+_BOUND_TEXT = (
+    "the standard deviations are the bound that a search attains; the standard deviations of a "
+    "subspace estimate are larger"
+)
+_COLOURED_TEXT = (
+    "the residuals are coloured, maybe only because a subspace estimate does not minimise the "
+    "one-step errors: check whether the residuals of armax or bj are white"
 )
 
 
@@ -61,56 +64,62 @@ def n4sid(
     focus: Focus = "prediction",
     stable: bool = False,
 ) -> SubspaceFit:
-    """Estimate a state space x(t+1) = A x + B u + K e, y = C x + D u + e from projections.
+    """Estimate a state-space model x(t+1) = A x + B u + K e, y = C x + D u + e by projections.
 
-    The future of y is projected on past u and y, with the future input apart; the singular values
-    of the weighted projection show the order, its left singular vectors give A and C, the states'
-    residuals K. Given these, B, D and the unknown past follow from least squares on the one-step
-    errors. There is no search, and so no minimum of the prediction error: a search (`armax`, `oe`,
-    `bj`) gains some efficiency over it.
+    The future outputs are projected on past u and y, for given future u. The singular values of the
+    weighted projection indicate the order. A and C are computed from the left singular vectors, and
+    K from the residuals of the states. B, D and the unknown past then minimise the one-step errors
+    by least squares. A, C and K do not minimise the prediction error: the searches `armax`, `oe`
+    and `bj` are somewhat more efficient.
 
     Parameters
     ----------
     data : Dataset
-        A window of 2 `horizon` samples with a missing one is left out. Means of u and y, and the
-        ramp that an offset of u makes on an integrating output, are projected out.
+        N samples. A window of 2 `horizon` samples with a missing sample is not used. The means of u
+        and y are projected out. With an integrator, the ramp due to an offset of u is projected out
+        too.
     order : int, optional
-        Number of states, >= 1; by default the one of least MDL of the states' one-step errors.
+        Number of states, >= 1. The default is the order of least MDL, from the one-step errors of
+        the states.
     weights : {"cva", "moesp", "n4sid"}
-        Of the projection: Larimore's canonical variates, Verhaegen's PO-MOESP, Van Overschee and
-        De Moor's N4SID.
+        Weights of the projection: Larimore's canonical variates, Verhaegen's PO-MOESP, or N4SID
+        of Van Overschee and De Moor.
     nk : int, default 1
-        Samples before u reaches y; 0 is a direct term D, of a plant that answers at once.
+        Samples before u reaches y; 0 is a direct term D.
     integrator : bool, default False
-        The pole nearest 1 is 1 exactly; the input's offset is estimated along. y itself is
-        projected, never its difference, which would drown the slow poles in noise.
+        Set the pole nearest 1 to exactly 1, and estimate the input offset too. The projection uses
+        y itself, because in the difference of y noise would hide the slow poles.
     horizon : int, optional
-        Samples of past and of future, at least order + 2: one less ruins the noise model. By
-        default the order of an ARX model by AIC, between 10 and 30, or 2 (order + 1) if that is
-        more, and fewer for short data; or order + 2, where that predicts the data better. Long
-        ones serve noise that is white on the output, short ones noise that the poles shape.
+        Number of past and of future samples, at least order + 2. With a shorter horizon the noise
+        model is wrong. The default is the larger of 2 (order + 1) and the order of an ARX model by
+        AIC, limited to 10 to 30. For short data the default is smaller. If a horizon of order + 2
+        predicts the data better, order + 2 is the default. A long horizon suits white output noise.
+        A short horizon suits noise with the poles of A.
     focus : {"prediction", "simulation"}
-        What A and B are for. "simulation" takes the poles as the start of a search for those of
-        the least simulation error, B and the first states by least squares for each: an
-        output-error model (`oe`) with a noise model. It is the better where the data are not
-        quite of a linear system of this order. Poles are inside the circle, whatever `stable` is.
+        Purpose of A and B. With "simulation" a search from the poles of the subspace model
+        minimises the simulation error. For each A, B and the initial states are computed by least
+        squares. The result is an output-error model (`oe`) with a noise model. This model is better
+        if the system is not exactly linear or not exactly of this order. Its poles are always
+        inside the unit circle.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
+        Reflect poles outside the unit circle into it, and estimate B again. A finding of the fit
+        reports the reflection.
 
     Returns
     -------
     SubspaceFit
         `covariance` is the bound lambda (Psi^T Psi)^-1 that a search attains for the same
-        polynomials; the subspace estimate's own is not known, and larger: for an ARMAX model of
-        order 2 (N = 2000, 200 runs) it scattered by 0.92 to 1.06 times these deviations.
-        `whiteness` supposes least one-step errors. These are above the least by a bias that N
-        does not take away, and the longer the data the surer it is seen: of a Box-Jenkins system
-        of order 3 the residuals are called coloured at 5 % in 10 of 100 runs at N = 1000.
+        polynomials. The covariance of the subspace estimate is larger and not known. In 200
+        simulations of an ARMAX system of order 2 (N = 2000), the true standard deviations were 0.92
+        to 1.06 times the bound. `whiteness` assumes minimal one-step errors, but the errors have a
+        bias that does not decrease with N. Therefore the test rejects too often for long data. For
+        a Box-Jenkins system of order 3 (N = 1000) the test at the level 5 % rejected whiteness in
+        10 of 100 simulations.
 
     Raises
     ------
     ValueError
-        There are too few samples, y is constant, or the data do not show so many states.
+        There are too few samples, y is constant, or the data show fewer states than `order`.
 
     References
     ----------
@@ -123,7 +132,7 @@ def n4sid(
     w = usable_windows(data, signals, order, horizon)
     found = projection(w, weights)
     canonical = found if weights == "cva" else projection(w, "cva")
-    suggested = suggested_order(w, canonical, min(_MOST, w.future - 2))
+    suggested = suggested_order(w, canonical, min(_MAX_SUGGESTED_ORDER, w.future - 2))
     n = _visible(w, suggested if order is None else int(order))
     if horizon is None:
         free = best_poles(signals, w, found, n, weights, integrator=integrator, direct=nk == 0)
@@ -144,7 +153,7 @@ def _require_known(weights: str, focus: str) -> None:
 
 
 def _visible(w: Windows, order: int) -> int:
-    """Return the order, or refuse one that the data do not show."""
+    """Return the order, or refuse an order above the number of states in the data."""
     if order > (states := visible_states(w)):
         raise InputError(f"order={order}: the data show {states} states; lower the order")
     return order
@@ -159,9 +168,9 @@ def _focused(
     *,
     stable: bool,
 ) -> SubspaceFit:
-    """Return the model with these poles, or with those that its purpose wants."""
+    """Return the model with the poles `free`, or with the poles of least simulation error."""
     facts = {**facts, "horizon": free.horizon, "singular_values": free.singular_values}
-    notes = [] if free.steady else [warning("no_gain", _NO_GAIN)]
+    notes = [] if free.steady else [warning("no_gain", _NO_GAIN_TEXT)]
     if focus == "simulation":
         orders = f"order={n.nc}, nk={n.nk}"
         A, B, C = simulating(data, n, free.A, free.C, orders=orders)
@@ -172,7 +181,7 @@ def _focused(
 
 
 def _stable(A: Array, *, integrator: bool) -> Array:
-    """Return A with its poles reflected into the circle, but for an integrator's."""
+    """Return A with all poles, except an integrator, reflected into the unit circle."""
     if not integrator:
         return stabilised(A)
     free = without_integrator(A)
@@ -181,7 +190,7 @@ def _stable(A: Array, *, integrator: bool) -> Array:
 
 
 def _structure(order: int, *, nk: int, integrator: bool) -> Structure:
-    """Return the orders of an ARMAX model with so many states."""
+    """Return the orders of an ARMAX model with `order` states."""
     return Structure(
         na=order - int(integrator),
         nb=order + int(nk == 0),
@@ -200,7 +209,7 @@ def _fit(
     facts: dict[str, Any],
     notes: tuple[EstimateFinding, ...],
 ) -> SubspaceFit:
-    """Return the model; B, unless it is given, by least squares on the one-step errors."""
+    """Return the model; if B is None, B is estimated by least squares on the one-step errors."""
     free = without_integrator(A) if n.integrator else A
     one = np.ones(1)
     experiments = [prepared(part, n) for part in data.experiments()]
@@ -234,20 +243,13 @@ def _fit(
         integrator=bool(n.integrator),
         offset=bool(n.trend),
         Ts=data.Ts,
-        covariance=found.covariance,
-        covariance_robust=found.covariance_robust,
-        noise_variance=found.noise_variance,
-        loss=found.loss,
-        N=found.N,
-        fit_percent=found.fit_percent,
-        whiteness=found.white.p_value,
-        whiteness_test=found.white.test,
         findings=(
             *notes,
             *_warnings(data, n, A, found.covariance),
-            *([warning("coloured", _NOT_LEAST)] if found.white.coloured else []),
+            *([warning("coloured", _COLOURED_TEXT)] if found.white.coloured else []),
             *data_faults(data, residuals, way_out="" if n.trend else NO_OPTION),
         ),
+        **found.quality(),
         **data.origin(),
         **facts,
     )
@@ -256,24 +258,28 @@ def _fit(
 def _warnings(
     data: Dataset, n: Structure, A: Array, covariance: Array
 ) -> Iterator[EstimateFinding]:
-    yield warning("bound", _BOUND)
+    yield warning("bound", _BOUND_TEXT)
     z = np.roots(A)
     nearest = int(np.argmin(np.abs(z - 1)))
     off, std = float(np.abs(z[nearest] - 1)), _pole_std(A, z[nearest], covariance)
-    integrates = not n.integrator and z[nearest].imag == 0 and off < min(3 * std + 1e-9, _NEAR_ONE)
+    integrates = (
+        not n.integrator
+        and z[nearest].imag == 0
+        and off < min(3 * std + 1e-9, _MAX_DISTANCE_FROM_1)
+    )
     if integrates:
         known = data.output in INTEGRATING_OUTPUTS
         then = f"{data.output} integrates, so" if known else f"if {data.output} integrates,"
         yield warning(
             "pole_at_1",
-            f"a pole is 1 within its accuracy, off by {off:.1g} with a deviation of {std:.1g}: "
-            f"{then} ask for integrator=True, or simulations drift",
+            f"a pole is 1 within its accuracy (distance {off:.1g}, standard deviation {std:.1g}): "
+            f"{then} set the option integrator, or simulations drift",
             "integrator",
             off=off,
             std=std,
         )
     elif not n.integrator and _may_integrate(data, z[nearest]) and (found := integrating(data)):
-        text = f"{found.text}, and a pole is {off:.1g} from 1: try integrator=True"
+        text = f"{found.text}, and a pole is {off:.1g} from 1: try the option integrator"
         yield warning("pole_near_1", text, off=off)
     others = np.abs(np.delete(z, nearest) if integrates else z)
     if np.any(others > 1 + 1e-9):
@@ -281,12 +287,12 @@ def _warnings(
 
 
 def _may_integrate(data: Dataset, z: complex) -> bool:
-    """Tell whether a pole near 1 may be an integrator's: outside it is only where y is known."""
-    return abs(z - 1) < _NEAR_ONE and (abs(z) <= 1 or data.output in INTEGRATING_OUTPUTS)
+    """Return whether a pole may be an integrator; for |z| > 1 only if y is known to integrate."""
+    return abs(z - 1) < _MAX_DISTANCE_FROM_1 and (abs(z) <= 1 or data.output in INTEGRATING_OUTPUTS)
 
 
 def _pole_std(A: Array, z: complex, covariance: Array) -> float:
-    """Return the deviation of a real root z of A(q): dz is -sum of da_k z^(n-k) over A'(z)."""
+    """Return the standard deviation of a real root z of A(q): dz = -sum da_k z^(n-k) / A'(z)."""
     n = A.size - 1
     slope = np.polyval(np.polyder(A), z)
     if slope == 0:
@@ -298,13 +304,13 @@ def _pole_std(A: Array, z: complex, covariance: Array) -> float:
 def simulating(
     data: Dataset, n: Structure, A: Array, C: Array, *, orders: str
 ) -> tuple[Array, Array, Array]:
-    """Return A, B and C of the model that simulates the data best, from a subspace's A and C.
+    """Return A, B and C of the model of least simulation error, starting from a subspace model.
 
-    For given A the simulation error y - (B u + x) / A is linear in B and in what the unknown
-    state x adds, so a search from the subspace's poles, reflected into the circle, is over A
-    alone. C is then the one of least one-step loss for this A and B of three: the subspace's, the
-    one that Hannan and Rissanen's regressions find in A y - B u, and A itself, which is noise
-    that is white on the output.
+    For given A the simulation error y - (B u + x) / A is linear in B and the unknown state x. The
+    search is therefore only over A. It starts from the poles of the subspace model, reflected into
+    the unit circle. C is the candidate of least one-step loss for the estimated A and B. The three
+    candidates are C of the subspace model, C by Hannan and Rissanen's regressions on A y - B u, and
+    C = A, for white output noise.
 
     Raises
     ------
@@ -313,7 +319,7 @@ def simulating(
     """
     output = Structure(nb=n.nb, nf=n.na, nk=n.nk, integrator="f" if n.integrator else "")
     experiments = tuple(prepared(part, output) for part in data.experiments())
-    problem = PredictionError(experiments=experiments, structure=output)
+    problem = PredictionErrorProblem(experiments=experiments, structure=output)
     start = stabilised(without_integrator(A) if n.integrator else A)
     found = problem.minimise(start[1:])
     solution = problem.solve(found.theta)
@@ -347,14 +353,14 @@ def _of_what_is_left(
 
 
 def _convolved(A: Array, x: Array) -> Array:
-    """Return A x, NaN where it looks back on a hole."""
+    """Return x filtered by A; a sample that depends on a NaN is NaN."""
     return np.asarray(np.convolve(x, A)[: x.size])
 
 
 def _one_step_loss(
     experiments: Sequence[Experiment], n: Structure, A: Array, B: Array, C: Array
 ) -> float:
-    """Return the sum of squared one-step errors, the unknown past fitted."""
+    """Return the sum of squared one-step errors after the unknown past is fitted."""
     one, total = np.ones(1), 0.0
     for x in experiments:
         given = regression(x, n, C=C, D=one, F=one)

@@ -1,4 +1,4 @@
-"""Output error: the prediction-error estimate of B/F where the noise is white on the output."""
+"""Output error: prediction-error estimate of B/F for white noise on the output."""
 
 from __future__ import annotations
 
@@ -29,34 +29,38 @@ def oe(
     Parameters
     ----------
     data : Dataset
-        Missing outputs only cost their own rows. Each experiment has its own initial state.
+        N samples. A missing y removes only its own row. Each experiment has its own initial state.
     nb, nf : int
-        Number of b's, >= 1, and of all f's, >= 0.
+        Numbers of coefficients: nb >= 1, and nf >= 0 with the integrator's root.
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
     integrator : bool, default False
-        F = (1 - q^-1) F̃ with one root at 1 exactly, e white on the integrated output; level and
-        input offset u0 of each experiment are estimated along (the offset as the ramp it makes).
+        Set F = (1 - q^-1) F̃, with one root at exactly 1. The noise e is added to the integrated
+        output. The level and the input offset u0 of each experiment are estimated too, the offset
+        as a ramp of y.
     offset : bool, default False
-        Estimate the input's offset of each experiment along; with an integrator it always is.
+        Also estimate an input offset for each experiment. With an integrator the offset is always
+        estimated.
     initial : {"estimate", "backcast", "zero", "auto"}
-        Estimate each experiment's initial state, or take the rig at rest at y = 0 (then an
-        integrator has no offset either), or estimate it where an F-test says that it matters.
-        "backcast" is another name for "estimate": the state of least squares.
+        Treatment of the initial state of each experiment. With "estimate" or "backcast" the state
+        is estimated by least squares. With "zero" rest at y = 0 is assumed, with no input offset.
+        With "auto" the state is estimated if an F-test finds it significant.
     stable : bool, default False
-        Draw poles on the unit circle into it, and estimate B anew; the search lets none pass it.
+        Move poles on the unit circle into it, and estimate B again. The search itself moves no pole
+        outside the circle.
     starts : {"many", "few"}, default "many"
-        Whether each mode of the model is tried at other places, too, or only where searches
-        disagree. "few" takes a tenth to a half of the time, and ends more often in a poorer
-        minimum.
+        With "many" the search also starts from models in which one mode of the best model is moved.
+        With "few" only complex pairs of F are moved, and only if the first searches disagree or the
+        noise is strong. "few" needs a tenth to a half of the time of "many", but ends in a poorer
+        minimum more often.
 
     Returns
     -------
     Fit
-        `covariance` is lambda (Psi^T Psi)^-1 of (b, f) with the nuisance parameters marginalised;
-        `covariance_robust` is the sandwich form with an autoregressive estimate of the
-        residuals' autocorrelation. With an integrator both are carried from F̃ to F by the linear
-        map between them, and so are singular in the direction that would move the root at 1.
+        `covariance` is lambda (Psi^T Psi)^-1 for (b, f), with the nuisance parameters marginalised.
+        `covariance_robust` is the sandwich form with an autoregressive estimate of the residuals'
+        autocorrelation. With an integrator both are transformed linearly from F̃ to F. Both are
+        then singular in the direction that would move the root at 1.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Losses of many ARX structures at once, from one decomposition of the largest."""
+"""Losses of many ARX structures at once, from one decomposition of the largest structure."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Integers = NDArray[np.int_]
 
-_DEPENDENT = 1e-10  # share of a column's length that is left of it by those before it
-_BLOCK = 4096  # rows decomposed at once: they stay in the cache
+_MIN_INDEPENDENT_SHARE = 1e-10  # of a column's length that earlier columns must not explain
+_BLOCK_ROWS = 4096  # rows decomposed at once, which fit into the cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArxOrders:
-    """Orders of an ARX model, to be handed on: ``arx(data, **orders)``."""
+    """Orders of an ARX model, as arguments: ``arx(data, **orders)``."""
 
     na: int
     """Number of a's."""
@@ -53,7 +53,7 @@ class ArxOrders:
     """Samples before u reaches y."""
 
     def keys(self) -> tuple[str, ...]:
-        """Return the names, as a mapping does."""
+        """Return the names of the orders, as a mapping does."""
         return ("na", "nb", "nk")
 
     def __getitem__(self, name: str) -> int:
@@ -65,7 +65,7 @@ class ArxOrders:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class OrderTable:
-    """Losses of n ARX structures and what the criteria make of them; print it or plot it."""
+    """Losses and criteria of n ARX structures; print it or plot it."""
 
     na: Integers
     """Number of a's, (n,)."""
@@ -74,16 +74,16 @@ class OrderTable:
     nk: Integers
     """Samples before u reaches y, (n,)."""
     loss: Vector
-    """Mean squared error one step ahead on the estimation data, (n,); NaN where the data do not
+    """Mean squared error one step ahead on the estimation data, (n,); NaN if the data do not
     determine the parameters."""
     validation_loss: Vector | None
-    """The same on validation data, which took no part in the estimation; None without any."""
+    """Mean squared error one step ahead on the validation data, (n,); None without such data."""
     batch_losses: Matrix | None
-    """The same in up to 30 successive batches of the validation data, (n, batches)."""
+    """`validation_loss` in up to 30 successive batches of the validation data, (n, batches)."""
     output_variance: float
-    """Of y on the data that the criterion of choice is of."""
+    """Variance of y on the validation data, or without such data on the estimation data."""
     N: int
-    """Errors that `loss` was averaged over, the same ones for every structure."""
+    """Number of errors in `loss`; they are the same samples for every structure."""
 
     def __len__(self) -> int:
         """Return the number of structures."""
@@ -111,12 +111,12 @@ class OrderTable:
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
-        """Those that can be asked for: "validation" where there are such data."""
+        """Available criteria; "validation" is the first if there are validation data."""
         without = tuple(c for c in get_args(Criterion) if c != "validation")
         return without if self.validation_loss is None else ("validation", *without)
 
     def values(self, criterion: Criterion) -> Vector:
-        """Return a criterion of every structure, (n,), NaN where it is not determined.
+        """Return a criterion of every structure, (n,), NaN if it is not determined.
 
         Raises
         ------
@@ -132,16 +132,16 @@ class OrderTable:
         return np.asarray(found)
 
     def best(self, criterion: Criterion | None = None) -> ArxOrders:
-        """Return the orders that a criterion chooses, by default "validation", else MDL.
+        """Return the orders that a criterion chooses: by default "validation", or else MDL.
 
-        On validation data the lowest of many losses is low by chance too, and as often as not of
-        a structure that is too large. So the choice is the one of fewest parameters whose loss is
-        above the lowest by no more than the standard error of their difference [1]_; the others
-        have a price for a parameter, and the choice is the lowest.
+        The lowest of many validation losses is also low by chance, and often belongs to a
+        structure that is too large. The rule is therefore the structure of fewest parameters
+        whose loss exceeds the lowest by at most the standard error of their difference [1]_. The
+        other criteria contain a price for each parameter; the lowest value is the choice.
 
-        An ARX model with na=2, nb=2, nk=1 was chosen from 600 structures in 73 % of 200 runs by
-        this rule (N = 1000, and as many to validate with), in 18 % by the lowest validation loss,
-        in 99 % by MDL, and in 49 % by AIC and by FPE; too small a one was never chosen.
+        In 200 runs with 600 structures (N = 1000 for estimation and for validation) this rule
+        chose the true orders na=2, nb=2, nk=1 in 73 %. The lowest validation loss chose them in
+        18 %, MDL in 99 %, AIC and FPE in 49 %. No criterion chose too small a structure.
 
         References
         ----------
@@ -151,14 +151,14 @@ class OrderTable:
         return self.orders(self.chosen(criterion))
 
     def chosen(self, criterion: Criterion | None = None) -> int:
-        """Return the number of the structure that a criterion chooses, as `best` does."""
+        """Return the index of the structure that a criterion chooses, as `best` does."""
         criterion = criterion or self._default
         if criterion != "validation":
             return self._lowest(criterion)
         return simplest_as_good(*self._excess(), self.parameters)
 
     def _excess(self) -> tuple[Vector, Vector]:
-        """Return each validation loss less the lowest, and the standard error of that, (n,)."""
+        """Return each validation loss less the lowest, and its standard error, (n,)."""
         lowest = self._lowest("validation")
         if self.validation_loss is None or self.batch_losses is None:
             return np.zeros(len(self)), np.zeros(len(self))
@@ -173,14 +173,14 @@ class OrderTable:
         return int(np.nanargmin(self.values(criterion)))
 
     def explain(self) -> str:
-        """Return in words what is chosen, and why."""
+        """Return a text with the choice and its reasons."""
         return "\n".join(f"- {line}" for line in self._reasons())
 
     def _reasons(self) -> Iterator[str]:
         i = self.chosen()
         if self.validation_loss is None:
-            yield f"chosen: {_named(self.orders(i))}, of lowest MDL: log N for each parameter"
-            yield "other data would be the better judge: give select_orders validation=…"
+            yield f"chosen: {_named(self.orders(i))}, by lowest MDL: log N for each parameter"
+            yield "validation data give a better choice: give select_orders validation=…"
         else:
             yield from self._about_validation(i)
         yield from self._about_bounds(i)
@@ -191,11 +191,11 @@ class OrderTable:
         loss, best = self.values("validation"), _named(self.orders(lowest))
         yield f"lowest loss on the validation data: {best}, {loss[lowest]:.5g}"
         if i == lowest:
-            yield "chosen: the same, since nothing simpler is within one standard error of it"
+            yield "chosen: the same, as no simpler structure is within one standard error"
         else:
             yield (
                 f"chosen: {_named(self.orders(i))}, {d[i]} parameters instead of {d[lowest]}; its "
-                f"loss is higher by {excess[i]:.2g} ± {std[i]:.2g}, no more than chance makes"
+                f"loss is higher by {excess[i]:.2g} ± {std[i]:.2g}, within the effect of chance"
             )
         fewer = np.flatnonzero((d < d[i]) & np.isfinite(loss))
         if fewer.size:
@@ -203,35 +203,35 @@ class OrderTable:
             off = excess[k] / max(std[k], np.finfo(np.float64).tiny)
             yield (
                 f"fewer parameters are not enough: {_named(self.orders(k))} is {off:.1f} standard "
-                "errors off"
+                "errors above the lowest loss"
             )
 
     def _about_bounds(self, i: int) -> Iterator[str]:
-        """Say which order might have been higher."""
+        """Yield a hint for each order whose highest value was chosen."""
         for name, values in (("na", self.na), ("nb", self.nb), ("nk", self.nk)):
             if values[i] == values.max() > values.min():
-                yield f"{name}={values[i]} is the highest that was tried: try higher ones"
+                yield f"{name}={values[i]} is the highest that was tried: try higher values"
 
     def orders(self, i: int) -> ArxOrders:
-        """Return the orders of structure number i."""
+        """Return the orders of the structure with index i."""
         return ArxOrders(na=int(self.na[i]), nb=int(self.nb[i]), nk=int(self.nk[i]))
 
     def envelope(self, criterion: Criterion | None = None) -> Integers:
-        """Return the best structure for each number of parameters, fewest first."""
+        """Return the index of the best structure for each number of parameters, fewest first."""
         values = np.nan_to_num(self.values(criterion or self._default), nan=np.inf)
         d = self.parameters
         best = [int(np.flatnonzero(d == n)[np.argmin(values[d == n])]) for n in np.unique(d)]
         return np.array([i for i in best if np.isfinite(values[i])], dtype=np.int_)
 
     def plot(self, criterion: Criterion | None = None, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of the share of y not explained against the number of parameters."""
+        """Return a figure of the loss against the number of parameters."""
         from armrig.estimation.figures import plot_orders
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_orders(self, criterion, ax=ax))
 
     def __repr__(self) -> str:
-        """Say the choices, and the best structure for each number of parameters."""
+        """Return the choices and a table of the best structure for each number of parameters."""
         undetermined = int(np.count_nonzero(np.isnan(self.loss)))
         first = f"{len(self)} ARX structures on the same {self.N} samples"
         first += f", {undetermined} not determined by the data" if undetermined else ""
@@ -264,17 +264,16 @@ def select_orders(
 ) -> OrderTable:
     """Return the losses of all ARX structures with these orders.
 
-    One QR decomposition of the largest regressor and y reduces the data to a triangle R; each
-    pair (na, nk) is then a small QR of R's columns, whose leading triangles are the structures
-    nb = 1, 2, …: the loss is the squared rest of y below row na + nb. More triangles, of batches
-    of the validation data, give their loss there: |R_v [-theta; 1]|². All structures are judged
-    on the same samples, those at which the largest regressor is known.
+    One QR decomposition of the largest regressor and y reduces the data to a triangle R. Each
+    pair (na, nk) is then a small QR of columns of R, whose leading triangles are the structures
+    nb = 1, 2, …. The loss is the sum of squares of y below row na + nb. Triangles R_v of batches
+    of the validation data give the loss on these batches, |R_v [-theta; 1]|². All structures are
+    compared on the same samples, at which the largest regressor is known.
 
     Parameters
     ----------
     data : Dataset
-        Missing samples cost the rows that look back on them; experiments do not look back on
-        each other.
+        N samples. Rows that depend on a missing sample are not used. Experiments are separate.
     na, nb, nk : iterable of int
         Orders to try, na >= 0, nb >= 1, nk >= 0.
     validation : Dataset, optional
@@ -283,8 +282,8 @@ def select_orders(
     Returns
     -------
     OrderTable
-        Losses, AIC, MDL and FPE of every structure; `best()` has the orders to take, and
-        `explain()` says why.
+        Losses, AIC, MDL and FPE of every structure. `best()` returns the orders to use,
+        `explain()` the reasons.
 
     Raises
     ------
@@ -329,7 +328,7 @@ def select_orders(
 
 
 def _asked(**orders: Iterable[int]) -> list[Integers]:
-    """Return na, nb and nk to try, each rising."""
+    """Return na, nb and nk to try, each in rising order."""
     require_several(**orders)
     wanted = [np.unique([*values]) for values in orders.values()]
     for name, values, lowest in zip(orders, wanted, (0, 1, 0), strict=True):
@@ -355,7 +354,7 @@ def _regressors(data: Dataset, na: int, lags: range) -> tuple[list[Array], int, 
         rows = arx_rows(part.u, part.y, na=na, lags=lags)
         whole = rows.block[rows.usable]
         known.append(whole[:, -1])
-        blocks += list(in_blocks(whole, _BLOCK))
+        blocks += list(in_blocks(whole, _BLOCK_ROWS))
     y = np.concatenate(known)
     return blocks, y.size, float(np.var(y)) if y.size else float("nan")
 
@@ -368,15 +367,15 @@ def _batches(M: Array) -> tuple[Array, Integers]:
 
 
 def _columns(na: int, nk: int, nb: int, most: int, lags: range) -> Integers:
-    """Return where y(t - 1) … y(t - na), u(t - nk) … u(t - nk - nb + 1) and y stand in R."""
+    """Return the columns of R for y(t - 1) … y(t - na), u(t - nk) … u(t - nk - nb + 1) and y."""
     first = most + nk - lags.start
     return np.array([*range(na), *range(first, first + nb), most + len(lags)], dtype=np.int_)
 
 
 def _losses(R: Array, R_v: Array, chosen: Integers, na: int) -> Iterator[tuple[float, Array]]:
-    """Yield the squared errors, there and in each batch of validation data, for nb = 1, 2, ….
+    """Yield the squared errors for nb = 1, 2, …: estimation data, and batches of validation data.
 
-    The columns are scaled, so that what counts as dependent does not depend on units.
+    The columns are scaled, so that the test of dependence is independent of units.
     """
     M = R[:, chosen]
     scale = column_norms(M)
@@ -384,7 +383,7 @@ def _losses(R: Array, R_v: Array, chosen: Integers, na: int) -> Iterator[tuple[f
     T = qr(M / scale, mode="r", check_finite=False)[0][: chosen.size]
     y = T[:, -1] * scale[-1]
     rest = np.cumsum(y[::-1] ** 2)[::-1]
-    determined = np.abs(np.diag(T))[:-1] > _DEPENDENT
+    determined = np.abs(np.diag(T))[:-1] > _MIN_INDEPENDENT_SHARE
     K = R_v.shape[0]
     V = np.asfortranarray(R_v.reshape(-1, R.shape[1])[:, chosen])
     for d in range(na + 1, chosen.size):

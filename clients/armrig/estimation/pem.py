@@ -1,4 +1,4 @@
-"""The general prediction-error estimate, with any of the five polynomials."""
+"""General prediction-error estimate, with any of the five polynomials."""
 
 from __future__ import annotations
 
@@ -26,35 +26,24 @@ def pem(
     stable: bool = False,
     starts: Starts = "many",
 ) -> Fit:
-    """Estimate all polynomials of A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) that are asked for.
+    """Estimate the polynomials in A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) for given orders.
 
     Parameters
     ----------
     data : Dataset
-        After a gap in y the noise's past is unknown again: it is estimated anew.
+        N samples. After each gap in y the past of the noise is estimated again.
     nb, na, nc, nd, nf : int
-        Number of b's, >= 1, and of the others', >= 0. A and F, or A and D, together are for
-        poles that are known to be shared; otherwise the data can hardly tell them apart.
-    nk : int, default 1
-        Samples before u reaches y; 0 is a direct term.
-    offset : bool, default False
-        Estimate the input's offset of each experiment along.
-    initial : {"estimate", "backcast", "zero", "auto"}
-        Estimate what is not known of before each experiment, or take it as zero, or estimate it
-        where an F-test says that it matters.
-        "backcast" is another name for "estimate": the state of least squares.
-    stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B anew; the fit says so.
-    starts : {"many", "few"}, default "many"
-        Whether each mode of the model is tried at other places, too, or only where searches
-        disagree. "few" takes a tenth to a half of the time, and ends more often in a poorer
-        minimum.
+        Numbers of coefficients: nb >= 1, and the others >= 0. Use A together with F or D only if
+        input and noise are known to share some poles. Otherwise the data hardly distinguish A from
+        F and D.
+    nk, offset, initial, stable, starts
+        As in `armax`.
 
     Returns
     -------
     Fit
-        `covariance` is lambda (Psi^T Psi)^-1 of (a, b, c, d, f), `covariance_robust` Newey and
-        West's.
+        `covariance` is lambda (Psi^T Psi)^-1 for (a, b, c, d, f). `covariance_robust` is the
+        estimate of Newey and West.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The prediction-error problem: residuals and their derivatives for given C, D and F."""
+"""Prediction-error problem: residuals and their derivatives for given C, D and F."""
 
 from __future__ import annotations
 
@@ -10,51 +10,54 @@ import numpy as np
 from armrig.models.innovations import Errors, Experiment, LinearPart, errors, regression
 from armrig.models.structure import Structure
 from armrig.numerics.least_squares import Basis, orthonormal
-from armrig.numerics.levenberg_marquardt import MOST_STEPS, Optimum, levenberg_marquardt
+from armrig.numerics.levenberg_marquardt import MAX_STEPS, Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array, drawn_to_edge, outward_normals, stable
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Solution:
-    """The least-squares answer for given C, D and F."""
+    """Least-squares solution for given C, D and F."""
 
     ab: Array
     """Coefficients of A and B, (na + nb,)."""
     parts: tuple[Errors, ...]
     """Errors of each experiment."""
     given: tuple[LinearPart, ...]
-    """What each experiment is linear in."""
+    """Linear equation of each experiment."""
     e: Array
-    """Residuals of all experiments in all rows, zero where there is none, (M,)."""
+    """Residuals of all experiments, 0 in rows without an error, (M,)."""
     by_ab: Array
-    """Derivatives of the prediction by (a, b), less the unknown past, (M, na + nb)."""
+    """Derivatives of the prediction with respect to (a, b), less their projection on the unknown
+    past, (M, na + nb)."""
     by_cdf: Array
-    """Those by (c, d, f), the same, (M, nc + nd + nf)."""
+    """Derivatives of the prediction with respect to (c, d, f), less their projection on the unknown
+    past, (M, nc + nd + nf)."""
     J: Array
-    """Those by (c, d, f), less what a and b explain too, (M, nc + nd + nf)."""
+    """Derivatives `by_cdf`, less their projection on `by_ab`, (M, nc + nd + nf)."""
     rank: int
     """Number of a's and b's that the data determine."""
 
     @property
     def Psi(self) -> Array:
-        """Derivatives of the prediction by (a, b, c, d, f), less the unknown past, (M, d)."""
+        """Derivatives `by_ab` and `by_cdf` side by side, (M, d)."""
         return np.hstack([self.by_ab, self.by_cdf])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PredictionError:
-    """min |(D/C) (A y - (B/F) u) - unknown past|² over all polynomials and experiments.
+class PredictionErrorProblem:
+    """Problem min |(D/C) (A y - (B/F) u) - unknown past|² over all polynomials and experiments.
 
-    A, B and the unknown past enter linearly and are projected out, so the search is over the
-    coefficients of C, D and F alone (variable projection; Kaufman's Jacobian, whose gradient is
-    exact).
+    The errors are linear in A, B and the unknown past, which are projected out. The search is over
+    the coefficients of C, D and F only: variable projection with Kaufman's Jacobian. The gradient
+    from this Jacobian is exact.
 
-    Free pulses after each gap let C explain by them what is noise, which biases it where gaps are
-    many: by 0.7 standard deviations with 3 % of 2000 samples missing. Integrated out instead, with
-    nothing assumed of them, they leave the likelihood of |e|² |Z^T Z|^(1/M), with Z their columns
-    and M the errors less the pulses. That is minimised, for all stretches but the first: a record
-    without gaps is fitted by plain least squares, as everywhere. It sets C right and not D, which
-    stays off by 0.4 standard deviations in the same case.
+    After each gap, free pulses represent the unknown past of the noise. The pulses also fit part of
+    the noise itself, so that many gaps bias C. With 3 % of 2000 samples missing, the bias is 0.7
+    standard deviations. Therefore the pulses are integrated out with a flat prior. The cost is then
+    |e|² |Z^T Z|^(1/M). Z has the columns of the pulses, and M is the number of errors less the
+    number of pulses. Z excludes the first stretch, so that data without gaps are fitted by plain
+    least squares. The factor |Z^T Z|^(1/M) corrects C but not D. With the same missing samples, the
+    bias of D remains 0.4 standard deviations.
 
     References
     ----------
@@ -63,9 +66,9 @@ class PredictionError:
     """
 
     experiments: tuple[Experiment, ...]
-    """Signals of each."""
+    """Signals of each experiment."""
     structure: Structure
-    """Orders, and what is unknown."""
+    """Orders of the polynomials and dimension of the unknown past."""
 
     def polynomials(self, theta: Array) -> tuple[Array, Array, Array]:
         """Return C, D and F for theta = (c, d, f)."""
@@ -80,7 +83,7 @@ class PredictionError:
         return given, orthonormal(whole[:, :-1]), whole[:, :-1], whole[:, -1]
 
     def solve(self, theta: Array) -> Solution:
-        """Return the best A, B and unknown past for theta = (c, d, f)."""
+        """Return A, B and the unknown past by least squares for theta = (c, d, f)."""
         given, basis, by_ab, y = self._linear(theta)
         ab = basis.coefficients(y)
         parts = [
@@ -100,14 +103,14 @@ class PredictionError:
         )
 
     def named(self, ab: Array, theta: Array) -> dict[str, Array]:
-        """Return all polynomials by name, without the integrator."""
+        """Return all polynomials by name, without the factor of an integrator."""
         n = self.structure
         C, D, F = self.polynomials(theta)
         A, B = np.append(1.0, ab[: n.na]), np.append(np.zeros(n.nk), ab[n.na :])
         return {"A": A, "B": B, "C": C, "D": D, "F": F}
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
-        """Return e and J at theta, both scaled so that |e|² is the cost."""
+        """Return e and J at theta, scaled so that |e|² is the cost."""
         solution = self.solve(theta)
         log_scale, by_c = self._scale(solution.given)
         if log_scale == 0.0:
@@ -124,7 +127,7 @@ class PredictionError:
         return float(e @ e) * float(np.exp(2 * self._scale(given)[0]))
 
     def _scale(self, given: Sequence[LinearPart]) -> tuple[float, Array]:
-        """Return log |Z^T Z| / (2 M) of all stretches but the first, and its derivatives by c."""
+        """Return log |Z^T Z| / (2 M) of all stretches but the first, and its gradient in c."""
         volumes = [v() for v in [v for g in given for v in g.unknown.volumes][1:]]
         none = np.zeros(self.structure.nc)
         if not volumes:
@@ -135,18 +138,18 @@ class PredictionError:
         return log_volume / (2 * M), sum((by_c for _, by_c in volumes), none) / (2 * M)
 
     def admissible(self, theta: Array) -> bool:
-        """Tell whether the predictor is stable: C and F are."""
+        """Return whether the predictor is stable, which means C and F are stable."""
         C, _, F = self.polynomials(theta)
         return stable(C) and stable(F)
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Return theta, the roots of C and F that are outside the unit circle moved into it."""
+        """Return theta with the roots of C and F outside the unit circle moved into it."""
         C, D, F = self.polynomials(theta)
         C_0, _, F_0 = self.polynomials(previous)
         return np.concatenate([drawn_to_edge(C, C_0)[1:], D[1:], drawn_to_edge(F, F_0)[1:]])
 
     def normals(self, theta: Array) -> Array:
-        """Return the gradients by theta of the moduli of C's and F's roots at the circle."""
+        """Return the gradients in theta of |z| for the roots z of C and F on the unit circle."""
         C, D, F = self.polynomials(theta)
         by_c, by_f = outward_normals(C), outward_normals(F)
         rows = np.zeros((len(by_c) + len(by_f), theta.size))
@@ -154,8 +157,8 @@ class PredictionError:
         rows[len(by_c) :, C.size + D.size - 2 :] = by_f
         return rows
 
-    def minimise(self, theta: Array, most: int = MOST_STEPS, known: float = np.nan) -> Optimum:
-        """Search from theta = (c, d, f); C and F stay stable on the way."""
+    def minimise(self, theta: Array, most: int = MAX_STEPS, known: float = np.nan) -> Optimum:
+        """Return the minimum that a search from theta = (c, d, f) reaches with stable C and F."""
         return levenberg_marquardt(
             self.linearise, theta, admissible=self.admissible, most=most, known=known, walls=self
         )

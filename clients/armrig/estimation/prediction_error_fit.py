@@ -1,4 +1,4 @@
-"""A prediction-error estimate from start values to a `Fit`."""
+"""Prediction-error estimate, from the start values to a `Fit`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from armrig.data.finding import EstimateFinding, warning
 from armrig.estimation.data_faults import data_faults
 from armrig.estimation.multistart import Ends, rounding_floor, same_minimum, searched_minimum
 from armrig.estimation.orders import require_samples
-from armrig.estimation.prediction_error import PredictionError, Solution
+from armrig.estimation.prediction_error import PredictionErrorProblem, Solution
 from armrig.estimation.stability import with_stability_warning, with_stable_poles
-from armrig.models.estimate import MOST_CURVED, Start
+from armrig.models.estimate import MAX_TRUSTED_CURVATURE, Start
 from armrig.models.fit import Fit
 from armrig.models.innovations import Errors, Unknown, prepared
 from armrig.models.structure import FreeResponse, Structure, offset_from_ramp
@@ -27,17 +27,21 @@ from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, roots
 from armrig.numerics.quantities import plural
 
-PART = 3000  # samples that the starts are searched from on, where there are more than twice these
-MANY_PULSES = 0.01  # share of the errors from which unknown pasts are worth a word
-CURVED = (
-    "the deviations of the coefficients are not to be trusted: within two of them the loss is no "
-    "parabola, as where a pole and a zero nearly cancel. Those of the responses hold"
+PART_SAMPLES = 3000
+"""Length of the part on which searches start, if the data have more than twice as many samples."""
+MAX_PULSE_SHARE = 0.01
+"""Number of pulses after gaps over the number of errors, above which a fit has a warning."""
+CURVED_TEXT = (
+    "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
+    "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
+    "of the responses hold"
 )
-_ON_CIRCLE = 1e-6
-AUTO_LEVEL = 0.05  # of the F-test that keeps the initial state
-_AWAY = 2.0  # standard deviations
-_LEAST = 1e-3  # ratio below which one is as good as 0
-_UNSTABLE = -float(np.log(_LEAST))
+_CIRCLE_TOLERANCE = 1e-6
+AUTO_LEVEL = 0.05
+"""Level of the F-test for the initial state."""
+_PROBED_SIGMAS = 2.0
+_MIN_RISE_RATIO = 1e-3  # a smaller ratio is set to this value
+_MAX_CURVATURE = -float(np.log(_MIN_RISE_RATIO))
 
 
 def searched(
@@ -50,29 +54,29 @@ def searched(
     stable: bool = False,
     starts: Starts = "many",
 ) -> Fit:
-    """Return the best minimum of the prediction error over all start values.
+    """Return the model of the lowest minimum of the prediction error over all start values.
 
     Parameters
     ----------
     structure : Structure
         Orders without the integrator, not at rest.
     name : str
-        Of the structure, for the `Fit`.
+        Name of the structure, for the `Fit`.
     orders : str
-        As the caller gave them, for messages.
+        Orders as the caller gave them, for messages.
     initial : {"estimate", "backcast", "zero", "auto"}
-        What is assumed of the state at the start of each experiment. "backcast", the toolbox's
-        name for the state of least squares given the polynomials, is "estimate": the search
-        projects the state out, and so has that one at every step.
+        State at the start of each experiment. "backcast" is MATLAB's name for the least-squares
+        estimate of the state for given polynomials. It equals "estimate", because the search
+        projects the state out at every step.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B anew.
+        Reflect poles outside the unit circle into it, and estimate B again.
     starts : {"many", "few"}
-        How many more starts there are where searches disagree.
+        Number of additional starts.
 
     Raises
     ------
     ValueError
-        There are too few samples, u does not excite the model, or `initial` is none of these.
+        There are too few samples, u does not excite the model, or an option is unknown.
     """
     if initial not in get_args(Initial):
         allowed = ", ".join(f'"{x}"' for x in get_args(Initial))
@@ -83,7 +87,7 @@ def searched(
         initial = "estimate"
     if structure.offset and initial != "estimate":
         raise InputError(
-            f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has none'
+            f'offset=True needs initial="estimate", got {initial!r}: a rig at rest has no offset'
         )
     if initial == "auto":
         either = partial(
@@ -92,7 +96,7 @@ def searched(
         free, at_rest = either(initial="estimate"), either(initial="zero")
         return free if _state_matters(free, at_rest) else at_rest
     n = replace(structure, at_rest=initial == "zero")
-    problem = PredictionError(
+    problem = PredictionErrorProblem(
         experiments=tuple(prepared(part, n) for part in data.experiments()), structure=n
     )
     d = n.na + n.nb + n.nc + n.nd + n.nf
@@ -115,24 +119,24 @@ def searched(
     return with_stability_warning(replace(fit, findings=(*fit.findings, *notes)))
 
 
-def _part(data: Dataset, structure: Structure) -> PredictionError | None:
-    """Return the problem for the part of much data in which the input moves most, or None."""
-    if data.N <= 2 * PART:
+def _part(data: Dataset, structure: Structure) -> PredictionErrorProblem | None:
+    """Return the problem for the part of long data in which the input moves most, or None."""
+    if data.N <= 2 * PART_SAMPLES:
         return None
-    begins = np.linspace(0, data.N - PART, 8).astype(int)
+    begins = np.linspace(0, data.N - PART_SAMPLES, 8).astype(int)
     moves = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.u, prepend=data.u[0])))])
-    begin = int(begins[np.argmax(moves[begins + PART] - moves[begins])])
-    part = data[begin : begin + PART]
+    begin = int(begins[np.argmax(moves[begins + PART_SAMPLES] - moves[begins])])
+    part = data[begin : begin + PART_SAMPLES]
     n = replace(structure, at_rest=False)
-    problem = PredictionError(
+    problem = PredictionErrorProblem(
         experiments=tuple(prepared(x, n) for x in part.experiments()), structure=n
     )
     enough = 2 * (n.na + n.nb + n.nc + n.nd + n.nf + _nuisance(problem))
     return problem if part.N - part.missing > enough else None
 
 
-def _nuisance(problem: PredictionError) -> int:
-    """Return how many samples or parameters the unknown past costs, before anything is known."""
+def _nuisance(problem: PredictionErrorProblem) -> int:
+    """Return the number of samples or parameters that determine the unknown past."""
     n = problem.structure
     state = (n.count + n.trend) * len(problem.experiments)
     return state + sum(
@@ -143,7 +147,7 @@ def _nuisance(problem: PredictionError) -> int:
 
 
 def _state_matters(free: Fit, at_rest: Fit) -> bool:
-    """Tell whether the initial state explains more than chance, by an F-test."""
+    """Return whether the initial state is significant, by an F-test."""
     from scipy.special import fdtrc
 
     sse, rest = free.loss * free.N, at_rest.loss * at_rest.N
@@ -156,23 +160,22 @@ def _state_matters(free: Fit, at_rest: Fit) -> bool:
 
 def _fit(
     data: Dataset,
-    problem: PredictionError,
+    problem: PredictionErrorProblem,
     solution: Solution,
     ends: Ends,
     theta: Array,
     name: str,
 ) -> Fit:
-    # Where rounding alone is left, no step tells better from worse: that is an end, too.
+    # A search has also converged if its cost is rounding error, which shows no further progress.
     floor = rounding_floor(problem)
     ends = [(start, replace(o, converged=o.converged or o.cost <= floor)) for start, o in ends]
     n, best = problem.structure, ends[0][1]
     p = problem.named(solution.ab, theta)
     free = _inference(data, problem, solution)
     found = free.transformed(with_integrator(n))
-    first = n.na + n.nb
-    curved = 0.0
-    if best.cost > floor:
-        curved = curvature(problem, theta, free.covariance[first:, first:], found.noise_variance)
+    of_theta = free.covariance[n.na + n.nb :, n.na + n.nb :]
+    exact = best.cost <= floor
+    curved = 0.0 if exact else curvature(problem, theta, of_theta, found.noise_variance)
     agreed = same_minimum(problem, best.cost, ends[-1][1].cost)
     starts = tuple(
         Start(name=start, loss=o.cost / found.N, iterations=o.iterations, converged=o.converged)
@@ -195,40 +198,29 @@ def _fit(
         nk=n.nk,
         integrator=bool(n.integrator),
         offset=bool(n.trend),
-        covariance=found.covariance,
-        covariance_robust=found.covariance_robust,
-        noise_variance=found.noise_variance,
-        loss=found.loss,
-        N=found.N,
         Ts=data.Ts,
-        fit_percent=found.fit_percent,
-        whiteness=found.white.p_value,
-        whiteness_test=found.white.test,
         converged=best.converged,
         starts=starts if len(starts) > 1 else (),
         agreed=agreed,
         free=tuple(responses),
         curvature=curved,
         findings=(
-            *_warnings(best, starts, found, agreed=agreed, at_circle=_at_circle(p["C"])),
-            *(
-                [warning("curved", CURVED, curvature=curved)]
-                if curved > MOST_CURVED and not found.white.coloured
-                else []
-            ),
+            *_search_warnings(best, starts, agreed=agreed),
+            *_parameter_warnings(found, p["C"], curved),
             *_gap_warnings([g.unknown for g in solution.given], found.N),
             *data_faults(
                 data,
                 _residuals(problem, solution),
-                way_out="" if n.trend else "estimate it along, offset=True",
+                way_out="" if n.trend else "estimate it, too (option offset)",
             ),
         ),
+        **found.quality(),
         **data.origin(),
     )
 
 
-def _inference(data: Dataset, problem: PredictionError, solution: Solution) -> Inference:
-    """Return what the residuals tell of the free parameters."""
+def _inference(data: Dataset, problem: PredictionErrorProblem, solution: Solution) -> Inference:
+    """Return the covariance of the free parameters, the loss and the test of whiteness."""
     rows = [x.rows for x in problem.experiments]
     return infer(
         _residuals(problem, solution),
@@ -240,16 +232,17 @@ def _inference(data: Dataset, problem: PredictionError, solution: Solution) -> I
     )
 
 
-def _residuals(problem: PredictionError, solution: Solution) -> list[Array]:
-    """Return e of each experiment, (N_i,), NaN where there is none."""
+def _residuals(problem: PredictionErrorProblem, solution: Solution) -> list[Array]:
+    """Return e of each experiment, (N_i,), NaN in rows without an error."""
     parts = zip(problem.experiments, solution.parts, strict=True)
     return [np.where(x.rows, s.e, np.nan) for x, s in parts]
 
 
 def with_integrator(n: Structure) -> Array:
-    """Return the derivatives of theta by the free parameters.
+    """Return the derivatives of theta with respect to the free parameters.
 
-    With F = (1 - q^-1) F̃ they are f_k = f̃_k - f̃_(k-1), f_1 also less 1: linear in f̃. So with A.
+    For F = (1 - q^-1) F̃ the coefficients are f_k = f̃_k - f̃_(k-1), and f_1 = f̃_1 - 1. Their
+    derivatives are therefore constant. An integrator in A leads to the same equations.
     """
     sizes = {"a": n.na, "b": n.nb, "c": n.nc, "d": n.nd, "f": n.nf}
     blocks = [
@@ -279,17 +272,8 @@ def _free_response(
     return FreeResponse(transients=transients, offset=offset)
 
 
-def _at_circle(C: Array) -> bool:
-    return bool(C.size > 1 and np.max(np.abs(roots(C))) > 1 - _ON_CIRCLE)
-
-
-def _warnings(
-    best: Optimum,
-    starts: tuple[Start, ...],
-    found: Inference,
-    *,
-    agreed: bool,
-    at_circle: bool,
+def _search_warnings(
+    best: Optimum, starts: tuple[Start, ...], *, agreed: bool
 ) -> Iterator[EstimateFinding]:
     if not best.converged:
         text = f"the search did not converge in {best.iterations} steps"
@@ -297,53 +281,61 @@ def _warnings(
     if not agreed:
         text = f"the start {starts[-1].name!r} ended in a poorer minimum ({starts[-1].loss:.4g})"
         yield warning("poorer_minimum", text, loss=starts[-1].loss)
-    if at_circle:
+
+
+def _parameter_warnings(found: Inference, C: Array, curved: float) -> Iterator[EstimateFinding]:
+    if C.size > 1 and np.max(np.abs(roots(C))) > 1 - _CIRCLE_TOLERANCE:
         yield warning(
             "root_on_circle",
-            "C has a root on the unit circle, where the search ends: its deviation means nothing. "
-            "Lower nc, or see whether the data were differenced or a trend was taken from them",
+            "C has a root on the unit circle, the limit of the search, so the standard deviation "
+            "of the root has no meaning. Lower nc, or check whether the data were differenced or "
+            "detrended",
         )
     d = found.basis.W.shape[0]
     if found.basis.rank < d:
-        text = f"the data determine only {found.basis.rank} of {d} parameters: the orders are "
-        yield warning("undetermined", text + "too high", rank=found.basis.rank, parameters=d)
+        text = f"the data determine only {found.basis.rank} of {d} parameters: lower the orders"
+        yield warning("undetermined", text, rank=found.basis.rank, parameters=d)
+    if curved > MAX_TRUSTED_CURVATURE and not found.white.coloured:
+        yield warning("curved", CURVED_TEXT, curvature=curved)
 
 
 def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[EstimateFinding]:
-    """Warn where C was fitted to many stretches: see `PredictionError`."""
+    """Yield a warning if many gaps bias the noise model, as `PredictionErrorProblem` explains."""
     pulses = [Q.shape[1] for past in unknown for _, Q in past.noise][1:]
-    if sum(pulses) > MANY_PULSES * N:
+    if sum(pulses) > MAX_PULSE_SHARE * N:
         yield warning(
             "gaps",
-            f"the data have {plural(len(pulses), 'gap')}, after each of which the noise model "
-            "starts anew: A, C and D may be off by up to half a standard deviation, and the test "
-            "of whiteness rejects too often",
+            f"the data have {plural(len(pulses), 'gap')}, after which the noise model starts "
+            "again. A, C and D may be off by up to half a standard deviation; the test of "
+            "whiteness rejects too often",
             count=len(pulses),
         )
 
 
 def curvature(
-    problem: PredictionError, theta: Array, covariance: Array, noise_variance: float
+    problem: PredictionErrorProblem, theta: Array, covariance: Array, noise_variance: float
 ) -> float:
-    """Return the largest |ln| of the loss's rise two deviations away over that of the parabola.
+    """Return the largest |ln r|, with r the rise of the loss over the rise of its parabola.
 
-    Along each principal axis v of the scaled covariance of (c, d, f), both ways, a and b fitted ::
+    Both rises are computed two standard deviations from the minimum, in both directions of each
+    principal axis v. The axes are those of the scaled covariance of (c, d, f). At each point a and
+    b are fitted again. For a parabola V ::
 
-        (V(theta ± 2 s v) - V(theta)) / lambda  is 4  where V is a parabola
+        (V(theta ± 2 s v) - V(theta)) / lambda = 4
 
     Parameters
     ----------
     theta : ndarray (n,)
-        (c, d, f) at the minimum.
+        Parameters (c, d, f) at the minimum.
     covariance : ndarray (n, n)
-        Its covariance.
+        Covariance of theta.
     noise_variance : float
-        lambda.
+        Variance lambda of e.
 
     Returns
     -------
     float
-        0 for a parabola, and where there is no c, d or f; 6.9 at most.
+        0 if the loss is a parabola or the model has no c, d or f; at most 6.9.
 
     References
     ----------
@@ -356,10 +348,10 @@ def curvature(
     values, axes = np.linalg.eigh(covariance / np.outer(deviation, deviation))
     least, worst = problem.cost(theta), 0.0
     for value, axis in zip(values, axes.T, strict=True):
-        step = _AWAY * np.sqrt(max(value, 0.0)) * deviation * axis
+        step = _PROBED_SIGMAS * np.sqrt(max(value, 0.0)) * deviation * axis
         for moved in (theta + step, theta - step):
             if not problem.admissible(moved):
-                return _UNSTABLE
-            rise = (problem.cost(moved) - least) / noise_variance / _AWAY**2
-            worst = max(worst, abs(float(np.log(max(rise, _LEAST)))))
+                return _MAX_CURVATURE
+            rise = (problem.cost(moved) - least) / noise_variance / _PROBED_SIGMAS**2
+            worst = max(worst, abs(float(np.log(max(rise, _MIN_RISE_RATIO)))))
     return worst

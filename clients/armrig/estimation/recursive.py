@@ -1,4 +1,4 @@
-"""ARX estimated sample by sample, for a stream that does not end."""
+"""Recursive estimation of ARX models, sample by sample."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RarxState:
-    """All that is known after some samples; `rarx_step` gives the next one."""
+    """State of the recursive estimate; `rarx_step` returns the next state."""
 
     na: int
     """Number of a's."""
@@ -31,21 +31,21 @@ class RarxState:
     nk: int
     """Samples before u reaches y."""
     forgetting: float
-    """lambda: a sample k steps ago weighs lambda^k."""
+    """Forgetting factor lambda: a sample k steps ago has the weight lambda^k."""
     R: Matrix
-    """Triangle of the weighted [Phi y], (d + 1, d + 1), d = na + nb."""
+    """Triangular factor of the weighted [Phi y], (d + 1, d + 1), d = na + nb."""
     u: Vector
-    """u(t) … u(t - nk - nb + 2), latest first, NaN where not known."""
+    """Inputs u(t) … u(t - nk - nb + 2), latest first, NaN if not known."""
     y: Vector
-    """y(t) … y(t - na + 1), latest first, NaN where not known."""
+    """Outputs y(t) … y(t - na + 1), latest first, NaN if not known."""
     weight: float
     """Sum of the samples' weights: the effective number of samples."""
     error: float
-    """Prediction error of the last sample with the parameters before it; NaN without any."""
+    """Prediction error of the last sample with the previous parameters; NaN if it is unknown."""
 
     @property
     def theta(self) -> Vector:
-        """a1 … a_na b1 … b_nb (d,); zero in directions that nothing has excited yet."""
+        """Parameters a1 … a_na b1 … b_nb (d,); 0 in directions that are not excited yet."""
         T, z = self.R[:-1, :-1], self.R[:-1, -1]
         if _well_conditioned(T):
             return np.asarray(dtrtrs(T, z)[0])
@@ -53,25 +53,27 @@ class RarxState:
 
     @property
     def determined(self) -> bool:
-        """The samples so far determine all parameters."""
+        """True if the samples so far determine all parameters."""
         T = self.R[:-1, :-1]
         return _well_conditioned(T) or orthonormal(T).rank == self.na + self.nb
 
     @property
     def noise_variance(self) -> float:
-        """Weighted squared error over its degrees of freedom; NaN while there are none.
+        """Weighted sum of squared errors over its degrees of freedom; NaN if there are none.
 
-        Those are sum w - d (sum w²) / (sum w): white noise's own expectation, for a steady input.
+        With the weights w = lambda^k the degrees of freedom are sum w - d (sum w²) / (sum w). This
+        is their expected value for white noise and a stationary input.
         """
         degrees = self.weight - (self.na + self.nb) * self._share
         return float(self.R[-1, -1] ** 2 / degrees) if degrees > 0 else float("nan")
 
     @property
     def std(self) -> Vector:
-        """Standard deviations of theta (d,), for white noise; inf while it is not determined.
+        """Standard deviations of theta (d,), for white noise; inf if theta is not determined.
 
-        Weighted by w = lambda^k the covariance is s² G^-1 (sum of w² phi phi^T) G^-1, with G the
-        sum of w phi phi^T; for a steady input the middle is G times (sum of w²) / (sum of w).
+        With the weights w = lambda^k the covariance is s² G^-1 (sum of w² phi phi^T) G^-1, G
+        being the sum of w phi phi^T. For a stationary input the middle factor is
+        G (sum of w²) / (sum of w).
         """
         if not self.determined:
             return np.full(self.na + self.nb, np.inf)
@@ -81,7 +83,7 @@ class RarxState:
 
     @property
     def _share(self) -> float:
-        """(sum of w²) / (sum of w)."""
+        """Ratio (sum of w²) / (sum of w)."""
         return (2 - self.weight * (1 - self.forgetting)) / (1 + self.forgetting)
 
     @property
@@ -96,7 +98,7 @@ class RarxState:
 
 
 def _well_conditioned(T: Array) -> bool:
-    """Tell, quickly, that the triangle is far from singular."""
+    """Return whether the triangular matrix T is far from singular, by a fast test."""
     return bool(np.abs(np.diag(T)).min() > 1e-6 * np.abs(T).max())
 
 
@@ -110,7 +112,7 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
     forgetting : float, default 1
-        lambda in (0, 1]: some 1/(1 - lambda) samples are remembered, 1 forgets nothing.
+        Factor lambda in (0, 1]; the memory is about 1/(1 - lambda) samples, unlimited for 1.
 
     Raises
     ------
@@ -141,10 +143,10 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
 def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
     """Return the state after a sample: u applied from t on, y measured at t, NaN if missing.
 
-    The row [phi y] is rotated into the triangle of those before it, each older row weighing
-    sqrt(lambda) less: after N steps this is the weighted least-squares estimate of all samples, to
-    rounding, with no covariance matrix that could lose its sign. A row that looks back on a
-    missing y leaves everything as it is, and forgets nothing.
+    The triangular factor R of earlier rows is multiplied by sqrt(lambda), and the row [phi y] is
+    rotated into it. After N steps the result equals, to rounding, the weighted least-squares
+    estimate from all samples. The method needs no covariance matrix, which could become indefinite.
+    A row that depends on a missing y changes neither R nor the weights.
     """
     inputs = np.append(u, state.u)
     phi = np.append(-state.y, inputs[state.nk : state.nk + state.nb])
@@ -168,23 +170,24 @@ def _rotated(R: Array, row: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecursiveEstimate:
-    """What `rarx` found on the way."""
+    """Recursive estimate from whole data, returned by `rarx`."""
 
     theta: Matrix
     """Parameters after each sample, (N, d); NaN until they are determined."""
     error: Vector
-    """Prediction error of each sample, (N,), NaN where there is none."""
+    """Prediction error of each sample, (N,), NaN if there is none."""
     state: RarxState
-    """After the last sample."""
+    """State after the last sample."""
 
 
 @takes_recordings
 def rarx(
     data: Dataset, *, na: int, nb: int, nk: int = 1, forgetting: float = 1.0
 ) -> RecursiveEstimate:
-    """Return the parameters of an ARX model after each sample, see `rarx_start`.
+    """Return the parameters of an ARX model after each sample.
 
-    Nothing is looked back on across the boundary of two experiments; the parameters go on.
+    `rarx_start` documents the arguments. At the start of each experiment the past of u and y is
+    unknown. The parameters of the previous experiment are kept.
     """
     state = rarx_start(na=na, nb=nb, nk=nk, forgetting=forgetting)
     fresh = state

@@ -1,8 +1,9 @@
-"""What to estimate, as one value: a command, a batch, a search and the page ask for it alike.
+"""Request for an estimate, as one value for commands, batches, searches and the page.
 
-A field with an `Option` is an option of `armrig identify` and `armrig batch identify`, reaches the
-estimator under its name, and comes back in the line after `next:`. `structure_table` says which
-structures take it. `--help` reads this module, so it imports no array.
+A field with an `Option` is an option of `armrig identify` and `armrig batch identify`. The
+estimator has an argument of the same name. The option also appears in the command printed after
+`next:`. `structure_table` lists the options of each structure. `--help` reads this module, so it
+does not import numpy.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Self, get_type_hints
 import msgspec
 
 from armrig.estimation.orders import require_sensible
-from armrig.models.structure_table import EVERY, KINDS, Family, Focus, Starts, Weights
+from armrig.models.structure_table import EVERY, STRUCTURES, Focus, OfferedName, Starts, Weights
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -24,25 +25,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """What the command line says of a field."""
+    """Help of a field on the command line."""
 
     help: str
-    """What it does, without a period."""
+    """Help text without a final period."""
     default: str = ""
-    """What the estimator takes without it; "" where that need not be said."""
+    """Default of the estimator as text; "" to omit it."""
 
 
 class Request(msgspec.Struct, frozen=True, kw_only=True):
-    """A structure with its orders, and all that else is asked of its estimator."""
+    """A structure with its orders and the options of its estimator."""
 
-    structure: Family
+    structure: OfferedName
     orders: dict[str, int | None]
-    """By name, nk left out; None lets the data choose."""
+    """Orders by name, except nk; None means that the order is chosen from the data."""
     nk: int = 1
-    # None, and False of a flag: not asked for.
-    weights: Annotated[Weights | None, Option("Of the projection", "cva")] = None
-    integrator: Annotated[bool, Option("One pole is 1 exactly")] = False
-    offset: Annotated[bool, Option("Estimate the input's offset along")] = False
+    # None, or False for a flag, means the default of the estimator.
+    weights: Annotated[Weights | None, Option("Weights of the projection", "cva")] = None
+    integrator: Annotated[bool, Option("Fix one pole at 1")] = False
+    offset: Annotated[bool, Option("Also estimate the offset of the input")] = False
     stable: Annotated[bool, Option("Reflect poles that are outside the unit circle into it")] = (
         False
     )
@@ -51,47 +52,52 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def asked(self) -> dict[str, Any]:
-        """What is asked for besides structure, orders and nk, by name."""
+        """Requested arguments by name, except structure, orders and nk."""
         values = {name: getattr(self, name) for name in _ARGUMENTS}
         return {name: x for name, x in values.items() if x is not None and x is not False}
 
     def check(self, data: Dataset) -> None:
-        """Refuse orders that are absurd for the data."""
+        """Refuse orders that are too high for the data."""
         orders = {name: n for name, n in self.orders.items() if n is not None}
         samples = data.N - data.missing
         require_sensible(samples=samples, nk=self.nk, integrator=self.integrator, **orders)
 
     def estimated(self, data: Dataset) -> Fit:
-        """Return the model of the data."""
+        """Return the model estimated from the data."""
         return estimator(self.structure)(data, **self.orders, nk=self.nk, **self.asked)
 
     def of_fit(self, fit: Fit) -> Self:
-        """Return the request by which a model is estimated again, by the options of this one."""
+        """Return this request with the orders, the integrator and the offset of a model."""
         orders = dict(fit.orders)
         nk = orders.pop("nk")
-        # With an integrator the offset always is estimated along.
+        # With an integrator the offset is always estimated.
         offset = fit.offset and not fit.integrator
         return msgspec.structs.replace(
             self, orders=orders, nk=nk, integrator=fit.integrator, offset=offset
         )
 
-    def of_structure(self, structure: Family, orders: dict[str, int]) -> Self:
-        """Return the request for another structure, without what that one does not take."""
-        takes = (*EVERY, *KINDS[structure].takes)
+    def of_structure(self, structure: OfferedName, orders: dict[str, int]) -> Self:
+        """Return this request for another structure, less the options that this structure lacks."""
+        takes = (*EVERY, *STRUCTURES[structure].takes)
         dropped = {name: DEFAULTS[name] for name in self.asked if name not in takes}
         return msgspec.structs.replace(self, structure=structure, orders=orders, **dropped)
 
 
 _ARGUMENTS = Request.__struct_fields__[3:]
 DEFAULTS: dict[str, Any] = {f.name: f.default for f in msgspec.structs.fields(Request)}
-"""Of each field, NODEFAULT of structure and orders."""
+"""Default of each field; NODEFAULT for structure and orders."""
 _HINTS = get_type_hints(Request, include_extras=True)
 OPTIONS: dict[str, tuple[Any, Option]] = {
     name: (hint.__origin__, option)
     for name, hint in _HINTS.items()
     for option in getattr(hint, "__metadata__", ())
 }
-"""Type and words of each field that is an option of the command line."""
+"""Type and help of each field that is an option of the command line."""
+
+
+def flag(name: str) -> str:
+    """Return the name of an order or option on the command line, such as ``--initial``."""
+    return f"--{name.replace('_', '-')}"
 
 
 def estimator(structure: str) -> Callable[..., Fit]:

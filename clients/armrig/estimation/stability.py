@@ -1,4 +1,4 @@
-"""Poles outside the unit circle: what a fit says of them, and how they are brought inside."""
+"""Reflection of poles outside the unit circle into it, and the warnings about such poles."""
 
 from __future__ import annotations
 
@@ -8,53 +8,53 @@ from dataclasses import replace
 import numpy as np
 
 from armrig.data.finding import Asks, EstimateFinding, warning
-from armrig.estimation.prediction_error import PredictionError, Solution
+from armrig.estimation.prediction_error import PredictionErrorProblem, Solution
 from armrig.models.fit import Fit
 from armrig.models.innovations import errors
 from armrig.models.model import Model
-from armrig.models.structure_table import KINDS
+from armrig.models.structure_table import STRUCTURES
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, reflected, roots, without_integrator
 
-ROUNDING = 1e-9  # a root on the circle is computed so far beside it at most
-_VAGUE = 0.1  # deviation of a pole that may be anywhere
-_SURELY = 3.0  # deviations from 1 beyond which a pole is no integrator
-REFLECT: tuple[str, Asks] = "lower the orders, or stable=True reflects it", "order"
-_MARGIN = 1e-6  # from the circle, of a pole that is brought inside from so near
+CIRCLE_ROUNDING = 1e-9  # error of the computed modulus of a root on the circle
+_MAX_POLE_STD = 0.1  # standard deviation above which the data do not determine a pole
+_INTEGRATOR_SIGMAS = 3.0  # standard deviations from 1 beyond which a pole is no integrator
+REFLECT: tuple[str, Asks] = "lower the orders, or reflect it (option stable)", "order"
+_CIRCLE_MARGIN = 1e-6  # least distance of a reflected pole from the circle
 
 
 def stabilised(p: Array) -> Array:
     """Return p with each root z outside the unit circle reflected into it, to 1/z*.
 
-    That changes |p| by one factor at all frequencies. A root on the circle is drawn inside by
-    1e-6; a p with all roots inside is returned as it is.
+    The reflection changes |p| by the same factor at all frequencies. A root on the circle is moved
+    inside by 1e-6. If all roots are inside, the function returns p itself.
     """
-    if np.all(np.abs(roots(p)) < 1.0 - ROUNDING):
+    if np.all(np.abs(roots(p)) < 1.0 - CIRCLE_ROUNDING):
         return p
-    return reflected(p, 1.0 - _MARGIN)
+    return reflected(p, 1.0 - _CIRCLE_MARGIN)
 
 
 def reflection_warnings(before: Array, after: Array) -> Iterator[EstimateFinding]:
-    """Say which roots of a polynomial `stabilised` moved, if some."""
+    """Yield a warning with the number of roots that `stabilised` moved, if it moved any."""
     z = np.abs(roots(before))
-    moved = z[z >= 1.0 - ROUNDING]
+    moved = z[z >= 1.0 - CIRCLE_ROUNDING]
     if after is not before and moved.size:
         farthest = f"the farthest from |z| = {moved.max():.4f}"
         yield warning(
             "reflected",
-            f"stable=True reflected {moved.size} of {z.size} poles into the circle, {farthest}, "
-            "and estimated B anew; the deviations are those of the free estimate",
+            f"{moved.size} of {z.size} poles were reflected into the circle (option stable), "
+            f"{farthest}, and B was estimated again; the standard deviations ignore the reflection",
             moved=moved.size,
             farthest=float(moved.max()),
         )
 
 
 def with_stable_poles(
-    problem: PredictionError, solution: Solution, theta: Array
+    problem: PredictionErrorProblem, solution: Solution, theta: Array
 ) -> tuple[Array, Solution, tuple[EstimateFinding, ...]]:
-    """Return theta = (c, d, f) and the solution with A, D and F reflected, and what was.
+    """Return theta = (c, d, f), the solution with A, D and F reflected, and the warnings.
 
-    C stays, and for given A, C, D and F the errors are linear in B and the unknown past.
+    C does not change. For given A, C, D and F the errors are linear in B and the unknown past.
     """
     n = problem.structure
     free = problem.named(solution.ab, theta)
@@ -83,9 +83,9 @@ def with_stable_poles(
 
 
 def largest_unstable(model: Model) -> float:
-    """Return |z| of the farthest pole, of G or of the noise, that is not inside the circle.
+    """Return the largest |z| >= 1 of the poles of G and of the noise, or 0 if all are inside.
 
-    A pole at 1 by construction does not count; 0 where all others are inside.
+    A pole that is 1 by construction does not count.
     """
     polynomials = {letter: np.asarray(getattr(model, letter.upper())) for letter in "adf"}
     if model.integrating:
@@ -93,11 +93,11 @@ def largest_unstable(model: Model) -> float:
     if not all(np.isfinite(p).all() for p in polynomials.values()):
         return float("inf")
     z = np.abs(np.concatenate([roots(p) for p in polynomials.values()]))
-    return float(np.max(z[z >= 1.0 - ROUNDING], initial=0.0))
+    return float(np.max(z[z >= 1.0 - CIRCLE_ROUNDING], initial=0.0))
 
 
 def with_stability_warning(fit: Fit) -> Fit:
-    """Return the fit, with a warning where a pole is not inside the circle."""
+    """Return the fit, with a warning if a pole is not inside the circle."""
     farthest = largest_unstable(fit)
     if not farthest:
         return fit
@@ -105,21 +105,28 @@ def with_stability_warning(fit: Fit) -> Fit:
 
 
 def unstable(farthest: float, way_out: str, asks: Asks) -> EstimateFinding:
-    """Return the warning of a pole that far from 0, and what to do."""
+    """Return the warning of a pole of modulus `farthest`, with the remedy `way_out`."""
     text = f"a pole is unstable, |z| = {farthest:.4f}: {way_out}"
     return warning("unstable", text, asks, farthest=farthest)
 
 
 def _way_out(fit: Fit) -> tuple[str, Asks]:
-    """Return what to do where the pole may be an integrator's, or how to be rid of it."""
+    """Return the remedy for an unstable pole, which may be an integrator."""
     poles = fit.poles()
     for z, std in zip(poles.values, poles.std, strict=True):
         real = z.imag == 0 and not fit.integrator
-        if real and abs(z) >= 1 - ROUNDING and std > _VAGUE:
-            return f"and its deviation is {std:.2g}, so the data do not determine the model", ""
-        if real and abs(z) >= 1 - ROUNDING and abs(z - 1) < _SURELY * std + ROUNDING:
-            what = f"1 within its accuracy; if {fit.output} integrates, "
-            if "integrator" in KINDS[fit.structure].takes:
-                return what + "ask for integrator=True", "integrator"
-            return what + "take oe with integrator=True", "structure"
+        if real and abs(z) >= 1 - CIRCLE_ROUNDING and std > _MAX_POLE_STD:
+            return (
+                f"the standard deviation is {std:.2g}, so the data do not determine the model",
+                "",
+            )
+        if (
+            real
+            and abs(z) >= 1 - CIRCLE_ROUNDING
+            and abs(z - 1) < _INTEGRATOR_SIGMAS * std + CIRCLE_ROUNDING
+        ):
+            what = f"the pole is 1 within its accuracy; if {fit.output} integrates, "
+            if "integrator" in STRUCTURES[fit.structure].takes:
+                return what + "set the option integrator", "integrator"
+            return what + "use OE with the option integrator", "structure"
     return REFLECT

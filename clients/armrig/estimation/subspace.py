@@ -1,13 +1,13 @@
-"""A state-space model from the row space of past and future data, by projections.
+"""State-space models from projections of the future outputs on past data.
 
-With f samples of future and p of past at every instant, M = [U_f W_p Y_f], W_p = [U_p Y_p], has
-the triangle ::
+At each instant a window contains p past samples and f future samples. The matrix M = [U_f W_p Y_f],
+with W_p = [U_p Y_p], has the triangular factor ::
 
         R11 R12 R13
     R =     R22 R23
                 R33
 
-and everything below is computed from R alone: a vector of R's size stands for a signal.
+The functions of this module need only R; a column of R represents a signal.
 
 References
 ----------
@@ -34,25 +34,25 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.stretches import stretches
 
 Integers = NDArray[np.int_]
-_BLOCK = 1024  # rows decomposed at once
-_NOTHING = 1e-10  # share of the largest singular value that is rounding
+_BLOCK_ROWS = 1024  # rows decomposed at once
+_SINGULAR_VALUE_ROUNDING = 1e-10  # share of the largest singular value; a smaller value is rounding
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Windows:
-    """Past and future of all instants that have both, reduced to a triangle."""
+    """Past and future of all instants with complete windows, reduced to a triangular factor."""
 
     R: Array
-    """Triangle of [1 U_f U_p Y_p Y_f], the row and column of the constant left out."""
+    """Triangular factor of [1 U_f U_p Y_p Y_f], without the row and column of the constant."""
     past: int
-    """Samples of past, p."""
+    """Number of past samples, p."""
     future: int
-    """Samples of future, f."""
+    """Number of future samples, f."""
     N: int
     """Number of instants."""
 
     def columns(self, *names: str) -> Integers:
-        """Return where "uf", "up", "yp", "yf" stand, oldest first."""
+        """Return the columns of "uf", "up", "yp" and "yf" in R, oldest samples first."""
         f, p = self.future, self.past
         begins = {"uf": (0, f), "up": (f, p), "yp": (f + p, p), "yf": (f + 2 * p, f)}
         return np.concatenate([b + np.arange(n) for b, n in (begins[name] for name in names)])
@@ -61,14 +61,14 @@ class Windows:
 def windows(
     signals: Sequence[tuple[Array, Array]], *, past: int, future: int, most: int | None = None
 ) -> Windows:
-    """Return the windows of (u, y), y NaN where it is missing; a window with a hole is left out.
+    """Return the windows of (u, y) in which no y is missing; a missing y is NaN.
 
-    A mean of u and one of y are projected out, which an offset leaves in the data. Of more than
-    `most` windows the first ones are taken.
+    The means of u and y are projected out, because the data may have offsets. Only the first `most`
+    windows are used.
 
-    R is the Cholesky factor of the windows' Gram matrix, which `gram_of_windows` has from N times
-    their length multiplications. Where that has squared away too many digits, R is from a QR
-    decomposition of the windows themselves.
+    R is the Cholesky factor of the Gram matrix of the windows. The multiplications in
+    `gram_of_windows` number N times the length of a window. If the squares lose too many digits, R
+    is computed by a QR decomposition of the windows.
     """
     length = past + future
     parts = list(_whole_stretches(signals, length, most))
@@ -84,7 +84,7 @@ def windows(
 def _whole_stretches(
     signals: Sequence[tuple[Array, Array]], length: int, most: int | None
 ) -> Iterator[tuple[Array, Array]]:
-    """Yield (u, y) of the stretches without a hole that hold a window, about the means of all."""
+    """Yield (u, y), less their means, of each stretch without missing y that contains a window."""
     runs, left = [], np.inf if most is None else most
     for u, y in signals:
         for s in stretches(np.isfinite(y)):
@@ -93,24 +93,24 @@ def _whole_stretches(
                 runs.append((u[s.start : stop], y[s.start : stop]))
                 left -= stop - s.start - length + 1
     if runs:
-        # The means are projected out anyway; without them fewer digits are lost.
+        # The means are projected out later; subtracting them here keeps more digits.
         mean_u, mean_y = (float(np.mean(np.concatenate(x))) for x in zip(*runs, strict=True))
         yield from ((u - mean_u, y - mean_y) for u, y in runs)
 
 
 def _by_decomposition(parts: list[tuple[Array, Array]], order: Integers, length: int) -> Array:
-    """Return the triangle of the windows of all parts, block of rows by block."""
+    """Return the triangle of the windows of all parts, computed in blocks of rows."""
     return np.triu(triangle(_blocks(parts, order, length), 1 + 2 * length))[1:, 1:]
 
 
 def _blocks(parts: list[tuple[Array, Array]], order: Integers, length: int) -> Iterator[Array]:
-    """Yield blocks of windows, those of short parts together."""
+    """Yield blocks of windows; short parts share a block."""
     waiting: list[Array] = []
     for u, y in parts:
         count = y.size - length + 1
-        for begin in range(0, count, _BLOCK):
-            waiting.append(_block(u, y, order, range(begin, min(begin + _BLOCK, count))))
-            if sum(block.shape[0] for block in waiting) >= _BLOCK:
+        for begin in range(0, count, _BLOCK_ROWS):
+            waiting.append(_block(u, y, order, range(begin, min(begin + _BLOCK_ROWS, count))))
+            if sum(block.shape[0] for block in waiting) >= _BLOCK_ROWS:
                 yield np.vstack(waiting)
                 waiting = []
     if waiting:
@@ -118,7 +118,7 @@ def _blocks(parts: list[tuple[Array, Array]], order: Integers, length: int) -> I
 
 
 def _block(u: Array, y: Array, order: Integers, rows: range) -> Array:
-    """Return [1 U Y] for the windows that begin at `rows`, columns in `order`."""
+    """Return [1 U Y] for the windows that begin at `rows`, with the columns in the given order."""
     length = order.size // 2
     M = np.ones((len(rows), 1 + order.size), order="F")
     for j, k in enumerate(order, 1):
@@ -128,7 +128,7 @@ def _block(u: Array, y: Array, order: Integers, rows: range) -> Array:
 
 
 def shortened(w: Windows, samples: int) -> Windows:
-    """Return the same instants with so many samples of past and of future only."""
+    """Return the windows of the same instants, shortened to `samples` past and future samples."""
     h = samples
     uf, up, yp, yf = (w.columns(name) for name in ("uf", "up", "yp", "yf"))
     kept = np.concatenate([uf[:h], up[-h:], yp[-h:], yf[:h]])
@@ -137,9 +137,9 @@ def shortened(w: Windows, samples: int) -> Windows:
 
 
 def autoregressive_order(w: Windows) -> int:
-    """Return the order of least AIC of y(t) from u(t) and as many past y as u.
+    """Return the order, by AIC, of the regression of y(t) on u(t) and equally many past y and u.
 
-    So many samples hold what a predictor remembers, and so what a state can be made from.
+    So many past samples contain the memory of the predictor, and therefore determine the state.
     """
     up, yp = w.columns("up"), w.columns("yp")
     lags = np.column_stack([yp[::-1], up[::-1]]).ravel()
@@ -152,27 +152,27 @@ def autoregressive_order(w: Windows) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Projection:
-    """Future outputs as the past explains them, the future input apart."""
+    """Projection of the future outputs on the past, for given future inputs."""
 
     H: Array
-    """(f, 2 p): Y_f = H W_p + (something) U_f + noise."""
+    """Matrix H in Y_f = H W_p + L U_f + noise, (f, 2 p)."""
     U: Array
-    """Left singular vectors, weighted back, of the extended observability matrix, (f, f)."""
+    """Left singular vectors without the weights: the extended observability matrix, (f, f)."""
     singular_values: Array
-    """(f,); with "cva" the canonical correlations of past and future."""
+    """Singular values (f,); with "cva" the canonical correlations of past and future."""
 
 
 def projection(w: Windows, weights: Weights) -> Projection:
-    """Return the weighted projection's singular value decomposition."""
+    """Return the singular value decomposition of the weighted projection."""
     f = w.future
     past = w.columns("up", "yp")
     R12, R22 = w.R[:f, past], w.R[f : f + past.size, past]
     R23, R33 = w.R[f : f + past.size, -f:], w.R[f + past.size :, -f:]
-    # The past may be dependent on itself: without noise it is.
+    # Columns of the past may be linearly dependent. Without noise they always are.
     H = least_squares(R22, R23).T
     if weights == "cva":
         _, values, V = np.linalg.svd(np.vstack([R23, R33]), full_matrices=False)
-        # S^(1/2) of the future's covariance; what is not there cannot be divided by.
+        # S^(1/2) of the future's covariance, limited from below for the division.
         root = np.maximum(values, 1e-12 * values[0])
         U, sigma, _ = np.linalg.svd((V @ R23.T) / root[:, None], full_matrices=False)
         U = V.T @ (root[:, None] * U)
@@ -184,16 +184,17 @@ def projection(w: Windows, weights: Weights) -> Projection:
 
 
 def visible_states(w: Windows) -> int:
-    """Return how many states the data show at all: without noise no more than the system has."""
+    """Return the number of states in the data; without noise, at most the order of the system."""
     f = w.future
     values = np.linalg.svd(w.R[f:-f, -f:], compute_uv=False)
-    return int(np.count_nonzero(values > _NOTHING * values[0]))
+    return int(np.count_nonzero(values > _SINGULAR_VALUE_ROUNDING * values[0]))
 
 
 def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
     """Return the mean squared error of y(t) from 1 … `most` states and u(t), (most,).
 
-    n states span what the first n singular vectors pick from H W_p: one decomposition does.
+    n states span the components of H W_p along the first n singular vectors. Therefore a single QR
+    decomposition determines all losses.
     """
     y, now = w.R[:, w.columns("yf")[0]], w.R[:, w.columns("uf")[:1]]
     states = w.R[:, w.columns("up", "yp")] @ (found.H.T @ found.U[:, :most])
@@ -202,18 +203,18 @@ def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
 
 
 def suggested_order(w: Windows, found: Projection, most: int) -> int:
-    """Return the order of least MDL of the one-step loss, 3 parameters a state (A, B, K).
+    """Return the order of least MDL of the one-step loss, with 3 parameters per state (A, B, K).
 
-    More reliable than the singular values alone: Bauer's criterion [3]_ chose the true order of
-    four systems of order 2 and 3 (N = 500 and 2000, CVA, 25 samples of past and future) in 62 of
-    120 trials, this one in 110.
+    The criterion is more reliable than the singular values alone. The criteria were compared in 120
+    trials: four systems of order 2 and 3, N = 500 and 2000, CVA, 25 samples of past and future. MDL
+    chose the true order in 110 trials, and Bauer's criterion [3]_ in 62 trials.
     """
     n = np.arange(1, most + 1)
     return 1 + int(np.argmin(mdl(one_step_losses(w, found, most), 3 * n, w.N)))
 
 
 def _states(w: Windows, found: Projection, n: int) -> Array:
-    """Return n states as the past tells them, as columns of R's size."""
+    """Return estimates of n states from the past, each as a column with the rows of R."""
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
     from_past = np.linalg.lstsq(Gamma, found.H, rcond=None)[0].T
     return np.asarray(w.R[:, w.columns("up", "yp")] @ from_past)
@@ -221,21 +222,21 @@ def _states(w: Windows, found: Projection, n: int) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Realisation:
-    """x(t+1) = A x(t) + … + K e(t), y(t) = C x(t) + … + e(t), as far as the noise tells it."""
+    """Matrices of x(t+1) = A x(t) + … + K e(t), y(t) = C x(t) + … + e(t)."""
 
     A: Array
-    """(n, n)."""
+    """Transition matrix (n, n)."""
     predictor: Array
     """Eigenvalues of A - K C, none outside the unit circle, (n,)."""
     steady: bool
-    """There is a steady Kalman filter; else K is zero."""
+    """True if there is a steady Kalman filter; otherwise K is zero."""
 
 
 def realised(w: Windows, found: Projection, n: int) -> Realisation:
-    """Return A from the shift of the observability matrix, and A - K C from what states leave.
+    """Return A from the shift of the observability matrix, and A - K C from the states' residuals.
 
-    The states at t and t + 1 are what two projections say, and the covariance of their residuals
-    gives K by the Riccati equation.
+    The states at t and t + 1 are computed by two projections. K is computed from the covariance of
+    their residuals by the Riccati equation.
     """
     f = w.future
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
@@ -258,16 +259,16 @@ def realised(w: Windows, found: Projection, n: int) -> Realisation:
 
 
 def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
-    """Return the eigenvalues of A - K C of the steady Kalman filter, or None where there is none.
+    """Return the eigenvalues of A - K C of the steady Kalman filter, or None if there is none.
 
-    With F = A - S C / r they are those inside the unit circle of the pencil of the Riccati
-    equation ::
+    With F = A - S C / r, the Riccati equation has the pencil below. The eigenvalues of A - K C are
+    those eigenvalues of the pencil that are inside the unit circle ::
 
         | F^T               0 |       | I  C C^T / r |
         | (S S^T / r - Q)   I | - z * | 0  F         |
 
-    K itself is not needed. The states are scaled so that both blocks are of one size, whatever the
-    unit of y is.
+    K itself is not needed. The states are scaled so that both blocks have the same norm for any
+    unit of y.
 
     References
     ----------

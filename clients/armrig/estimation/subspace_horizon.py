@@ -1,4 +1,4 @@
-"""How far past and future reach in a subspace estimate: what the data say of it."""
+"""Choice of the horizon, the number of past and future samples, of a subspace estimate."""
 
 from __future__ import annotations
 
@@ -33,16 +33,17 @@ from armrig.numerics.polynomial import (
 )
 from armrig.numerics.stretches import stretches
 
-LEAST, LONGEST = 10, 30  # samples of past and of future
-_ENOUGH = 4000  # windows to choose the longest horizon from
-_COMPARED = 2000  # samples to compare models on
-_ROUNDING = 1e-10  # share of y's squares below which normal equations have no digit left
+MIN_HORIZON, MAX_HORIZON = 10, 30
+"""Range of the horizon by AIC, in samples."""
+_MAX_WINDOWS = 4000  # for the choice of the longest horizon
+_MAX_COMPARED_SAMPLES = 2000  # for the comparison of models
+_MIN_LOSS_SHARE = 1e-10  # share of |y|²; normal equations lose all digits of a smaller loss
 
 Signals = Sequence[tuple[Array, Array]]
 
 
 def delayed_signals(data: Dataset, nk: int) -> Signals:
-    """Return u, advanced by the delay that is known, and y of each experiment."""
+    """Return (u, y) of each experiment, with u delayed by nk - 1 samples."""
     later = max(nk - 1, 0)
     signals = [(lagged(part.u, [later])[:, 0], part.y) for part in data.experiments()]
     return [(u[later:], y[later:]) for u, y in signals]
@@ -51,7 +52,7 @@ def delayed_signals(data: Dataset, nk: int) -> Signals:
 def usable_windows(
     data: Dataset, signals: Signals, order: int | None, horizon: int | None
 ) -> Windows:
-    """Return past and future, as far as is asked for or the data can use."""
+    """Return the windows for the given horizon, or for the longest useful horizon."""
     measured = data.N - data.missing
     i = longest_horizon(signals, measured, order) if horizon is None else int(horizon)
     require_integers(horizon=(i, 3 if order is None else int(order) + 2))
@@ -61,42 +62,42 @@ def usable_windows(
     require_samples(asked, needed=4 * i + 2 + 2 * i, got=got)
     if not w.R[:, w.columns("yf")].any():
         raise InputError(
-            f"{data.output} is constant and shows no state; record an experiment that moves it"
+            f"{data.output} is constant and shows no state; record data in which it changes"
         )
     return w
 
 
 def longest_horizon(signals: Signals, samples: int, order: int | None) -> int:
-    """Return the order of an ARX model by AIC, between 10 and 30, or 2 (order + 1) if more.
+    """Return the larger of 2 (order + 1) and the order of an ARX model by AIC, limited to 10 to 30.
 
-    Fewer for short data: no more than one for 12 samples.
+    The horizon of short data is at most a twelfth of the number of samples, but at least order + 2.
     """
     least = 2 if order is None else order + 2
     most = max(samples // 12, least)
-    w = windows(signals, past=min(LONGEST, most), future=1, most=_ENOUGH)
+    w = windows(signals, past=min(MAX_HORIZON, most), future=1, most=_MAX_WINDOWS)
     enough = 2 * len(w.R) < w.N
-    wanted = autoregressive_order(w) if enough else LEAST
-    return min(max(wanted, LEAST, 2 * least - 2), most)
+    wanted = autoregressive_order(w) if enough else MIN_HORIZON
+    return min(max(wanted, MIN_HORIZON, 2 * least - 2), most)
 
 
 def least_loss(signals: Signals, models: Sequence[tuple[Array, Array]], *, direct: bool) -> int:
-    """Return which of the models (A, C) has the least one-step loss, B the best for each.
+    """Return the index of the model (A, C) with the least one-step loss, each with its best B.
 
-    The loss is that of A y = B u + C e over the longest stretches without a hole, 2000 samples at
-    most, a level and the predictor's state before each fitted to it. The first model is returned
-    where the data have no noise to tell them apart by.
+    The loss of A y = B u + C e is computed over the longest stretches without missing y, at most
+    2000 samples in all. A level and the predictor's initial state are fitted for each stretch. If
+    the data have no noise, the losses do not differ and the index is 0.
     """
     parts = _longest_stretches(signals)
     scale = sum(float(y @ y) for _, y in parts)
     losses = [sum(_loss(u, y, A, C, direct=direct) for u, y in parts) for A, C in models]
-    if not losses[0] > _ROUNDING * scale:
+    if not losses[0] > _MIN_LOSS_SHARE * scale:
         return 0
     return int(np.argmin(np.where(np.isnan(losses), np.inf, losses)))
 
 
 def _longest_stretches(signals: Signals) -> list[tuple[Array, Array]]:
     whole = [(u[s], y[s]) for u, y in signals for s in stretches(np.isfinite(y))]
-    left, parts = _COMPARED, []
+    left, parts = _MAX_COMPARED_SAMPLES, []
     for u, y in sorted(whole, key=lambda part: -part[1].size):
         if left > 0:
             parts.append((u[:left], y[:left]))
@@ -107,7 +108,8 @@ def _longest_stretches(signals: Signals) -> list[tuple[Array, Array]]:
 def _loss(u: Array, y: Array, A: Array, C: Array, *, direct: bool) -> float:
     """Return the least sum of squares of (A y - B u - free response) / C, by normal equations.
 
-    They square the condition number, which a comparison can bear and a model cannot.
+    Normal equations square the condition number. A comparison tolerates the loss of digits; an
+    estimate would not.
     """
     n = A.size - 1
     if y.size < 4 * n + 4:
@@ -122,7 +124,7 @@ def _loss(u: Array, y: Array, A: Array, C: Array, *, direct: bool) -> float:
     scale = np.sqrt(np.diag(G))
     scale[scale == 0] = 1.0
     G /= np.outer(scale, scale)
-    # A touch of the identity keeps the factor where u does not determine all of B.
+    # A small multiple of the identity keeps G positive definite if u does not determine all of B.
     _, b, failed = dposv(G[:-1, :-1] + 1e-12 * np.eye(len(G) - 1), G[:-1, -1])
     if failed:
         return float("nan")
@@ -131,22 +133,22 @@ def _loss(u: Array, y: Array, A: Array, C: Array, *, direct: bool) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Poles:
-    """What of the model needs no input."""
+    """Polynomials A and C of a model, estimated without B."""
 
     A: Array
-    """Poles; with an integrator one is 1 exactly."""
+    """Polynomial of the poles; with an integrator one pole is exactly 1."""
     C: Array
-    """Poles of the predictor, none outside the circle."""
+    """Polynomial of the predictor's poles, none outside the circle."""
     horizon: int
-    """Samples of past and of future that they come from."""
+    """Number of past and of future samples of the projection."""
     singular_values: Array
-    """Of the projection at that horizon."""
+    """Singular values of the projection."""
     steady: bool
-    """There is a steady Kalman filter; else C is A, but for roots outside the circle."""
+    """True if there is a steady Kalman filter. Otherwise C is A with roots inside the circle."""
 
 
 def poles_at(w: Windows, found: Projection, order: int, *, integrator: bool) -> Poles:
-    """Return A and C at one horizon."""
+    """Return A and C for the horizon of the windows."""
     space = realised(w, found, order)
     A, C = _polynomials(space, integrator=integrator)
     return Poles(
@@ -164,13 +166,14 @@ def best_poles(
     integrator: bool,
     direct: bool,
 ) -> Poles:
-    """Return those of the given horizon or of order + 2, whichever has the lower one-step loss.
+    """Return the poles for the horizon of `w` or for order + 2, by the lower one-step loss.
 
-    A long past is needed where the predictor forgets slowly, as where noise is white on the
-    output. Where the poles shape the noise it is for nothing, and in short data each sample of it
-    costs accuracy: at N = 300 the loss of an ARMAX model of order 4 was above the least possible
-    by 29 % at a horizon of 10, and by 5 % at 6; the other way round 6 % and 10 % for noise that
-    is white on the output. Both have the same number of parameters, so their losses compare.
+    For white noise on the output, the memory of the predictor is long, and the past must be long.
+    If the noise has the poles of A, a long past is of no use and reduces the accuracy for short
+    data. An example is an ARMAX system of order 4 at N = 300. Its loss exceeded the least possible
+    loss by 29 % with a horizon of 10, and by 5 % with a horizon of 6. For white noise on the
+    output, the loss was 6 % too large with a horizon of 10, and 10 % with a horizon of 6. The
+    losses can be compared because both models have the same number of parameters.
     """
     long = poles_at(w, found, order, integrator=integrator)
     if order + 2 >= w.future:
@@ -182,13 +185,13 @@ def best_poles(
 
 
 def _polynomials(space: Realisation, *, integrator: bool) -> tuple[Array, Array]:
-    """Return A and C of the ARMAX model that the state space is."""
+    """Return A and C of the ARMAX model that is equivalent to the state-space model."""
     A, C = np.real(np.poly(space.A)), with_roots_inside(space.predictor)
     return _integrating(A) if integrator else A, C
 
 
 def _integrating(A: Array) -> Array:
-    """Return A with its real root nearest 1 moved there."""
+    """Return A with its real root nearest 1 moved to 1."""
     z = np.roots(A).astype(np.complex128)
     z[np.argmin(np.abs(z - 1) + 10.0 * (np.abs(z.imag) > 1e-9))] = 1.0
     return np.convolve([1.0, -1.0], without_integrator(np.real(np.poly(z))))

@@ -1,6 +1,7 @@
-"""Input signals for the rig, in volts and inside its 0 to 5 V, a family a module.
+"""Input signals for the rig, in volts, with one module for each family of signals.
 
-All are float64 (N,), the same for the same seed, and none leaves the interval asked for.
+Each signal is an array float64 (N,) with values inside the requested part of 0 to 5 V. The same
+seed leads to the same signal.
 """
 
 from armrig.excitation.binary import prbs, telegraph, white_noise

@@ -1,4 +1,4 @@
-"""Signals of two levels: all the power that an interval allows, for a linear model."""
+"""Signals of two levels, which have the largest possible power in an interval, and white noise."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from armrig_core.errors import InputError
 from armrig.excitation.levels import Vector, generator, require_levels
 from armrig.numerics.checks import require_integers, require_numbers
 
-_LONGEST_REGISTER = 24  # 2^24 - 1 clocks are more than any run has
-_HALF_WIDTH_IN_STD = 3.0
+_MAX_REGISTER_BITS = 24  # a period of 2^24 - 1 clocks is longer than any run
+_HALF_WIDTH_STDS = 3.0
 
 
 @checked_call
@@ -24,19 +24,19 @@ def telegraph(
     high: float = 4.5,
     seed: int | np.random.Generator = 1,
 ) -> Vector:
-    """Return a random telegraph signal (N,): two levels, switched with probability a a sample.
+    """Return a random telegraph signal (N,), which switches between two levels with probability a.
 
-    The first level is drawn with equal chances. The spectrum is that of a first-order process
-    with the autocorrelation (1 - 2a)^|k|.
+    Both levels have equal probability for the first sample. The spectrum equals the spectrum of a
+    first-order process with the autocorrelation (1 - 2a)^|k|.
 
     Parameters
     ----------
     N : int
         Number of samples, >= 1.
     a : float
-        Probability of a switch at each sample, 0 to 1.
+        Probability of a switch at a sample, 0 to 1.
     low, high : float
-        The levels in V, 0 <= low < high <= 5.
+        Levels in V, 0 <= low < high <= 5.
     seed : int or numpy.random.Generator, default 1
         The same seed, an integer >= 0, gives the same signal.
 
@@ -48,11 +48,11 @@ def telegraph(
     Raises
     ------
     ValueError
-        A level is outside 0 to 5 V, or N, a or seed is impossible.
+        A level is outside 0 to 5 V, or N, a or seed is not allowed.
 
     Notes
     -----
-    The handout's telegraph.m (3.1.2) gives -1 and 1, which the rig must not be given.
+    telegraph.m of the handout (3.1.2) returns the values -1 and 1, which would damage the rig.
     """
     require_integers(N=(N, 1))
     require_levels(low=low, high=high)
@@ -78,23 +78,24 @@ def prbs(
 ) -> Vector:
     """Return a maximal-length pseudo-random binary signal (N,).
 
-    A shift register of n bits repeats itself after M = 2^n - 1 clocks, in which it shows every
-    pattern of n bits but one: as white as two levels can be over one period (autocorrelation
-    -1/M at every lag but 0), and persistently exciting of order M.
+    The sequence of a shift register of n bits has the period M = 2^n - 1 clocks. In each period
+    every pattern of n bits except one occurs. Over one period the autocorrelation is -1/M at every
+    lag except 0. The signal is therefore nearly white, and persistently exciting of order M.
 
     Parameters
     ----------
     N : int
-        Number of samples, >= 1. Whole periods are N = (2^register - 1) clock, or times that.
+        Number of samples, >= 1. For whole periods N must be a multiple of (2^register - 1) clock.
     clock : int, default 1
-        Samples for which each value is held, >= 1: a longer clock moves the power below
-        the frequency 2.8 / (clock Ts) rad/s.
+        Number of samples for which each value is held, >= 1. A longer clock concentrates the power
+        below 2.8 / (clock Ts) rad/s.
     low, high : float
-        The levels in V, 0 <= low < high <= 5.
+        Levels in V, 0 <= low < high <= 5.
     seed : int or numpy.random.Generator, default 1
-        Chooses where in its period the signal begins.
+        Seed of the random position in the period at which the signal begins.
     register : int, optional
-        Bits of the register, 2 to 24; by default the fewest with which nothing repeats in N.
+        Number of bits, 2 to 24. The default is the smallest number without a repetition in N
+        samples.
 
     Returns
     -------
@@ -104,7 +105,7 @@ def prbs(
     Raises
     ------
     ValueError
-        A level is outside 0 to 5 V, or N, clock, register or seed is impossible.
+        A level is outside 0 to 5 V, or N, clock, register or seed is not allowed.
 
     References
     ----------
@@ -117,9 +118,9 @@ def prbs(
     clocks = ceil(N / clock)
     n = max(2, clocks.bit_length()) if register is None else register
     require_integers(register=(n, 2))
-    if n > _LONGEST_REGISTER:
+    if n > _MAX_REGISTER_BITS:
         raise InputError(
-            f"register={n} is more than {_LONGEST_REGISTER} bits; lower N or lengthen the clock"
+            f"register={n} is more than {_MAX_REGISTER_BITS} bits; lower N or lengthen the clock"
         )
     period = 2**n - 1
     sequence, _ = max_len_seq(n)
@@ -136,25 +137,25 @@ def white_noise(
     *,
     distribution: Literal["uniform", "normal"] = "uniform",
 ) -> Vector:
-    """Return white noise (N,): independent values, so that the spectrum is flat.
+    """Return white noise (N,): independent values, with a flat spectrum.
 
     Parameters
     ----------
     N : int
         Number of samples, >= 1.
     low, high : float
-        The interval in V, 0 <= low < high <= 5.
+        Interval in V, 0 <= low < high <= 5.
     seed : int or numpy.random.Generator, default 1
         The same seed, an integer >= 0, gives the same signal.
     distribution : {"uniform", "normal"}
-        Uniform (MATLAB's rand), of variance (high - low)²/12; or normal (randn) with its
-        standard deviation a sixth of the interval and its tails cut off there, which keeps it
-        white, with less than a third of the power.
+        "uniform" (MATLAB's rand) has the variance (high - low)²/12. "normal" (randn) has a standard
+        deviation of a sixth of the interval before its tails are cut off at the levels. Normal
+        noise is white too, but has less than a third of the power of uniform noise.
 
     Raises
     ------
     ValueError
-        The interval is outside 0 to 5 V, or N, seed or distribution is impossible.
+        The interval is outside 0 to 5 V, or N, seed or distribution is not allowed.
     """
     from scipy.special import ndtr, ndtri
 
@@ -164,7 +165,7 @@ def white_noise(
         raise InputError(f'distribution={distribution!r} must be "uniform" or "normal"')
     x = generator(seed).random(N)
     if distribution == "normal":
-        tail = ndtr(-_HALF_WIDTH_IN_STD)
-        x = 0.5 + ndtri(tail + (1 - 2 * tail) * x) / (2 * _HALF_WIDTH_IN_STD)
-    # The product may round to just above the interval.
+        tail = ndtr(-_HALF_WIDTH_STDS)
+        x = 0.5 + ndtri(tail + (1 - 2 * tail) * x) / (2 * _HALF_WIDTH_STDS)
+    # By rounding, the sum may be just outside the interval.
     return np.clip(low + (high - low) * x, low, high)

@@ -1,4 +1,4 @@
-"""Figures of inputs, before they are played."""
+"""Figure of an input before a run."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from armrig.plots.layout import BLUE, INK, SKY, finish
-from armrig.plots.scales import hertz
+from armrig.plots.layout import BLUE, INK, SKY, finish, hertz
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,24 +16,24 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-_SHOWN = 1000  # samples; more of them would be a bar of ink
+_MAX_SHOWN_SAMPLES = 1000  # more samples would look like a solid bar
 
 
 def plot_input(description: InputDescription) -> Figure:
-    """Return a figure of an input: its beginning, its spectrum, and the time at each level."""
+    """Return a figure of an input: its first samples, its spectrum, and the time at each level."""
     from matplotlib import pyplot as plt
 
     d = description
     figure, (time, spectrum, levels) = plt.subplots(
         3, 1, figsize=(6.5, 7.0), height_ratios=(1, 1.2, 0.8), layout="constrained"
     )
-    shown = min(_SHOWN, d.u.size)
+    shown = min(_MAX_SHOWN_SAMPLES, d.u.size)
     whole = "" if shown == d.u.size else f", the first {shown} of {d.u.size} samples"
     time.step(d.Ts * np.arange(shown), d.u[:shown], where="post", color=INK, lw=0.8)
     time.set_xlabel(f"$t$ [s]{whole}")
     time.set_ylabel("$u$ [V]")
     if d.omega.size and d.std > 0:
-        # A logarithmic axis has no 0; the density at Nyquist's frequency is not doubled.
+        # Omit both ends: a logarithmic axis has no 0, and the density at Nyquist is not doubled.
         omega, density = d.omega[1:-1], d.spectrum[1:-1]
         spectrum.plot(omega, np.maximum(density, 1e-300), color=BLUE, lw=1.0)
         spectrum.set_xscale("log")
@@ -46,9 +45,9 @@ def plot_input(description: InputDescription) -> Figure:
         hertz(spectrum)
     else:
         spectrum.text(
-            0.5, 0.5, "no power but the mean's", ha="center", transform=spectrum.transAxes
+            0.5, 0.5, "no power except the mean's", ha="center", transform=spectrum.transAxes
         )
-    spectrum.set_xlabel(r"$\omega$ [rad/s], up to Nyquist's")
+    spectrum.set_xlabel(r"$\omega$ [rad/s], up to the Nyquist frequency")
     spectrum.set_ylabel("power [V² s/rad]")
     span = float(np.ptp(d.levels)) or 1.0
     width = span / 10 if d.binned else span / 40

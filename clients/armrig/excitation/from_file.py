@@ -1,4 +1,4 @@
-"""An input of one's own, from a file of text."""
+"""Inputs from a text file."""
 
 from __future__ import annotations
 
@@ -15,29 +15,30 @@ from armrig.numerics.checks import require_numbers
 
 _SEPARATORS = str.maketrans(",;", "  ")
 MOST_BYTES = 1 << 26
-"""Longest file, in B: a million rows of two numbers have half of it."""
-_TIME_TOLERANCE = 0.01  # share of Ts; rounding in a text file costs less
+"""Largest size of a file, in bytes. A million rows of two numbers need half of this size."""
+MAX_TIME_ERROR = 0.01  # share of Ts; the rounding of times in a text file is smaller
 
 
 @checked_call
 def from_csv(
     path: str | Path, Ts: float, *, low: float = LOWEST_V, high: float = HIGHEST_V
 ) -> Vector:
-    """Return the input (N,) in a file of text, its times checked against the sampling time.
+    """Return the input (N,) from a text file, after a check of its times against Ts.
 
-    A row has u in V alone, or t in s and u; a first row of names (t, u) may turn them round.
-    Columns are parted by comma, semicolon or white space; a line that begins with # is skipped.
+    A row contains u in V, or t in s and u in V. The first row may contain the names t and u, in any
+    order of the columns. Columns are separated by comma, semicolon or white space. A line that
+    begins with # is skipped.
 
     Parameters
     ----------
     path : str or Path
-        The file.
+        Text file.
     Ts : float
-        Sampling time in s that the input will be played with. Handout, section 3.2: the time
-        vector "must agree with the chosen step size". Each t may be a hundredth of Ts beside
-        the first t + k Ts.
+        Sampling time of the run, in s. According to section 3.2 of the handout, the time vector
+        "must agree with the chosen step size". The t of sample k may differ from the first t + k Ts
+        by a hundredth of Ts.
     low, high : float
-        The interval in V that u must keep to, 0 <= low < high <= 5.
+        Allowed interval of u in V, 0 <= low < high <= 5.
 
     Returns
     -------
@@ -47,8 +48,8 @@ def from_csv(
     Raises
     ------
     ValueError
-        A row has no numbers, its t does not agree with Ts, or its u is outside [low, high]; the
-        first such row is named.
+        A row is not numeric, its t does not agree with Ts, or its u is outside [low, high]. The
+        message names the first such row.
     OSError
         The file cannot be read.
     """
@@ -64,7 +65,7 @@ def from_csv(
 def from_text(
     text: str, Ts: float, *, name: str | Path, low: float = LOWEST_V, high: float = HIGHEST_V
 ) -> Vector:
-    """Return the input (N,) in the text of a file called `name`: see `from_csv`."""
+    """Return the input (N,) from the text of the file `name`, as `from_csv` does."""
     _require_figures(Ts, low, high)
     numbers, rows = _table(name, text)
     t, u = numbers
@@ -89,18 +90,18 @@ def _require_figures(Ts: float, low: float, high: float) -> None:
 
 def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> None:
     due = t[0] + Ts * np.arange(t.size)
-    wrong = ~(np.abs(t - due) <= _TIME_TOLERANCE * Ts)  # also finds NaN
+    wrong = ~(np.abs(t - due) <= MAX_TIME_ERROR * Ts)  # also finds NaN
     if wrong.any():
         k = int(np.argmax(wrong))
         raise InputError(
-            f"{path}, row {rows[k]}: t={t[k]:.9g} s where Ts={Ts:g} s gives {due[k]:.9g} s; "
-            "the time vector must agree with the step size: sample u anew, or play it with "
+            f"{path}, row {rows[k]}: t={t[k]:.9g} s, but Ts={Ts:g} s gives {due[k]:.9g} s; "
+            "the time vector must agree with the step size. Sample u again, or play it with "
             f"another Ts (the file's times are {np.median(np.diff(t)):.6g} s apart)"
         )
 
 
 def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], list[int]]:
-    """Return (t or None, u) and the number of the line, from 1, that each row stood in."""
+    """Return (t, u), with None if there is no t, and the line number of each row, from 1."""
     lines: list[str] = []
     rows: list[int] = []
     for number, line in enumerate(text.translate(_SEPARATORS).splitlines(), start=1):
@@ -122,27 +123,27 @@ def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], l
     if numbers.shape[1] == 1:
         if [name.strip("\"'").lower() for name in names] not in ([], ["u"]):
             raise InputError(
-                f"{path}: column {', '.join(names)}; name it u, or leave the name out: what stands "
-                "in it drives the motor"
+                f"{path}: column {', '.join(names)}; name it u, or leave the name out: this column "
+                "drives the motor"
             )
         return (None, numbers[:, 0]), rows
     if not names and _may_be_decimals(text):
         raise InputError(
-            f"{path}: a comma parts what may be one number (0,5); name the columns t and u in the "
-            "first row, or part them by a semicolon and write 0.5"
+            f"{path}: a comma separates what may be one number (0,5); name the columns t and u in "
+            "the first row, or separate them by a semicolon and write 0.5"
         )
     order = _order(path, names)
     return (numbers[:, order[0]], numbers[:, order[1]].copy()), rows
 
 
 def _may_be_decimals(text: str) -> bool:
-    """Return whether each row is two whole numbers with nothing but a comma between them."""
+    """Return whether each row is two whole numbers separated by a comma, such as 0,5."""
     rows = [line for line in text.splitlines() if line.strip() and line.lstrip()[0] != "#"]
     return all(re.fullmatch(r"\s*-?\d+,\d+\s*", row) for row in rows)
 
 
 def _unreadable(path: str | Path, lines: list[str], rows: list[int]) -> str:
-    """Return what is wrong with the first line that is no row of the table."""
+    """Return the message about the first line that is no row of the table."""
     width = len(lines[0].split())
     for row, line in zip(rows, lines, strict=True):
         words = line.split()
@@ -157,7 +158,7 @@ def _unreadable(path: str | Path, lines: list[str], rows: list[int]) -> str:
 
 
 def _order(path: str | Path, names: list[str]) -> tuple[int, int]:
-    """Return the columns of t and u."""
+    """Return the column numbers of t and u."""
     if not names:
         return 0, 1
     lower = [name.strip("\"'").lower() for name in names]

@@ -1,4 +1,4 @@
-"""What an input can teach: its levels, its spectrum, and how many parameters it determines."""
+"""Description of an input: levels, spectrum, and order of persistence of excitation."""
 
 from __future__ import annotations
 
@@ -20,47 +20,48 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 HIGHEST_ORDER = 50
-"""Highest order of persistence of excitation that is looked for."""
-# A singular value below this share of the largest is a rounding error, no excitation.
+"""Highest tested order of persistence of excitation."""
+# A singular value below this share of the largest singular value is a rounding error.
 _RANK_TOLERANCE = 1e-8
-_MOST_LEVELS = 20
+_MAX_LEVELS = 20
 _BINS = 10
-_ROWS = 10_000
+_BLOCK_ROWS = 10_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class InputDescription:
-    """What `describe_input` found; its repr says it in words, `plot` shows it."""
+    """Result of `describe_input`, with a description in words (repr) and a figure (`plot`)."""
 
     u: Vector
-    """The input (N,), in V."""
+    """Input (N,), in V."""
     Ts: float
     """Sampling time, in s."""
     mean: float
     """Mean, in V."""
     std: float
-    """Effective value about the mean, in V."""
+    """Standard deviation (effective value about the mean), in V."""
     crest_factor: float
-    """Largest |u - mean| over `std`: 1 for two equal levels; NaN for a constant."""
+    """Largest |u - mean| divided by `std`: 1 for two equally frequent levels; NaN if constant."""
     order: int
     """Order of persistence of excitation, 0 to `highest_order`."""
     highest_order: int
-    """Highest order looked for; an `order` equal to it means at least that."""
+    """Highest tested order. If `order` equals this number, the true order may be higher."""
     weakest: float
-    """Power in the direction of `order` samples that has least of it, over the variance.
+    """Least eigenvalue of the covariance matrix of `order` samples, divided by the variance.
 
-    1 for white noise; what it determines has a variance 1/weakest times as large.
+    The ratio is 1 for white noise. For a parameter in the direction of this eigenvalue, the
+    variance of the estimate is 1/weakest times the variance with white noise.
     """
     omega: Vector
-    """Frequencies of `spectrum`, in rad/s; empty where u is shorter than 16 samples."""
+    """Frequencies of `spectrum`, in rad/s; empty if u is shorter than 16 samples."""
     spectrum: Vector
     """One-sided power density, in V² per rad/s."""
     levels: Vector
-    """The values taken, in V, or where they are more than 20 the middles of ten bins."""
+    """Values of u, in V, or the centres of ten bins if there are more than 20 values."""
     shares: Vector
-    """Share of the time at each level, or in each bin; they sum to 1."""
+    """Share of the time at each level, or in each bin; the sum is 1."""
     binned: bool
-    """`levels` are bins."""
+    """True if `levels` are centres of bins."""
 
     def plot(self) -> Figure:
         """Return a figure of the input against time, its spectrum and its levels."""
@@ -69,7 +70,7 @@ class InputDescription:
         return plot_input(self)
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Describe the input in a few lines."""
         N = self.u.size
         at_least = "at least " if self.order == self.highest_order else ""
         kind = "in each tenth of the range" if self.binned else "at each level"
@@ -93,38 +94,38 @@ class InputDescription:
 
     def _meaning(self) -> str:
         if self.order < 2:
-            return "it determines a static gain, and no dynamics; switch it more often"
+            return "it determines a static gain, but no dynamics; use more switches"
         more = ", and perhaps for more" if self.order == self.highest_order else ""
         many = f"enough for {self.order} parameters of B and F (or B and A) together{more}"
         return f"{many}; least power {self.weakest:.2g} of a white signal's"
 
 
 def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
-    """Describe an input before it is played: spectrum, crest factor, excitation and levels.
+    """Describe an input before a run: spectrum, crest factor, excitation and levels.
 
-    An input is persistently exciting of order n where the covariance matrix of n samples in a row
-    is positive definite; a model with nb + nf parameters needs the order nb + nf. Here the rank of
-    that matrix is found numerically, in either half of u, and the lower one counts: what moves
-    once, as a step does, is of order 1 wherever it moves. The order is what double precision can
-    tell: sines that lie close together in a narrow band (a chirp, a low multisine) count for fewer
-    than twice their number, because so few samples in a row hardly show them apart.
+    An input is persistently exciting of order n if the covariance matrix of n consecutive samples
+    is positive definite. A model with nb + nf parameters needs the order nb + nf. The order is
+    computed for each half of u, and the lower order is returned. Therefore an input that moves only
+    once, such as a step, has order 1. The computed order is limited by double precision. For sines
+    in a narrow band (a chirp, a low multisine) it is less than twice the number of sines, because a
+    few consecutive samples hardly distinguish them.
 
     Parameters
     ----------
     u : array_like, shape (N,)
-        Input in V; the mean counts.
+        Input in V, including its mean.
     Ts : float
         Sampling time in s.
 
     Returns
     -------
     InputDescription
-        Figures, with a repr in words and a plot.
+        Description with the order, the spectrum and the levels.
 
     Raises
     ------
     ValueError
-        u is not (N,), or not finite, or Ts is not > 0.
+        u is not (N,) or not finite, or Ts is not > 0.
 
     References
     ----------
@@ -133,13 +134,13 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     u_ = column("u", u)
     if not np.isfinite(u_).all():
         raise InputError(
-            f"u is not finite at {int(np.argmax(~np.isfinite(u_)))}; every sample is played"
+            f"u is not finite at {int(np.argmax(~np.isfinite(u_)))}; every sample needs a voltage"
         )
     if not 0 < Ts < np.inf:
         raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
     u_.flags.writeable = False
     mean, std = float(np.mean(u_)), float(np.std(u_))
-    std = 0.0 if np.ptp(u_) == 0 else std  # of a constant it is a rounding error
+    std = 0.0 if np.ptp(u_) == 0 else std  # the computed std of a constant is a rounding error
     highest = max(1, min(HIGHEST_ORDER, (u_.size // 2 + 1) // 3))
     order, weakest = min(_excitation(half, highest) for half in _halves(u_))
     omega, spectrum = power_spectrum([u_], Ts) if u_.size >= 16 else (np.zeros(0), np.zeros(0))
@@ -166,12 +167,12 @@ def _halves(u: Vector) -> tuple[Vector, ...]:
 
 
 def _excitation(u: Vector, highest: int) -> tuple[int, float]:
-    """Return the order and the least eigenvalue of the covariance matrix of so many samples."""
+    """Return the order, and the least eigenvalue of the covariance matrix of that order."""
     windows = np.lib.stride_tricks.sliding_window_view(u, highest)
-    R = triangle(in_blocks(windows, _ROWS), highest) / np.sqrt(windows.shape[0])
+    R = triangle(in_blocks(windows, _BLOCK_ROWS), highest) / np.sqrt(windows.shape[0])
     order, weakest = 0, 0.0
     for n in range(1, highest + 1):
-        # The first n columns of M have the leading triangle of R: every order from one QR.
+        # R[:n, :n] is the triangular factor of the first n columns, so one QR is enough for all n.
         sizes = np.linalg.svd(R[:n, :n], compute_uv=False)
         if not sizes[-1] > _RANK_TOLERANCE * sizes[0]:
             break
@@ -181,7 +182,7 @@ def _excitation(u: Vector, highest: int) -> tuple[int, float]:
 
 def _levels(u: Vector) -> tuple[Vector, Vector, bool]:
     values, counts = np.unique(u, return_counts=True)
-    if values.size <= _MOST_LEVELS:
+    if values.size <= _MAX_LEVELS:
         return values, counts / u.size, False
     counts, edges = np.histogram(u, bins=_BINS)
     return (edges[:-1] + edges[1:]) / 2, counts / u.size, True

@@ -1,4 +1,4 @@
-"""Signals that stay: a step, and a staircase."""
+"""Signals of constant levels: a step and a staircase."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from armrig.numerics.checks import column, require_integers, require_numbers
 
 Vector = NDArray[np.float64]
 
-# Handout, assignment 3.3: outside this interval the lab process is destroyed.
+# According to assignment 3.3 of the handout, an input outside this interval destroys the rig.
 LOWEST_V, HIGHEST_V = 0.0, 5.0
 
 
 def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
-    """Return a step from one voltage to a higher one.
+    """Return a step (N,) from one voltage to a higher voltage.
 
     Parameters
     ----------
     N : int
         Number of samples, >= 1.
     low, high : float
-        The levels in V, 0 <= low < high <= 5.
+        Levels in V, 0 <= low < high <= 5.
     at : int, default 0
-        First sample at the higher level, 0 to N; N is a signal that stays low.
+        First sample at the higher level, 0 to N; with N the signal stays low.
 
     Returns
     -------
@@ -37,7 +37,7 @@ def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
     Raises
     ------
     ValueError
-        A level is outside 0 to 5 V, or N or `at` is impossible.
+        A level is outside 0 to 5 V, or N or `at` is not allowed.
     """
     require_integers(N=(N, 1), at=(at, 0))
     require_levels(low=low, high=high)
@@ -49,29 +49,31 @@ def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
 def staircase(
     N: int, levels: int | Sequence[float] = 6, low: float = 0.5, high: float = 4.5
 ) -> Vector:
-    """Return a staircase (N,): levels one after the other, each held for the same time.
+    """Return a staircase (N,) of levels, each held for the same time.
 
-    What the output does at each level shows the static gain and whether it is a constant; up and
-    down again shows friction.
+    The output at the levels shows whether the static gain is constant. A staircase up and down
+    shows friction.
 
     Parameters
     ----------
     N : int
         Number of samples, >= number of levels.
     levels : int or sequence of float, default 6
-        How many, >= 2, equally spaced from low up to high; or the voltages themselves in V.
+        Number of levels, >= 2, equally spaced from low to high; or the voltages of the levels, in
+        V.
     low, high : float
-        The interval in V, 0 <= low < high <= 5.
+        Interval in V, 0 <= low < high <= 5.
 
     Returns
     -------
     ndarray, shape (N,)
-        Voltage in V at each sample; the times at the levels differ by one sample at most.
+        Voltage in V at each sample; the times at the levels differ by at most one sample.
 
     Raises
     ------
     ValueError
-        A level is outside [low, high] (the first is named), or there are more levels than samples.
+        A level is outside [low, high], or there are more levels than samples. The message names the
+        first level outside.
     """
     require_integers(N=(N, 1))
     require_levels(low=low, high=high)
@@ -81,32 +83,32 @@ def staircase(
     else:
         stairs = within(levels, low=low, high=high)
     if stairs.size > N:
-        raise InputError(f"{stairs.size} levels need as many samples at least, N={N}")
+        raise InputError(f"{stairs.size} levels need at least as many samples, N={N}")
     return stairs[np.arange(N) * stairs.size // N]
 
 
 def within(u: ArrayLike, *, low: float = LOWEST_V, high: float = HIGHEST_V) -> Vector:
-    """Return a copy (N,) of an input in V, every value of which is inside [low, high].
+    """Return a copy (N,) of an input in V; all values must be inside [low, high].
 
     Raises
     ------
     ValueError
-        A value is outside, or no number; the first one is named by its index.
+        A value is outside or not a number. The message contains the index of the first such value.
     """
     require_levels(low=low, high=high)
-    taken = column("u", u)
-    outside = ~((taken >= low) & (taken <= high))  # also finds NaN
+    given = column("u", u)
+    outside = ~((given >= low) & (given <= high))  # also finds NaN
     if outside.any():
         first = int(np.argmax(outside))
         raise InputError(
-            f"u[{first}]={taken[first]:g} V is outside {low:g} to {high:g} V, as are "
-            f"{np.count_nonzero(outside)} of {taken.size} values; scale or shift the signal"
+            f"u[{first}]={given[first]:g} V is outside {low:g} to {high:g} V, as are "
+            f"{np.count_nonzero(outside)} of {given.size} values; scale or shift the signal"
         )
-    return taken
+    return given
 
 
 def require_levels(*, low: float, high: float) -> None:
-    """Refuse an interval that is empty or leaves the rig's."""
+    """Refuse an interval that is empty or not inside 0 to 5 V."""
     require_numbers(low=low, high=high)
     for name, level in (("low", low), ("high", high)):
         if not LOWEST_V <= level <= HIGHEST_V:  # also refuses NaN
@@ -114,11 +116,11 @@ def require_levels(*, low: float, high: float) -> None:
                 f"{name}={level!r} V is outside the rig's {LOWEST_V:g} to {HIGHEST_V:g} V"
             )
     if not low < high:
-        raise InputError(f"low={low!r} V must lie below high={high!r} V")
+        raise InputError(f"low={low!r} V must be below high={high!r} V")
 
 
 def generator(seed: int | np.random.Generator) -> np.random.Generator:
-    """Return the generator of a seed, an integer >= 0, or the one given."""
+    """Return the generator for a seed, an integer >= 0, or the given generator itself."""
     if isinstance(seed, np.random.Generator):
         return seed
     require_integers(seed=(seed, 0))

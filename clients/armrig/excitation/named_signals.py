@@ -1,11 +1,11 @@
-"""Inputs as a command asks for them: by name, with the few figures that each needs."""
+"""Input signals by their names in commands, each with a few settings."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, ParameterError
 
 from armrig.excitation.binary import prbs, telegraph, white_noise
 from armrig.excitation.levels import Vector, staircase, step
@@ -13,36 +13,36 @@ from armrig.excitation.sines import chirp, multisine
 from armrig.numerics.checks import require_integers, require_numbers
 
 SEEDED = ("telegraph", "prbs", "white", "multisine")
-"""Inputs that another seed makes anew."""
+"""Inputs that depend on a seed."""
 NAMES = (*SEEDED, "chirp")
 
 
 def named_signal(
     name: str, N: int, Ts: float, *, a: float, low: float, high: float, seed: int
 ) -> Vector:
-    """Return the input (N,) of a name, in V.
+    """Return the input (N,) with a given name, in V.
 
     Parameters
     ----------
     name : {"telegraph", "prbs", "white", "multisine", "chirp"}
-        A multisine has one period, with all its lines; a chirp moves logarithmically through two
-        decades up to half of Nyquist's frequency.
+        A multisine has one period with all lines. A chirp is a logarithmic sweep over two decades,
+        up to half of the Nyquist frequency.
     N : int
         Number of samples.
     Ts : float
         Sampling time, in s.
     a : float
-        Probability of a switch at each sample, of the telegraph; a prbs holds each value for
-        1/(2 a) samples, so that it switches as often.
+        Probability of a switch of the telegraph at each sample. A prbs holds each value for 1/(2 a)
+        samples, so that it switches at the same mean rate.
     low, high : float
-        The interval in V, 0 <= low < high <= 5.
+        Interval in V, 0 <= low < high <= 5.
     seed : int
-        Of all but the chirp.
+        Seed of all inputs except the chirp.
 
     Raises
     ------
     ValueError
-        There is no such input, or a figure is not possible.
+        No input has this name, or a setting is not allowed.
     """
     if name == "telegraph":
         return telegraph(N, a, low, high, seed)
@@ -59,7 +59,7 @@ def named_signal(
 
 
 def details_of(name: str, *, a: float, low: float, high: float, seed: int) -> dict[str, Any]:
-    """Return what makes an input of `named_signal` again, to be kept with the recording."""
+    """Return the settings of an input of `named_signal`, to be stored in the recording."""
     details: dict[str, Any] = {"input": name}
     details |= {"a": a} if name in ("telegraph", "prbs") else {}
     details |= {"low": low, "high": high}
@@ -67,7 +67,7 @@ def details_of(name: str, *, a: float, low: float, high: float, seed: int) -> di
 
 
 def clock_of(a: float) -> int:
-    """Return the samples for which a prbs holds, if it is to switch as often as a telegraph."""
+    """Return the clock of a prbs, in samples, for the mean switching rate of a telegraph."""
     require_numbers(a=a)
     if not 0 < a <= 0.5:
         raise InputError(f"a={a!r}: a prbs switches with a probability of more than 0, at most 0.5")
@@ -76,24 +76,22 @@ def clock_of(a: float) -> int:
 
 def step_at(N: int, Ts: float, *, low: float, high: float, at: float) -> Vector:
     """Return the input (N,) that steps from low to high, in V, at a time in s."""
-    # A time just before the end may round to the end, where there would be no step.
+    # A time just before the end may be rounded to N. The input would then contain no step.
     return step(N, low=low, high=high, at=min(round(at / Ts), N - 1))
 
 
 def check_step_time(at: float, seconds: float) -> None:
-    """Refuse a time of a step that is not inside its length, both in s."""
-    if not at >= 0:  # NaN neither
-        raise InputError(f"--at {at:g}: must be a number of seconds, 0 or more")
+    """Refuse a time of the step that is not inside the run; both times are in s."""
+    if not at >= 0:  # also refuses NaN
+        raise ParameterError("at", f"{at:g}", "must be a number of seconds, 0 or more")
     if at >= seconds:
         where = "at" if at == seconds else "after"
-        raise InputError(
-            f"--at {at:g} s is {where} the end, {seconds:g} s; give an earlier --at or more "
-            "--seconds"
-        )
+        reason = f"{where} the end, {seconds:g} s; step earlier or record longer"
+        raise ParameterError("at", f"{at:g} s", reason)
 
 
 def up_and_down(N: int, *, low: float, high: float, levels: int) -> Vector:
-    """Return the input (N,) that goes up from low to high in so many levels, and down again."""
+    """Return the input (N,) that rises from low to high in `levels` levels, then falls to low."""
     up = np.linspace(low, high, levels)
     return staircase(N, [*up, *up[-2::-1]], low, high)
 
@@ -101,28 +99,28 @@ def up_and_down(N: int, *, low: float, high: float, levels: int) -> Vector:
 def realisations(
     N: int, R: int, low: float, high: float, seed: int, *, periods: int
 ) -> tuple[Vector, ...]:
-    """Return R multisines (N,) with other phases and the same power, for `armrig.bla`.
+    """Return R multisines (N,) with different phases and the same power, for `armrig.bla`.
 
-    Their lines are all up to half of Nyquist's frequency; the effective value is the largest with
-    which all of them fit.
+    The lines are all harmonics up to half of the Nyquist frequency. The effective value is the
+    largest value with which all multisines fit into the interval.
 
     Parameters
     ----------
     N : int
-        Samples of each, a whole multiple of `periods`.
+        Number of samples of each multisine, a multiple of `periods`.
     R : int
-        How many, with the seeds seed, seed + 1, …
+        Number of multisines, with the seeds seed, seed + 1, …
     low, high : float
-        The interval in V, 0 <= low < high <= 5.
+        Interval in V, 0 <= low < high <= 5.
     seed : int
-        Of the first.
+        Seed of the first multisine.
     periods : int
-        Whole periods in each.
+        Number of whole periods in each multisine.
 
     Raises
     ------
     ValueError
-        As of `multisine`.
+        `multisine` refuses the settings.
     """
     require_integers(N=(N, 1), R=(R, 1), seed=(seed, 0), periods=(periods, 1))
     lines = range(1, max(1, N // periods // 4) + 1)

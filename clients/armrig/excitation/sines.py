@@ -1,4 +1,4 @@
-"""Sums of sines, and a sine that moves through the frequencies."""
+"""Sums of sines (multisine), and sines with a moving frequency (chirp)."""
 
 from __future__ import annotations
 
@@ -23,37 +23,40 @@ def multisine(
     periods: int = 1,
     rms: float | None = None,
 ) -> Vector:
-    """Return a random-phase multisine (N,): equal power at chosen lines, none between them.
+    """Return a random-phase multisine (N,) with equal power at chosen lines and no power between.
 
-    u(k) = middle + A sum over the lines l of cos(2 pi l k / P + phase_l), with whole periods of
-    P = N / periods samples, so that line l is at 2 pi l / (P Ts) rad/s exactly and leaks nowhere.
+    u(k) = middle + A sum over the lines l of cos(2 pi l k / P + phase_l). The signal has whole
+    periods of P = N / periods samples. Line l is therefore exactly at 2 pi l / (P Ts) rad/s,
+    without leakage.
 
     Parameters
     ----------
     N : int
         Number of samples, a whole multiple of `periods`.
     lines : iterable of int, optional
-        Harmonics, 1 <= l < P/2; by default all. Odd ones alone show even nonlinearities.
+        Harmonics, 1 <= l < P/2; by default all. With odd harmonics only, even nonlinearities are
+        visible at the even harmonics.
     low, high : float
-        The interval in V, 0 <= low < high <= 5.
+        Interval in V, 0 <= low < high <= 5.
     seed : int or numpy.random.Generator, default 1
-        Draws the phases; another seed is another realisation.
+        Seed of the phases. Each seed leads to a different realisation.
     periods : int, default 1
-        Whole periods in N.
+        Number of whole periods in N.
     rms : float, optional
-        Effective value about the middle of the interval, in V; by default the most with which
-        the signal just fits. Realisations that are to be compared need the same.
+        Effective value about the middle of the interval, in V. The default is the largest value
+        with which the signal fits into the interval. Realisations that are compared must have the
+        same effective value.
 
     Returns
     -------
     ndarray, shape (N,)
-        Voltage in V at each sample. `describe_input` tells the crest factor.
+        Voltage in V at each sample. `describe_input` reports the crest factor.
 
     Raises
     ------
     ValueError
-        N is no whole number of periods, a line is impossible, or with `rms` a value is outside
-        [low, high]; the first is named.
+        N is not a whole number of periods, a line is not allowed, or with `rms` a value is outside
+        [low, high]. The message contains the first such line or value.
 
     References
     ----------
@@ -64,11 +67,11 @@ def multisine(
     require_levels(low=low, high=high)
     if N % periods:
         nearest = max(N - N % periods, periods)
-        raise InputError(f"N={N} is no whole number of periods={periods}; take N={nearest}")
+        raise InputError(f"N={N} is not a whole number of periods={periods}; use N={nearest}")
     P = N // periods
     if P < 3:
         raise InputError(
-            f"a period of N/periods={P} samples has no line; it needs 3 samples at least"
+            f"a period of N/periods={P} samples has no line; it needs at least 3 samples"
         )
     l = _lines(lines, P)  # noqa: E741 - the textbook's letter
     X = np.zeros(P // 2 + 1, dtype=np.complex128)
@@ -77,7 +80,7 @@ def multisine(
     middle = (low + high) / 2
     if rms is None:
         s *= (high - low) / 2 / np.max(np.abs(s))
-        u = np.clip(middle + s, low, high)  # against rounding
+        u = np.clip(middle + s, low, high)  # by rounding, u may be just outside
     else:
         require_numbers(rms=rms)
         if not rms > 0:
@@ -112,10 +115,11 @@ def chirp(
     *,
     sweep: Literal["linear", "logarithmic"] = "linear",
 ) -> Vector:
-    """Return a sine (N,) whose frequency moves from one value to another.
+    """Return a sine (N,) whose frequency moves from `from_hz` to `to_hz`.
 
-    Linear: as much time at each hertz; logarithmic: as much in each octave. It begins in the
-    middle of the interval, and fills it, with crest factor sqrt(2).
+    A linear sweep takes the same time for each hertz, and a logarithmic sweep takes the same time
+    for each octave. The sine begins in the middle of the interval and fills the interval. Its crest
+    factor is sqrt(2).
 
     Parameters
     ----------
@@ -124,16 +128,16 @@ def chirp(
     Ts : float
         Sampling time in s.
     from_hz, to_hz : float
-        Frequency at the first sample and at N Ts, in Hz; > 0 and below 1/(2 Ts).
+        Frequency at the first sample and at the time N Ts, in Hz; > 0 and below 1/(2 Ts).
     low, high : float
-        The interval in V, 0 <= low < high <= 5.
+        Interval in V, 0 <= low < high <= 5.
     sweep : {"linear", "logarithmic"}
-        Course of the frequency.
+        Dependence of the frequency on time.
 
     Raises
     ------
     ValueError
-        The interval is outside 0 to 5 V, or a frequency cannot be shown at this Ts.
+        The interval is outside 0 to 5 V, or a frequency is not between 0 and 1/(2 Ts).
     """
     require_integers(N=(N, 1))
     require_levels(low=low, high=high)

@@ -1,1 +1,1 @@
-"""A model, how sure it is, and what it answers."""
+"""Models with their uncertainty and their responses."""

@@ -1,4 +1,4 @@
-"""The figures by which models of one rig are told apart, with their uncertainty."""
+"""Characteristic numbers of a model, with their uncertainty: gain, poles, resonances and times."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from armrig.models.parameter_draws import Draws, directions, drawn
 from armrig.models.uncertainty import pole_regions
-from armrig.numerics.confidence_regions import FEWEST, Band, band, linearised_band, sampled_band
+from armrig.numerics.confidence_regions import MIN_DRAWS, Band, band, linearised_band, sampled_band
 from armrig.numerics.polynomial import evaluate, filtered, roots, without_integrator
-from armrig.numerics.quantile import joint_p_value
 from armrig.numerics.step_times import mean_lag, rise_time, slowest_time
+from armrig.numerics.whiteness import joint_p_value
 
 if TYPE_CHECKING:
     from armrig.models.model import Model
@@ -35,70 +35,70 @@ SCALARS = (
     "overshoot",
 )
 DRAWS = 400
-"""Draws of the parameters that the figures are sampled with."""
-GONE = 0.05
-"""Share of draws without a figure (a resonance, say) from which its range is not known."""
-_ROUNDING = 1e-9  # spread of draws that is no spread
-_STEP = 1e-2  # of a standard deviation
-_POINTS = 600
-_LOWEST = 1 / 3000  # of Nyquist
-_LONGEST = 2000  # samples of a step response
-SAME = 0.01
-"""p value above which a pole and a zero count as equal."""
-_NEAR = 0.3  # largest distance in the z plane at which they are compared
-_REAL = 1e-9
+"""Number of draws of the parameters for the ranges."""
+MAX_INVALID_SHARE = 0.05
+"""Largest share of draws in which a number, such as a resonance, may be missing for a range."""
+_SPREAD_ROUNDING = 1e-9  # relative spread of draws up to which the spread is rounding
+_DIFFERENCE_SIGMAS = 1e-2  # step of the central differences, in standard deviations
+_FREQUENCY_POINTS = 600
+_MIN_NYQUIST_SHARE = 1 / 3000  # lowest frequency of the grid, as a share of the Nyquist frequency
+_MAX_STEP_SAMPLES = 2000
+CANCELLATION_LEVEL = 0.01
+"""p value from which a pole and a zero cannot be distinguished."""
+_MAX_PAIR_DISTANCE = 0.3  # largest distance in the z plane at which a pair is tested
+_REAL_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ModelCharacteristics:
-    """What a model answers, in a few figures; of the rate where y integrates."""
+    """Characteristic numbers of the response of y to u, or of the rate of y if y integrates."""
 
     integrating: bool
-    """The figures are those of y's rate."""
+    """True if the numbers characterise the rate of y."""
     gain: float
-    """Steady answer to a constant input of 1, in y's unit (per s, if it integrates) per u's."""
+    """Steady response to a unit input, in units of y (per s if y integrates) per unit of u."""
     poles: Complex
-    """In continuous time, 1/s, slowest first; NaN where sampling makes no such pole."""
+    """Poles in continuous time, in 1/s, slowest first; NaN for a real sampled pole <= 0."""
     poles_std: Vector
-    """Their spread in the complex plane, 1/s, linearised; 0 for a pole that was fixed."""
+    """Linearised spread of the poles in the complex plane, in 1/s; 0 for a fixed pole."""
     resonance: float
-    """Frequency of the largest peak of |G|, in rad/s; NaN without one."""
+    """Frequency of the most prominent peak of |G|, in rad/s; NaN if there is none."""
     antiresonance: float
-    """Frequency of the deepest dip, in rad/s; NaN without one."""
+    """Frequency of the most prominent dip of |G|, in rad/s; NaN if there is none."""
     bandwidth: float
-    """Lowest frequency at which |G| is the gain less 3 dB, in rad/s; NaN where it never is."""
+    """Lowest frequency at which |G| is 3 dB below the gain, in rad/s; NaN if there is none."""
     rise_time: float
-    """The 63 % time: from a step to 63 % of the gain, less the dead time of nk - 1 samples, in s.
+    """Time from a step to 63 % of the gain, less the dead time of nk - 1 samples, in s.
 
-    The times are defined in `armrig.numerics.step_times`, for data and physics, too.
+    `armrig.numerics.step_times` defines the times for models, data and physics.
     """
     equivalent_time: float
-    """The area above the step response over the gain, less the same dead time, in s."""
+    """Area above the step response divided by the gain, less the same dead time, in s."""
     slowest_time: float
-    """Of the slowest pole, 1/|Re s|, in s; the integrator's left out, NaN without one."""
+    """1/|Re s| of the slowest pole without the integrator, in s; NaN if there is none."""
     overshoot: float
-    """Highest point of the step response over the gain, less 1, in percent."""
+    """Maximum of the step response divided by the gain, less 1, in percent."""
     std: dict[str, float]
-    """Standard deviations by name, linearised; NaN where not known, 0 for a physics that claims to
-    be exact."""
+    """Linearised standard deviations by name; NaN if not known, 0 for a physical model."""
     ranges: dict[str, Band]
-    """95 % ranges by name, linearised or, where that is poor, of draws of the parameters; NaN where
-    not known."""
+    """95 % ranges by name, linearised, or by draws of the parameters if the linearisation is poor;
+    NaN if not known."""
     poles_sampled: NDArray[np.bool_]
-    """Poles whose `poles_std` is a poor one, in their order."""
+    """Mask of the poles for which the linearisation, and therefore `poles_std`, is poor."""
     draws: Draws | None
-    """What was drawn; None where nothing was estimated, or its covariance is not known."""
+    """Draws of the parameters; None if nothing was estimated or the covariance is not known."""
 
 
 def model_characteristics(model: Model) -> ModelCharacteristics:
-    """Return the figures of a model and their standard deviations.
+    """Return the characteristic numbers of a model, with standard deviations and ranges.
 
-    Frequencies are read off |G|, on a grid of 600 points up to Nyquist and then between them, and
-    times off the step response. The standard deviations are g^T P g's roots, P the covariance that
-    the verdict trusts and g the derivatives by theta, by central differences of a hundredth of a
-    deviation. They are NaN where the figure comes or goes within that.
-    Ranges are value ± 1.96 std, unless 400 draws of the parameters show that to be poor (see
-    `armrig.numerics.confidence_regions`).
+    The frequencies are searched on |G|, first on a grid of 600 points up to the Nyquist frequency,
+    then between the points. The times are computed from the step response. A standard deviation is
+    the square root of g^T P g, with the trusted covariance P and the gradient g in theta. g is
+    computed by central differences with a step of a hundredth of a standard deviation. If the
+    number does not exist at both ends of the step, its standard deviation is NaN. A range is value
+    ± 1.96 std. If the linearisation is poor, the range is computed from 400 draws of the parameters
+    (see `armrig.numerics.confidence_regions`).
     """
     integrating = integrates(model)
     own = _scalars(model, model.theta, integrating=integrating)
@@ -138,10 +138,10 @@ def _ranges(
 
 def _range(value: float, std: float, samples: Vector) -> Band:
     there = samples[np.isfinite(samples)]
-    if np.isnan(value) or there.size < max((1 - GONE) * samples.size, FEWEST):
+    if np.isnan(value) or there.size < max((1 - MAX_INVALID_SHARE) * samples.size, MIN_DRAWS):
         unknown = np.array(np.nan)
         return Band(low=unknown, high=unknown, method="sampled")
-    if np.ptp(there) <= _ROUNDING * max(1.0, abs(value)):
+    if np.ptp(there) <= _SPREAD_ROUNDING * max(1.0, abs(value)):
         return linearised_band(value, std)
     return band(value, std, there) if np.isfinite(std) else sampled_band(there)
 
@@ -152,22 +152,23 @@ def _deviations(model: Model, *, integrating: bool) -> dict[str, float]:
         return dict.fromkeys(SCALARS, float("nan"))
     if not covariance.any():
         return dict.fromkeys(SCALARS, 0.0)
-    # Along the columns of W, W W^T = P, each a step of one deviation: by single coefficients the
-    # derivatives are large, and cancel in g^T P g down to their rounding.
+    # Derivatives along the columns of W, with W W^T = P; each column is a step of one standard
+    # deviation. Derivatives with respect to single coefficients are large and would cancel in g^T P
+    # g, so that only rounding remains.
     variance = np.zeros(len(SCALARS))
     for column in directions(model).T:
         if not column.any():
             continue
         above, below = (
             np.array(list(_scalars(model, model.theta + d, integrating=integrating).values()))
-            for d in (_STEP * column, -_STEP * column)
+            for d in (_DIFFERENCE_SIGMAS * column, -_DIFFERENCE_SIGMAS * column)
         )
-        variance += ((above - below) / (2 * _STEP)) ** 2
+        variance += ((above - below) / (2 * _DIFFERENCE_SIGMAS)) ** 2
     return dict(zip(SCALARS, np.sqrt(variance).tolist(), strict=True))
 
 
 def _continuous(model: Model, *, integrating: bool) -> Complex:
-    """Return the poles in 1/s, log(z)/Ts, NaN where there is none."""
+    """Return the poles log(z)/Ts in 1/s, NaN for a z that is real and not positive."""
     z = model.poles().values
     with np.errstate(divide="ignore", invalid="ignore"):
         s = np.where((np.abs(z.imag) < 1e-9) & (z.real <= 0), np.nan, np.log(z) / model.Ts)
@@ -177,7 +178,7 @@ def _continuous(model: Model, *, integrating: bool) -> Complex:
 
 
 def integrates(model: Model) -> bool:
-    """Tell whether y integrates: by construction, or by a pole at 1 as far as it can be told."""
+    """Return whether y integrates: by construction, or by a pole within 5e-3 of 1."""
     return model.integrator or bool(np.any(np.abs(roots(model.denominator) - 1) < 5e-3))
 
 
@@ -187,7 +188,7 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
         F = (without_integrator(F) if model.integrator else _without_one(F)) * model.Ts
     gain = float(np.sum(B) / np.sum(F))
     nyquist = np.pi / model.Ts
-    omega = np.geomspace(_LOWEST * nyquist, nyquist, _POINTS)
+    omega = np.geomspace(_MIN_NYQUIST_SHARE * nyquist, nyquist, _FREQUENCY_POINTS)
 
     x = np.exp(-1j * omega * model.Ts)
     of_grid = np.asarray(np.abs(evaluate(B, x) / evaluate(F, x)) ** 2)
@@ -201,7 +202,8 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
     y = filtered(B, F, np.ones(_length(modulus)))
     dead = max(model.nk - 1, 0)
     answer = y / gain
-    # Of a rate, the mean of each interval, the area is exact; of an output by the trapezoidal rule.
+    # The area of a rate is exact, because a rate is a mean over each interval. The area of an
+    # output is computed by the trapezoidal rule.
     first = 1.0 if integrating else 0.5 * (1 - float(answer[dead]))
     shown = (model.Ts * np.cumsum(answer) if integrating else answer)[dead:]
     with np.errstate(divide="ignore"):
@@ -219,39 +221,39 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
 
 
 def _without_one(F: Vector) -> Vector:
-    """Return F without its root nearest to 1, which was estimated and is taken for 1."""
+    """Return F without its root nearest 1, which is assumed to be exactly 1."""
     z = roots(F)
     return np.atleast_1d(np.real(np.poly(np.delete(z, np.argmin(np.abs(z - 1))))))
 
 
 def _polynomials(model: Model, theta: Vector) -> tuple[Vector, Vector]:
-    """Return B and the denominator A F with other coefficients."""
+    """Return B and the denominator A F for the coefficients theta."""
     a, b, f = (theta[model.slice_of(letter)] for letter in "abf")
     B = np.concatenate([np.zeros(model.nk), b])
     return B, np.convolve(np.append(1.0, a), np.append(1.0, f))
 
 
 def _length(modulus: Vector) -> int:
-    """Return the samples in which a step response settles to a thousandth, 2000 at most.
+    """Return the number of samples in which a step response settles to 0.1 %, at most 2000.
 
     Parameters
     ----------
     modulus : ndarray, shape (n,)
-        Of the poles.
+        Moduli of the poles.
     """
     slowest = float(modulus.max(initial=0.0))
     if not 0 < slowest < 1:
-        return _LONGEST
-    return min(_LONGEST, max(50, int(np.log(1e-3) / np.log(slowest)) + 1))
+        return _MAX_STEP_SAMPLES
+    return min(_MAX_STEP_SAMPLES, max(50, int(np.log(1e-3) / np.log(slowest)) + 1))
 
 
 def _extreme(
     omega: Vector, of_grid: Vector, power: Callable[[float], float], *, sign: int
 ) -> float:
-    """Return the frequency of the most prominent peak (or dip, sign -1) inside, 1 dB at least.
+    """Return the frequency of the most prominent peak (dip if sign is -1) of at least 1 dB, or NaN.
 
-    Found on the grid, then searched between its neighbours on |G|², which is smooth where |G|
-    touches 0.
+    The peak is found on the grid, and then refined between the neighbouring points. The refinement
+    uses |G|², because |G|² is smooth at a zero of |G|.
     """
     from scipy.optimize import minimize_scalar
     from scipy.signal import find_peaks
@@ -272,7 +274,7 @@ def _extreme(
 
 
 def _horner(p: list[float], x: complex) -> complex:
-    """Return a polynomial, highest power first, at one point; numpy takes 50 times as long."""
+    """Return the value of a polynomial, highest power first, at x, 50 times as fast as numpy."""
     value = 0j
     for coefficient in p:
         value = value * x + coefficient
@@ -280,7 +282,7 @@ def _horner(p: list[float], x: complex) -> complex:
 
 
 def _first_below(x: Vector, y: Vector, level: float) -> float:
-    """Return the first x at which y is below the level, between samples by a straight line."""
+    """Return the first x at which y is below the level, by linear interpolation, or NaN."""
     beyond = y < level
     if not beyond.any():
         return float("nan")
@@ -292,11 +294,11 @@ def _first_below(x: Vector, y: Vector, level: float) -> float:
 
 
 def overlapping(model: Model) -> list[tuple[complex, complex, float]]:
-    """Return pole, zero and p value of the pairs that cannot be told apart (1 %), nearest first.
+    """Return pole, zero and p value of pairs that cannot be distinguished at 1 %, nearest first.
 
-    The difference of a pole and a zero has the covariance J P J^T, J their derivatives by theta:
-    where the order is too high both wander, together, and only this difference is small. A
-    conjugate pair is told once.
+    The difference of a pole and a zero has the covariance J P J^T, with the derivatives J of the
+    difference with respect to theta. If the order is too high, the pole and the zero vary together
+    and only their difference is small. A conjugate pair is listed once.
     """
     poles = [(letter, z) for letter in ("a", "f") for z in _roots(model, letter)]
     found = []
@@ -305,13 +307,13 @@ def overlapping(model: Model) -> list[tuple[complex, complex, float]]:
             continue
         for zero in _roots(model, "b"):
             apart = pole - zero
-            if zero.imag < -_REAL or abs(apart) > _NEAR:
+            if zero.imag < -_REAL_TOLERANCE or abs(apart) > _MAX_PAIR_DISTANCE:
                 continue
             d = _derivative(model, letter, pole) - _derivative(model, "b", zero)
             J = np.vstack([d.real, d.imag])
             s = np.array([apart.real, apart.imag])
             p = joint_p_value(s, J @ model.trusted_covariance @ J.T)
-            if p >= SAME:
+            if p >= CANCELLATION_LEVEL:
                 found.append((complex(pole), complex(zero), p))
     return sorted(found, key=lambda pair: abs(pair[0] - pair[1]))
 
@@ -322,7 +324,7 @@ def _roots(model: Model, letter: str) -> Complex:
 
 
 def _derivative(model: Model, letter: str, root: complex) -> Complex:
-    """Return the derivative of a root by theta (d,): dz = -z^(n-k) / p'(z) dp_k."""
+    """Return the derivative of a root with respect to theta, (d,): dz = -z^(n-k) / p'(z) dp_k."""
     p = getattr(model, letter.upper())
     p, first = (p[model.nk :], 0) if letter == "b" else (p, 1)
     powers = p.size - 1 - np.arange(first, p.size)

@@ -1,4 +1,4 @@
-"""A model in words: its equation, and of an estimated one how sure it is and what it fits."""
+"""Texts about a model: equation, and for an estimated model also quality and warnings."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ def described(fit: Estimate) -> str:
 
 
 def heading(model: Model) -> str:
-    """Return structure, orders, signals, sampling time and the samples used in a line."""
+    """Return a line with structure, orders, signals, Ts and, for an estimate, number of samples."""
     return f"{model.heading}: {signals(model)}"
 
 
 def signals(model: Model) -> str:
-    """Return the signals, the sampling time and the samples used in a line."""
+    """Return a line with signals, sampling time and, for an estimate, number of samples."""
     used = f", N {model.N}" if isinstance(model, Estimate) else ""
     return f"{input_and_output(model)}{used}"
 
 
 def input_and_output(model: Model) -> str:
-    """Return the signals and the sampling time in a line."""
+    """Return a line with the signals and the sampling time."""
     u, y = _with_unit("u", model.input_unit), _with_unit(model.output, model.unit)
     return f"{u} to {y}, Ts {model.Ts:g} s"
 
 
 def equations(model: Model, std: Vector | None = None) -> list[str]:
-    """Return the model's equation and its polynomials, with standard deviations if any."""
+    """Return lines with the equation and the polynomials, with standard deviations if given."""
     lines = [f"  {form(model)}"]
     lines += [f"  {letter}(q) = {_polynomial(model, letter, std)}" for letter in letters(model)]
     if model.integrator:
@@ -51,7 +51,7 @@ def equations(model: Model, std: Vector | None = None) -> list[str]:
 
 
 def form(model: Model) -> str:
-    """Return the model's equation, polynomials by their letters."""
+    """Return the model's equation with the letters of its polynomials."""
     known = letters(model)
     left = "A(q) y(t)" if "A" in known else "y(t)"
     driven = "B(q)/F(q)" if "F" in known else "B(q)"
@@ -67,7 +67,7 @@ def form(model: Model) -> str:
 
 
 def letters(model: Model) -> list[str]:
-    """Return the letters of the polynomials that are not 1, "A" … "F"; B always is one."""
+    """Return the letters of B and of the polynomials that are not 1, "A" … "F"."""
     return [name for name in "ABCDF" if name == "B" or model.polynomial(name.lower()).size > 1]
 
 
@@ -88,7 +88,7 @@ def _with_unit(name: str, unit: str) -> str:
 
 
 def whiteness_sentence(fit: Estimate, std: str = "std", robust: str = "std_robust") -> str:
-    """Return whether the residuals are white, and which deviation to trust then."""
+    """Return a text with the result of the whiteness test and the standard deviation to trust."""
     of = "residuals prewhitened as IV4 does" if fit.structure == "iv4" else "residuals"
     if isnan(fit.whiteness):
         return f"{of} {fit.white}"

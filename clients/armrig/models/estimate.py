@@ -1,4 +1,4 @@
-"""An estimated model: how sure it is, what it fits, and how it was found."""
+"""Estimated model with uncertainty, quality on the data and results of the search."""
 
 from __future__ import annotations
 
@@ -12,127 +12,127 @@ from armrig.data.finding import EstimateFinding
 from armrig.models.model import Matrix, Model, Vector, freeze, standard_deviations
 from armrig.models.responses import NoiseSpectrum
 from armrig.models.structure import FreeResponse
-from armrig.models.structure_table import KINDS
+from armrig.models.structure_table import STRUCTURES
 from armrig.numerics import criteria
 from armrig.numerics.whiteness import Whiteness
 
-MOST_CURVED = 0.5
-"""Of `Estimate.curvature`, where deviations of coefficients still cover: 93 % of the true ones in
-tests/benchmarks/cancelling.py."""
+MAX_TRUSTED_CURVATURE = 0.5
+"""Largest `Estimate.curvature` at which the coefficients' standard deviations are reliable. Up to
+this limit the 95 % intervals contain 93 % of the true values in tests/benchmarks/cancelling.py."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Start:
-    """One start value of the search, and where it led."""
+    """One start value of the search, and its result."""
 
     name: str
-    """How the start was found."""
+    """Method that found the start value."""
     loss: float
-    """Mean squared residual at the minimum reached from it."""
+    """Mean squared residual at the minimum reached."""
     iterations: int
-    """Steps it took."""
+    """Number of steps."""
     converged: bool
-    """Cost and scaled gradient met the tolerance."""
+    """True if cost and scaled gradient are within the tolerance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Estimate(Model):
-    """A model with covariance, loss and search: all of a `Fit` but what it says and draws."""
+    """A model with covariance, loss and search results: a `Fit` without texts and figures."""
 
     structure: str
-    """Name of a `structure_table.Kind`, such as "oe"."""
+    """Name of a `structure_table.RegisteredStructure`, such as "oe"."""
     covariance: Matrix
-    """Of theta, lambda (J^T J)^-1; right where the residuals are white."""
+    """Covariance of theta, lambda (J^T J)^-1; valid if the residuals are white."""
     covariance_robust: Matrix
-    """Of theta, the sandwich form; also right where they are coloured."""
+    """Covariance of theta, sandwich form; also valid if the residuals are coloured."""
     noise_variance: float
     """Estimate of lambda, the variance of e, with the degrees of freedom subtracted."""
     loss: float
     """Mean squared residual (one step ahead) on the estimation data."""
     N: int
-    """Residuals that the loss was averaged over."""
+    """Number of residuals in the loss."""
     fit_percent: float
     """100 (1 - |y - ŷ| / |y - mean y|), one step ahead, on the estimation data."""
     whiteness: float
-    """p value of white residuals on the estimation data."""
+    """p value of the whiteness test of the residuals on the estimation data."""
     whiteness_test: str = ""
-    """Name of the test that it is of; "" in files of armrig 0.1."""
+    """Name of the test of whiteness; "" in files of armrig 0.1."""
     converged: bool = True
-    """The search for the minimum met its tolerance."""
+    """True if the search for the minimum is within its tolerance."""
     starts: tuple[Start, ...] = ()
-    """Start values and where each led, best first; empty for a closed form."""
+    """Start values with their results, best first; empty for a closed form."""
     agreed: bool = True
-    """All starts led to the same minimum."""
+    """True if all starts led to the same minimum."""
     curvature: float = 0.0
-    """How far the loss, two deviations away, is from the parabola that `std` takes it for: |ln| of
-    the ratio. 0 for a linear regression, and in files of earlier releases."""
+    """Deviation of the loss from the parabola that `std` assumes: |ln| of the ratio of their rises,
+    two standard deviations from the minimum. 0 for a linear regression and in older files."""
     free: tuple[FreeResponse, ...] = ()
     """Initial state and input offset of each experiment, estimated with theta."""
     findings: tuple[EstimateFinding, ...] = ()
-    """What a reader should know before trusting the numbers, as values for programs."""
+    """Findings about the reliability of the numbers, with codes for programs."""
     source: str = ""
-    """Hash of the recording identified from, or ""."""
+    """Hash of the recording that the model was identified from, or ""."""
     history: tuple[str, ...] = ()
     """Treatment of the data."""
     digest: str = ""
     """Fingerprint of the estimation data."""
 
     def __post_init__(self) -> None:
-        """Make the arrays as frozen as the rest."""
+        """Make the arrays read-only."""
         Model.__post_init__(self)
         freeze(self, ("covariance", "covariance_robust"))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What a reader should know before trusting the numbers, a sentence each."""
+        """Sentences of the findings about the reliability of the numbers."""
         return tuple(f.text for f in self.findings)
 
     @property
     def label(self) -> str:
         """Structure and orders: OE[4 4 1]."""
-        return KINDS[self.structure].short(self.orders)
+        return STRUCTURES[self.structure].short(self.orders)
 
     @property
     def heading(self) -> str:
         """Structure and orders by their names: OE(nb=4, nf=4, nk=1)."""
-        return KINDS[self.structure].long(self.orders)
+        return STRUCTURES[self.structure].long(self.orders)
 
     @property
     def orders(self) -> dict[str, int]:
-        """Orders by name: na, nb, nc, nd, nf and nk, those that the structure has."""
+        """Orders of the structure by name: na, nb, nc, nd, nf or order, and nk."""
         sizes = self._sizes | {"order": self.A.size - 1}
-        return {name: sizes[name] for name in (*KINDS[self.structure].orders, "nk")}
+        return {name: sizes[name] for name in (*STRUCTURES[self.structure].orders, "nk")}
 
     @property
     def std(self) -> Vector:
-        """Standard deviations of theta (d,), the classic form."""
+        """Standard deviations of theta (d,), from the classic covariance."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def std_robust(self) -> Vector:
-        """Standard deviations of theta (d,), the sandwich form."""
+        """Standard deviations of theta (d,), from the sandwich form of the covariance."""
         return np.sqrt(np.diag(self.covariance_robust))
 
     @property
     def white(self) -> Whiteness:
-        """The test of white residuals; its str says what came out."""
+        """Result of the whiteness test; str() returns it as text."""
         return Whiteness(p_value=self.whiteness, test=self.whiteness_test)
 
     @property
     def trusts_robust(self) -> bool:
-        """The residuals are not white, and then only the robust covariance holds."""
+        """True if the residuals are coloured, so that only the robust covariance is valid."""
         return self.white.coloured
 
     @property
     def trusts_coefficients(self) -> bool:
-        """The deviations of the coefficients hold, and not only those of the responses."""
-        return self.curvature <= MOST_CURVED
+        """True if the coefficients' standard deviations, not only those of responses, hold."""
+        return self.curvature <= MAX_TRUSTED_CURVATURE
 
     @property
     def trusted_covariance(self) -> Matrix:
-        """The covariance that the verdict says to trust: robust where residuals are not white.
+        """Covariance to trust: the robust form if the residuals are coloured.
 
-        It is the one that poles, zeros, frequency and step response carry on.
+        Poles, zeros, frequency and step response use this covariance.
         """
         return self.covariance_robust if self.trusts_robust else self.covariance
 
@@ -152,14 +152,15 @@ class Estimate(Model):
         return float(criteria.mdl(self.loss, self.parameters, self.N))
 
     def estimated_from(self, data: Dataset) -> bool:
-        """Tell whether the model was estimated from these very data."""
+        """Return whether the model was estimated from the same data."""
         return bool(self.digest) and self.digest == data.digest
 
     def noise_spectrum(self, omega: ArrayLike) -> NoiseSpectrum:
         """Return the power spectrum of C/(A D) e at omega (n,) in rad/s, up to pi/Ts.
 
         Phi = lambda Ts |C/(A D)|², so that the variance is the integral of Phi/(2 pi) from -pi/Ts
-        to pi/Ts. Its deviation allows for the estimated lambda, of variance 2 lambda²/N, too.
+        to pi/Ts. The standard deviation of Phi includes the uncertainty of lambda, with the
+        variance 2 lambda²/N.
 
         Raises
         ------

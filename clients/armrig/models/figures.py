@@ -1,4 +1,4 @@
-"""Figures of what models answer: frequency and step response."""
+"""Figures of models: frequency and step response."""
 
 from __future__ import annotations
 
@@ -24,17 +24,27 @@ from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 from armrig.models.uncertainty import frequency_bands, step_band
 from armrig.numerics.confidence_regions import HALF_WIDTH, Band
 from armrig.plots.captions import NAMES, legend, sign
-from armrig.plots.layout import GREY, INK, axes, finish, letter, panels, pens
-from armrig.plots.scales import decibel_ticks, decibels, hertz
+from armrig.plots.layout import (
+    GREY,
+    INK,
+    axes,
+    decibel_ticks,
+    decibels,
+    finish,
+    hertz,
+    letter,
+    panels,
+    pens,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-_CHANCE = 150.0  # degrees, from which on a turn at once may have either sign
-_AT_ONCE = 4  # steps of the frequencies that are drawn
-_DOTS = 40  # at which an estimate without a structure is shown
+_AMBIGUOUS_TURN_DEG = 150.0  # a sudden phase change by more than this may have either sign
+_TURN_STEPS = 4  # number of frequencies over which a phase change is sudden
+_MAX_DOTS = 40  # largest number of dots of a spectral estimate
 
 
 def plot_bode(
@@ -43,20 +53,22 @@ def plot_bode(
     labels: Labels = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show magnitude and, below, phase, with 95 % bands where there are any.
+    """Plot magnitude and phase, with 95 % bands for estimated models.
 
-    A band is that of the linearisation, or of draws of the parameters where that is poor; the
-    legend says which. Each frequency stands for itself: of all of them together the band holds
-    fewer than 95 %.
+    A band is linearised, or computed by draws of the parameters if the linearisation is poor. The
+    legend names the method. The bands are pointwise: the probability that a band contains the true
+    response at all frequencies is below 95 %.
 
     Parameters
     ----------
     *models
-        `Fit`, an estimate of `spa`, `etfe` or `bla` (dots with 95 % bars, the band's smoothing not
-        counted; hollow where u explains less than half of y's power), or a python-control system
-        with one input and one output.
+        A `Fit`, an estimate of `spa`, `etfe` or `bla`, or a python-control system with one input
+        and one output. An estimate of `spa`, `etfe` or `bla` is drawn as dots with 95 % bars, which
+        do not include the smoothing bias. A dot is hollow if u explains less than half of y's
+        power.
     omega : array_like, optional
-        Frequencies in rad/s; by default two and a half decades up to the highest Nyquist frequency.
+        Frequencies in rad/s. The default range is 1/600 of the highest Nyquist frequency to this
+        Nyquist frequency.
     """
     highest = max((np.pi / m.Ts for m in models if hasattr(m, "Ts")), default=1e3)
     w = (
@@ -89,15 +101,16 @@ def plot_bode(
 def plot_step(
     *models: Model, n: int | None = None, labels: Labels = None, ax: Axes | None = None
 ) -> Axes:
-    """Show the answer to a unit step, with 95 % bands, linearised or, where that is poor, by draws.
+    """Plot the response to a unit step with 95 % bands.
 
-    Each curve begins at 0, at the step. Of models that all integrate the rate is shown: the output
-    itself is a ramp.
+    A band is linearised, or computed by draws if the linearisation is poor. Each curve begins at 0
+    at the time of the step. If all models integrate, the figure shows the rate, because the output
+    is a ramp.
 
     Parameters
     ----------
     n : int, optional
-        Samples; by default 1 s or 50 samples, whichever is more.
+        Number of samples; the default is 1 s or 50 samples, whichever is longer.
     """
     ax = axes(ax)
     curves: list[NDArray[np.float64]] = []
@@ -105,7 +118,7 @@ def plot_step(
     rate = all(integrates(model) for model in models)
     for model, name, pen in zip(models, labels_of(models, labels), pens(len(models)), strict=True):
         answer = model.step_response(n or max(50, round(1 / model.Ts)), rate=rate)
-        # From rest: a rate's first value is that of half a sample after the step.
+        # The response is from rest. The first value of a rate is half a sample after the step.
         t, y = np.append(0.0, answer.t), np.append(0.0, answer.y)
         curves.append(y)
         if np.nan_to_num(answer.std).any():
@@ -129,7 +142,7 @@ def plot_step(
 
 
 def plot_fit(model: Model) -> Figure:
-    """Return a figure of one model: frequency and step response, poles and zeros."""
+    """Return a figure of one model with frequency response, step response, poles and zeros."""
     from matplotlib import pyplot as plt
 
     figure = plt.figure(figsize=(9.0, 5.6), layout="constrained")
@@ -149,7 +162,7 @@ def _curve(
     omega: NDArray[np.float64],
     pen: dict[str, Any],
 ) -> tuple[NDArray[np.float64], Draws | None]:
-    """Draw one model, and return its level in dB, and the draws that its bands are of."""
+    """Draw one model; return its level in dB and the draws of its bands."""
     x, G, bands, draws = _response(model, omega)
     level, phase = decibels(G), _phase(G)
     shade: dict[str, Any] = {"color": pen["color"], "alpha": 0.25, "lw": 0}
@@ -168,14 +181,15 @@ def _curve(
 def _dots(
     ax: Axes, below: Axes, estimate: SpectralEstimate, name: str, omega: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Draw an estimate without a structure as dots with bars, and return its level in dB."""
+    """Draw a spectral estimate as dots with bars; return its level in dB."""
     w = estimate.omega
     known = np.isfinite(estimate.G) & (w >= omega[0]) & (w <= omega[-1]) & (np.abs(estimate.G) > 0)
     at = _spread(w, np.flatnonzero(known))
     w, G = w[at], estimate.G[at]
     magnitude, level, phase = np.abs(G), decibels(G), _phase(G)
     if below.lines and w.size:
-        # The turn of the last model: noise would unwrap the dots to anywhere.
+        # The dots are moved to the turn of the last model's phase, because noise would unwrap the
+        # phase wrongly.
         curve = np.asarray(below.lines[-1].get_xydata(), np.float64)
         near = np.interp(w, *curve[np.isfinite(curve).all(axis=1)].T)
         phase = phase + 360 * np.round((near - phase) / 360)
@@ -195,10 +209,10 @@ def _dots(
 
 
 def _spread(w: NDArray[np.float64], known: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return which of the known frequencies to show: as even on the logarithmic axis as may be."""
-    if known.size <= _DOTS:
+    """Return indices of the frequencies to show, as even as possible on the logarithmic axis."""
+    if known.size <= _MAX_DOTS:
         return known
-    wanted = np.geomspace(max(w[known[0]], w[-1] * 1e-6), w[known[-1]], _DOTS)
+    wanted = np.geomspace(max(w[known[0]], w[-1] * 1e-6), w[known[-1]], _MAX_DOTS)
     return np.unique(known[np.argmin(np.abs(wanted[:, None] - w[known][None, :]), axis=1)])
 
 
@@ -209,7 +223,7 @@ def _method(estimate: SpectralEstimate) -> str:
 def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
-    """Return frequencies up to the model's Nyquist, G there, and its bands if it has any."""
+    """Return frequencies up to the Nyquist frequency, G, the bands of G and their draws."""
     if isinstance(model, Model):
         w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
         answer = model.frequency_response(w)
@@ -222,27 +236,27 @@ def _response(
 
 
 def _phase(G: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the phase as a lag without jumps by 360°, begun between -360° and 0°.
+    """Return the phase without jumps by 360°, beginning between -360° and 0°.
 
-    At a zero that is hardly damped it turns by 180° at once, and whether up or down is chance:
-    to where it stays between -360° and 0°.
+    At a weakly damped zero the phase jumps by 180°, and the sign of the jump is arbitrary. The
+    function chooses the sign for which the phase stays between -360° and 0°.
     """
     phase = np.degrees(np.angle(G)) % 360 - 360
     for k in range(1, phase.size):
         step = (phase[k] - phase[k - 1] + 180) % 360 - 180
-        if np.abs(step) < _CHANCE:
+        if np.abs(step) < _AMBIGUOUS_TURN_DEG:
             phase[k] = phase[k - 1] + step
-    for k in range(phase.size - _AT_ONCE):
-        begin, end = phase[k], phase[k + _AT_ONCE]
+    for k in range(phase.size - _TURN_STEPS):
+        begin, end = phase[k], phase[k + _TURN_STEPS]
         turns = np.ceil(end / 360)
-        if turns and -360 <= begin <= 0 and np.abs(end - begin) > _CHANCE:
-            phase[k + 1 : k + _AT_ONCE] = np.nan
-            phase[k + _AT_ONCE :] -= 360 * turns
+        if turns and -360 <= begin <= 0 and np.abs(end - begin) > _AMBIGUOUS_TURN_DEG:
+            phase[k + 1 : k + _TURN_STEPS] = np.nan
+            phase[k + _TURN_STEPS :] -= 360 * turns
     return np.asarray(phase)
 
 
 def _limit_phase(ax: Axes) -> None:
-    """Limit an axis of phases to the quarter turns that its curves and dots reach."""
+    """Limit a phase axis to the multiples of 90° around its curves and dots."""
     shown = np.concatenate([np.asarray(line.get_ydata(), np.float64) for line in ax.lines])
     shown = shown[np.isfinite(shown)]
     if shown.size:
@@ -254,7 +268,7 @@ def _limit_phase(ax: Axes) -> None:
 
 
 def _limit_level(ax: Axes, level: NDArray[np.float64]) -> None:
-    """Limit an axis in dB to what the curves reach, and put its ticks at multiples of 20 dB."""
+    """Limit an axis in dB to the curves, with ticks at multiples of 20 dB."""
     shown = level[np.isfinite(level)]
     if shown.size:
         ax.set_ylim(float(shown.min()) - 6.0, float(shown.max()) + 6.0)
@@ -262,7 +276,7 @@ def _limit_level(ax: Axes, level: NDArray[np.float64]) -> None:
 
 
 def _limited(ax: Axes, y: NDArray[np.float64]) -> None:
-    """Keep a band that is far wider than the curves from flattening them."""
+    """Limit an axis so that a very wide band does not flatten the curves."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     span = high - low or 1.0
     bottom, top = ax.get_ylim()

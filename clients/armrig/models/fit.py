@@ -1,4 +1,4 @@
-"""The result of an estimation: a model, how sure it is, and what it says of itself and of data."""
+"""Result of an estimation: a model with uncertainty, texts and figures."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ class Fit(Estimate):
     """A model A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) with its uncertainty."""
 
     def predict(self, data: Dataset, horizon: int | None = 1) -> Vector:
-        """Return ŷ(t) (N,) from u up to t and y up to t - horizon; None is simulation.
+        """Return ŷ(t) (N,) from u up to t and y up to t - horizon; with None, from u alone.
 
-        The initial state is estimated from the data by least squares (with an integrator, or if
-        it was with the model, the input offset too); NaN where the past is not yet known: at the
-        beginning for a model without C, and with a noise model within `horizon` of a gap.
+        The initial state is estimated from the data by least squares. With an integrator, or if the
+        model has `offset`, the input offset is estimated too. ŷ is NaN if the past is not yet
+        known. For a model without C, ŷ is NaN at the beginning. For a noise model, ŷ is NaN within
+        `horizon` of a gap.
         """
         from armrig.models.prediction import predicted
 
         return predicted(self, data, horizon)
 
     def summary(self) -> Summary:
-        """Return poles, zeros, gain, bandwidth and the like with 95 % ranges; print it.
+        """Return poles, zeros, gain, bandwidth and times with 95 % ranges, as a table to print.
 
-        They are linearised, or by draws of the parameters where that is poor: see
-        `armrig.numerics.confidence_regions`.
+        The ranges are linearised, or computed by draws of the parameters if the linearisation is
+        poor. See `armrig.numerics.confidence_regions`.
         """
         from armrig.models.summary import summary
 
@@ -45,16 +46,17 @@ class Fit(Estimate):
     def plot(self) -> Figure:
         """Return a figure of frequency and step response, poles and zeros, with 95 % regions.
 
-        For one of them, for several models and for axes of your own see `armrig.plots`.
+        The functions of `armrig.plots` draw each panel alone, for several models or in your own
+        axes.
         """
         from armrig.models.figures import plot_fit
 
         return plot_fit(self)
 
     def save(self, path: str | PathLike[str]) -> None:
-        """Write the model as JSON, every number to its last digit; `armrig.load_fit` reads it.
+        """Write the model as JSON, with all digits of each number; `armrig.load_fit` reads it.
 
-        The file holds the hash of the recording and the treatment of its data, too.
+        The file also contains the hash of the recording and the treatment of its data.
         """
         from armrig.models.model_writing import save_fit
 
@@ -73,13 +75,13 @@ class Fit(Estimate):
         return typst(self)
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook."""
+        """Return the model as HTML for a notebook."""
         from armrig.models.markup import html
 
         return html(self)
 
     def __repr__(self) -> str:
-        """Say it in a few lines, equation first."""
+        """Return the model as a few lines of text with orders, equation and quality."""
         from armrig.models.equation import described
 
         return described(self)

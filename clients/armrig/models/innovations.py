@@ -1,12 +1,12 @@
-"""The one-step prediction errors of A y = (B/F) u + (C/D) e and what the unknown past does to them.
+"""One-step prediction errors of A y = (B/F) u + (C/D) e for data with an unknown past.
 
-For given C, D and F the prediction errors are linear in A, B and in everything unknown::
+For given C, D and F the prediction errors are linear in A, B and all unknown quantities::
 
     e = (D/C) (A y - (B u + x) / F - trend) - z/C
 
-where x are pulses for the state of B/F at the start of an experiment, and z pulses for what the
-noise model remembers: of before the experiment, and after each gap in y of what was missed. B/F
-runs through a gap, since u is known there.
+The pulses x represent the state of B/F at the start of an experiment. The pulses z represent the
+unknown past of the noise model, at the start of an experiment and after each gap in y. No pulses x
+are needed after a gap, because u is known during the gap.
 
 References
 ----------
@@ -27,31 +27,32 @@ from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged
 from armrig.numerics.stretches import Mask, stretches
 
-_SETTLED = 1e-18  # share of the largest value below which an impulse response is over
-_FIRST_LOOK = 256  # samples
+_SETTLED_SHARE = 1e-18  # share of the largest value below which an impulse response is 0
+_FIRST_RESPONSE_SAMPLES = 256  # samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """One experiment as filters need it: without holes, and where there were some."""
+    """Signals of one experiment, with missing y interpolated, and the rows that have errors."""
 
     u: Array
-    """Input (N,), summed where F integrates."""
+    """Input (N,), summed if F integrates."""
     y: Array
-    """Output (N,), interpolated where it is missing; differenced where A integrates."""
+    """Output (N,), missing values interpolated; differenced if A integrates."""
     rows: Mask
-    """(N,), where there is a prediction error."""
+    """Rows (N,) that have a prediction error."""
     stretches: tuple[slice, ...]
-    """Samples without a gap that have prediction errors, where the noise model remembers."""
+    """Stretches without a gap that have prediction errors, for the noise model."""
     whole: bool
-    """There is an error at every sample."""
+    """True if every sample has a prediction error."""
 
 
 def prepared(part: Dataset, structure: Structure) -> Experiment:
-    """Return one experiment's signals for a structure.
+    """Return the signals of one experiment for a structure.
 
-    Without C the first errors of a stretch, which look back on what is not known, are left out;
-    with C they are kept and the past is estimated, if the stretch is longer than what is unknown.
+    Without C, the first errors of a stretch depend on unknown samples and are not used. With C,
+    these errors are used and the unknown past is estimated. A stretch must be longer than the
+    unknown past.
     """
     u, y, valid = part.u, part.y, part.valid
     if structure.integrator == "f":
@@ -75,33 +76,33 @@ def prepared(part: Dataset, structure: Structure) -> Experiment:
 
 
 def forgotten(structure: Structure, start: int) -> int:
-    """Return how many pulses through 1/C stand for the past of a stretch that begins there."""
+    """Return the number of pulses that represent the past of a stretch that begins at `start`."""
     if start == 0 and structure.at_rest:
         return 0
     return max(structure.memory, structure.first - start)
 
 
 def summed_input(u: Array, *, centred: bool) -> Array:
-    """Return U with B/F u = B/F̃ U for F = (1 - q^-1) F̃; centred where a ramp is free anyway."""
+    """Return U with B/F u = B/F̃ U for F = (1 - q^-1) F̃; u is centred if a ramp is estimated."""
     return np.cumsum(u - np.mean(u)) if centred else np.cumsum(u)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unknown:
-    """Orthonormal basis of what an experiment's unknown past can add to its errors."""
+    """Orthonormal basis of the contribution of the unknown past to the errors."""
 
     noise: tuple[tuple[slice, Array], ...]
-    """Of each stretch, on its first rows: until the impulse response of 1/C is over."""
+    """Rows and basis of z for each stretch, until the impulse response of 1/C has decayed to 0."""
     state: Basis
-    """Of x and trend, less their projection on the others, on the first rows."""
+    """Basis of x and trend, less their projection on `noise`, on the first rows."""
     volumes: tuple[Callable[[], tuple[float, Array]], ...]
-    """Of each stretch log |Z^T Z|, with Z the noise's columns, and its derivatives by c; when they
-    are asked for, which is of the second stretch and those after it."""
+    """Function of each stretch that returns log |Z^T Z| and its gradient in c. Z has the columns of
+    the pulses z. The functions are called from the second stretch on."""
     N: int
-    """Samples."""
+    """Number of samples."""
 
     def without(self, M: Array) -> Array:
-        """Return M (N, k), zero where there is no error, less its projection on the basis."""
+        """Return M (N, k) less its projection on the basis; M is 0 in rows without an error."""
         M = np.array(M, order="F")
         for s, Q in self.noise:
             M[s] -= Q @ (Q.T @ M[s])
@@ -111,12 +112,12 @@ class Unknown:
         return M
 
     def state_of(self, y: Array) -> Array:
-        """Return x and the trend's coefficients for errors y (N,), the noise's past free too."""
+        """Return x and the trend's coefficients, estimated from y (N,) with z projected out."""
         return self.state.coefficients(y[: self.state.Q.shape[0]])
 
     @property
     def rank(self) -> int:
-        """Number of dimensions."""
+        """Dimension of the basis."""
         return self.state.rank + sum(int(Q.shape[1]) for _, Q in self.noise)
 
     @property
@@ -131,7 +132,7 @@ class Unknown:
 
 
 def masked(M: Array, experiment: Experiment) -> Array:
-    """Return M with zeros where there is no error."""
+    """Return M with zeros in the rows without an error."""
     if experiment.whole:
         return M
     return np.where(experiment.rows if M.ndim == 1 else experiment.rows[:, None], M, 0.0)
@@ -140,7 +141,7 @@ def masked(M: Array, experiment: Experiment) -> Array:
 def unknown(
     experiment: Experiment, structure: Structure, *, C: Array, D: Array, F: Array
 ) -> Unknown:
-    """Return the basis of what the unknown past adds to the errors."""
+    """Return the basis of the contribution of the unknown past to the errors."""
     N = experiment.y.size
     noise, volumes = _noise_bases(experiment, structure, C)
     k = structure.count
@@ -163,7 +164,7 @@ _Volumes = tuple[Callable[[], tuple[float, Array]], ...]
 
 
 def _noise_bases(experiment: Experiment, structure: Structure, C: Array) -> tuple[_Bases, _Volumes]:
-    """Return basis and volume of each stretch's pulses through 1/C."""
+    """Return the bases and the volumes of the pulses through 1/C, for each stretch."""
     if structure.nc == 0:
         return (), ()
     longest = max((s.stop - s.start for s in experiment.stretches), default=1)
@@ -177,7 +178,10 @@ def _noise_bases(experiment: Experiment, structure: Structure, C: Array) -> tupl
         if k == 0:
             volumes.append(lambda: none)
             continue
-        if (k, n) not in known:  # most stretches are longer than the response, and so alike
+        if (
+            k,
+            n,
+        ) not in known:  # most stretches are longer than the response and have the same basis
             Q, R = np.linalg.qr(_pulses(pulse, k, n))
             known[k, n] = Q, cache(partial(_volume, Q, R, C))
         Q, volume = known[k, n]
@@ -187,9 +191,9 @@ def _noise_bases(experiment: Experiment, structure: Structure, C: Array) -> tupl
 
 
 def _volume(Q: Array, R: Array, C: Array) -> tuple[float, Array]:
-    """Return log |Z^T Z| of pulses Z = Q R through 1/C, and its derivatives by c.
+    """Return log |Z^T Z| of pulses Z = Q R through 1/C, and its gradient in c.
 
-    d log |Z^T Z| is 2 trace(Z^+ dZ), and d(1/C) by c_k is -q^-k / C².
+    d log |Z^T Z| is 2 trace(Z^+ dZ), and the derivative of 1/C with respect to c_k is -q^-k / C².
     """
     n, k = Q.shape
     slope = response([1.0], np.convolve(C, C), n)
@@ -202,51 +206,52 @@ def _volume(Q: Array, R: Array, C: Array) -> tuple[float, Array]:
 
 
 def response(numerator: Array | list[float], denominator: Array, N: int) -> Array:
-    """Return the impulse response until it is over, N samples at most.
+    """Return the impulse response until it has decayed to 1e-18 of its maximum, at most N samples.
 
-    Beyond lie denormal numbers, which a processor takes ten times as long for.
+    Later samples are denormal numbers. With denormal numbers a processor is ten times slower.
     """
-    n = min(N, _FIRST_LOOK)
+    n = min(N, _FIRST_RESPONSE_SAMPLES)
     while True:
         pulse = np.zeros(n)
         pulse[0] = 1.0
         h = filtered(numerator, denominator, pulse)
         largest = float(np.abs(h).max())
-        above = np.flatnonzero(np.abs(h) > _SETTLED * largest)
+        above = np.flatnonzero(np.abs(h) > _SETTLED_SHARE * largest)
         end = int(above[-1]) + 1 if above.size else 1
-        # An oscillation may be small for a while: over is what stays small.
+        # An oscillation may be small only for some samples. The response ends if it stays small.
         if n == N or end < n // 2:
             return h[:end]
         n = min(N, 4 * n)
 
 
 def _pulses(h: Array, k: int, N: int) -> Array:
-    """Return pulses at 0 … k - 1 with the response h, until they are over, in N rows at most."""
+    """Return the impulse response h, delayed by 0 … k - 1 samples, as columns of at most N rows."""
     n = min(N, h.size + k - 1)
     return lagged(np.append(h, np.zeros(max(n - h.size, 0)))[:n], range(k))
 
 
 def trend(structure: Structure, N: int) -> Array:
-    """Return (N, trend): ones, and the ramp t + 1, which is the sum of a unit input."""
+    """Return the columns of the trend (N, trend): ones, and the ramp t + 1."""
     return np.column_stack([np.ones(N), np.arange(1.0, N + 1.0)])[:, : structure.trend]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinearPart:
-    """What is linear in a and b, for given C, D and F: y = X [a, b] + unknown + e."""
+    """Linear equation of the errors for given C, D and F: y = X [a, b] + unknown + e."""
 
     X: Array
-    """Derivatives of the prediction by a and b, (N, na + nb), zero where there is no error."""
+    """Derivatives of the prediction with respect to (a, b), (N, na + nb); 0 in rows without an
+    error."""
     y: Array
-    """D/C y, (N,), the same."""
+    """Signal D/C y, (N,); 0 in rows without an error."""
     unknown: Unknown
-    """What the unknown past adds."""
+    """Basis of the unknown past."""
 
 
 def regression(
     experiment: Experiment, structure: Structure, *, C: Array, D: Array, F: Array
 ) -> LinearPart:
-    """Return what the errors are linear in, for given C, D and F."""
+    """Return the linear equation of the errors, for given C, D and F."""
     n = structure
     y = _noise(D, C, experiment.y)
     u = filtered(D, np.convolve(C, F), experiment.u)
@@ -260,14 +265,15 @@ def regression(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Errors:
-    """One experiment's prediction errors and how they depend on c, d and f."""
+    """Prediction errors of one experiment, and their derivatives with respect to c, d and f."""
 
     e: Array
-    """(N,), zero where there is none."""
+    """Errors (N,), 0 in rows without an error."""
     Psi: Array
-    """Derivatives of the prediction by c, d and f, less their projection, (N, nc + nd + nf)."""
+    """Derivatives of the prediction with respect to (c, d, f), (N, nc + nd + nf), less their
+    projection on the basis of the unknown past."""
     driven: Array
-    """B/F u from the estimated state, trend included, (N,)."""
+    """Response B/F u from the estimated state, with the trend, (N,)."""
     state: Array
     """Pulses x, then the trend's coefficients."""
 
@@ -283,13 +289,13 @@ def errors(
     D: Array,
     F: Array,
 ) -> Errors:
-    """Return the errors for all polynomials, the unknown past estimated by least squares.
+    """Return the errors for given polynomials, with the unknown past estimated by least squares.
 
     With v = A y - w and w = (B u + x)/F the derivatives of the prediction are ::
 
-        q^-k e / C  by c_k,   -q^-k v / C  by d_k,   -(D/C) q^-k w / F  by f_k
+        c_k: q^-k e / C,   d_k: -q^-k v / C,   f_k: -(D/C) q^-k w / F
 
-    Each is a filtered signal, one filter and then shifts.
+    For each polynomial, one signal is filtered and then shifted.
     """
     n, N = structure, experiment.y.size
     raw = given.y - given.X @ np.append(A[1:], B[n.nk :])
@@ -323,7 +329,7 @@ def _noise(D: Array, C: Array, x: Array) -> Array:
 
 
 def _filled(y: Array, valid: Mask) -> Array:
-    """Return y, interpolated where it is missing."""
+    """Return y with missing values interpolated."""
     if valid.all():
         return y
     if not valid.any():

@@ -1,4 +1,4 @@
-"""What figures of models write: names, units, and how a band or region was found."""
+"""Texts in figures of models: names, units, and methods of the bands and regions."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Labels = Sequence[str] | None
 
 
 def labels_of(models: Sequence[Any], labels: Labels) -> list[str]:
-    """Return the labels given, or what each model calls itself."""
+    """Return the given labels, or the label of each model."""
     if labels is not None:
         return list(labels)
-    # A system of python-control has a name.
+    # A python-control system has the attribute `name`.
     return [
         model.label if isinstance(model, Model) else str(getattr(model, "name", "model"))
         for model in models
@@ -26,12 +26,12 @@ def labels_of(models: Sequence[Any], labels: Labels) -> list[str]:
 
 
 def sources_of(models: Sequence[Any]) -> list[str]:
-    """Return the hashes of the recordings that the models are of."""
+    """Return the hashes of the recordings that the models were identified from."""
     return [getattr(model, "source", "") for model in models]
 
 
 def gain_unit(models: Sequence[Any], *, rate: bool = False) -> str:
-    """Return the unit of y's (or its rate's) per u's, of the first model that has both."""
+    """Return the unit of y, or of its rate, per unit of u, from the first model with both units."""
     for model in models:
         if getattr(model, "unit", "") and getattr(model, "input_unit", ""):
             return f"{model.unit}{'/s' if rate else ''}/{model.input_unit}"
@@ -39,12 +39,12 @@ def gain_unit(models: Sequence[Any], *, rate: bool = False) -> str:
 
 
 def with_method(name: str, band: Band) -> str:
-    """Return a model's name with what its band is: 95 %, linearised or by draws."""
+    """Return a model's name, followed by the method of its 95 % band: linearised or by draws."""
     return f"{name}, 95 % {'by draws' if band.method == 'sampled' else band.method}"
 
 
 def left_out(of: Mapping[str, Draws | None], *, models: int) -> list[str]:
-    """Return a line that says which draws were left out, if any, and of which model."""
+    """Return a line with the numbers of rejected draws of each model, if there are any."""
     said = [
         f"{name}: {d.left_out}" if models > 1 else d.left_out
         for name, d in of.items()

@@ -1,4 +1,4 @@
-"""A fit as LaTeX or Typst, for a report, and as HTML, for a notebook."""
+"""A fit as LaTeX or Typst for a report, and as HTML for a notebook."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from armrig.models.model import Model
 
 
 def latex(fit: Estimate) -> str:
-    r"""Return the model as an `aligned` block, each coefficient with its standard deviation."""
+    r"""Return the equation as an `aligned` block, each coefficient with its standard deviation."""
     equation = form(fit).replace(") e(t)", r")\,e(t)").replace("1/D(q)", r"\frac{1}{D(q)}")
     for ratio in ("B(q)/F(q)", "C(q)/D(q)"):
         equation = equation.replace(ratio, rf"\frac{{{ratio[:4]}}}{{{ratio[5:]}}}")
@@ -24,27 +24,27 @@ def latex(fit: Estimate) -> str:
 
 
 def typst(fit: Estimate) -> str:
-    """Return the model as a block of Typst's mathematics, as `latex` does."""
+    """Return the equation as a block of Typst mathematics, with the content of `latex`."""
     rows = [typst_form(fit).replace(" = ", " &= ")]
     rows += [f"{letter}(q) &= {_polynomial(fit, letter, _TYPST)}" for letter in letters(fit)]
     return "$ " + " \\\n  ".join(rows) + " $"
 
 
 def typst_form(model: Model) -> str:
-    """Return the model's equation in Typst's mathematics, polynomials by their letters."""
+    """Return the equation in Typst mathematics, with the letters of the polynomials."""
     return form(model).replace(") ", ") thin ").replace("thin =", "=").replace("thin +", "+")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Notation:
-    """How a language of formulas writes a coefficient."""
+    """Templates of a coefficient in LaTeX or Typst."""
 
     term: str
-    """Of value, deviation and power."""
+    """Template of value, standard deviation and power."""
     power: str
-    """Of q."""
+    """Template of a power of q."""
     times_ten: str
-    """Of mantissa and exponent."""
+    """Template of mantissa and exponent."""
 
 
 _LATEX = _Notation(
@@ -84,7 +84,7 @@ def _number(x: float, digits: int, notation: _Notation) -> str:
 
 
 def html(fit: Estimate) -> str:
-    """Return equation, coefficients and verdict as HTML; the equation is for MathJax."""
+    """Return equation, coefficients and quality as HTML; MathJax renders the equation."""
     rows = "".join(
         f"<tr><td>{name}</td><td>{value:.5g}</td><td>{std:.2g}</td><td>{robust:.2g}</td></tr>"
         for name, value, std, robust in zip(

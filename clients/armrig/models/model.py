@@ -1,4 +1,4 @@
-"""A model: its polynomials, and what they answer by themselves."""
+"""Model with polynomials and responses, without results of an estimation."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ _POLYNOMIALS = ("A", "B", "C", "D", "F")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Model:
-    """A model A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t), in which nothing is uncertain.
+    """A model A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) without uncertainty.
 
-    A `Fit` is a model that was estimated: it knows how sure it is.
+    A `Fit` is an estimated model with uncertainty.
     """
 
     A: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients in q^-1, beginning with 1; 1.0 alone where the structure has none."""
+    """Coefficients in q^-1, beginning with 1; only 1.0 if the structure has no A."""
     B: Vector
     """Coefficients in q^-1, beginning with nk zeros."""
     C: Vector = field(default_factory=lambda: np.ones(1))
-    """As A."""
+    """Coefficients, as for A."""
     D: Vector = field(default_factory=lambda: np.ones(1))
-    """As A."""
+    """Coefficients, as for A."""
     F: Vector = field(default_factory=lambda: np.ones(1))
-    """As A; with an integrator one of its roots is 1 exactly."""
+    """Coefficients, as for A; with an integrator one root is exactly 1."""
     nk: int
     """Samples before u reaches y."""
     integrator: bool = False
-    """F, or A where there is no F, contains 1 - q^-1 by construction."""
+    """True if F, or A if there is no F, has the factor 1 - q^-1 by construction."""
     offset: bool = False
-    """The input's offset is not known, and is estimated from the data that the model is held to."""
+    """True if the input offset is unknown and is estimated from any data used with the model."""
     Ts: float
     """Sampling time, in s."""
     output: str = "y"
@@ -66,22 +66,22 @@ class Model:
     """Unit of u."""
 
     def __post_init__(self) -> None:
-        """Make the arrays as frozen as the rest."""
+        """Make the arrays read-only."""
         freeze(self, _POLYNOMIALS)
 
     @property
     def label(self) -> str:
-        """What a table or a legend calls it."""
+        """Name in tables and legends."""
         return "model"
 
     @property
     def heading(self) -> str:
-        """Label with the orders by their names."""
+        """Label and the orders by name."""
         return f"{self.label}({named(self.orders)})"
 
     @property
     def orders(self) -> dict[str, int]:
-        """Orders by name: nb and nk, and those of na, nc, nd and nf that are not 0."""
+        """Orders by name: nb, nk, and the orders na, nc, nd and nf that are not 0."""
         return {name: n for name, n in self._sizes.items() if n or name in ("nb", "nk")}
 
     @property
@@ -107,32 +107,32 @@ class Model:
 
     @property
     def trusted_covariance(self) -> Matrix:
-        """The covariance of theta (d, d) that every answer carries on: 0 where none is known."""
+        """Covariance of theta (d, d) for the uncertainty of all responses; 0 if there is none."""
         return np.zeros((self.theta.size, self.theta.size))
 
     @property
     def parameters(self) -> int:
-        """Number of parameters, one less where a root is 1 by construction."""
+        """Number of free parameters: one less than theta has if a root is 1 by construction."""
         return int(self.theta.size) - int(self.integrator)
 
     def estimated_from(self, data: Dataset) -> bool:
-        """Tell whether the model was estimated from these very data."""
+        """Return whether the model was estimated from the same data."""
         return False
 
     @property
     def denominator(self) -> Vector:
-        """A F, whose roots are the poles from u to y."""
+        """Product A F, whose roots are the poles from u to y."""
         return np.convolve(self.A, self.F)
 
     @property
     def integrating(self) -> Literal["", "a", "f"]:
-        """The polynomial that has the factor 1 - q^-1 by construction: "a", "f" or ""."""
+        """Polynomial with the factor 1 - q^-1 by construction: "a", "f" or ""."""
         if not self.integrator:
             return ""
         return "f" if self.F.size > 1 else "a"
 
     def slice_of(self, letter: str) -> slice:
-        """Return where the parameters of one polynomial ("a" … "f") lie in theta."""
+        """Return the slice of theta with the parameters of one polynomial, "a" … "f"."""
         begin = 0
         for name, p in self._free_coefficients.items():
             if name == letter:
@@ -158,7 +158,7 @@ class Model:
         return control.tf(*padded, self.Ts, inputs=["e"], outputs=[self.output])
 
     def poles(self) -> Roots:
-        """Return the poles from u to y, those of A before those of F."""
+        """Return the poles from u to y: the roots of A, then the roots of F."""
         parts = [self._roots(self.A, "a", 1), self._roots(self.F, "f", 1)]
         return Roots(
             values=np.concatenate([p.values for p in parts]),
@@ -166,7 +166,7 @@ class Model:
         )
 
     def zeros(self) -> Roots:
-        """Return the zeros from u to y, without those at 0 and infinity that delays make."""
+        """Return the zeros from u to y, without the zeros at 0 and infinity due to delays."""
         return self._roots(self.B[self.nk :], "b", 0)
 
     def _roots(self, p: Vector, letter: str, first: int) -> Roots:
@@ -195,8 +195,8 @@ class Model:
     def frequency_response(self, omega: ArrayLike) -> FrequencyResponse:
         """Return G at omega (n,) in rad/s, up to the Nyquist frequency pi/Ts.
 
-        With d ln G = dG/G the relative error of |G| is its real part and the error of the phase
-        its imaginary part.
+        The relative error of |G| is the real part of d ln G = dG/G. The error of the phase is the
+        imaginary part of d ln G.
 
         Raises
         ------
@@ -223,7 +223,7 @@ class Model:
         return omega_
 
     def _ratio(self, omega: Vector, above: str, below: str) -> tuple[Complex, Complex]:
-        """Return R (n,), a ratio of polynomials at omega, and d ln R by theta (n, d)."""
+        """Return a ratio R of polynomials at omega (n,), and the gradients of ln R (n, d)."""
         x = np.exp(-1j * omega * self.Ts)
         numerator, denominator = np.ones_like(x), np.ones_like(x)
         dlnR = np.zeros((x.size, self.theta.size), dtype=np.complex128)
@@ -236,33 +236,33 @@ class Model:
                 value = self._evaluated(letter, x)
                 denominator *= value
                 dlnR[:, self.slice_of(letter)] = -self._slope(letter, x) / value[:, None]
-            # One division: that of an infinite complex number by another is not a number.
+            # Divide only once, at the end: the ratio of two infinite complex numbers is NaN.
             R = numerator / denominator
         return R, dlnR
 
     def _evaluated(self, letter: str, x: Complex) -> Complex:
         """Return a polynomial at x = q^-1, (n,)."""
         p = self.polynomial(letter)
-        if letter == self.integrating:  # exact at 0, where a sum of coefficients is not
+        if letter == self.integrating:  # exact at omega = 0, unlike a sum of coefficients
             return np.asarray((1 - x) * evaluate(without_integrator(p), x))
         return np.asarray(evaluate(p, x))
 
     def _slope(self, letter: str, x: Complex) -> Complex:
-        """Return the derivatives of a polynomial at x by its parameters, (n, k)."""
+        """Return the derivatives of a polynomial at x with respect to its parameters, (n, k)."""
         part = self.slice_of(letter)
         lags = (self.nk if letter == "b" else 1) + np.arange(part.stop - part.start)
         return np.asarray(x[:, None] ** lags)
 
     def polynomial(self, letter: str) -> Vector:
-        """Return the coefficients of one polynomial, "a" … "f", the first that of q^0."""
+        """Return the coefficients of one polynomial, "a" … "f", beginning with q^0."""
         p: Vector = getattr(self, letter.upper())
         return p
 
     def step_response(self, n: int, *, rate: bool = False) -> StepResponse:
-        """Return the first n samples, n >= 1, of the answer to a unit step from rest.
+        """Return the first n samples, n >= 1, of the response to a unit step from rest.
 
-        With `rate` those of (y(t) - y(t-1))/Ts, t = Ts, 2 Ts …, each at the middle of its interval:
-        of an output that integrates y itself is a ramp, in which nothing can be seen.
+        With `rate` the response is the rate (y(t) - y(t-1))/Ts, at the middle of each interval. Use
+        `rate` for an integrating output, whose step response is a ramp.
         """
         require_integers(n=(n, 1))
         u = np.ones(n)
@@ -278,7 +278,7 @@ class Model:
         )
 
     def _sensitivity(self, u: Vector) -> Matrix:
-        """Return (N, d), the derivatives of simulate(u) by theta."""
+        """Return the derivatives of simulate(u) with respect to theta, (N, d)."""
         y = self.simulate(u)
         J = np.zeros((y.size, self.theta.size))
         J[:, self.slice_of("a")] = by_denominator(y, self.A, self.A.size - 1)
@@ -290,8 +290,8 @@ class Model:
     def simulate(self, u: ArrayLike) -> Vector:
         """Return the model's output (N,) for the input u (N,), from rest and without noise.
 
-        The model's own u counts from its offset: subtract `free[i].offset` from a raw input where
-        an integrator was identified with one.
+        u must not contain the input offset. If an offset was estimated, subtract `free[i].offset`
+        from a raw input.
 
         Raises
         ------
@@ -302,7 +302,7 @@ class Model:
 
 
 def freeze(value: Any, names: tuple[str, ...]) -> None:
-    """Put arrays of numbers that cannot be changed in the place of these fields."""
+    """Replace the fields `names` of a dataclass by read-only arrays of numbers."""
     for name in names:
         array = np.array(getattr(value, name), dtype=np.float64)
         array.flags.writeable = False
@@ -315,9 +315,10 @@ def standard_deviations(J: Matrix, covariance: Matrix) -> Vector:
 
 
 def _factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return L of C = L L', NaN where C is not known.
+    """Return L of C = L L', NaN if C is not known.
 
-    J L L' J' is never negative. J C J' can be, by rounding, where roots nearly meet.
+    A variance from J L L' J' is never negative. If roots nearly coincide, a variance from J C J'
+    can be negative by rounding.
     """
     if not np.isfinite(covariance).all():
         return np.full_like(covariance, np.nan)

@@ -1,4 +1,4 @@
-"""A model is read from its JSON file, every number to its last digit."""
+"""Reading of a model from its JSON file, with all digits of each number."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from armrig.models.model_writing import FORMAT, VERSION
 from armrig.models.structure import FreeResponse
 from armrig.models.subspace_fit import SubspaceFit
 
-MOST_BYTES = 1 << 26
-"""Longest file, in B: a model of 1000 parameters has less."""
+MAX_BYTES = 1 << 26
+"""Largest size of a file, in bytes. The file of a model with 1000 parameters is smaller."""
 _KINDS = {"n4sid": SubspaceFit}
 _ARRAYS = ("A", "B", "C", "D", "F", "covariance", "covariance_robust")
 _SINGULAR = ("singular_values", "canonical_correlations")
@@ -30,18 +30,18 @@ _FIGURES = ("noise_variance", "loss", "Ts", "fit_percent", "whiteness")
 
 
 def load_fit(path: str | PathLike[str]) -> Fit:
-    """Return the model that `Fit.save` has written, equal to it in every number.
+    """Return the model from a file that `Fit.save` wrote; all numbers are equal.
 
     Raises
     ------
     FileError
-        The file is no model, is of a later format, or is damaged.
+        The file contains no model, has another format version, or is damaged.
     OSError
         The file cannot be read.
     """
     path = Path(path)
     try:
-        text = read_text(path, MOST_BYTES)
+        text = read_text(path, MAX_BYTES)
     except FileError as err:
         raise FileError(
             f"{path}: {err}; a model is what `armrig identify --save` and fit.save(path) write"
@@ -50,12 +50,12 @@ def load_fit(path: str | PathLike[str]) -> Fit:
 
 
 def fit_of(text: str, path: str) -> Fit:
-    """Return the model that a file's text holds.
+    """Return the model in the text of a file.
 
     Parameters
     ----------
     path : str
-        What errors call it.
+        Name of the file, for messages.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def fit_of(text: str, path: str) -> Fit:
                 f"{path} is a damaged model: {d} parameters and covariances of another size; "
                 "save it again"
             )
-        repr(fit), fit.poles()  # what is no model shows when it is used
+        repr(fit), fit.poles()  # using a damaged model raises an error
     except FileError:
         raise
     except Exception as err:
@@ -92,7 +92,7 @@ def fit_of(text: str, path: str) -> Fit:
 
 def _restored(content: dict[str, Any]) -> Fit:
     kind = _KINDS.get(content["structure"], Fit)
-    # Fields that are newer than the file keep their default.
+    # A file of an earlier release lacks some fields, which keep their defaults.
     known = [f for f in fields(kind) if f.name in content or f.default is MISSING]
     values = {f.name: content[f.name] for f in known}
     arrays = [name for name in (*_ARRAYS, *_SINGULAR) if name in values]
@@ -115,7 +115,7 @@ def _restored(content: dict[str, Any]) -> Fit:
 
 
 def _findings(content: dict[str, Any]) -> Iterator[EstimateFinding]:
-    """Yield the sentences with what the file says of them; armrig 0.1 wrote the sentences alone."""
+    """Yield the findings of a file; armrig 0.1 wrote only their sentences."""
     said = content.get("findings") or [{"about": ""}] * len(content["warnings"])
     for text, finding in zip(content["warnings"], said, strict=True):
         numbers = {name: float(x) for name, x in finding.get("numbers", {}).items()}
@@ -124,7 +124,10 @@ def _findings(content: dict[str, Any]) -> Iterator[EstimateFinding]:
 
 
 def _steps(content: dict[str, Any]) -> Iterator[Step]:
-    """Yield the steps of the history; those of armrig 0.1 have their codes by what it wrote."""
+    """Yield the steps of the history.
+
+    A file of armrig 0.1 has only sentences; each sentence is mapped to its code.
+    """
     history = content["history"]
     codes = content.get("treatment") or [_code_of_sentence(text) for text in history]
     for text, code in zip(history, codes, strict=True):
@@ -132,7 +135,7 @@ def _steps(content: dict[str, Any]) -> Iterator[Step]:
 
 
 def _code_of_sentence(text: str) -> str:
-    """Return the code of a step that armrig 0.1 wrote, which is its sentence alone."""
+    """Return the code of a step from its sentence, as armrig 0.1 wrote it, or ""."""
     return next((code for sentence, code in _SENTENCES if sentence in text), "")
 
 

@@ -1,4 +1,4 @@
-"""A model as a JSON file: every number to its last digit, and the recording that it is of."""
+"""Writing of a model as a JSON file, with all digits and the hash of the recording."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ def save_fit(fit: Estimate, path: str | PathLike[str]) -> Path:
 
 
 def model_text(fit: Estimate) -> str:
-    """Return what the file of a model holds."""
+    """Return a model as the JSON text of its file."""
     content = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
-    # Of the findings armrig 0.1 reads the sentences alone, as `warnings`.
+    # armrig 0.1 reads only the sentences of the findings, as `warnings`.
     names = ("warnings" if f.name == "findings" else f.name for f in fields(fit))
     content |= {name: _plain(getattr(fit, name)) for name in names}
     content["treatment"] = codes_of(fit.history)
@@ -49,7 +49,7 @@ def model_text(fit: Estimate) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it; what is not finite as "nan", "inf" or "-inf"."""
+    """Return a value for JSON; a number that is not finite becomes "nan", "inf" or "-inf"."""
     if isinstance(value, np.ndarray):
         return _plain(value.tolist())
     if isinstance(value, Start | FreeResponse):

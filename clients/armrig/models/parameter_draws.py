@@ -1,4 +1,4 @@
-"""Draws of a model's parameters from their covariance: what sampling has in place of a derivative.
+"""Random draws of the parameters of a model from their normal distribution.
 
 References
 ----------
@@ -25,53 +25,53 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-COUNT = 1000
-MOST = 10
-"""Times as many draws are made at most, where many are left out."""
+DRAWS = 1000
+MAX_ROUNDS = 10
+"""Largest number of rounds of n draws, if many draws are rejected."""
 SEED = 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Draws:
-    """Models drawn from N(theta, P), those left out that the estimator could not have returned."""
+    """Draws from N(theta, P), less degenerate draws and, for a stable model, unstable draws."""
 
     theta: Matrix
-    """Parameters of the draws that count, (n, d)."""
+    """Parameters of the accepted draws, (n, d)."""
     asked: int
-    """Draws made."""
+    """Number of draws made."""
     unstable: int
-    """Left out: a pole outside the unit circle, where the model itself is stable."""
+    """Number of draws rejected as unstable; 0 if the model itself is unstable."""
     degenerate: int
-    """Left out: not finite, or the first b so small that a zero is not finite."""
+    """Number of draws rejected because a value is not finite or the first b is 0."""
 
     @property
     def left_out(self) -> str:
-        """What was left out, in words, or nothing."""
+        """Text with the numbers of rejected draws, or ""."""
         counted = ((self.unstable, "unstable"), (self.degenerate, "degenerate"))
         return ", ".join(f"{n} of {self.asked} {what}" for n, what in counted if n)
 
 
-def drawn(model: Model, *, n: int = COUNT, rng: np.random.Generator | None = None) -> Draws | None:
-    """Return n draws of theta from N(theta, P), P the covariance that the verdict trusts.
+def drawn(model: Model, *, n: int = DRAWS, rng: np.random.Generator | None = None) -> Draws | None:
+    """Return n draws of theta from N(theta, P); P is the trusted covariance of the model.
 
-    With P = W W^T they are theta + W x, x standard normal: in pairs x and -x, and scaled so that
-    their own covariance is the unit matrix, which leaves an answer linear in theta its exact
-    deviation. W is made from the correlation matrix, so that the units of the parameters do not
-    matter, and where a root is 1 by construction from that of the other factor's coefficients, so
-    that it stays 1.
+    With P = W W^T the draws are theta + W x, with x standard normal. The draws of x are pairs x and
+    -x, scaled so that their covariance is exactly the unit matrix. The standard deviation of a
+    response that is linear in theta is then exact. W is computed from the correlation matrix, so
+    that the units of the parameters do not matter. If a root is 1 by construction, W is computed
+    for the other factor, so that the root stays 1.
 
     Parameters
     ----------
     n : int, default 1000
-        Draws, an even number of more than twice the parameters; where fewer than half of them
-        count, up to ten times as many are made.
+        Number of draws, even and more than twice the number of parameters. If half of the draws or
+        more are rejected, up to 10 n draws are made.
     rng : Generator, optional
-        By default one of a fixed seed, so that a figure drawn twice is the same.
+        Generator of random numbers. The default has a fixed seed, so that a figure is reproducible.
 
     Returns
     -------
     Draws or None
-        None where nothing was estimated, or P is not known.
+        None if nothing was estimated or P is not known.
     """
     P = model.trusted_covariance
     if not (np.isfinite(P).all() and P.any()):
@@ -83,7 +83,7 @@ def drawn(model: Model, *, n: int = COUNT, rng: np.random.Generator | None = Non
     )
     kept: list[Matrix] = []
     asked = unstable = degenerate = 0
-    while asked < MOST * n and sum(len(x) for x in kept) < n:
+    while asked < MAX_ROUNDS * n and sum(len(x) for x in kept) < n:
         theta = model.theta + _normal(n, W.shape[1], rng) @ W.T
         finite = np.isfinite(theta).all(axis=1)
         finite &= np.abs(theta[:, model.slice_of("b").start]) > 0
@@ -98,17 +98,17 @@ def drawn(model: Model, *, n: int = COUNT, rng: np.random.Generator | None = Non
 
 
 def directions(model: Model) -> Matrix:
-    """Return W (d, r) with W W^T = P, the trusted covariance: a step of one deviation a column.
+    """Return W (d, r) with W W^T = P, the trusted covariance.
 
-    Made from the correlation matrix of the parameters that were free, so that a root that is 1 by
-    construction stays 1 along each.
+    Each column is a step of one standard deviation. W is computed from the correlation matrix of
+    the free parameters, so that a root that is 1 by construction stays 1 along each column.
     """
     inward, outward = _integrator_maps(model)
     return outward @ _root(inward @ model.trusted_covariance @ inward.T)
 
 
 def _stable(model: Model, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell which draws have all poles inside the unit circle, a fixed one at 1 not counted."""
+    """Return a mask of the draws with all poles, but a fixed pole at 1, inside the unit circle."""
     inside = np.ones(theta.shape[0], dtype=bool)
     for letter in "af":
         z = roots_of(model, theta, letter, known)
@@ -117,7 +117,7 @@ def _stable(model: Model, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np
 
 
 def polynomial_of(model: Model, theta: Matrix, letter: str) -> Matrix:
-    """Return one polynomial of each draw, (n, order + 1), B with its nk zeros."""
+    """Return one polynomial of each draw, one row each; B includes its nk zeros."""
     free = theta[:, model.slice_of(letter)]
     before = np.zeros((theta.shape[0], model.nk)) if letter == "b" else np.ones((theta.shape[0], 1))
     return np.hstack([before, free])
@@ -126,9 +126,9 @@ def polynomial_of(model: Model, theta: Matrix, letter: str) -> Matrix:
 def roots_of(
     model: Model, theta: Matrix, letter: str, known: NDArray[np.bool_] | None = None
 ) -> Complex:
-    """Return the roots of one polynomial of each draw, (n, order); that at 1, if any, the first.
+    """Return the roots of one polynomial of each draw, (n, order); a fixed root at 1 is first.
 
-    They are the eigenvalues of its companion matrix; NaN where `known` is False.
+    The roots are the eigenvalues of the companion matrix, or NaN if `known` is False for a draw.
     """
     p = polynomial_of(model, theta, letter)[:, model.nk if letter == "b" else 0 :]
     fixed = letter == model.integrating
@@ -146,7 +146,7 @@ def roots_of(
 
 
 def _integrator_maps(model: Model) -> tuple[Matrix, Matrix]:
-    """Return the linear maps from theta to the parameters that were free, and back."""
+    """Return the linear maps from theta to the free parameters and from these to theta."""
     d = model.theta.size
     if not model.integrating:
         return np.eye(d), np.eye(d)
@@ -161,7 +161,7 @@ def _integrator_maps(model: Model) -> tuple[Matrix, Matrix]:
 
 
 def _normal(n: int, d: int, rng: np.random.Generator) -> Matrix:
-    """Return n standard normal draws (n, d) with mean 0 and unit covariance exactly."""
+    """Return n standard normal draws (n, d) with exactly zero mean and unit covariance matrix."""
     half = rng.standard_normal((n // 2, d))
     x = np.concatenate([half, -half])
     L = np.linalg.cholesky(x.T @ x / x.shape[0])
@@ -173,7 +173,7 @@ def _without(model: Model, letter: str, p: Vector) -> Vector:
 
 
 def _root(P: Matrix) -> Matrix:
-    """Return W with W W^T = P, what rounding made negative taken for 0."""
+    """Return W with W W^T = P; an eigenvalue that is negative by rounding counts as 0."""
     std = np.sqrt(np.maximum(np.diag(P), 0.0))
     by = np.where(std > 0, std, 1.0)
     value, vector = np.linalg.eigh(P / np.outer(by, by))

@@ -1,4 +1,4 @@
-"""Figure of poles and zeros, how sure they are, and which of them cancel."""
+"""Figure of poles and zeros with their 95 % regions and their cancellations."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ if TYPE_CHECKING:
 
     from armrig.models.model import Model
 
-_SIZES = (9.0, 6.5, 4.0, 4.0)  # the first is the largest: models that agree show around each other
-_FARTHEST = 2.0  # what lies further out is off the figure
-_ROOM = 1.3  # to which a region widens the figure
-_RASTER = 120
-_WIDER = 6  # times that the raster of a region is widened until all of it is on it
+# The sizes decrease, so that coinciding markers of several models are all visible.
+_MARKER_SIZES = (9.0, 6.5, 4.0, 4.0)
+_MAX_SHOWN_MODULUS = 2.0  # roots with a larger modulus are not shown
+_MAX_REGION_MODULUS = 1.3  # the figure is widened for regions up to this modulus
+_RASTER_POINTS = 120
+_MAX_WIDENINGS = 6  # largest number of widenings of a raster until it contains the whole region
 
 
 def plot_poles_zeros(*models: Model, labels: Labels = None, ax: Axes | None = None) -> Axes:
-    """Show poles (×) and zeros (○) in the z plane with their 95 % regions, and the unit circle.
+    """Plot poles (×) and zeros (○) in the z plane with their 95 % regions and the unit circle.
 
-    A real root has an interval (a bar), the others an ellipse, full lines; where draws of the
-    parameters show that the linearisation is poor, the densest 95 % of the draws, dotted and
-    shaded; the legend says so where there are any. A square holds a pole and a zero that cannot be
-    told apart (1 %).
+    The region of a real root is an interval, drawn as a bar. The region of a complex root is an
+    ellipse. If the linearisation is poor, the region contains the densest 95 % of draws of the
+    parameters. Such a region is dotted and shaded, and the legend contains "by draws". A square
+    marks a pole and a zero that cannot be distinguished at the level 1 %.
     """
     ax = axes(ax)
     angle = np.linspace(0, 2 * np.pi, 721)
@@ -43,7 +44,7 @@ def plot_poles_zeros(*models: Model, labels: Labels = None, ax: Axes | None = No
     shown: list[Region] = []
     by_draws: dict[str, Draws | None] = {}
     for model, name, pen, size in zip(
-        models, labels_of(models, labels), pens(len(models)), cycle(_SIZES), strict=False
+        models, labels_of(models, labels), pens(len(models)), cycle(_MARKER_SIZES), strict=False
     ):
         colour = pen["color"]
         draws = drawn(model)
@@ -80,7 +81,7 @@ def _draw(ax: Axes, region: Region, colour: str) -> None:
     }
     border = region.border()
     if region.interval is not None:
-        low, high = np.clip(region.interval, -_FARTHEST - 1, _FARTHEST + 1)
+        low, high = np.clip(region.interval, -_MAX_SHOWN_MODULUS - 1, _MAX_SHOWN_MODULUS + 1)
         if high > low:
             ends = {"marker": "|", "ms": 6.0, "mew": 1.0, "solid_capstyle": "butt", "zorder": 2.5}
             ax.plot([low, high], [0.0, 0.0], **(dotted | {"lw": 1.8} | ends))
@@ -93,18 +94,18 @@ def _draw(ax: Axes, region: Region, colour: str) -> None:
 def _draw_densest(ax: Axes, densest: HighestDensityRegion, colour: str) -> None:
     """Draw the region of the densest draws, and its mirror image below the real axis."""
     inside = densest.inside()
-    inside = inside[np.abs(inside) < _FARTHEST + 1]
+    inside = inside[np.abs(inside) < _MAX_SHOWN_MODULUS + 1]
     if inside.size == 0:
         return
     room = 0.1 * max(np.ptp(inside.real), np.ptp(inside.imag)) + 1e-4
-    for _ in range(_WIDER):
-        x = np.linspace(inside.real.min() - room, inside.real.max() + room, _RASTER)
+    for _ in range(_MAX_WIDENINGS):
+        x = np.linspace(inside.real.min() - room, inside.real.max() + room, _RASTER_POINTS)
         top = inside.imag.max() + room
-        y = np.linspace(-top, top, 2 * _RASTER)
+        y = np.linspace(-top, top, 2 * _RASTER_POINTS)
         z = x[None, :] + 1j * y[:, None]
         excess = densest.excess(z.ravel()).reshape(z.shape)
         edge = np.concatenate([excess[0], excess[:, 0], excess[:, -1]])
-        if (edge > 1).all() or room > _FARTHEST:
+        if (edge > 1).all() or room > _MAX_SHOWN_MODULUS:
             break
         room *= 2
     ax.contourf(x, y, excess, levels=[0.0, 1.0], colors=[colour], alpha=0.15)
@@ -112,10 +113,10 @@ def _draw_densest(ax: Axes, densest: HighestDensityRegion, colour: str) -> None:
 
 
 def _mark_cancelling(ax: Axes, model: Model) -> None:
-    """Frame each pole and zero that cannot be told apart, and its conjugates."""
+    """Mark each pole and zero that cannot be distinguished, and their conjugates."""
     for pole, zero, _ in overlapping(model):
         middle = (pole + zero) / 2
-        said = "cannot be told apart"
+        said = "cannot be distinguished"
         known = said in ax.get_legend_handles_labels()[1]
         heights = {middle.imag, -middle.imag}
         style: dict[str, Any] = {"color": INK, "mfc": "none", "ms": 15, "mew": 0.9, "ls": "none"}
@@ -131,18 +132,18 @@ def _mark_cancelling(ax: Axes, model: Model) -> None:
 
 
 def _frame(ax: Axes, shown: list[Region]) -> None:
-    """Show all roots near the unit circle, and of regions and circle what has room beside them."""
+    """Limit the axes to the roots near the unit circle and to their regions."""
     points: list[complex] = [1.0 + 0.0j]
-    near = [r for r in shown if abs(r.centre) < _FARTHEST]
+    near = [r for r in shown if abs(r.centre) < _MAX_SHOWN_MODULUS]
     if len(near) < len(shown):
-        text = f"{len(shown) - len(near)} beyond |z| = {_FARTHEST:g}"
+        text = f"{len(shown) - len(near)} beyond |z| = {_MAX_SHOWN_MODULUS:g}"
         ax.text(0.03, 0.03, text, transform=ax.transAxes, fontsize="x-small", color=INK)
     if not near:
         ax.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2))
         return
     for r in near:
         points += [r.centre, r.centre.conjugate()]
-        points += [z for z in _extent(r) if abs(z) < _ROOM]
+        points += [z for z in _extent(r) if abs(z) < _MAX_REGION_MODULUS]
     z = np.array(points)
     low, high = float(z.real.min()), float(z.real.max())
     half = max(0.5 * (high - low), float(np.abs(z.imag).max()), 0.3) * 1.12
@@ -151,10 +152,13 @@ def _frame(ax: Axes, shown: list[Region]) -> None:
 
 
 def _extent(region: Region) -> list[complex]:
-    """Return points that a region reaches to."""
+    """Return points on the border or at the ends of a region."""
     points: list[complex] = []
     if region.interval is not None:
-        points += [complex(np.clip(x, -_ROOM, _ROOM) * 0.999) for x in region.interval]
+        points += [
+            complex(np.clip(x, -_MAX_REGION_MODULUS, _MAX_REGION_MODULUS) * 0.999)
+            for x in region.interval
+        ]
     if region.densest is not None:
         points += region.densest.inside().tolist()
     border = region.border()

@@ -1,4 +1,4 @@
-"""What a model says of measured data: simulation, prediction, residuals and their sensitivity."""
+"""Simulation, prediction, residuals and sensitivities of a model on measured data."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 def simulated(model: Model, part: Dataset) -> Vector:
-    """Simulate one experiment (N,), its initial state estimated by least squares.
+    """Return the simulated output of one experiment (N,), from the least-squares initial state.
 
-    With an integrator the input's offset is estimated too: data that were detrended, and data
-    that were not, are then judged alike.
+    With an integrator, or if the model has `offset`, the input offset is estimated too. The fit is
+    then the same for detrended and for raw data.
     """
     F, u = model.denominator, part.u
     if model.integrator:
@@ -39,19 +39,19 @@ def simulated(model: Model, part: Dataset) -> Vector:
         columns = free_columns(F, part.N, count=count, drift=True)
         columns = columns[:, : count + (2 if model.integrator else int(model.offset))]
         if not (np.isfinite(forced).all() and np.isfinite(columns).all()):
-            # An unstable model's output leaves the range of floating point.
+            # The output of an unstable model exceeds the range of floating-point numbers.
             return np.full(part.N, np.inf)
     free = orthonormal(columns[part.valid])
     return np.asarray(forced + columns @ free.coefficients(part.y[part.valid] - forced[part.valid]))
 
 
 def predicted(model: Model, data: Dataset, horizon: int | None) -> Vector:
-    """Return ŷ (N,), see `Fit.predict`.
+    """Return ŷ (N,), as `Fit.predict` documents.
 
     Raises
     ------
     ValueError
-        horizon is below 1, or output, unit or Ts of the data are not the model's.
+        horizon is below 1, or the data differ from the model in output, unit or Ts.
     """
     _require_dataset(data)
     require_same_signals(model, data)
@@ -65,7 +65,7 @@ def predicted(model: Model, data: Dataset, horizon: int | None) -> Vector:
 
 
 def structure_of(model: Model) -> Structure:
-    """Return the orders of a model without its integrator, and what is unknown of its past."""
+    """Return the orders of a model without its integrator."""
     inside = {"a": 0, "f": 0, model.integrating: 1}
     return Structure(
         na=model.A.size - 1 - inside["a"],
@@ -80,7 +80,7 @@ def structure_of(model: Model) -> Structure:
 
 
 def _innovations_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
-    """Return y(t) less what the innovations of the last `horizon` samples have added to it."""
+    """Return y(t) less the contribution of the innovations of the last `horizon` samples."""
     e = prediction_errors(model, part).e
     ahead = min(horizon, part.N)
     h = filtered(model.C, np.convolve(model.A, model.D), impulse([1.0], ahead))
@@ -103,10 +103,11 @@ def _arx_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
 
 
 def _known_past(model: Model, part: Dataset) -> Array:
-    """Return E[y(t-1) … y(t-na) | data to t-1], (N, na), NaN before the first complete stretch.
+    """Return E[y(t-1) … y(t-na) | data to t-1], (N, na); NaN before the first na measured samples.
 
-    Where all were measured that is what was measured. Across a gap a Kalman filter goes on from
-    the last complete stretch, and skips the update where y is missing.
+    If all na samples were measured, these are the result. During and after a gap, a Kalman filter
+    estimates the samples, starting from the last na measured samples. If y is missing, the filter
+    is not updated.
     """
     na = model.A.size - 1
     a = model.A[1:]
@@ -122,7 +123,7 @@ def _known_past(model: Model, part: Dataset) -> Array:
         x = shift @ known[t - 1]
         x[0] += driven[t - 1]
         P = shift @ P @ shift.T
-        P[0, 0] += 1.0  # in units of the noise variance, which the gain does not depend on
+        P[0, 0] += 1.0  # P is relative to the noise variance, which does not change the gain
         if part.valid[t - 1]:
             gain = P[:, 0] / P[0, 0]
             x = x + gain * (part.y[t - 1] - x[0])
@@ -133,19 +134,19 @@ def _known_past(model: Model, part: Dataset) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Residuals:
-    """One experiment's one-step prediction errors and how they depend on the model."""
+    """One-step prediction errors of one experiment, and their derivatives."""
 
     e: Vector
-    """(N,), NaN where y or the past it needs is missing."""
+    """Errors (N,), NaN if y or a necessary past sample is missing."""
     Psi: Array
-    """(N, d), derivatives of the prediction by the free parameters, less their projection on what
-    the unknown past adds; zero where e is NaN."""
+    """Derivatives of the prediction with respect to the free parameters, (N, d), less their
+    projection on the basis of the unknown past; 0 in rows without an error."""
     unknown: Unknown
-    """Basis of what the unknown past adds."""
+    """Basis of the unknown past."""
 
 
 def prediction_errors(model: Model, part: Dataset) -> Residuals:
-    """Return the residuals of one experiment, what is unknown of its past estimated."""
+    """Return the residuals of one experiment, with the unknown past estimated by least squares."""
     structure = structure_of(model)
     p = {letter: getattr(model, letter) for letter in "ABCDF"}
     if model.integrating:
@@ -165,7 +166,7 @@ def prediction_errors(model: Model, part: Dataset) -> Residuals:
 
 
 def _none(N: int, parameters: int) -> Residuals:
-    """Return no residual: an unstable predictor leaves the range of floating point."""
+    """Return residuals that are all NaN, for an unstable predictor whose output overflows."""
     nothing = Unknown(noise=(), volumes=(), state=orthonormal(np.zeros((0, 0))), N=N)
     return Residuals(e=np.full(N, np.nan), Psi=np.zeros((N, parameters)), unknown=nothing)
 
@@ -173,7 +174,7 @@ def _none(N: int, parameters: int) -> Residuals:
 def _require_dataset(data: object) -> None:
     if not isinstance(data, Dataset):
         raise InputTypeError(
-            f"data is a {type(data).__name__}: give a Dataset; of an input alone, fit.simulate(u)"
+            f"data is a {type(data).__name__}: give a Dataset; for an input, use fit.simulate(u)"
         )
 
 
@@ -183,20 +184,20 @@ def _require_horizon(horizon: object) -> None:
 
 
 def require_same_signals(model: Model, data: Dataset) -> None:
-    """Refuse data of another output than the model's, or sampled at another rate.
+    """Refuse data whose output, unit or sampling time differs from that of the model.
 
-    Nothing is refused for a name or a unit that is not given; an output named y is not.
+    An empty name or unit matches any other. The name y counts as empty.
     """
     if not np.isclose(model.Ts, data.Ts, rtol=1e-9, atol=0.0):
         raise InputError(
             f"the model has Ts={model.Ts:g} s and the data have Ts={data.Ts:g} s; "
-            "identify at the rate that you validate at"
+            "identify and validate at the same rate"
         )
     names = {model.output, data.output} - {"", "y"}
     units = {model.unit, data.unit} - {""}
     if len(names) > 1 or len(units) > 1:
         of_model, of_data = (f"{x.output} [{x.unit or '–'}]" for x in (model, data))
         raise InputError(
-            f"the model is of {of_model} and the data show {of_data}; validate with the output "
-            f"that was identified from, recording.dataset(output={model.output!r})"
+            f"the model's output is {of_model} and the data contain {of_data}; validate with the "
+            f"model's output, recording.dataset(output={model.output!r})"
         )

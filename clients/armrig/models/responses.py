@@ -1,4 +1,4 @@
-"""What a model answers, with its uncertainty: roots, frequency response, step response."""
+"""Properties of a model with their uncertainty: roots, frequency response, step response."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Roots:
-    """Poles or zeros with their covariance; numpy sees the complex values."""
+    """Poles or zeros with their covariance; numpy.asarray returns the complex values."""
 
     values: Complex
     """Roots in the z plane, (n,)."""
     covariance: NDArray[np.float64]
-    """Of (real, imaginary part) of each root, (n, 2, 2)."""
+    """Covariance of (real, imaginary part) of each root, (n, 2, 2)."""
 
     @property
     def std(self) -> Vector:
-        """Root of the covariance's trace, (n,): the spread in the complex plane."""
+        """Spread in the complex plane, (n,): the square root of the trace of the covariance."""
         return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
@@ -40,11 +40,11 @@ class Roots:
         return int(self.values.size)
 
     def __getitem__(self, i: int) -> complex:
-        """Return number i."""
+        """Return root number i."""
         return complex(self.values[i])
 
     def __repr__(self) -> str:
-        """Give a table: each root with the deviation of its parts, its modulus and its angle."""
+        """Return a table of the roots: real and imaginary part with ±, modulus and angle."""
         if not len(self):
             return "no roots"
         lines = [f"{'real':>10} {'±':>8}  {'imaginary':>10} {'±':>8}  {'modulus':>8} {'angle':>7}"]
@@ -60,16 +60,16 @@ class Roots:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FrequencyResponse:
-    """G(exp(i omega Ts)) with standard deviations by linearisation."""
+    """Frequency response G(exp(i omega Ts)) with standard deviations by linearisation."""
 
     omega: Vector
     """Frequencies in rad/s, (n,)."""
     G: Complex
-    """Response, (n,), in y's unit per u's."""
+    """Response, (n,), in units of y per unit of u."""
     std_magnitude: Vector
-    """Of |G|, (n,)."""
+    """Standard deviation of |G|, (n,)."""
     std_phase: Vector
-    """Of arg G, (n,), in rad."""
+    """Standard deviation of arg G, (n,), in rad."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,23 +79,23 @@ class NoiseSpectrum:
     omega: Vector
     """Frequencies in rad/s, (n,)."""
     Phi: Vector
-    """Density, (n,), in y's unit squared times s."""
+    """Power density, (n,), in (unit of y)² s."""
     std: Vector
-    """Of Phi, (n,)."""
+    """Standard deviation of Phi, (n,)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class StepResponse:
-    """Answer to a unit step at t = 0, with standard deviations by linearisation."""
+    """Response to a unit step at t = 0, with standard deviations by linearisation."""
 
     t: Vector
     """Time in s, (n,)."""
     y: Vector
     """Output, (n,)."""
     std: Vector
-    """Of y, (n,)."""
+    """Standard deviation of y, (n,)."""
     rate: bool = False
-    """y is the output's rate, in its unit per s."""
+    """True if y is the rate of the output, in units of the output per s."""
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
         """Return the output as a plain array."""

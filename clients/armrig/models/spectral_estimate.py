@@ -1,4 +1,4 @@
-"""A frequency response estimated without a structure, and what came with it."""
+"""Nonparametric estimate of a frequency response, with noise spectrum and coherence."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 COHERENT = 0.5
-"""Least coherence at which u explains y: half of the power of y."""
+"""Least coherence at which u is said to explain y, that is, at least half of the power of y."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SpectralEstimate:
-    """G(exp(i omega Ts)) at some frequencies, with standard deviations where they are known."""
+    """Estimate of G(exp(i omega Ts)) at some frequencies, with standard deviations if known."""
 
     omega: Vector
-    """Frequencies in rad/s, (n,), rising."""
+    """Frequencies in rad/s, (n,), in ascending order."""
     G: Complex
-    """Response, (n,), in y's unit per u's; NaN where u has no power."""
+    """Response, (n,), in units of y per unit of u; NaN if u has no power."""
     std_magnitude: Vector
-    """Of |G|, (n,); NaN where it is not known."""
+    """Standard deviation of |G|, (n,); NaN if it is not known."""
     std_phase: Vector
-    """Of arg G, (n,), in rad."""
+    """Standard deviation of arg G, (n,), in rad."""
     noise_spectrum: Vector | None = None
-    """Phi_v, (n,), in y's unit squared times s: its integral over omega/(2 pi) is the variance."""
+    """Phi_v, (n,), in (unit of y)² s; the integral of Phi_v/(2 pi) over omega is the variance."""
     noise_std: Vector | None = None
-    """Of Phi_v, (n,)."""
+    """Standard deviation of Phi_v, (n,)."""
     coherence: Vector | None = None
     """|Phi_yu|² / (Phi_u Phi_y), (n,), 0 to 1: the share of y's power that u explains."""
     noise_only_std: Vector | None = None
-    """Of G by the noise alone, |.|, (n,) (see `bla`)."""
+    """Standard deviation of G due to the noise alone, (n,) (see `bla`)."""
     nonlinear_std: Vector | None = None
-    """Of G from realisation to realisation beyond the noise, |.|, (n,) (see `bla`)."""
+    """Standard deviation of G between realisations, less the part of noise, (n,) (see `bla`)."""
     method: str
-    """How it was estimated, in words."""
+    """Method of the estimate, as text."""
     integrator: bool
-    """Estimated as the rate's and divided by 1 - q^-1."""
+    """True if the response of the rate of y was estimated and then divided by 1 - q^-1."""
     N: int
-    """Samples used."""
+    """Number of samples used."""
     Ts: float
     """Sampling time, in s."""
     output: str
@@ -61,23 +61,23 @@ class SpectralEstimate:
     source: str
     """Hash of the recording, or ""."""
     notes: tuple[str, ...] = ()
-    """What a reader should know."""
+    """Notes on the reliability of the estimate."""
 
     @property
     def magnitude(self) -> Vector:
-        """|G|, (n,)."""
+        """Magnitude |G|, (n,)."""
         return np.asarray(np.abs(self.G))
 
     @property
     def phase(self) -> Vector:
-        """Arg G in rad, (n,), unwrapped along omega; NaN stays NaN."""
+        """Phase arg G in rad, (n,), unwrapped along omega; NaN stays NaN."""
         angle = np.angle(self.G)
         known = np.isfinite(angle)
         angle[known] = np.unwrap(angle[known])
         return np.asarray(angle)
 
     def rate(self) -> SpectralEstimate:
-        """Return that of (y(t) - y(t-1))/Ts: everything times |1 - exp(-i omega Ts)|/Ts."""
+        """Return the estimate for (y(t) - y(t-1))/Ts: G times (1 - exp(-i omega Ts))/Ts."""
         S = 1 / summation(self.omega, self.Ts)
         size = np.abs(S)
 
@@ -98,7 +98,7 @@ class SpectralEstimate:
         )
 
     def to_control(self) -> control.FrequencyResponseData:
-        """Return it as python-control's frequency response data, where G is known."""
+        """Return the known values of G as python-control frequency response data."""
         import control
 
         known = np.isfinite(self.G)
@@ -112,7 +112,7 @@ class SpectralEstimate:
         return figure_of(plot_spectral(self, ax=ax))
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Return the estimate as a few lines of text."""
         w = self.omega
         lines = [
             f"frequency response to {self.output}: {self.method}",
@@ -120,7 +120,7 @@ class SpectralEstimate:
             f"{np.pi / self.Ts:.4g}), {self.N} samples at {self.Ts:g} s",
         ]
         if self.integrator:
-            lines.append("  estimated as the rate's and integrated: y integrates its input")
+            lines.append("  y integrates: the response of its rate was estimated, then integrated")
         for i in np.unique(np.linspace(0, w.size - 1, 5).round().astype(int)):
             std, phase = self.std_magnitude[i], np.degrees(self.std_phase[i])
             known = f" ± {std:.2g}" if np.isfinite(std) else ""
@@ -131,3 +131,61 @@ class SpectralEstimate:
                 f"arg G {np.degrees(np.angle(self.G[i])):.1f}{degrees}°{coherence}"
             )
         return "\n".join([*lines, *(f"  note: {note}" for note in self.notes)])
+
+
+def log_slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
+    """Return the slope of a line fitted to |G|, in dB per decade, and its standard deviation."""
+    if not omega.size:
+        return float("nan"), float("nan")
+    x, y = np.log10(omega), 20 * np.log10(magnitude)
+    x = x - x.mean()
+    slope = float(x @ y / (x @ x))
+    scatter = float(np.sum((y - y.mean() - slope * x) ** 2)) / max(x.size - 2, 1)
+    return slope, float(np.sqrt(scatter / (x @ x)))
+
+
+def low_slope(
+    estimate: SpectralEstimate, believed: NDArray[np.int_]
+) -> tuple[float, float, Vector]:
+    """Return the slope over the lowest half decade, its standard deviation, and the frequencies."""
+    low = believed[estimate.omega[believed] <= estimate.omega[believed[:1]] * np.sqrt(10)]
+    low = low if low.size >= 3 else believed[:3]
+    return *log_slope(estimate.omega[low], estimate.magnitude[low]), estimate.omega[low]
+
+
+def high_slope(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> float:
+    """Return the slope over `high_band`, in dB per decade; NaN if `believed` is empty."""
+    high = high_band(estimate, believed)
+    return log_slope(estimate.omega[high], estimate.magnitude[high])[0]
+
+
+def high_band(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Return the indices of the highest third of a decade, below 0.6 Nyquist if possible."""
+    omega = estimate.omega[believed]
+    top = np.minimum(omega[-1:], 0.6 * np.pi / estimate.Ts)
+    high = believed[(omega <= top) & (omega >= top / 10 ** (1 / 3))]
+    return high if high.size >= 3 else believed[-3:]
+
+
+def phase_delay(
+    estimate: SpectralEstimate,
+    believed: NDArray[np.int_],
+    roll_off: float,
+    *,
+    sign: float,
+    shown: float,
+) -> float:
+    """Return the mean of -(arg sign G - 90° roll_off/20)/omega over `high_band`, in s.
+
+    The phase is known only up to full turns, so only the excess over the delay `shown`, in s, is
+    computed from it. If the slope of |G| is nearly constant, the phase of a minimum-phase system is
+    about 90° for each 20 dB per decade (H. W. Bode, *Network Analysis and Feedback Amplifier
+    Design*, 1945).
+    """
+    high = high_band(estimate, believed)
+    if not high.size:
+        return float("nan")
+    expected = np.pi / 2 * roll_off / 20
+    omega = estimate.omega[high]
+    excess = np.angle(sign * estimate.G[high] * np.exp(1j * (omega * shown - expected)))
+    return shown - float(np.mean(excess / omega))

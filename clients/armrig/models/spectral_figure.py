@@ -1,4 +1,4 @@
-"""Figure of a frequency response that was estimated without a structure."""
+"""Figure of a nonparametric estimate of a frequency response."""
 
 from __future__ import annotations
 
@@ -9,8 +9,19 @@ from numpy.typing import NDArray
 
 from armrig.numerics.confidence_regions import HALF_WIDTH
 from armrig.plots.captions import legend, sign
-from armrig.plots.layout import BLUE, GREEN, GREY, SKY, VERMILION, finish, panels
-from armrig.plots.scales import bare_minor, decibel_ticks, decibels, hertz
+from armrig.plots.layout import (
+    BLUE,
+    GREEN,
+    GREY,
+    SKY,
+    VERMILION,
+    bare_minor,
+    decibel_ticks,
+    decibels,
+    finish,
+    hertz,
+    panels,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,13 +32,13 @@ Vector = NDArray[np.float64]
 
 
 def plot_spectral(estimate: SpectralEstimate, *, ax: Axes | None = None) -> Axes:
-    """Show magnitude, phase and, where it is known, coherence, with 95 % bands."""
+    """Plot magnitude and phase with 95 % bands, and coherence if it is known."""
     ax, below = panels(ax, 0.36)
     w, G = estimate.omega, estimate.G
     known = np.isfinite(G) & (w > 0) & (np.abs(G) > 0)
     w, magnitude = w[known], np.abs(G[known])
     phase = np.degrees(estimate.phase[known])
-    # Unwrapped from the lowest frequency, begun between -360° and 0°.
+    # The phase is unwrapped from the lowest frequency, at which it is between -360° and 0°.
     phase = phase - 360 * np.ceil(phase[0] / 360) if phase.size else phase
     lines = w.size < 200 and estimate.coherence is None
     style: dict[str, Any] = {"marker": "o", "ms": 2.5, "lw": 0.6} if lines else {"lw": 1.1}
@@ -81,6 +92,6 @@ def _of(x: NDArray[Any] | None, known: NDArray[np.bool_]) -> NDArray[np.float64]
 
 
 def _gain(estimate: SpectralEstimate) -> str:
-    """Return the unit of y over that of u."""
+    """Return the unit of y per unit of u."""
     unit = estimate.unit or "–"
     return f"{unit}/{estimate.input_unit}" if estimate.input_unit else unit

@@ -1,4 +1,4 @@
-"""Which polynomials a model has, and what of its past is not known when the data begin."""
+"""Orders of the polynomials of a model, and dimension of the unknown past of the data."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Structure:
-    """Orders of A y = (B/F) u + (C/D) e, an integrator's factor 1 - q^-1 not counted."""
+    """Orders of A y = (B/F) u + (C/D) e, without the factor 1 - q^-1 of an integrator."""
 
     nb: int
-    """Numerator coefficients."""
+    """Coefficients of B."""
     nk: int
     """Samples before u reaches y."""
     na: int = 0
@@ -30,33 +30,33 @@ class Structure:
     nf: int = 0
     """Coefficients of F after the 1."""
     integrator: Literal["", "a", "f"] = ""
-    """Polynomial that has the factor 1 - q^-1 besides."""
+    """Polynomial with the additional factor 1 - q^-1."""
     offset: bool = False
-    """The input's offset is free; with an integrator it always is, unless at rest."""
+    """True if the input offset is free. With an integrator the offset is free unless `at_rest`."""
     at_rest: bool = False
-    """Each experiment begins with everything at zero."""
+    """True if each experiment begins with all signals at zero."""
 
     @property
     def reach(self) -> int:
-        """How many samples B looks back on u."""
+        """Largest lag of u in B."""
         return self.nk + self.nb - 1
 
     @property
     def memory(self) -> int:
-        """How many samples A, C and D look back: what a gap in y makes unknown."""
+        """Largest lag of A, C and D: the number of samples that a gap in y makes unknown."""
         return max(self.nd + self.na, self.nc)
 
     @property
     def first(self) -> int:
-        """How many samples at the start look back on an unknown u, where no state stands for it."""
+        """Number of first samples that depend on an unknown u; 0 with pulses or at rest."""
         return 0 if self.at_rest or self.count else self.nd + self.reach
 
     @property
     def count(self) -> int:
-        """How many pulses stand for the unknown state of B/F at the start of an experiment.
+        """Number of pulses that replace the unknown state of B/F at the start of an experiment.
 
-        Without F the unknown past of u ends with the memory of B, and of an output-error model
-        without F it is still the state.
+        An equation-error model without F needs no pulses, because the unknown past of u ends with
+        the memory of B. An output-error model has pulses even without F.
         """
         inside = int(self.integrator == "f")
         if self.at_rest or (self.nf + inside == 0 and self.memory > 0):
@@ -65,7 +65,7 @@ class Structure:
 
     @property
     def trend(self) -> int:
-        """Columns of the trend: 0 none, 1 level, 2 level and ramp."""
+        """Number of columns of the trend: 0 none, 1 level, 2 level and ramp."""
         if self.at_rest:
             return 0
         if self.integrator:
@@ -74,36 +74,36 @@ class Structure:
 
     @property
     def white(self) -> bool:
-        """The noise is white on the output: what is left of past y says nothing of the next."""
+        """True if the noise on the output is white, so that past y do not help to predict y."""
         return self.memory == 0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FreeResponse:
-    """The nuisance parameters of one experiment, estimated with the model."""
+    """Nuisance parameters of one experiment, estimated with the model."""
 
     transients: tuple[float, ...]
-    """Pulses at the first samples that replace the unknown past, filtered by 1/F, in y's unit."""
+    """Pulses at the first samples, in the unit of y, that replace the unknown past through 1/F."""
     level: float = 0.0
-    """Constant under an integrating output, in y's unit."""
+    """Constant part of an integrating output, in the unit of y."""
     offset: float = 0.0
-    """Input that an integrating output answers with standstill (u0), in u's unit."""
+    """Input u0 at which an integrating output is constant, in the unit of u."""
 
 
 def transient_count(
     *, numerator_degree: int, denominator_degree: int, integrator: bool = False
 ) -> int:
-    """Return how many pulses an unknown past needs: the state's dimension.
+    """Return the number of pulses that replace an unknown past: the dimension of the state.
 
-    With an integrator one dimension is the level, which has a column of its own.
+    With an integrator, one dimension of the state is the level, which is a separate column.
     """
     return max(max(numerator_degree, denominator_degree) - int(integrator), 0)
 
 
 def free_columns(F: Array, N: int, *, count: int, drift: bool) -> Array:
-    """Return (N, count + 2 drift): pulses at 0 … count-1 through 1/F, then level and ramp.
+    """Return pulses at 0 … count-1 filtered by 1/F, then level and ramp, (N, count + 2 drift).
 
-    F is the denominator without the integrator; the ramp is t + 1, the sum of a unit input.
+    F is the denominator without the integrator. The ramp is t + 1, the sum of a unit input.
     """
     pulses = lagged(impulse(F, N), range(count))
     if not drift:
@@ -112,6 +112,6 @@ def free_columns(F: Array, N: int, *, count: int, drift: bool) -> Array:
 
 
 def offset_from_ramp(B: Array, F: Array, slope: float, mean_input: float) -> float:
-    """Return u0 from the ramp's slope, where the model was driven by cumsum(u - mean_input)."""
+    """Return u0 from the slope of the ramp, for a model driven by cumsum(u - mean_input)."""
     gain = float(np.sum(B) / np.sum(F))
     return mean_input - slope / gain if gain != 0 else float("nan")

@@ -1,8 +1,9 @@
-"""The structures that can be estimated: one specification each, from which all else follows.
+"""Table of the structures that can be estimated, with one specification for each.
 
-The options and the help of `armrig identify` and `armrig batch`, what a search tries, the command
-after `next:`, and the table in docs/experiments.md come from here. `--help` reads this module, so
-it imports no array; the estimator of NAME is the function NAME in `armrig.estimation.NAME`.
+The table defines the options and help of `armrig identify` and `armrig batch`, the structures of
+a search, the command after `next:`, and the table in docs/experiments.md. `--help` reads this
+module, so it does not import numpy. The estimator of NAME is the function NAME in
+`armrig.estimation.NAME`.
 """
 
 from __future__ import annotations
@@ -11,10 +12,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-Family = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx"]
-"""A structure with a name of its own: what a command offers and a search tries."""
-FAMILIES: tuple[Family, ...] = get_args(Family)
-Name = Literal[Family, "pem"]
+OfferedName = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx"]
+"""Structures offered by the commands; `pem` is for Python only."""
+OFFERED_NAMES: tuple[OfferedName, ...] = get_args(OfferedName)
+StructureName = Literal[OfferedName, "pem"]
 
 Initial = Literal["estimate", "backcast", "zero", "auto"]
 Weights = Literal["cva", "moesp", "n4sid"]
@@ -22,7 +23,7 @@ Focus = Literal["prediction", "simulation"]
 Starts = Literal["many", "few"]
 
 ARM_POLES = 4
-"""Poles of the arm, one of them an integrator; its numerator has as many coefficients."""
+"""Number of poles of the arm, with its integrator, and number of coefficients of its numerator."""
 
 COUNTED = {
     "na": "a's",
@@ -32,33 +33,33 @@ COUNTED = {
     "nf": "f's, the integrator's included",
     "order": "states",
 }
-"""What each order is the number of; nk is not among them."""
+"""Item that each order counts, except nk."""
 EVERY = ("nk", "stable")
-"""Arguments that every estimator has."""
+"""Arguments of every estimator."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
-    """One structure."""
+class RegisteredStructure:
+    """Specification of one structure."""
 
-    name: Name
-    """As a program writes it, which is also the name of its estimator."""
+    name: StructureName
+    """Name of the structure and of its estimator, in small letters."""
     equation: str
-    """What it says of y, without delays and levels."""
+    """Equation of y, without delays and levels."""
     orders: Mapping[str, int | None]
-    """Its orders by name, nk left out, each with its default for the arm; None is by the data."""
+    """Default orders for the arm by name, except nk; None: the order is chosen from the data."""
     poles: str
-    """Name of the order that counts the poles from u to y."""
+    """Name of the order that is the number of poles from u to y."""
     takes: tuple[str, ...] = ()
-    """Arguments of its estimator besides the orders and those of `EVERY`."""
+    """Arguments of the estimator in addition to the orders and `EVERY`."""
     closed_loop: bool = False
-    """Feedback does not bias it, if its noise model is right."""
+    """True if feedback does not bias the estimate, provided that the noise model is right."""
     searched: bool = True
-    """A search for which no structures are given tries it."""
+    """True if a search without given structures includes this structure."""
 
     @property
     def title(self) -> str:
-        """Name for a person: OE."""
+        """Name in capitals: OE."""
         return self.name.upper()
 
     def short(self, orders: Mapping[str, int]) -> str:
@@ -71,26 +72,26 @@ class Kind:
 
 
 def named(orders: Mapping[str, int | None]) -> str:
-    """Return orders by their names: nb=4, nf=4, nk=1; those that are None are left out."""
+    """Return a text with the orders that are not None: nb=4, nf=4, nk=1."""
     return ", ".join(f"{name}={n}" for name, n in orders.items() if n is not None)
 
 
 def with_article(title: str) -> str:
-    """Return a structure's name as it is read aloud: an OE, a BJ."""
+    """Return the name of a structure with its indefinite article: an OE, a BJ."""
     return f"{'an' if title[0] in 'AEFHILMNORSX' else 'a'} {title}"
 
 
 _N = ARM_POLES
 _SEARCHED = ("integrator", "offset", "initial", "starts")
-_KINDS = (
-    Kind(
+_ROWS = (
+    RegisteredStructure(
         name="arx",
         equation="A y = B u + e",
         orders={"na": _N, "nb": _N},
         poles="na",
         closed_loop=True,
     ),
-    Kind(
+    RegisteredStructure(
         name="armax",
         equation="A y = B u + C e",
         orders={"na": _N, "nb": _N, "nc": _N},
@@ -98,14 +99,14 @@ _KINDS = (
         takes=_SEARCHED,
         closed_loop=True,
     ),
-    Kind(
+    RegisteredStructure(
         name="oe",
         equation="y = B/F u + e",
         orders={"nb": _N, "nf": _N},
         poles="nf",
         takes=_SEARCHED,
     ),
-    Kind(
+    RegisteredStructure(
         name="bj",
         equation="y = B/F u + C/D e",
         orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N},
@@ -113,29 +114,29 @@ _KINDS = (
         takes=_SEARCHED,
         closed_loop=True,
     ),
-    Kind(
+    RegisteredStructure(
         name="iv4",
         equation="A y = B u + v, v of any colour",
         orders={"na": _N, "nb": _N},
         poles="na",
     ),
-    Kind(
+    RegisteredStructure(
         name="n4sid",
         equation="a state space",
         orders={"order": None},
         poles="order",
         takes=("integrator", "weights", "horizon", "focus"),
     ),
-    Kind(
+    RegisteredStructure(
         name="ararx",
         equation="A y = B u + 1/D e",
         orders={"na": _N, "nb": _N, "nd": 1},
         poles="na",
         takes=_SEARCHED,
         closed_loop=True,
-        searched=False,  # IV4 and BJ cover its noise; it would make a search a quarter longer
+        searched=False,  # IV4 and BJ cover this noise; ARARX would lengthen a search by a quarter
     ),
-    Kind(
+    RegisteredStructure(
         name="pem",
         equation="A y = B/F u + C/D e",
         orders={"na": 0, "nb": _N, "nc": 0, "nd": 0, "nf": _N},
@@ -144,13 +145,13 @@ _KINDS = (
         closed_loop=True,
     ),
 )
-KINDS: dict[str, Kind] = {kind.name: kind for kind in _KINDS}
-"""All of them by name."""
-OFFERED: dict[Family, Kind] = {name: KINDS[name] for name in FAMILIES}
-"""Those that a command offers and a search tries."""
+STRUCTURES: dict[str, RegisteredStructure] = {row.name: row for row in _ROWS}
+"""Specifications of all structures by name."""
+OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for name in OFFERED_NAMES}
+"""Specifications of the structures that commands offer."""
 
 
-def users(argument: str) -> list[Family]:
-    """Return the structures offered whose estimators take an order or another argument."""
-    all_of = {name: (*EVERY, *kind.orders, *kind.takes) for name, kind in OFFERED.items()}
+def users(argument: str) -> list[OfferedName]:
+    """Return the offered structures whose estimators have an order or argument of this name."""
+    all_of = {name: (*EVERY, *row.orders, *row.takes) for name, row in OFFERED.items()}
     return [name for name, arguments in all_of.items() if argument in arguments]

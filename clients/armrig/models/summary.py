@@ -1,4 +1,4 @@
-"""What a model comes to: poles, zeros and figures with their 95 % ranges, each by its method."""
+"""Summary of a model: poles, zeros and characteristic numbers with their 95 % ranges."""
 
 from __future__ import annotations
 
@@ -38,30 +38,30 @@ _NAMES = {
     "equivalent_time": "equivalent time",
     "slowest_time": "slowest pole",
 }
-_ROUNDING = 1e-9
+_RANGE_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Summary:
-    """Poles, zeros and figures of a model with 95 % ranges; print it."""
+    """Poles, zeros and characteristic numbers of a model with 95 % ranges, as a table to print."""
 
     poles: tuple[Region, ...]
-    """Of the z plane, in the order of `Fit.poles()`."""
+    """Regions in the z plane, in the order of `Fit.poles()`."""
     zeros: tuple[Region, ...]
-    """Of the z plane, in the order of `Fit.zeros()`."""
+    """Regions in the z plane, in the order of `Fit.zeros()`."""
     figures: ModelCharacteristics
-    """Gain, resonances, bandwidth, step; and the poles in 1/s."""
+    """Gain, resonances, bandwidth, times, and the poles in 1/s."""
     cancelling: tuple[tuple[complex, complex, float], ...]
-    """Pole, zero and p value of pairs that cannot be told apart (1 %)."""
+    """Pole, zero and p value of pairs that cannot be distinguished at the level 1 %."""
     draws: Draws | None
-    """What the regions were sampled with; None where no covariance is known."""
+    """Draws of the parameters, for the regions; None if no covariance is known."""
     robust: bool
-    """The covariance is the sandwich form, since the residuals are not white."""
+    """True if the covariance is the sandwich form, because the residuals are coloured."""
     gain_unit: str
-    """y's unit per u's, or ""."""
+    """Unit of y per unit of u, or ""."""
 
     def facts(self) -> dict[str, Any]:
-        """Return it for a program: numbers, and None for what is not known."""
+        """Return the summary as values for JSON: numbers, and None for unknown values."""
         return {
             "covariance": "robust" if self.robust else "classic",
             "poles": [_root_facts(r) for r in self.poles],
@@ -91,9 +91,9 @@ class Summary:
         }
 
     def __repr__(self) -> str:
-        """Say it in a table."""
+        """Return the summary as a table."""
         form = "robust" if self.robust else "classic"
-        lines = [f"95 % ranges, {form} covariance; * by draws, the linearisation is poor"]
+        lines = [f"95 % ranges, {form} covariance; * by draws, as the linearisation is poor"]
         for what, found in (("pole", self.poles), ("zero", self.zeros)):
             shown = [r for r in found if r.centre.imag >= 0]
             lines += [f"  {what:15} {_root(r)}" for r in shown]
@@ -101,11 +101,11 @@ class Summary:
             of_rate = " (rate)" if self.figures.integrating and name == "gain" else ""
             lines.append(f"  {_NAMES.get(name, name) + of_rate:15} {self._figure(name)}")
         lines += [
-            f"  cancel: pole {_complex(a, 3)} and zero {_complex(b, 3)} cannot be told apart"
+            f"  cancel: pole {_complex(a, 3)} and zero {_complex(b, 3)} cannot be distinguished"
             for a, b, _ in self.cancelling
         ]
         if self.draws is not None:
-            left_out = f"; left out: {self.draws.left_out}" if self.draws.left_out else ""
+            left_out = f"; rejected: {self.draws.left_out}" if self.draws.left_out else ""
             n = self.draws.theta.shape[0]
             lines.append(f"  checked by {n} draws of the parameters{left_out}")
         return "\n".join(lines)
@@ -120,12 +120,12 @@ class Summary:
 
 
 def summary(model: Model) -> Summary:
-    """Return poles, zeros and figures of a model with their 95 % ranges.
+    """Return poles, zeros and characteristic numbers of a model with their 95 % ranges.
 
-    Each is linearised, or by 1000 draws (the figures by 400) of N(theta, P) where those show the
-    linearisation to be poor; P is the covariance that the verdict on whiteness trusts. A range by
-    draws allows for a curved relation of theta to the answer, not for an estimate of theta that is
-    itself far from normal: of an almost cancelling pole it is still too narrow.
+    A range is linearised, or computed by draws from N(theta, P) if the linearisation is poor. There
+    are 1000 draws for poles and zeros, and 400 draws for the other numbers. P is the trusted
+    covariance. A range by draws is valid for a nonlinear function of theta, but not if theta itself
+    is far from normal. Therefore the range of a pole that nearly cancels with a zero is too narrow.
     """
     draws = drawn(model)
     return Summary(
@@ -140,10 +140,10 @@ def summary(model: Model) -> Summary:
 
 
 def bounds(region: Region) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the 95 % ranges of real and imaginary part, each for itself.
+    """Return the 95 % range of the real part and the 95 % range of the imaginary part.
 
-    Of a root that may be real or not both are quantiles of the draws, the imaginary part
-    that of the root above the real axis.
+    If the region of a complex pair is computed by draws, both ranges are quantiles of the draws.
+    The imaginary part belongs to the root above the real axis.
     """
     z = region.centre
     if region.densest is not None and region.draws is not None:
@@ -184,8 +184,8 @@ def _root_facts(region: Region) -> dict[str, Any]:
 def _range(value: float, low: float, high: float, method: str) -> str:
     if not (np.isfinite(low) and np.isfinite(high)):
         return minus(f"{value:.5g}") + " (range not known)"
-    if high - low <= _ROUNDING * max(1.0, abs(value)):
-        return minus(f"{0.0 if abs(value) < _ROUNDING else value:.5g}")
+    if high - low <= _RANGE_ROUNDING * max(1.0, abs(value)):
+        return minus(f"{0.0 if abs(value) < _RANGE_ROUNDING else value:.5g}")
     return minus(with_range(value, low, high)) + ("*" if method == "sampled" else "")
 
 

@@ -1,9 +1,9 @@
-"""What a model answers, with 95 % regions that hold where the linearisation does not.
+"""95 % regions of poles, zeros and responses, which are valid even if the linearisation is poor.
 
 References
 ----------
 .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 9.6 (from theta to the transfer
-   function), and chapter 16 on what the regions are worth in validation.
+   function), and chapter 16 on the use of the regions in validation.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Complex = NDArray[np.complex128]
 def pole_regions(model: Model, draws: Draws | None = None) -> list[Region]:
     """Return the 95 % region of each pole, in the order of `model.poles()`.
 
-    Those of A and those of F are drawn together and told apart by their polynomials.
+    The regions of the roots of A and of the roots of F are computed separately.
     """
     draws = drawn(model) if draws is None else draws
     poles = model.poles()
@@ -45,7 +45,9 @@ def zero_regions(model: Model, draws: Draws | None = None) -> list[Region]:
     draws = drawn(model) if draws is None else draws
     zeros = model.zeros()
     samples = None if draws is None else roots_of(model, draws.theta, "b")
-    if samples is not None and samples.shape[1] != zeros.values.size:  # the first b is 0: a delay
+    if (
+        samples is not None and samples.shape[1] != zeros.values.size
+    ):  # the first b is 0, an additional delay
         samples = None
     return regions(zeros.values, zeros.covariance, samples)
 
@@ -53,7 +55,7 @@ def zero_regions(model: Model, draws: Draws | None = None) -> list[Region]:
 def frequency_bands(
     model: Model, answer: FrequencyResponse, draws: Draws | None
 ) -> tuple[Band, Band]:
-    """Return the 95 % bands of |G| and of arg G, the latter in rad about that of the answer.
+    """Return the 95 % band of |G|, and that of arg G in rad relative to arg G of the answer.
 
     Without draws the bands are linearised.
     """
@@ -70,7 +72,7 @@ def frequency_bands(
 
 
 def step_band(model: Model, answer: StepResponse, draws: Draws | None) -> Band:
-    """Return the 95 % band of a step response; without draws it is linearised."""
+    """Return the 95 % band of a step response; without draws the band is linearised."""
     if draws is None:
         return band(answer.y, answer.std, None)
     samples = step_responses(model, draws.theta, answer.y.size + answer.rate)
@@ -80,13 +82,13 @@ def step_band(model: Model, answer: StepResponse, draws: Draws | None) -> Band:
 
 
 def frequency_responses(model: Model, theta: Matrix, omega: ArrayLike) -> Complex:
-    """Return G of each draw (m, d) at omega (n,) in rad/s, (m, n)."""
+    """Return G (m, n) of each draw in theta (m, d) at omega (n,), in rad/s."""
     x = np.exp(-1j * np.atleast_1d(np.asarray(omega, np.float64)) * model.Ts)
     G = polynomial_of(model, theta, "b") @ _powers(x, model.B.size)
     with np.errstate(divide="ignore", invalid="ignore"):
         for letter in "af":
             p = polynomial_of(model, theta, letter)
-            if letter == model.integrating:  # exact at 0, as in `Fit.frequency_response`
+            if letter == model.integrating:  # exact at omega = 0, as in `Fit.frequency_response`
                 p = np.cumsum(p, axis=1)[:, :-1]
                 G = G / (1 - x)
             G = G / (p @ _powers(x, p.shape[1]))
@@ -94,7 +96,7 @@ def frequency_responses(model: Model, theta: Matrix, omega: ArrayLike) -> Comple
 
 
 def step_responses(model: Model, theta: Matrix, n: int) -> Matrix:
-    """Return the first n samples of the unit step response of each draw (m, d), (m, n)."""
+    """Return the first n samples (m, n) of the unit step response of each draw in theta (m, d)."""
     B = polynomial_of(model, theta, "b")
     y = np.cumsum(np.pad(B, ((0, 0), (0, max(0, n - B.shape[1]))))[:, :n], axis=1)
     for letter in "af":

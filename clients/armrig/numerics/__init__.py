@@ -1,1 +1,1 @@
-"""Linear algebra, polynomials and statistics on arrays; nothing here knows a Dataset."""
+"""Linear algebra, polynomials and statistics on arrays; no function needs a Dataset."""

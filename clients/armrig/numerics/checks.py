@@ -1,4 +1,4 @@
-"""Checks of numbers that a caller asks for, before numpy meets them."""
+"""Checks of the arguments of a caller, before they are converted to arrays."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def require_integers(**asked: tuple[Any, int]) -> None:
-    """Refuse a value (value, lowest allowed) that is no integer or too low."""
+    """Refuse a value that is not an integer or is below its lower limit: name=(value, limit)."""
     for name, (value, lowest) in asked.items():
         if isinstance(value, bool) or not isinstance(value, Integral) or int(value) < lowest:
             raise InputError(f"{name}={value!r} must be an integer >= {lowest}")
 
 
 def require_numbers(**asked: Any) -> None:
-    """Refuse a value that is no real number."""
+    """Refuse a value that is not a real number."""
     for name, value in asked.items():
         if isinstance(value, bool) or not isinstance(value, Real):
             raise InputError(f"{name}={value!r} must be a number")
@@ -33,7 +33,7 @@ def require_flags(**asked: Any) -> None:
 
 
 def require_several(**asked: Any) -> None:
-    """Refuse one value where several are wanted."""
+    """Refuse a single value if several values are needed."""
     for name, value in asked.items():
         if not isinstance(value, Iterable) or isinstance(value, str):
             raise InputTypeError(
@@ -43,46 +43,46 @@ def require_several(**asked: Any) -> None:
 
 
 def column(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    """Return a copy (N,) of the values, NaN where they are masked.
+    """Return a copy (N,) of the values, with NaN for masked values.
 
-    Another shape is refused, nothing is ravelled; complex values are refused, no part is dropped.
+    Values of another shape and complex values are refused.
     """
     if values is None or hasattr(values, "dataset") or hasattr(values, "Ts"):
         kind = "missing" if values is None else f"a {type(values).__name__}"
-        msg = f"{name} is {kind}; give its numbers, (N,)"
+        msg = f"{name} is {kind}; give an array of numbers, (N,)"
         msg += f", such as data.{name}" if name in ("u", "y") else ""
         raise InputTypeError(msg)
     given = np.asanyarray(values)
     if given.dtype.kind in "USO" and not _are_numbers(given):
         first = given.ravel()[0] if given.size else ""
         raise InputError(
-            f"{name} has text or other objects ({str(first)[:20]!r}), it must be numbers, "
-            "decimals with a point; a file is read with armrig.load_data(path)"
+            f"{name} contains text or other objects ({str(first)[:20]!r}); give numbers with a "
+            "decimal point, or read a file with armrig.load_data(path)"
         )
     if np.iscomplexobj(given):
         raise InputError(
-            f"{name} is complex ({given.dtype}), it must be real; give {name}.real, or its "
-            "magnitude, if that is what was measured"
+            f"{name} is complex ({given.dtype}), but must be real; give {name}.real, or the "
+            "magnitude if the magnitude was measured"
         )
     taken = np.array(np.ma.filled(given.astype(np.float64), np.nan))
     if taken.ndim != 1 or taken.size == 0:
         raise InputError(
-            f"{name} has shape {taken.shape}, it must be (N,) with N >= 1; {_way_out(name, taken)}"
+            f"{name} has shape {taken.shape}, but must be (N,), N >= 1; {_way_out(name, taken)}"
         )
     return taken
 
 
 def _are_numbers(given: NDArray[Any]) -> bool:
-    """Tell whether all is numbers in fact: those of an array of objects may be."""
+    """Return whether an array of objects contains only numbers."""
     return given.dtype.kind == "O" and all(isinstance(x, Number) for x in given.ravel())
 
 
 def _way_out(name: str, taken: NDArray[np.float64]) -> str:
-    """Return what to do about a shape that is not (N,)."""
+    """Return the remedy for a shape that is not (N,)."""
     if taken.size == 0:
-        return f"there is nothing in {name}"
+        return f"{name} is empty"
     if taken.ndim == 0:
         return f"give a value for each instant, such as numpy.full(N, {taken:g})"
     if taken.size == max(taken.shape):
         return f"use {name}.ravel()"
-    return f"one signal is one column, such as {name}[:, 0]"
+    return f"a signal is one column, such as {name}[:, 0]"

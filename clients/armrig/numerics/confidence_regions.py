@@ -1,29 +1,26 @@
-"""Where an answer lies with 95 %: by its derivative, or by draws where that is poor.
+"""95 % regions of model properties: linearised, or by draws if the linearisation is poor.
 
-By first order (Gauss's approximation) an answer f(theta) is normal, of variance f'^T P f'. Draws of
-theta say whether that holds: where they put an edge of the range elsewhere by more than a quarter
-of its half-width, or more than 10 % or less than 2.5 % of them outside the region in the plane, the
-linearisation is called poor and what the draws say takes its place. Where fewer than 100 of them
-count, nothing is known.
+In first order (Gauss's approximation) a property f(theta) is normal with the variance f'^T P f'.
+This approximation is checked by draws of theta. A range is checked by its two edges. The
+approximation is poor if an edge by draws differs from the linearised edge by more than a quarter of
+the half-width. For a region in the plane, the approximation is poor if more than 10 % or less than
+2.5 % of the draws are outside. If the approximation is poor, the region is computed from the draws.
+With fewer than 100 valid draws the region is unknown.
+
+Two roots that may be a conjugate pair or two real roots are no smooth functions of the parameters.
+Their mean and the square of half their difference are smooth. For a pair x ± iy these are x and
+-y². Therefore the region of the pairs is computed in the plane of (x, -y²), in which the region
+does not fold at the real axis. For the draws with real roots there is a separate interval. The
+region contains 95 % of the pairs, and the interval 95 % of the real roots. The coverage is
+therefore 95 % whether the true root is real or one of a pair.
 
 References
 ----------
 .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 9.6 and 13.
-
-Draws of roots, those that are real apart from those in pairs, and where 95 % of either lie.
-
-Two roots that may be a conjugate pair or two real ones are no smooth function of the parameters,
-but their mean and the square of half their difference are: a pair at x ± iy has x and -y². So the
-region of the pairs is made in the plane of (x, -y²), where it does not fold at the real axis, and
-the real draws have an interval of their own. Each holds 95 % of its kind, so that the two together
-are not too small whichever the truth is.
-
-References
-----------
-.. [1] D. O. Loftsgaarden, C. P. Quesenberry, Ann. Math. Statist. 36 (1965) 1049-1051 (density from
+.. [2] D. O. Loftsgaarden, C. P. Quesenberry, Ann. Math. Statist. 36 (1965) 1049-1051 (density from
    the distance of the k-th neighbour).
-.. [2] J. Lei, J. Robins, L. Wasserman, J. Amer. Statist. Assoc. 108 (2013) 278-287 (a region that
-   holds the next draw with 95 %, whatever the distribution).
+.. [3] J. Lei, J. Robins, L. Wasserman, J. Amer. Statist. Assoc. 108 (2013) 278-287 (a region that
+   contains the next draw with 95 % for any distribution).
 """
 
 from __future__ import annotations
@@ -41,51 +38,52 @@ Method = Literal["linearised", "sampled"]
 
 LEVEL = 0.95
 HALF_WIDTH = 1.959964  # two-sided 95 % quantile of the normal distribution
-RADIUS = float(np.sqrt(-2 * np.log(1 - LEVEL)))  # the same of two degrees of freedom
-EDGE = 0.25
-"""Largest difference of an edge, in linearised half-widths, that is not called poor."""
-OUTSIDE = (0.025, 0.10)
-"""Share of draws outside the linearised region in the plane that is not called poor."""
-FEWEST = 100  # draws, below which nothing can be said of 2.5 %
+RADIUS = float(np.sqrt(-2 * np.log(1 - LEVEL)))  # of the 95 % ellipse, in standard deviations
+MAX_EDGE_SHIFT = 0.25
+"""Largest distance between an edge by draws and the linearised edge, in linearised half-widths, at
+which the linearisation is used."""
+OUTSIDE_RANGE = (0.025, 0.10)
+"""Range of the share of draws outside a linearised ellipse in which the linearisation is used."""
+MIN_DRAWS = 100  # fewer draws do not determine a 2.5 % quantile
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Band:
-    """The 95 % range of one or of many real numbers, each for itself."""
+    """Pointwise 95 % ranges of one or many real numbers."""
 
     low: Vector
     """Lower edges, (n,)."""
     high: Vector
     """Upper edges, (n,)."""
     method: Method
-    """How all of them were found."""
+    """Method by which all ranges were computed."""
 
     def contains(self, x: ArrayLike) -> NDArray[np.bool_]:
-        """Tell which x (n,) are inside."""
+        """Return a mask (n,): True for each x inside its range."""
         x = np.asarray(x, dtype=np.float64)
         return np.asarray((self.low <= x) & (x <= self.high))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Region:
-    """Where a root lies with 95 %: an interval, an ellipse, or what the draws make of it."""
+    """95 % region of a root: an interval, an ellipse, or a region of draws."""
 
     centre: complex
-    """The estimate."""
+    """Estimate of the root."""
     method: Method
-    """How the region was found."""
+    """Method by which the region was computed."""
     interval: tuple[float, float] | None = None
-    """Of a root that is real, or may be."""
+    """Interval on the real axis, if the root is or may be real."""
     covariance: Matrix
-    """Of real and imaginary part, linearised, (2, 2)."""
+    """Linearised covariance of real and imaginary part, (2, 2)."""
     densest: HighestDensityRegion | None = None
-    """Of a root that is one of a pair, or may be, where the draws decide."""
+    """Region of the draws, if the method is "sampled" and the root may be one of a pair."""
     draws: RootDraws | None = None
-    """The draws, where they decide."""
+    """Draws of the root, if the method is "sampled"."""
 
     def contains(self, z: complex) -> bool:
-        """Tell whether z is inside: of the interval where it is real, if there is one."""
-        if abs(z.imag) < REAL and self.interval is not None:
+        """Return whether z is inside; for a real z the interval, if there is one, decides."""
+        if abs(z.imag) < REAL_TOLERANCE and self.interval is not None:
             return self.interval[0] <= z.real <= self.interval[1]
         if self.densest is not None:
             return bool(self.densest.excess(np.array([z]))[0] <= 1)
@@ -94,7 +92,7 @@ class Region:
         return bool(_distance(np.array([z - self.centre]), self.covariance)[0] <= RADIUS)
 
     def border(self) -> Vector | None:
-        """Return the ellipse, (2, m), or None where the region is none."""
+        """Return points of the ellipse, (2, m), or None if the region is no ellipse."""
         if self.interval is not None or self.densest is not None:
             return None
         value, vector = np.linalg.eigh(self.covariance)
@@ -105,14 +103,14 @@ class Region:
 
 
 def linearised_band(value: ArrayLike, std: ArrayLike, *, least: float = -np.inf) -> Band:
-    """Return value ± 1.96 std, but nothing below `least`."""
+    """Return value ± 1.96 std, with lower edges of at least `least`."""
     value = np.asarray(value, dtype=np.float64)
     width = HALF_WIDTH * np.asarray(std, dtype=np.float64)
     return Band(low=np.maximum(value - width, least), high=value + width, method="linearised")
 
 
 def sampled_band(samples: Matrix) -> Band:
-    """Return the 2.5 and 97.5 % quantiles of draws (m, n), or (m,)."""
+    """Return the 2.5 % and 97.5 % quantiles of draws (m, n) or (m,)."""
     with np.errstate(invalid="ignore"):
         low, high = np.quantile(samples, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2], axis=0)
     return Band(low=low, high=high, method="sampled")
@@ -121,29 +119,29 @@ def sampled_band(samples: Matrix) -> Band:
 def band(
     value: ArrayLike, std: ArrayLike, samples: Matrix | None, *, least: float = -np.inf
 ) -> Band:
-    """Return the 95 % range of each value (n,): linearised, or by draws where that is poor.
+    """Return the 95 % range of each value (n,): linearised, or by draws.
 
-    It is poor where an edge by the draws is more than a quarter of 1.96 std elsewhere at any of
-    the values; all of them are then by the draws.
+    The linearisation is poor if, for any value, an edge by draws differs from the linearised edge
+    by more than a quarter of 1.96 std. All ranges are then computed by draws.
 
     Parameters
     ----------
     samples : array (m, n) or None
-        The values by draws of theta; None keeps the linearisation.
+        Values for draws of theta; with None the ranges are linearised.
     least : float, optional
-        What no value can be below: 0 for a magnitude.
+        Lower limit of the values, such as 0 for a magnitude.
     """
     linear = linearised_band(value, std, least=least)
     if samples is None:
         return linear
-    if samples.shape[0] < FEWEST:
+    if samples.shape[0] < MIN_DRAWS:
         unknown = np.full_like(linear.low, np.nan)
         return Band(low=unknown, high=unknown, method="sampled")
     sampled = sampled_band(samples)
     with np.errstate(invalid="ignore", divide="ignore"):
         apart = np.maximum(np.abs(sampled.low - linear.low), np.abs(sampled.high - linear.high))
         apart = apart / (HALF_WIDTH * np.asarray(std, dtype=np.float64))
-    return sampled if np.any(apart[np.isfinite(apart)] > EDGE) else linear
+    return sampled if np.any(apart[np.isfinite(apart)] > MAX_EDGE_SHIFT) else linear
 
 
 def regions(
@@ -154,9 +152,9 @@ def regions(
     Parameters
     ----------
     covariances : array (n, 2, 2)
-        Of real and imaginary part, linearised.
+        Linearised covariances of real and imaginary part.
     draws : array (m, n) or None
-        The roots of draws of the polynomial, in any order; None keeps the linearisation.
+        Roots of draws of the polynomial, in any order; with None the regions are linearised.
     """
     of_roots = [None] * centres.size if draws is None else root_draws(centres, draws)
     return [
@@ -166,7 +164,7 @@ def regions(
 
 
 def linearised_region(z: complex, P: Matrix) -> Region:
-    """Return the ellipse (dz^T P^-1 dz <= 5.99), or of a real root z ± 1.96 std."""
+    """Return the ellipse dz^T P^-1 dz <= 5.99, or the interval z ± 1.96 std for a real root."""
     interval = None
     if _is_real(z):
         width = HALF_WIDTH * float(np.sqrt(max(P[0, 0], 0.0)))
@@ -175,11 +173,12 @@ def linearised_region(z: complex, P: Matrix) -> Region:
 
 
 def sampled_region(z: complex, P: Matrix, draws: RootDraws) -> Region:
-    """Return the densest 95 % of the draws in pairs, and the quantiles of those that are real.
+    """Return the region of the densest 95 % of the pairs, and the interval of the real draws.
 
-    Of a kind that fewer than 0.5 % are of there is none.
+    If less than 0.5 % of the draws are pairs, there is no region. The interval is omitted in the
+    same way.
     """
-    least = RARE * draws.upper.size
+    least = MIN_KIND_SHARE * draws.upper.size
     interval = None
     if draws.reals.size > least:
         x = sampled_band(draws.reals)
@@ -195,38 +194,42 @@ def sampled_region(z: complex, P: Matrix, draws: RootDraws) -> Region:
 
 
 def chosen_region(z: complex, P: Matrix, draws: RootDraws | None) -> Region:
-    """Return the linearised region, or the sampled one where the draws call that poor."""
+    """Return the linearised region, or the sampled region if the linearisation is poor."""
     linear = linearised_region(z, P)
     if draws is None or not (np.isfinite(P).all() and P.any()):
         return linear
-    if draws.upper.size < FEWEST:
+    if draws.upper.size < MIN_DRAWS:
         unknown = (np.nan, np.nan) if _is_real(z) else None
         nothing = np.full((2, 2), np.nan)
         return Region(centre=z, method="sampled", covariance=nothing, interval=unknown)
     if linear.interval is None:
         beside = draws.upper - complex(z.real, abs(z.imag))
         outside = float(np.mean(_distance(beside, _folded(z, P)) > RADIUS))
-        return linear if OUTSIDE[0] <= outside <= OUTSIDE[1] else sampled_region(z, P, draws)
+        return (
+            linear
+            if OUTSIDE_RANGE[0] <= outside <= OUTSIDE_RANGE[1]
+            else sampled_region(z, P, draws)
+        )
     sampled = sampled_region(z, P, draws)
     if sampled.interval is None or sampled.densest is not None:
         return sampled
     width = linear.interval[1] - z.real
     apart = np.abs(np.subtract(sampled.interval, linear.interval)).max()
-    return sampled if apart > EDGE * width else linear
+    return sampled if apart > MAX_EDGE_SHIFT * width else linear
 
 
 def _is_real(z: complex) -> bool:
-    return abs(z.imag) < REAL
+    return abs(z.imag) < REAL_TOLERANCE
 
 
 def _folded(z: complex, P: Matrix) -> Matrix:
-    """Return the covariance of the root's partner in the upper half plane."""
+    """Return the covariance of the root mirrored into the upper half plane."""
     turn = np.diag([1.0, -1.0 if z.imag < 0 else 1.0])
     return np.asarray(turn @ P @ turn)
 
 
 def _distance(z: Complex, P: Matrix) -> Vector:
-    """Return Mahalanobis's distance of each z (n,) from 0."""
+    """Return the Mahalanobis distance of each z (n,) from 0."""
     plane = np.stack([z.real, z.imag])
     with np.errstate(divide="ignore", invalid="ignore"):
         try:
@@ -235,83 +238,83 @@ def _distance(z: Complex, P: Matrix) -> Vector:
             return np.full(z.size, np.inf)
 
 
-REAL = 1e-9
+REAL_TOLERANCE = 1e-9
 """Imaginary part below which a root is real."""
-RARE = 0.005
-"""Share of the draws of a root below which being real, or not, does not count."""
+MIN_KIND_SHARE = 0.005
+"""Share of a root's draws below which the real draws, or the pairs, are ignored."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RootDraws:
-    """What the draws make of one root of the estimate."""
+    """Draws of one root of the estimate."""
 
     pairs: Complex
-    """Where it is one of a pair: the one above the real axis, (n,)."""
+    """Draws in which the root is one of a pair, mirrored into the upper half plane, (n,)."""
     reals: Vector
-    """Where it is real, or the two that its pair has become, (m,)."""
+    """Draws in which the root is real, (m,), with both roots of a pair that became real."""
 
     @property
     def upper(self) -> Complex:
-        """All of them."""
+        """All draws: pairs in the upper half plane, then real roots."""
         return np.concatenate([self.pairs, self.reals.astype(np.complex128)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HighestDensityRegion:
-    """The densest 95 % of draws of a root that is one of a pair.
+    """Region of the densest 95 % of the draws of a root of a complex pair.
 
-    A point is as strange as the distance to its k-th nearest draw, k = sqrt(n), is large; the limit
-    is that which 95 % of the draws keep, each measured against the others.
+    The density at a point is measured by the distance to the k-th nearest draw, with k = sqrt(n).
+    The limit is the 95 % quantile of the distances from each draw to the other draws.
     """
 
     points: Complex
-    """The draws, above the real axis, (n,)."""
+    """Draws above the real axis, (n,)."""
     scale: Matrix
-    """What (x, -y²) is multiplied by before distances are taken, (2, 2)."""
+    """Matrix that scales (x, -y²) before distances are computed, (2, 2)."""
     limit: float
-    """Largest distance of a point inside."""
+    """Largest distance to the k-th nearest draw for a point inside the region."""
     tree: Any
-    """scipy's k-d tree of the scaled draws."""
+    """K-d tree of the scaled draws, from scipy."""
 
     def excess(self, z: Complex) -> Vector:
-        """Return how strange each z (k,) is; 1 is the border."""
+        """Return the distance of each z (k,) divided by the limit; the ratio is 1 at the border."""
         distance, _ = self.tree.query(_plane(z) @ self.scale.T, k=[_neighbours(self.points.size)])
         return np.asarray(distance[:, 0] / self.limit)
 
     def inside(self) -> Complex:
-        """Return the draws inside."""
+        """Return the draws inside the region."""
         return np.asarray(self.points[self.excess(self.points) <= 1])
 
 
 def highest_density_region(points: Complex) -> HighestDensityRegion:
-    """Return the region of the densest 95 % of the points, three at least."""
+    """Return the region of the densest 95 % of at least three points."""
     from scipy.spatial import cKDTree
 
     scale = _whitening(points)
     plane = _plane(points) @ scale.T
     tree = cKDTree(plane)
-    # The nearest draw of a draw is itself.
+    # The nearest draw to a draw is the draw itself, so k is one more.
     own, _ = tree.query(plane, k=[_neighbours(points.size) + 1])
     limit = float(np.quantile(own[:, 0], 0.95)) or 1e-12
     return HighestDensityRegion(points=points, scale=scale, limit=limit, tree=tree)
 
 
 def root_draws(centres: Complex, roots: Complex) -> list[RootDraws]:
-    """Return for each root of the estimate (n,) what became of it in the draws (m, n).
+    """Return the draws of each root of the estimate (n,) from the roots of all draws (m, n).
 
-    In each draw the roots are told apart so that the sum of their distances from the estimate's is
-    least. Where a pair has become two real roots, both count for either.
+    In each draw the roots are assigned to the roots of the estimate so that the sum of distances is
+    least. If a pair became two real roots, both real roots are draws of each root of the pair.
     """
     assigned = _assigned(centres, roots)
     found = []
     for i, z in enumerate(centres):
         own = assigned[:, i]
-        real = np.abs(own.imag) < REAL
+        real = np.abs(own.imag) < REAL_TOLERANCE
         pairs = own[~real].real + 1j * np.abs(own[~real].imag)
         reals = own[real].real
-        if abs(z.imag) >= REAL:
+        if abs(z.imag) >= REAL_TOLERANCE:
             other = assigned[:, int(np.argmin(np.abs(centres - np.conj(z))))]
-            reals = np.concatenate([reals, other[np.abs(other.imag) < REAL].real])
+            reals = np.concatenate([reals, other[np.abs(other.imag) < REAL_TOLERANCE].real])
         found.append(RootDraws(pairs=pairs, reals=reals))
     return found
 
@@ -335,7 +338,7 @@ def _neighbours(n: int) -> int:
 
 
 def _whitening(points: Complex) -> Matrix:
-    """Return what makes the inner nine tenths of the draws about round."""
+    """Return the matrix that scales the inner 90 % of the draws to a unit covariance matrix."""
     plane = _plane(points)
     centre = np.median(plane, axis=0)
     spread = np.median(np.abs(plane - centre), axis=0)

@@ -1,7 +1,8 @@
-"""Covariance of estimates that does not trust the residuals to be white (sandwich forms).
+"""Covariance of the score, for the sandwich form, which is valid for coloured residuals too.
 
-Both return C in W M W^T, where W W^T = (Psi^T Psi)^-1 is the bread and M the covariance of the
-score Psi^T e; for white residuals both tend to the classic lambda (Psi^T Psi)^-1.
+The covariance of an estimate is W W^T M W W^T. Here W W^T = (Psi^T Psi)^-1, and M is the
+covariance of the score Psi^T e. For white residuals the sandwich tends to the classic
+lambda (Psi^T Psi)^-1.
 """
 
 from __future__ import annotations
@@ -13,23 +14,23 @@ import numpy as np
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import autoregression, joined
 
-_ROWS = 1 << 16  # filtered at once, so that length costs no memory
-_FEW_ROWS = 1 << 11  # summed at once
+_FILTER_ROWS = 1 << 16  # rows filtered at once, so that the memory does not grow with the data
+_SUM_ROWS = 1 << 11  # rows summed at once
 
 
 def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Return M = Psi^T R Psi for a Psi that does not depend on the noise (output error).
 
-    R is the covariance matrix of the noise, here that of an autoregression fitted to the
-    residuals (Yule-Walker, order by AIC; order 0, and so the classic form, for white ones):
-    R = s² H H^T, so M = s² |H^T Psi|², one filter run backwards in time.
+    R is the covariance matrix of an autoregression fitted to the residuals (Yule-Walker, order by
+    AIC). With R = s² H H^T, M is s² (H^T Psi)^T (H^T Psi). H^T Psi is computed by a filter
+    backwards in time. For white residuals the order is 0, and the sandwich has the classic form.
 
     Parameters
     ----------
     blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment, zero in the rows where y is missing.
+        Psi of each experiment, zero in the rows in which y is missing.
     residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN where y is missing.
+        Residuals of each experiment, NaN if y is missing.
 
     References
     ----------
@@ -37,7 +38,7 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
     .. [2] W. J. den Haan, A. Levin, "A practitioner's guide to robust covariance matrix
        estimation", Handbook of Statistics 15, 1997 (the autoregressive estimate).
     """
-    # Lists, not generators: one made in a comprehension would take the rows of the last Psi.
+    # Lists, not generators: a generator inside the comprehension would use only the last Psi.
     whole = [[Psi[a:b] for a, b in _backwards(Psi.shape[0])] for Psi in blocks]
     return exogenous_score_in_blocks(whole, residuals, blocks[0].shape[1])
 
@@ -45,7 +46,7 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
 def exogenous_score_in_blocks(
     experiments: Iterable[Iterable[Array]], residuals: Sequence[Array], d: int
 ) -> Array:
-    """Return the same for Psi given as blocks of rows (n, d), the last of an experiment first."""
+    """Return `exogenous_score` for Psi in blocks of rows (n, d), the last block first."""
     from scipy.signal import lfilter
 
     C, s2 = autoregression(joined(residuals, 40))
@@ -61,23 +62,24 @@ def exogenous_score_in_blocks(
 
 
 def _backwards(N: int) -> Iterator[tuple[int, int]]:
-    """Yield where blocks of rows begin and end, the last first."""
-    for end in range(N, 0, -_ROWS):
-        yield max(end - _ROWS, 0), end
+    """Yield the first row and the end of each block of rows, the last block first."""
+    for end in range(N, 0, -_FILTER_ROWS):
+        yield max(end - _FILTER_ROWS, 0), end
 
 
 def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
     """Return M for scores psi(t) e(t) that may depend on the noise (ARX): Newey-West.
 
-    Bartlett weights 1 - k/(L + 1) up to L = floor(4 (N/100)^(2/9)), which is the mean square of
-    all sums of L + 1 successive scores, those over the ends included.
+    The Bartlett weights are 1 - k/(L + 1) up to the lag L = floor(4 (N/100)^(2/9)). The estimate is
+    computed from all sums of L + 1 successive scores. M is the sum of their squares over L + 1,
+    with the incomplete sums at both ends.
 
     Parameters
     ----------
     blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment, zero in the rows where y is missing.
+        Psi of each experiment, zero in the rows in which y is missing.
     residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN where y is missing.
+        Residuals of each experiment, NaN if y is missing.
 
     References
     ----------
@@ -87,15 +89,15 @@ def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arr
     L = int(4 * (N / 100) ** (2 / 9))
     total = np.zeros((blocks[0].shape[1],) * 2)
     for Psi, e in zip(blocks, residuals, strict=True):
-        # Few rows at once: fresh memory for all of them costs more than the sums.
-        for begin in range(0, e.size + L, _FEW_ROWS):
-            sums = _sums_of_scores(Psi, e, L, begin, min(begin + _FEW_ROWS, e.size + L))
+        # Few rows at once: to allocate memory for all rows would take longer than the sums.
+        for begin in range(0, e.size + L, _SUM_ROWS):
+            sums = _sums_of_scores(Psi, e, L, begin, min(begin + _SUM_ROWS, e.size + L))
             total += sums @ sums.T / (L + 1)
     return total
 
 
 def _sums_of_scores(Psi: Array, e: Array, L: int, begin: int, end: int) -> Array:
-    """Return the sums of psi(s) e(s), s = t - L … t, for t from `begin` to before `end`."""
+    """Return the sums of psi(s) e(s), s = t - L … t, for t = begin … end - 1."""
     first = begin - L - 1
     a, b = max(first + 1, 0), min(end, e.size)
     scores = np.zeros((Psi.shape[1], end - first))

@@ -1,4 +1,4 @@
-"""What a parameter costs: criteria of choice between models, and the one-standard-error rule.
+"""Criteria for the choice between models, and the one-standard-error rule.
 
 References
 ----------
@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 from armrig.numerics.polynomial import Array
 
 Criterion = Literal["aic", "mdl", "fpe", "validation"]
-BATCHES = 30  # of the validation data, for the standard error of a mean of dependent samples
+BATCHES = 30
+"""Number of batches for the standard error of the mean of correlated samples."""
 
 
 def deviance(loss: ArrayLike, N: int) -> Array:
@@ -37,7 +38,7 @@ def mdl(loss: ArrayLike, d: ArrayLike, N: int) -> Array:
 
 
 def fpe(loss: ArrayLike, d: ArrayLike, N: int) -> Array:
-    """Return Akaike's final prediction error, loss (1 + d/N) / (1 - d/N); inf where d >= N."""
+    """Return Akaike's final prediction error, loss (1 + d/N) / (1 - d/N); inf if d >= N."""
     share = np.asarray(d) / N
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.asarray(loss) * (1 + share) / (1 - share)
@@ -45,15 +46,16 @@ def fpe(loss: ArrayLike, d: ArrayLike, N: int) -> Array:
 
 
 def batch_means(x: Array) -> Array:
-    """Return the means of successive batches of x (N,), 30 of them or as many as samples."""
+    """Return the means of 30 successive batches of x (N,), or x itself if N < 30."""
     return np.array([part.mean() for part in np.array_split(x, min(BATCHES, x.size))])
 
 
 def standard_error(means: Array) -> Array:
-    """Return that of the mean of batch means (..., K), along the last axis; 0 for one batch.
+    """Return the standard error of the mean of batch means (..., K), along the last axis.
 
-    Samples that depend on their neighbours have a mean that scatters more than s / sqrt(N);
-    batches longer than the memory do not depend on each other.
+    If neighbouring samples are correlated, the standard error of the mean exceeds s / sqrt(N). The
+    means of batches that are longer than the memory are nearly independent. For one batch the
+    result is 0.
     """
     K = means.shape[-1]
     if K < 2:
@@ -62,17 +64,18 @@ def standard_error(means: Array) -> Array:
 
 
 def simplest_as_good(excess: Array, std: Array, parameters: ArrayLike) -> int:
-    """Return which model has the fewest parameters among those as good as the best.
+    """Return the index of the model with fewest parameters among the models as good as the best.
 
-    As good is a model whose excess over the best loss is at most its standard error. Of several
-    with as few parameters it is the one of the least excess.
+    A model is as good as the best if its excess over the least loss is at most the standard error
+    of the excess. Of several models with equally few parameters, the model of least excess is
+    chosen.
 
     Parameters
     ----------
     excess : ndarray (n,)
-        Loss of each model less that of the best, so 0 for the best; NaN where there is none.
+        Loss of each model less the least loss; NaN if a model has no loss.
     std : ndarray (n,)
-        Standard error of `excess`, 0 for the best.
+        Standard error of `excess`; 0 for the model of least loss.
     parameters : array_like (n,)
         Number of parameters of each model.
     """
@@ -81,11 +84,11 @@ def simplest_as_good(excess: Array, std: Array, parameters: ArrayLike) -> int:
     return int(min(as_good, key=lambda i: (d[i], excess[i])))
 
 
-# The one measure of fit that all of the package quotes.
-
-
 def fit_percent(y: Array, sse: float) -> float:
-    """Return 100 (1 - |y - ŷ| / |y - mean y|) for the squared error sse = |y - ŷ|²."""
+    """Return the fit 100 (1 - |y - ŷ| / |y - mean y|) in percent, with sse = |y - ŷ|².
+
+    The whole package uses this measure of fit.
+    """
     spread = float(np.linalg.norm(y - np.mean(y))) if y.size else 0.0
     if not np.isfinite(sse):
         return -np.inf

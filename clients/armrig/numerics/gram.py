@@ -1,4 +1,4 @@
-"""The Gram matrix of all windows of a signal, from correlations and the signal's two ends."""
+"""Gram matrix of all windows of a signal, from correlations and from the two ends of the signal."""
 
 from __future__ import annotations
 
@@ -9,22 +9,24 @@ from scipy.linalg.lapack import dpotrf
 
 from armrig.numerics.polynomial import Array
 
-# Share of a column that those before it leave. Rounding is 1e-16 of the squares, so a variance
-# made of so small a rest keeps some five digits, and its estimate has two.
-_LEAST_REST = 1e-5
-_LONG = 8  # times a window's length: from so many windows on, displacement is the faster way
+# Least share of a column that the earlier columns do not explain. The square of this share is
+# 1e-10, and rounding is 1e-16 of the squares. A variance then has about five correct digits, and an
+# estimate about two.
+_MIN_COLUMN_REST = 1e-5
+_MIN_DISPLACEMENT_RATIO = 8  # windows over their length; displacement is faster above this ratio
 
 
 def gram_of_windows(parts: Sequence[tuple[Array, Array]], length: int) -> Array:
     """Return the Gram matrix of U and Y about their means, (2 length, 2 length).
 
-    Row t of [U Y] is the window u(t) … u(t + length - 1), y(t) … of a part. With x and z either
-    signal, entry (i, j) is the sum of x(t + i) z(t + j) over the n windows, and so ::
+    Row t of [U Y] is the window u(t) … u(t + length - 1), y(t) … y(t + length - 1) of a part. With
+    x and z each u or y, entry (i, j) is the sum of x(t + i) z(t + j) over the n windows. Therefore
+    ::
 
         G(i + 1, j + 1) = G(i, j) + x(n + i) z(n + j) - x(i) z(j)
 
-    where the first row and column are correlations: 4 n length multiplications, not
-    (2 length)² n.
+    The first row and column are correlations. The recursion needs 4 n length multiplications. The
+    matrix product would need (2 length)² n multiplications.
 
     Parameters
     ----------
@@ -40,7 +42,7 @@ def gram_of_windows(parts: Sequence[tuple[Array, Array]], length: int) -> Array:
     for part in parts:
         x = np.stack(part)
         n = x.shape[1] - length + 1
-        if n < _LONG * length:
+        if n < _MIN_DISPLACEMENT_RATIO * length:
             M = np.lib.stride_tricks.sliding_window_view(x, n, axis=1).reshape(2 * length, n)
             G += (M @ M.T).reshape(G.shape)
             total += M.sum(axis=1).reshape(total.shape)
@@ -54,7 +56,7 @@ def gram_of_windows(parts: Sequence[tuple[Array, Array]], length: int) -> Array:
 
 
 def _ends(x: Array, length: int) -> Array:
-    """Return what the sum over each shift's n samples has beside those common to all."""
+    """Return, for each shift, the sum of the samples near the ends that not all shifts contain."""
     before = np.cumsum(x[:, : length - 1][:, ::-1], axis=1)[:, ::-1]
     after = np.cumsum(x[:, x.shape[1] - length + 1 :], axis=1)
     none = np.zeros((2, 1))
@@ -62,7 +64,7 @@ def _ends(x: Array, length: int) -> Array:
 
 
 def _by_displacement(x: Array, length: int) -> Array:
-    """Return the Gram matrix of one part's windows, (2, length, 2, length)."""
+    """Return the Gram matrix of the windows of one part, (2, length, 2, length)."""
     n = x.shape[1] - length + 1
     first = np.array([[np.correlate(z, v[:n]) for z in x] for v in x])
     G = np.empty((2, length, 2, length))
@@ -76,11 +78,11 @@ def _by_displacement(x: Array, length: int) -> Array:
 
 
 def cholesky_factor(G: Array) -> Array | None:
-    """Return the upper R of R^T R = G, or None where G has too few digits for it."""
+    """Return the upper triangular R of R^T R = G, or None if G has too few correct digits."""
     scale = np.sqrt(np.diag(G))
     if not (scale > 0).all():
         return None
     R, failed = dpotrf(G / np.outer(scale, scale), clean=True)
-    if failed or np.diag(R).min() < _LEAST_REST:
+    if failed or np.diag(R).min() < _MIN_COLUMN_REST:
         return None
     return np.asarray(R * scale)

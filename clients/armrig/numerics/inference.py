@@ -1,12 +1,13 @@
-"""From residuals and their sensitivity to covariance, loss and verdict, the same for all estimates.
+"""Covariance, loss and test of whiteness, from residuals and sensitivities, for all estimators.
 
-Whatever theta was fitted by least squares, with Psi the sensitivity of the prediction to it, Q its
-orthonormal basis, W W^T = (Psi^T Psi)^-1 and M the covariance of the score Psi^T e ::
+The parameters theta were fitted by least squares. Psi is the sensitivity of the prediction to
+theta, and Q is the orthonormal basis of the columns of Psi. W W^T is (Psi^T Psi)^-1, and M is the
+covariance of the score Psi^T e. Then ::
 
-    covariance         lambda W W^T            right where e is white
-    covariance_robust  W (Q^T R Q) W^T         also right where it is coloured
+    covariance         lambda W W^T            valid if e is white covariance_robust  W (Q^T R Q)
+    W^T         valid also if e is coloured
 
-The second is W W^T M W W^T with the covariance R of e, as Psi = Q R_Psi and M = Psi^T R Psi.
+R is the covariance of e. The robust form equals W W^T M W W^T, since M = Psi^T R Psi and Psi W = Q.
 
 References
 ----------
@@ -17,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -42,27 +43,33 @@ Test = Literal["portmanteau", "ljung-box"]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Inference:
-    """What the residuals tell of d parameters that were fitted to them."""
+    """Uncertainty of d fitted parameters, and the quality of the fit."""
 
     covariance: Array
-    """Of the parameters, the classic form, (d, d)."""
+    """Covariance of the parameters, classic form, (d, d)."""
     covariance_robust: Array
-    """Of the parameters, the sandwich form, (d, d)."""
+    """Covariance of the parameters, sandwich form, (d, d)."""
     noise_variance: float
-    """Of the residuals, with the degrees of freedom subtracted."""
+    """Variance of the noise: sum of squared residuals over their degrees of freedom."""
     loss: float
     """Mean squared residual."""
     N: int
     """Number of residuals."""
     fit_percent: float
-    """100 (1 - |e| / |y - mean y|); NaN where y is not known."""
+    """100 (1 - |e| / |y - mean y|); NaN if y is not known."""
     white: Whiteness
-    """Test of white residuals; not made where it was not asked for, or there is no noise."""
+    """Result of the whiteness test; `NOT_TESTED` if no test was requested or possible."""
     basis: Basis
-    """Of the columns of Psi, all experiments below each other."""
+    """Basis of the columns of Psi, all experiments stacked."""
+
+    def quality(self) -> dict[str, Any]:
+        """Return covariances, loss and whiteness test by the names of the fields of a `Fit`."""
+        names = ("covariance", "covariance_robust", "noise_variance", "loss", "N", "fit_percent")
+        white = {"whiteness": self.white.p_value, "whiteness_test": self.white.test}
+        return {name: getattr(self, name) for name in names} | white
 
     def transformed(self, J: Array) -> Inference:
-        """Return the same for parameters whose derivatives by these are J."""
+        """Return the inference for J times the parameters, with a given matrix J."""
         return replace(
             self,
             covariance=J @ self.covariance @ J.T,
@@ -83,33 +90,35 @@ def infer(
     rounding: float = 0.0,
     prewhitening: int = 0,
 ) -> Inference:
-    """Return what the residuals of all experiments tell of the parameters.
+    """Return covariance, loss and test of whiteness from the residuals of all experiments.
 
     Parameters
     ----------
     residuals : sequence of ndarray (N_i,)
-        Of each experiment, NaN where they are not known.
+        Residuals of each experiment, NaN if they are not known.
     blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment, sensitivity of the prediction less its projection on what else was
-        estimated; zero in the rows without a residual.
+        Psi of each experiment: sensitivity of the prediction, less its projection on the nuisance
+        responses. Psi is zero in the rows without a residual.
     score : {"exogenous", "correlated"}
-        How M is estimated: for a Psi that does not depend on the noise, or for one that may.
+        Estimate of M. "exogenous" assumes that Psi is independent of the noise. With "correlated",
+        Psi may depend on the noise.
     spans : sequence of ndarray (N_i, r_i), optional
-        Orthonormal basis of what else was estimated in each experiment; zero in the same rows.
+        Orthonormal basis of the responses of the nuisance parameters in each experiment; zero in
+        the rows without a residual.
     nuisance : int, default 0
-        Number of parameters projected out that `spans` do not hold.
+        Number of projected parameters that `spans` do not contain.
     y : ndarray (sum of N_i,), optional
-        What was to be explained.
+        Measured output, for `fit_percent`.
     basis : Basis, optional
-        Of the columns of all blocks, where it is known.
+        Basis of the columns of all blocks, if it is known.
     test : {"portmanteau", "ljung-box"}, optional
-        Of whiteness: with the fitted parameters allowed for, or for residuals that theta was not
-        fitted to; None for no test.
+        Test of whiteness. "portmanteau" allows for the fitted parameters. "ljung-box" is for
+        residuals to which theta was not fitted. With None there is no test.
     rounding : float, default 0.0
-        Sum of squared residuals up to which they are rounding noise, which no test is for.
+        Sum of squared residuals up to which the residuals are rounding errors and are not tested.
     prewhitening : int, default 0
-        Order of the autoregression that these residuals were filtered by and which was fitted to
-        them; the Ljung-Box test has so many degrees of freedom less.
+        Order of the autoregression that was fitted to the residuals to prewhiten them. This order
+        is subtracted from the degrees of freedom of the Ljung-Box test.
 
     Raises
     ------
@@ -123,15 +132,15 @@ def infer(
     degrees = N - d - others
     if degrees < 1:
         raise InputError(
-            f"{N} samples leave nothing to estimate the noise from: {d} parameters and {others} "
-            "initial conditions were fitted to them; lower the orders, or record longer"
+            f"{N} samples are too few to estimate the noise: {d} parameters and {others} initial "
+            "conditions are fitted to them; lower the orders, or record longer"
         )
     sse = sum(float(np.nansum(e**2)) for e in residuals)
     if basis is None:
         basis = orthonormal(blocks[0] if len(blocks) == 1 else np.vstack(blocks))
     bread = basis.W @ basis.W.T
-    # Through Q, not Psi: where columns are nearly alike, bread times M times bread would round to
-    # variances below 0.
+    # Q instead of Psi: if columns are nearly equal, rounding makes variances in W W^T M W W^T
+    # negative.
     edges = np.cumsum([e.size for e in residuals])[:-1]
     middle = _middle(score, residuals, np.split(basis.Q, edges)) * N / degrees
     tested = test if sse > rounding else None

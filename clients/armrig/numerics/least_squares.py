@@ -1,4 +1,4 @@
-"""Least squares through an orthonormal basis, never through the normal equations."""
+"""Least squares by an orthonormal basis, never by the normal equations."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from scipy.linalg.lapack import dgeqp3, dorgqr
 
 from armrig.numerics.polynomial import Array
 
-# Below this share of the largest one, a direction of the scaled columns is rounding noise.
 RANK_TOLERANCE = 1e-12
-_BLOCK = 64  # columns that LAPACK takes at once
+"""Share of the largest diagonal entry of R; columns with a smaller entry count as dependent."""
+_LAPACK_BLOCK_COLUMNS = 64  # columns that LAPACK decomposes at once
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -22,9 +22,9 @@ class Basis:
     """Orthonormal basis of the columns of a matrix M (N, d) of rank r."""
 
     Q: Array
-    """(N, r), orthonormal."""
+    """Orthonormal columns (N, r)."""
     W: Array
-    """(d, r): W Q^T y are the least-squares coefficients of y, W W^T is (M^T M)^-1."""
+    """Matrix (d, r): W Q^T y are the least-squares coefficients of y, and W W^T is (M^T M)^-1."""
 
     @property
     def rank(self) -> int:
@@ -32,7 +32,7 @@ class Basis:
         return int(self.Q.shape[1])
 
     def coefficients(self, y: Array) -> Array:
-        """Return x of least |y - M x|; a column that depends on the others gets zero."""
+        """Return x that minimises |y - M x|; the coefficient of a dependent column is 0."""
         return np.asarray(self.W @ (self.Q.T @ y))
 
     def without(self, y: Array) -> Array:
@@ -40,7 +40,7 @@ class Basis:
         return np.asarray(y - self.Q @ (self.Q.T @ y))
 
     def spread(self, rows: NDArray[np.bool_]) -> Basis:
-        """Return the basis of the matrix with M in these of its rows and zeros in the others."""
+        """Return the basis of a matrix with M in the rows of a mask and zeros in all other rows."""
         Q = np.zeros((rows.size, self.rank))
         Q[rows] = self.Q
         return Basis(Q=Q, W=self.W)
@@ -54,8 +54,8 @@ def column_norms(M: Array) -> Array:
 def orthonormal(M: Array) -> Basis:
     """Return a basis of the columns of M (N, d), by QR with the columns scaled and pivoted.
 
-    Scaling makes the rank independent of units. QR, not the normal equations: squaring M
-    squares its condition number.
+    Scaling makes the rank independent of units. The method is QR, because the normal equations
+    square the condition number of M.
     """
     Q, R, kept, scale = _decomposed(M)
     W = np.zeros((M.shape[1], kept.size))
@@ -64,11 +64,11 @@ def orthonormal(M: Array) -> Basis:
 
 
 def least_squares(M: Array, Y: Array) -> Array:
-    """Return X (d, m) of least |Y - M X|, as a basis of M does, without the inverse of its R."""
+    """Return X (d, m) that minimises |Y - M X|; the coefficients of a dependent column are 0."""
     Q, R, kept, scale = _decomposed(M)
     X = np.zeros((M.shape[1], Y.shape[1]))
     if kept.size:
-        # Not dtrtrs: OpenBLAS wakes its threads for it, too. Pivoting leaves a triangle as it is.
+        # Not dtrtrs: OpenBLAS starts its threads for dtrtrs. The solver does not pivot a triangle.
         X[kept] = np.linalg.solve(R, Q.T @ Y) / scale[:, None]
     return X
 
@@ -80,14 +80,14 @@ def without_span(M: Array, Y: Array) -> Array:
 
 
 def _decomposed(M: Array) -> tuple[Array, Array, NDArray[np.int_], Array]:
-    """Return Q and R of the independent columns, which they are, and what each was divided by."""
+    """Return Q and R of the independent columns, their indices and their scales."""
     scale = column_norms(M)
-    used = np.flatnonzero(scale > 1e-100)  # the square of less underflows
+    used = np.flatnonzero(scale > 1e-100)  # the square of a smaller number underflows
     if used.size == 0 or M.shape[0] == 0:
         none = np.zeros(0)
         return np.zeros((M.shape[0], 0)), np.zeros((0, 0)), np.zeros(0, dtype=np.int_), none
     whole = M if used.size == M.shape[1] else M[:, used]
-    # In LAPACK's order, and its own to overwrite: nothing is copied again.
+    # The quotient is a new array in Fortran order, which LAPACK can overwrite without a copy.
     Q, R, order = _pivoted_qr(np.divide(whole, scale[used], order="F"))
     diagonal = np.abs(np.diag(R))
     r = int(np.count_nonzero(diagonal > RANK_TOLERANCE * diagonal[0]))
@@ -96,19 +96,19 @@ def _decomposed(M: Array) -> tuple[Array, Array, NDArray[np.int_], Array]:
 
 
 def _pivoted_qr(M: Array) -> tuple[Array, Array, NDArray[np.int_]]:
-    """Return Q, R and the order of the columns, as SciPy's qr does at twice the cost; M is lost."""
+    """Return Q, R and the order of the columns, and overwrite M; half of the time of SciPy's qr."""
     n, k = M.shape[1], min(M.shape)
-    factored, order, tau, _, _ = dgeqp3(M, lwork=_BLOCK * (n + 1), overwrite_a=1)
+    factored, order, tau, _, _ = dgeqp3(M, lwork=_LAPACK_BLOCK_COLUMNS * (n + 1), overwrite_a=1)
     R = np.triu(factored[:k])
-    Q, _, _ = dorgqr(factored[:, :k], tau, lwork=_BLOCK * k, overwrite_a=1)
+    Q, _, _ = dorgqr(factored[:, :k], tau, lwork=_LAPACK_BLOCK_COLUMNS * k, overwrite_a=1)
     return Q, R, order - 1
 
 
 def upper_inverse(R: Array) -> Array:
     """Return the inverse of a small upper triangular R (n, n) by back substitution.
 
-    Not LAPACK's: OpenBLAS wakes its threads for it however small R is, which on a busy machine
-    costs milliseconds a call, a thousand times the work.
+    LAPACK is not used: OpenBLAS starts its threads even for a small R. On a busy machine a call
+    then takes milliseconds, a thousand times as long as the computation.
     """
     X = np.eye(R.shape[0])
     for i in range(R.shape[0] - 1, -1, -1):
@@ -116,13 +116,11 @@ def upper_inverse(R: Array) -> Array:
     return X
 
 
-# The triangle R of a tall matrix, block of rows by block, so that length costs no memory.
-
-
 def triangle(blocks: Iterable[Array], width: int) -> Array:
-    """Return R (width, width) of Q R = M, for an M given as blocks of rows (n_i, width).
+    """Return R (width, width) of M = Q R, with M given as blocks of rows (n_i, width).
 
-    R^T R is M^T M without having been squared; with fewer rows than columns the last rows are 0.
+    R^T R equals M^T M, but M^T M is never computed. If M has fewer rows than columns, the last rows
+    of R are 0. The memory does not grow with the number of blocks.
     """
     R = np.zeros((0, width))
     for block in blocks:

@@ -13,36 +13,36 @@ from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import Array
 
 TOLERANCE = 1e-10
-MOST_STEPS = 200
-_SAME = 1e-7  # relative difference in cost up to which two ends are one
-_FALLS = 0.9  # factor by which a gradient that still falls does so in a step
-_FLOATING_LIMIT = 1e-13  # a promised relative decrease below this is rounding noise
-
-_PARALLEL = 1e-9  # relative size from which walls do not coincide
+MAX_STEPS = 200
+MAX_HALVINGS = 60
+_SAME_COST_TOLERANCE = 1e-7  # relative difference in cost up to which two minima are the same
+_GRADIENT_FALL = 0.9  # largest ratio of successive gradients that counts as a decrease
+_MIN_DECREASE = 1e-13  # relative decrease of the cost; a smaller predicted decrease is rounding
+_WALL_RANK_TOLERANCE = 1e-9  # relative singular value above which walls do not coincide
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optimum:
-    """Where the search ended."""
+    """Result of a search."""
 
     theta: Array
     """Parameters (n,)."""
     cost: float
-    """Sum of squared residuals there."""
+    """Sum of squared residuals at theta."""
     iterations: int
-    """Steps tried."""
+    """Number of steps tried."""
     converged: bool
-    """Cost and scaled gradient both met the tolerance."""
+    """True if the change of the cost and the scaled gradient are within the tolerance."""
 
 
 class Walls(Protocol):
-    """Boundary of the admissible set, along which a search may go."""
+    """Boundary of the admissible set, along which a search may move."""
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Return theta, moved into the walls if a step from `previous` led beyond."""
+        """Return theta, moved inside if the step from `previous` crossed a wall."""
 
     def normals(self, theta: Array) -> Array:
-        """Return the outward normals (k, n) of the walls at which theta is."""
+        """Return the outward normals (k, n) of the walls that theta touches."""
 
 
 def levenberg_marquardt(
@@ -50,32 +50,33 @@ def levenberg_marquardt(
     theta: Array,
     *,
     admissible: Callable[[Array], bool],
-    most: int = MOST_STEPS,
+    most: int = MAX_STEPS,
     known: float = np.nan,
     walls: Walls | None = None,
 ) -> Optimum:
-    """Return the nearest minimum of |e(theta)|² from `theta` downhill.
+    """Return the local minimum of |e(theta)|² that a descent from `theta` reaches.
 
-    Stops when the cost's relative change and the scaled gradient |Q^T e| / |e|, the cosine
-    between the residual and the Jacobian's column space, are both below 1e-10, or at the limit of
-    floating point. A trial step outside the admissible set is halved until it is inside.
+    The search stops if both the relative change of the cost and the scaled gradient |Q^T e| / |e|
+    are below 1e-10. This gradient is the cosine of the angle between e and the column space of J.
+    The search also stops if rounding prevents further progress. A trial step that ends outside the
+    admissible set is halved until it ends inside.
 
     Parameters
     ----------
     linearise : callable
-        theta -> e (N,), J (N, n) with e(theta + d) close to e - J d.
+        theta -> e (N,) and J (N, n), so that e(theta + d) is close to e - J d.
     theta : ndarray (n,)
         Admissible start.
     admissible : callable
-        theta -> bool.
+        theta -> bool; True if theta is in the admissible set.
     most : int, default 200
-        Steps to try.
+        Largest number of steps.
     known : float, optional
-        Cost of a minimum that was found already: at this cost, with nothing more to gain, the
-        search has ended there too, and its last digits are not worth their time.
+        Cost of a minimum found earlier. If the search is near this cost and the predicted decrease
+        is small, the search stops to save time.
     walls : Walls, optional
-        A step that would cross a wall at which theta is goes along it instead. Without walls the
-        search sticks where it first meets the boundary.
+        Boundary of the admissible set. If theta touches a wall, a step across this wall is replaced
+        by a step along the wall. Without walls the search stops at the boundary.
 
     References
     ----------
@@ -100,15 +101,13 @@ def levenberg_marquardt(
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
         step = (Vt.T @ (s / (s**2 + damping) * z)) / scale
         promised = float(np.sum(z**2 * (1 - (damping / (s**2 + damping)) ** 2)))
-        if abs(cost - known) <= _SAME * known and promised <= _SAME * cost:
+        if (
+            abs(cost - known) <= _SAME_COST_TOLERANCE * known
+            and promised <= _SAME_COST_TOLERANCE * cost
+        ):
             return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
-        if walls is not None:
-            step = walls.inside(theta + step, theta) - theta
-        halvings = 0
-        while not admissible(theta + step) and halvings < 60:
-            step, halvings = step / 2, halvings + 1
-        if halvings:
-            promised *= 1 - (1 - 0.5**halvings) ** 2
+        step, share = _admitted(step, theta, admissible, walls)
+        promised *= 1 - (1 - share) ** 2
         trial_e, trial_J = linearise(theta + step)
         trial_cost = float(trial_e @ trial_e)
         if np.isfinite(trial_cost) and trial_cost < cost:
@@ -121,11 +120,11 @@ def levenberg_marquardt(
             normals = _normals(walls, theta, scale)
             damping *= max(1 / 3, 1 - (2 * ratio - 1) ** 3) if ratio < 1 else 1 / 10
             growth = 2.0
-        elif promised <= _FLOATING_LIMIT * cost:
-            # The cost, a large sum, cannot tell better from worse any more. The gradient can: to
-            # stop here would leave some sqrt(1e-13 N) standard deviations to chance.
+        elif promised <= _MIN_DECREASE * cost:
+            # The change of the cost is now rounding, but the gradient still shows progress. If the
+            # search stopped here, theta would be off by about sqrt(1e-13 N) standard deviations.
             ends = _compressed(trial_e, trial_J)
-            falls = np.linalg.norm(ends[0][2]) < _FALLS * np.linalg.norm(z)
+            falls = np.linalg.norm(ends[0][2]) < _GRADIENT_FALL * np.linalg.norm(z)
             if z is not whole[2] or not falls:
                 return Optimum(theta=theta, cost=cost, iterations=iterations, converged=True)
             theta, cost, change = theta + step, trial_cost, 0.0
@@ -141,13 +140,25 @@ def levenberg_marquardt(
 _Linear = tuple[Array, Array, Array]
 
 
+def _admitted(
+    step: Array, theta: Array, admissible: Callable[[Array], bool], walls: Walls | None
+) -> tuple[Array, float]:
+    """Return the step, limited by the walls and then halved until admissible, and its share."""
+    if walls is not None:
+        step = walls.inside(theta + step, theta) - theta
+    halvings = 0
+    while not admissible(theta + step) and halvings < MAX_HALVINGS:
+        step, halvings = step / 2, halvings + 1
+    return step, 0.5**halvings
+
+
 def _normals(walls: Walls | None, theta: Array, scale: Array) -> Array:
-    """Return the walls' normals by the scaled parameters."""
+    """Return the normals of the walls in scaled parameters."""
     return np.zeros((0, theta.size)) if walls is None else walls.normals(theta) / scale
 
 
 def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Linear:
-    """Return s, V^T and z of the problem along the walls that its step would cross."""
+    """Return s, V^T and z of the problem with steps restricted to the walls they would cross."""
     S, V, Z = s, Vt, z
     crossed = np.zeros(normals.shape[0], dtype=np.bool_)
     while True:
@@ -156,16 +167,16 @@ def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Li
             return s, Vt, z
         crossed |= outward
         _, sizes, axes = np.linalg.svd(normals[crossed])
-        free = axes[int(np.sum(sizes > _PARALLEL * sizes[0])) :]
+        free = axes[int(np.sum(sizes > _WALL_RANK_TOLERANCE * sizes[0])) :]
         U, s, along = np.linalg.svd((S[:, None] * V) @ free.T, full_matrices=False)
         Vt, z = along @ free, U.T @ Z
 
 
 def _compressed(e: Array, J: Array) -> tuple[_Linear, Array]:
-    """Return s, V^T of the scaled Jacobian's R factor, U^T Q^T e, and the scale (n,)."""
+    """Return s and V^T of the SVD of R, U^T Q^T e, and the scale (n,), with J / scale = Q R."""
     scale = column_norms(J)
     scale[scale == 0] = 1.0
-    # With e as one more column R holds Q^T e, and Q is never formed.
+    # e is the last column, so that R contains Q^T e and Q itself is not needed.
     n = scale.size
     whole = np.empty((e.size, n + 1), order="F")
     np.divide(J, scale, out=whole[:, :n])

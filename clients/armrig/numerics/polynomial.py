@@ -1,8 +1,7 @@
-"""Polynomials in q^-1: coefficient k stands beside q^-k, so [1, -0.5] is 1 - 0.5 q^-1.
+"""Polynomials in q^-1, and derivatives of a filtered signal with respect to the coefficients.
 
-Derivatives of a filtered signal with respect to the filter's coefficients.
-
-With y = B/P u the derivatives are again filtered signals, one filter and then shifts::
+Coefficient k belongs to q^-k, so [1, -0.5] is 1 - 0.5 q^-1. With y = B/P u the derivatives are
+filtered signals. One filter is enough for each polynomial, since the other derivatives are shifts::
 
     dy/db_k = q^-k u / P,    dy/dp_k = -q^-k y / P
 
@@ -13,21 +12,21 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-# Real as a rule; complex where a derivative is checked by a complex step.
+# The values are usually real. They are complex if a test checks a derivative by a complex step.
 Array = NDArray[Any]
 Complex = NDArray[np.complex128]
 
-_BESIDE = 1e-7  # a root at 1 is computed a little beside it
+_CIRCLE_TOLERANCE = 1e-7  # distance from the circle up to which a root counts as on the circle
 
 
 def filtered(numerator: ArrayLike, denominator: ArrayLike, x: Array) -> Array:
-    """Return numerator/denominator applied to x (N,), at rest before the first sample."""
+    """Return x (N,) filtered by numerator/denominator, from rest."""
     from scipy.signal import lfilter
 
     return np.asarray(lfilter(np.atleast_1d(numerator), np.atleast_1d(denominator), x))
@@ -50,12 +49,12 @@ def lagged(x: Array, lags: Sequence[int]) -> Array:
 
 
 def evaluate(p: ArrayLike, q_inverse: Array) -> Array:
-    """Return the polynomial at the points q_inverse, for example exp(-i omega Ts)."""
+    """Return the values of the polynomial at q^-1 = q_inverse, for example exp(-i omega Ts)."""
     return np.asarray(np.polyval(np.atleast_1d(p)[::-1], q_inverse))
 
 
 def roots(p: ArrayLike) -> Array:
-    """Return the roots in q (not q^-1): [1, -0.5] has its root at 0.5."""
+    """Return the roots in q, not in q^-1: [1, -0.5] has the root 0.5."""
     return np.asarray(np.roots(np.atleast_1d(p)))
 
 
@@ -65,16 +64,16 @@ def without_integrator(F: Array) -> Array:
 
 
 def summation(omega: Array, Ts: float) -> Complex:
-    """Return Ts / (1 - exp(-i omega Ts)), from the rate (y(t) - y(t-1))/Ts to y; inf at 0."""
+    """Return Ts / (1 - exp(-i omega Ts)), the response from (y(t) - y(t-1))/Ts to y; inf at 0."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(omega == 0, np.inf, Ts / (1 - np.exp(-1j * omega * Ts)))
 
 
 def stable(p: ArrayLike) -> bool:
-    """Tell whether all roots lie strictly inside the unit circle.
+    """Return whether all roots are strictly inside the unit circle.
 
-    The step-down recursion of Schur and Cohn: a fifth of the time that the roots take, and a
-    search asks at each step.
+    The method is the step-down recursion of Schur and Cohn. The recursion takes a fifth of the time
+    that the roots would take, which matters at each step of a search.
     """
     a = np.atleast_1d(p).tolist()
     while len(a) > 1:
@@ -86,63 +85,83 @@ def stable(p: ArrayLike) -> bool:
 
 
 def reflected(p: ArrayLike, radius: float = 0.999) -> Array:
-    """Return p with each root outside the unit circle mirrored into it, for a start value.
+    """Return p with each root z outside the unit circle reflected to 1/z*, for a start value.
 
-    A root on the circle, or mirrored to nearer than `radius`, is drawn in to `radius`.
+    Of the roots on or outside the circle, those with a modulus above `radius` after the reflection
+    are moved to this modulus.
     """
     return with_roots_inside(roots(p), radius)
 
 
 def with_roots_inside(z: Array, radius: float = 0.999) -> Array:
-    """Return the polynomial with the roots z (n,), those that are not inside moved as there."""
+    """Return the polynomial with the roots z (n,), moved inside the circle as in `reflected`."""
     magnitude = np.abs(z)
-    if not z.size or magnitude.max() < 1.0 - _BESIDE:
+    if not z.size or magnitude.max() < 1.0 - _CIRCLE_TOLERANCE:
         return np.real(np.poly(z)) if z.size else np.ones(1)
     inside = np.where(magnitude > 1.0, 1.0 / np.maximum(magnitude, 1.0), magnitude)
     shrink = np.minimum(inside, radius) / np.where(magnitude > 0, magnitude, 1.0)
-    return np.real(np.poly(np.where(magnitude >= 1.0 - _BESIDE, z * shrink, z)))
+    return np.real(np.poly(np.where(magnitude >= 1.0 - _CIRCLE_TOLERANCE, z * shrink, z)))
 
 
-# Polynomials whose roots may reach the unit circle and not cross it.
+def reduced(p: ArrayLike) -> Iterator[Array]:
+    """Yield the monic polynomials of one order less that are nearest to p in their modes.
+
+    Each omits one real root, or has one real root in place of a complex pair, with the modulus of
+    the pair.
+
+    Parameters
+    ----------
+    p : array_like, shape (n + 1,)
+        Real coefficients, n >= 1.
+    """
+    z = roots(p)
+    for i in np.flatnonzero(z.imag >= 0):
+        rest = np.delete(z, i)
+        if z[i].imag > 0:
+            rest[np.argmin(np.abs(rest - np.conj(z[i])))] = np.copysign(np.abs(z[i]), z[i].real)
+        yield np.atleast_1d(np.real(np.poly(rest)))
 
 
-EDGE = 1 - 1e-7  # modulus that no root exceeds; a double root is computed so far off
-_ROUNDING = 1e-9
-_LEFT = 0.1  # share of the way to the circle that a step leaves
-_APART = 1e-3  # angle of two roots that reach the same point of the real axis
+EDGE_MODULUS = 1 - 1e-7
+"""Largest modulus of a root in a search; the computed value of a double root is off by 1e-7."""
+_EDGE_TOLERANCE = 1e-9
+_MIN_LEFT_SHARE = 0.1  # share of the distance to the circle that remains after a step
+_PAIR_ANGLE = 1e-3  # angle, in rad, of the pair that replaces two real roots at the edge
 
 
 def drawn_to_edge(p: Array, previous: Array) -> Array:
-    """Return p with each root outside the unit circle moved along its radius into it.
+    """Return p with each root outside the unit circle moved radially into the circle.
 
-    At most nine tenths of the way from the outermost root of the polynomial before to the circle
-    are gone at once: a single step to the edge often ends in a poor minimum there. Two real roots
-    at the edge become a pair: two real ones could not leave each other along the circle.
+    A step covers at most nine tenths of the distance from the outermost root of `previous` to the
+    circle. After a single step to the edge, a search often ends in a poor minimum at the edge. Two
+    real roots at the edge become a complex pair, because two real roots could not separate along
+    the circle.
     """
     z = roots(p)
     size = np.abs(z)
-    if not z.size or size.max() <= EDGE:
+    if not z.size or size.max() <= EDGE_MODULUS:
         return p
-    farthest = min(EDGE, 1 - _LEFT * (1 - np.abs(roots(previous)).max()))
+    farthest = min(EDGE_MODULUS, 1 - _MIN_LEFT_SHARE * (1 - np.abs(roots(previous)).max()))
     z = z * np.minimum(1.0, farthest / np.maximum(size, farthest))
     for side in (1, -1):
-        at = np.flatnonzero((z.imag == 0) & (side * z.real >= EDGE - _ROUNDING))
+        at = np.flatnonzero((z.imag == 0) & (side * z.real >= EDGE_MODULUS - _EDGE_TOLERANCE))
         if at.size >= 2:
             z = z.astype(np.complex128)
-            z[at[:2]] = side * EDGE * np.exp([1j * _APART, -1j * _APART])
+            z[at[:2]] = side * EDGE_MODULUS * np.exp([1j * _PAIR_ANGLE, -1j * _PAIR_ANGLE])
     return np.real(np.poly(z))
 
 
 def outward_normals(p: Array) -> Array:
-    """Return for each root at the edge the unit gradient of its modulus by p's coefficients.
+    """Return the unit gradients in the coefficients of p of |z|, for the k roots z at the edge.
 
-    From p(r) = 0 follows dr = -sum_k r^(n - k) dp_k / p'(r); the modulus grows by its part along r.
-    Of a pair one is enough. Shape (k, n) for n coefficients after the leading one.
+    From p(r) = 0 follows dr = -sum_k r^(n - k) dp_k / p'(r). The modulus increases by the component
+    of dr along r. A complex pair has one row in the result (k, n), with n coefficients after the
+    leading 1.
     """
     z = roots(p)
     n = z.size
     rows = []
-    for i in np.flatnonzero((np.abs(z) >= EDGE - _ROUNDING) & (z.imag >= 0)):
+    for i in np.flatnonzero((np.abs(z) >= EDGE_MODULUS - _EDGE_TOLERANCE) & (z.imag >= 0)):
         slope = np.prod(z[i] - np.delete(z, i))
         if slope != 0:
             row = -np.real(np.conj(z[i]) * z[i] ** np.arange(n - 1, -1, -1) / slope)
@@ -151,10 +170,10 @@ def outward_normals(p: Array) -> Array:
 
 
 def by_numerator(u: Array, P: Array, lags: Sequence[int]) -> Array:
-    """Return (N, len(lags)), the derivatives of B/P u by the coefficients of B at `lags`."""
+    """Return the derivatives of B/P u with respect to the b at `lags`, (N, len(lags))."""
     return lagged(filtered([1.0], P, u), lags)
 
 
 def by_denominator(y: Array, P: Array, n: int) -> Array:
-    """Return (N, n), the derivatives of y = B/P u by the n coefficients of P after the 1."""
+    """Return the derivatives of y = B/P u with respect to p_1 … p_n, (N, n)."""
     return -lagged(filtered([1.0], P, y), range(1, n + 1))

@@ -1,4 +1,4 @@
-"""Power spectrum of a signal that may have holes (NaN), averaged over its whole stretches."""
+"""Power spectrum of a signal, averaged over all stretches without a missing sample (NaN)."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from armrig.numerics.stretches import stretches
 Vector = NDArray[np.float64]
 
 _SEGMENTS = 8
-_SHORTEST, _LONGEST = 16, 4096
+_MIN_SEGMENT_SAMPLES, _MAX_SEGMENT_SAMPLES = 16, 4096
 
 
 def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector]:
-    """Return omega (n,) in rad/s and the one-sided density (n,), in the signal's unit² per rad/s.
+    """Return omega (n,) in rad/s and the one-sided power density (n,), in unit² per rad/s.
 
-    Welch's average of Hann-windowed segments that overlap by half, each less its mean; the area
-    below the density is the variance within a segment. A segment has an eighth of the samples,
-    4096 at most, and no more than the longest stretch without a hole; stretches shorter than it
-    are left out.
+    The method is Welch's average of Hann-windowed segments that overlap by half. The mean of each
+    segment is removed. The integral of the density is the variance within a segment. The length of
+    a segment is an eighth of the samples, between 16 and 4096, and at most the longest stretch
+    without a missing sample. Stretches that are shorter than a segment are not used.
 
     Parameters
     ----------
     signals : iterable of ndarray (N_i,)
-        The experiments, NaN where a sample is missing.
+        Signal of each experiment; a missing sample is NaN.
     Ts : float
         Sampling time in s.
 
     Raises
     ------
     ValueError
-        No stretch without a hole has 16 samples.
+        All stretches without a missing sample are shorter than 16 samples.
 
     References
     ----------
@@ -44,13 +44,13 @@ def power_spectrum(signals: Iterable[Vector], Ts: float) -> tuple[Vector, Vector
 
     whole = [signal[s] for signal in signals for s in stretches(np.isfinite(signal))]
     longest = max((x.size for x in whole), default=0)
-    if longest < _SHORTEST:
+    if longest < _MIN_SEGMENT_SAMPLES:
         raise InputError(
             f"the longest stretch without a hole has {longest} samples; a spectrum needs "
-            f"{_SHORTEST}"
+            f"{_MIN_SEGMENT_SAMPLES}"
         )
     total = sum(x.size for x in whole)
-    L = min(max(total // _SEGMENTS, _SHORTEST), _LONGEST, longest)
+    L = min(max(total // _SEGMENTS, _MIN_SEGMENT_SAMPLES), _MAX_SEGMENT_SAMPLES, longest)
     omega, density, weight = np.zeros(0), np.zeros(L // 2 + 1), 0
     for x in whole:
         if x.size >= L:

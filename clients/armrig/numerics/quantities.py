@@ -1,12 +1,12 @@
-"""Numbers with their units, and lists of names, as a reader wants them."""
+"""Texts of numbers with units, and of lists of names."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import floor, isfinite, isnan, log10
 
-_MOST_DECIMALS = 6
-_MOST_BESIDE_ONE = 9
+_MAX_DECIMALS = 6
+_MAX_DECIMALS_NEAR_1 = 9
 
 _UNITS_OF_TIME = (
     (3 * 86400.0, 86400.0, "days"),
@@ -16,73 +16,73 @@ _UNITS_OF_TIME = (
     (1e-3, 1e-3, "ms"),
     (0.0, 1e-6, "µs"),
 )
-"""From how many seconds on, how many seconds, and the name of each."""
+"""Shortest duration in s for which each unit is used, the unit in s, and the name of the unit."""
 
-NBSP = "\u00a0"  # between a number and its unit
+NBSP = "\u00a0"  # no-break space between a number and its unit
 
 
 def places(std: float) -> int:
-    """Return the decimals that show two digits of `std`."""
+    """Return the number of decimals that shows two digits of `std`."""
     return 5 if not isfinite(std) or std <= 0 else max(0, 1 - floor(log10(std)))
 
 
 def with_std(value: float, std: float) -> str:
-    """Return a number ± its standard deviation; the number alone where that is not known."""
+    """Return `value ± std` with two digits of `std`, or the value alone if `std` is not known."""
     if not (std > 0 and isfinite(std)):
         return f"{value:.5g}"
     decimals = places(std)
-    if decimals > _MOST_DECIMALS:
+    if decimals > _MAX_DECIMALS:
         return f"{value:.6e} ± {std:.1e}"
     return f"{value:.{decimals}f} ± {std:.{decimals}f}"
 
 
 def near_one(value: float, std: float) -> str:
-    """Return a number that is read best beside 1, ± its standard deviation."""
+    """Return `value ± std` for a value near 1, without a power of ten in the value."""
     decimals = places(std)
-    if decimals <= _MOST_DECIMALS:
+    if decimals <= _MAX_DECIMALS:
         return with_std(value, std)
-    return f"{value:.{min(decimals, _MOST_BESIDE_ONE)}f} ± {std:.1e}"
+    return f"{value:.{min(decimals, _MAX_DECIMALS_NEAR_1)}f} ± {std:.1e}"
 
 
 def scaled(value: float, std: float, unit: str) -> str:
-    """Return a number ± its standard deviation with a power of ten: (1.6989 ± 0.0016)·10⁻³ m."""
+    """Return `value ± std` with a power of ten and a unit: (1.6989 ± 0.0016)·10⁻³ m."""
     exponent = floor(log10(abs(value))) if value and isfinite(value) else 0
     if -3 < exponent < 4:
         return f"{minus(with_std(value, std))}{NBSP}{unit}".rstrip()
-    # An exponent divisible by three has a name.
+    # Only exponents divisible by three, because these have SI prefixes.
     exponent = 3 * floor(exponent / 3)
     text = with_std(value / 10.0**exponent, std / 10.0**exponent)
     return f"({minus(text)})·10{raised(exponent)}{NBSP}{unit}".rstrip()
 
 
 def with_range(value: float, low: float, high: float) -> str:
-    """Return a number with its range, as 1.23 (1.11 … 1.40)."""
-    decimals = min(places((high - low) / 4), _MOST_DECIMALS)
+    """Return a number with its range: 1.23 (1.11 … 1.40)."""
+    decimals = min(places((high - low) / 4), _MAX_DECIMALS)
     return f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f})"
 
 
 def fixed(value: float, decimals: int) -> str:
-    """Return a number with so many decimals."""
+    """Return a number with a fixed number of decimals, at most 12."""
     return minus(f"{value:.{min(decimals, 12)}f}")
 
 
 def minus(text: str) -> str:
-    """Return the text with the sign for minus in place of the hyphen."""
+    """Return the text with minus signs instead of hyphens."""
     return text.replace("-", "\u2212")
 
 
 def number(x: float) -> str:
-    """Return a number with three digits, or all before the point."""
+    """Return a number with three significant digits; from 999.5 on, rounded to an integer."""
     return minus(three_digits(x))
 
 
 def three_digits(x: float) -> str:
-    """Return a number with three digits, or all before the point, a hyphen for minus."""
+    """Return a number as `number` does, but with a hyphen as the minus sign."""
     return f"{x:.3g}" if abs(x) < 999.5 else f"{x:.0f}"
 
 
 def power(x: float) -> str:
-    """Return a small number as 1.23·10⁻⁵."""
+    """Return a number with three digits; below 0.001 with a power of ten: 1.23·10⁻⁵."""
     if not 0 < abs(x) < 1e-3:
         return number(x)
     exponent = floor(log10(abs(x)))
@@ -90,46 +90,46 @@ def power(x: float) -> str:
 
 
 def raised(exponent: int) -> str:
-    """Return an exponent in raised digits."""
+    """Return an exponent in superscript digits."""
     return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def microseconds(x: float) -> str:
-    """Return a time given in µs."""
+    """Return the text of a time in µs, given in µs."""
     return f"{number(x)}{NBSP}µs"
 
 
 def milliseconds(seconds: float) -> str:
-    """Return a time given in s."""
+    """Return the text of a time in ms, given in s."""
     return f"{seconds * 1e3:g}{NBSP}ms"
 
 
 def percent(x: float) -> str:
-    """Return a percentage; one near 100 with the decimals that tell good from better."""
+    """Return a percentage with three digits, or with two decimals between 90 and 100."""
     if 90 < x <= 100:
         return f"{x:.2f}{NBSP}%"
     return f"{number(x)}{NBSP}%"
 
 
 def error(x: float, unit: str) -> str:
-    """Return an error in its unit; small angles in mrad."""
+    """Return an error with its unit; an angle below 0.1 rad is given in mrad."""
     if unit == "rad" and abs(x) < 0.1:
         return f"{number(1e3 * x)}{NBSP}mrad"
     return f"{number(x)}{NBSP}{unit}"
 
 
 def p_relation(p: float) -> str:
-    """Return a p value with its sign of relation, to stand after a p."""
+    """Return the text after the letter p: "= 0.012" or "< 0.001"."""
     return "< 0.001" if p < 0.001 else f"= {p:.3f}"
 
 
 def p_value(p: float) -> str:
-    """Return a p value, to stand in a table."""
+    """Return a p value for a table."""
     return "–" if isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def times(*seconds: float) -> str:
-    """Return times in one unit that suits the longest: 20.6 ms, 32.5 … 46.4 ms, 2.78 h."""
+    """Return times in a unit that suits the longest time: 20.6 ms, 32.5 … 46.4 ms, 2.78 h."""
     longest = max(map(abs, seconds))
     scale, unit = next((s, name) for least, s, name in _UNITS_OF_TIME if longest >= least)
     return f"{' … '.join(three_digits(x / scale) for x in seconds)} {unit}"
@@ -141,6 +141,6 @@ def plural(n: int, noun: str) -> str:
 
 
 def listed(names: Sequence[str]) -> str:
-    """Return a list as a sentence has it: a, b and c."""
+    """Return names as a list in a sentence: a, b and c."""
     *most, last = names
     return f"{', '.join(most)} and {last}" if most else last

@@ -1,4 +1,4 @@
-"""All states of x(k+1) = Phi x(k) + w(k) at once."""
+"""All states of the recursion x(k+1) = Phi x(k) + w(k), computed with few array operations."""
 
 from __future__ import annotations
 
@@ -12,24 +12,25 @@ from armrig.numerics.polynomial import Array
 def recursion(Phi: Array, w: Array, x0: Array) -> Array:
     """Return x(0) … x(N) of x(k+1) = Phi x(k) + w(k), for one right-hand side or several.
 
-    The N steps are cut into blocks of about sqrt(N). All blocks run beside each other from zero,
-    and then each gets what its true start adds: some 2 sqrt(N) operations on whole arrays in place
-    of N small ones. Unlike a transfer function this loses no digits where poles lie close together
-    (those of the arm at 1 kHz all lie near 1), and it needs no eigenvectors.
+    The N steps are divided into blocks of about sqrt(N) steps. All blocks are computed in parallel
+    from the state zero. The contribution of the actual first state of each block is added
+    afterwards. The method needs about 2 sqrt(N) operations on whole arrays instead of N small
+    operations. Unlike a transfer function, the recursion loses no digits if poles are close
+    together, such as the poles of the arm near 1 at 1 kHz. The method needs no eigenvectors.
 
     Parameters
     ----------
     Phi : ndarray, shape (n, n)
         Transition matrix.
     w : ndarray, shape (N, n) or (N, m, n)
-        Inputs of the states, N >= 0; the m right-hand sides do not touch each other.
+        Right-hand sides w(k), N >= 0; the m right-hand sides are independent.
     x0 : ndarray, shape (n,) or (m, n)
-        First state.
+        Initial state x(0).
 
     Returns
     -------
     ndarray, shape (N + 1, n) or (N + 1, m, n)
-        States; where Phi is unstable enough they overflow to inf and nan, without a warning.
+        States. If Phi is very unstable, the states overflow to inf and NaN without a warning.
     """
     N, n = w.shape[0], Phi.shape[0]
     shape = (N + 1, *w.shape[1:])

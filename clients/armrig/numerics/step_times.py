@@ -1,12 +1,12 @@
-"""The times by which an answer to a step is told, each defined here alone.
+"""Times of a step response, with the same definitions for data, models and physics.
 
-Of an answer y(t) with the final value 1 and the dead time L::
+Three times characterise a response y(t) with the final value 1 and the dead time L.
 
-    63 % time        the first t with y(t) = 1 - 1/e, less L
-    equivalent time  the integral of 1 - y(t), less L: how far the integral of y lags its ramp
-    slowest pole     1/min |Re s|, the time in which the mode that lasts longest falls to 1/e
+The 63 % time is the first t with y(t) = 1 - 1/e, less L. The equivalent time is the integral of 1 -
+y(t), less L. The response to a ramp lags the ramp by the equivalent time plus L. The time of the
+slowest pole is 1/min |Re s|. In this time the slowest mode decays to 1/e.
 
-Of a first-order system all three are its time constant; of any other they differ.
+For a first-order system all three times equal the time constant.
 """
 
 from __future__ import annotations
@@ -17,33 +17,34 @@ from numpy.typing import ArrayLike, NDArray
 Vector = NDArray[np.float64]
 
 SHARE = 1 - 1 / np.e
+_MIN_LINE_SAMPLES = 4  # least number of samples for a line, with two degrees of freedom
 
 
 def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = SHARE) -> float:
-    """Return when an answer first reaches a share of its final value, in s; NaN where it never is.
+    """Return the first time at which a response reaches a share of its final value, in s, or NaN.
 
-    Between the samples the answer is a cubic spline: a straight line would be late by up to
-    Ts²/8 y''/y'.
+    The function interpolates by a cubic spline. With linear interpolation the time would be late by
+    up to Ts²/8 y''/y'.
 
     Parameters
     ----------
     y : ndarray, shape (N,)
-        The answer over its final value, from the sample on after which the input acts.
+        Response divided by its final value; the first sample is the last before the input acts.
     integrated : bool
-        `y` is the integral of the answer, such as an angle whose rate is looked at.
+        True if `y` is the integral of the response, such as an angle instead of its rate.
     """
     from scipy.interpolate import CubicSpline, PPoly
 
     if y.size < 2 or not np.isfinite(y).all():
         return float("nan")
     t = Ts * np.arange(y.size)
-    # An integral begins at rest; what the answer itself begins with is not known.
+    # The slope of an integral is 0 at first. The first slope of the response itself is not known.
     ends = ((1, 0.0), "not-a-knot") if integrated and y.size > 2 else "not-a-knot"
     curve = CubicSpline(t, y, bc_type=ends)
     answer = curve.derivative() if integrated else curve
     if float(answer(0.0)) >= share:
         return 0.0
-    # Up to the first sample that is there: to solve all pieces takes as long as all else.
+    # Solve only up to the first sample above the share: to solve all pieces takes twice the time.
     there = np.flatnonzero(answer.c[-1] >= share)
     if there.size:
         answer = PPoly(answer.c[:, : there[0] + 1], answer.x[: there[0] + 2])
@@ -53,7 +54,7 @@ def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = 
 
 
 def linear_crossing(t: Vector, y: Vector, level: float) -> float:
-    """Return when samples first reach a level, by straight lines from (0, 0) on; NaN for never."""
+    """Return the first time at which y, interpolated linearly from (0, 0), reaches a level."""
     reached = np.flatnonzero(y >= level)
     if reached.size == 0:
         return float("nan")
@@ -64,7 +65,7 @@ def linear_crossing(t: Vector, y: Vector, level: float) -> float:
 
 
 def ramp_lag(t: Vector, y: Vector) -> float:
-    """Return where the straight line through samples of a ramp meets 0: its equivalent time."""
+    """Return the time at which a line fitted to the samples of a ramp response is 0."""
     slope, level = np.polyfit(t, y, 1)
     return float(-level / slope) if slope else float("nan")
 
@@ -72,7 +73,8 @@ def ramp_lag(t: Vector, y: Vector) -> float:
 def mean_lag(B: Vector, F: Vector) -> float:
     """Return sum k g(k) / sum g(k) of the impulse response g of B(q)/F(q), in samples.
 
-    The sum over all k >= 0 of 1 - y(k), y its step response over the gain.
+    The result equals the sum of 1 - y(k) over all k >= 0, with the step response y divided by the
+    gain.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = (np.arange(p.size) @ p / np.sum(p) for p in (B, F))
@@ -80,12 +82,61 @@ def mean_lag(B: Vector, F: Vector) -> float:
 
 
 def slowest_time(decay: ArrayLike) -> float:
-    """Return 1/min |Re s| of poles by their real parts, in s; NaN without poles or for Re s >= 0.
+    """Return 1/min |Re s| of poles, in s; NaN if there is no pole or a real part is not negative.
 
     Parameters
     ----------
     decay : array_like, shape (n,)
-        Re s, in 1/s; the integrator's left out.
+        Re s of the poles without the integrator, in 1/s.
     """
     slowest = float(np.max(np.asarray(decay, dtype=np.float64), initial=-np.inf))
     return -1 / slowest if np.isfinite(slowest) and slowest < 0 else float("nan")
+
+
+def lag_of_angle(
+    t: Vector, y: Vector, *, before: tuple[int, float], rounding: float
+) -> tuple[float, float]:
+    """Return the time by which an angle lags its final ramp, and its standard deviation, in s.
+
+    Parameters
+    ----------
+    t, y : ndarray, shape (n,)
+        Samples of the last third of the ramp. t is 0 at the step. The line fitted before the step
+        is subtracted from y. A missing sample is NaN.
+    before : (int, float)
+        Number of samples to which the line before the step was fitted, and their duration in s.
+    rounding : float
+        Quantisation step of the converter, in the unit of y. The mean of the quantisation error
+        need not be zero.
+    """
+    known = np.isfinite(y)
+    t, y, n = t[known], y[known], int(np.count_nonzero(known))
+    if n < _MIN_LINE_SAMPLES:
+        return float("nan"), float("nan")
+    lag = ramp_lag(t, y)
+    slope, level = np.polyfit(t, y, 1)
+    variance = float(np.sum((y - level - slope * t) ** 2)) / (n - 2)
+    spread = float(np.sum((t - t.mean()) ** 2))
+    # Variance of both lines at their intersection, divided by the variance of a sample.
+    shares = 1 / n + (lag - t.mean()) ** 2 / spread
+    shares += (1 + 3 * (1 + 2 * lag / before[1]) ** 2) / before[0]
+    return lag, float(np.sqrt(variance * shares + rounding**2 / 12) / abs(slope))
+
+
+def area_above(t: Vector, y: Vector, std: float, gain_std: float) -> tuple[float, float]:
+    """Return the area between a response and its final value 1, and the standard deviation, in s.
+
+    Parameters
+    ----------
+    t, y : ndarray, shape (n,)
+        Response divided by its final value, from the step until the response has settled; NaN if
+        missing.
+    std, gain_std : float
+        Standard deviations of a sample and of the final value, both divided by the final value.
+    """
+    known = np.isfinite(y)
+    t, y = t[known], y[known]
+    area = float(np.trapezoid(1 - y, t))
+    widths = np.gradient(t) if t.size > 1 else np.zeros(t.size)
+    own = std * float(np.linalg.norm(widths))
+    return area, float(np.hypot(own, gain_std * (t[-1] - t[0])))

@@ -1,13 +1,14 @@
-"""Correlation of residuals that may have holes (NaN), and the test that they are white."""
+"""Correlation of residuals with missing values (NaN), and tests of whiteness."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from math import isnan, log10
+from math import isnan, log10, sqrt
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.numerics.criteria import aic
@@ -18,28 +19,28 @@ from armrig.numerics.quantities import p_relation
 Vector = NDArray[np.float64]
 
 WHITE_LEVEL = 0.01
-"""p value below which a test of residuals rejects, wherever one is worded."""
+"""p value below which any test of residuals in the package rejects whiteness."""
 PORTMANTEAU = "portmanteau test"
 LJUNG_BOX = "Ljung-Box test"
-_SAFE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 with which the sums are weighted by M^-1
+_MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the weights M^-1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Whiteness:
-    """How likely white residuals look like these, and which test says so."""
+    """Result of a test of whiteness."""
 
     p_value: float
-    """Of the hypothesis that the residuals are white; NaN where there was nothing to test."""
+    """p value of the hypothesis that the residuals are white; NaN if there was no test."""
     test: str
-    """Name of the test that decided; "" where it is not known."""
+    """Name of the test; "" if it is not known."""
 
     @property
     def coloured(self) -> bool:
-        """The hypothesis is rejected at `WHITE_LEVEL`."""
+        """True if the test rejects whiteness at `WHITE_LEVEL`."""
         return self.p_value < WHITE_LEVEL
 
     def __str__(self) -> str:
-        """Say it, to stand after "residuals": coloured (p < 0.001, Ljung-Box test)."""
+        """Return the text that follows "residuals": coloured (p < 0.001, Ljung-Box test)."""
         if isnan(self.p_value):
             return "too few, or all zero, to test"
         by = f", {self.test}" if self.test else ""
@@ -50,13 +51,13 @@ NOT_TESTED = Whiteness(p_value=float("nan"), test="")
 
 
 def joined(parts: Iterable[Vector], gap: int) -> Vector:
-    """Return the residuals of several experiments with `gap` holes between each two."""
+    """Return the residuals of several experiments as one signal, each followed by `gap` NaN."""
     pieces = [np.concatenate([part, np.full(gap, np.nan)]) for part in parts]
     return np.concatenate(pieces)
 
 
 def autocovariance(e: Vector, lags: int) -> tuple[Vector, Vector]:
-    """Return R(0) … R(lags) about zero and the number of pairs that each was averaged over."""
+    """Return R(0) … R(lags) about a mean of zero, and the number of pairs in each average."""
     there = np.isfinite(e)
     e, mark = np.where(there, e, 0.0), there.astype(np.float64)
     N = e.size
@@ -68,9 +69,9 @@ def autocovariance(e: Vector, lags: int) -> tuple[Vector, Vector]:
 def ljung_box(e: Vector, lags: int, parameters: int = 0) -> float:
     """Return the p value of the hypothesis that e is white.
 
-    Q = (N + 2)/N sum of n_k r(k)², k = 1 … lags, with n_k the pairs at lag k (N - k without
-    holes), is chi-squared with `lags - parameters` degrees of freedom, where `parameters` counts
-    what a noise model has fitted to these very data.
+    Q = (N + 2)/N sum of n_k r(k)², k = 1 … lags, is chi-squared with `lags - parameters` degrees of
+    freedom. n_k is the number of pairs at lag k, which is N - k if no sample is missing.
+    `parameters` is the number of noise parameters that were fitted to the same data.
 
     References
     ----------
@@ -83,16 +84,21 @@ def ljung_box(e: Vector, lags: int, parameters: int = 0) -> float:
     degrees = lags - parameters
     if N < 2 or R[0] == 0 or degrees < 1:
         return float("nan")
-    # Var r(k) is (N - k) / N² for r = R_sum(k) / R_sum(0); with means over pairs it is 1/n_k,
-    # and the factor (N + 2)/N repairs the level for small N.
+    # For r(k) from sums, Var r(k) is (N - k) / N². For r(k) from means over pairs, it is 1/n_k. The
+    # factor (N + 2)/N corrects the level for small N.
     Q = (N + 2) / N * float(np.sum(count[1:] * (R[1:] / R[0]) ** 2))
     return float(chdtrc(degrees, Q))
 
 
-def autoregression(e: Vector) -> tuple[Vector, float]:
-    """Return C and s²: e is close to 1/C times white noise of variance s², order by AIC.
+def autoregression(
+    e: Vector, criterion: Callable[[float, int, int], Array] = aic
+) -> tuple[Vector, float]:
+    """Return C and s² of the autoregression C e = white noise of variance s².
 
-    Yule-Walker by Levinson's recursion, so C is stable; order 0 for white residuals.
+    The order has the least value of the criterion, by default AIC.
+
+    The Yule-Walker equations are solved by Levinson's recursion, so that C is stable. For white
+    residuals the order is usually 0.
 
     References
     ----------
@@ -101,24 +107,24 @@ def autoregression(e: Vector) -> tuple[Vector, float]:
     N = int(np.count_nonzero(np.isfinite(e)))
     highest = min(int(10 * log10(max(N, 10))), max(N // 10, 0), e.size - 1)
     R, _ = autocovariance(e, highest)
-    best: tuple[float, Vector, float] = (float(aic(R[0], 0, N)), np.ones(1), float(R[0]))
+    best: tuple[float, Vector, float] = (float(criterion(R[0], 0, N)), np.ones(1), float(R[0]))
     C, s2 = np.ones(1), float(R[0])
     for order in range(1, highest + 1):
         if s2 <= 0:
             break
         reflection = -float(C @ R[order:0:-1]) / s2
-        if abs(reflection) >= 1:  # holes can make R indefinite
+        if abs(reflection) >= 1:  # missing samples can make R indefinite
             break
         C = np.append(C, 0.0) + reflection * np.append(0.0, C[::-1])
         s2 *= 1 - reflection**2
-        criterion = float(aic(s2, order, N))
-        if criterion < best[0]:
-            best = (criterion, C, s2)
+        value = float(criterion(s2, order, N))
+        if value < best[0]:
+            best = (value, C, s2)
     return best[1], best[2]
 
 
 def default_lags(N: int) -> int:
-    """Return the number of lags a residual test looks at: 25 as SITB, fewer for short data."""
+    """Return the number of lags of a residual test: 25 as in SITB, fewer for short data."""
     return max(min(25, N // 4), 1)
 
 
@@ -130,45 +136,50 @@ def portmanteau(
     theta_covariance: Array | None = None,
     Q: Array | None = None,
 ) -> Whiteness:
-    """Test the hypothesis that e is white, estimated parameters allowed for.
+    """Test the hypothesis that e is white, with allowance for the estimated parameters.
 
-    The sums s_k = sum of e(t) e(t - k), k = 1 ... lags, are tested jointly as
-    (s - m)^T M^-1 (s - m). Residuals are noise less its projection Q Q^T on whatever was fitted
-    to them, which shifts the sums and narrows them; with Z the lagged residuals ::
+    The sums s_k of e(t) e(t - k), k = 1 ... lags, are tested jointly by the statistic (s - m)^T
+    M^-1 (s - m). The residuals are the noise less its projection Q Q^T on the fitted responses.
+    This projection shifts the mean m of the sums and reduces their covariance M. With the lagged
+    residuals Z ::
 
         m_k = -R(0) sum of q(t)^T q(t - k),     q(t)^T the rows of Q
         M = V - R(0) Z^T Q Q^T Z   [ + (Z^T Psi) cov(theta) (Psi^T Z) on other data ]
 
-    where Q spans the free responses, and Psi too on estimation data, and
-    V = R(0)² N/(N + 2) diag(pairs at each lag), the variance for a known model, as Ljung and
-    Box's. (R(0) Z^T Z for V, the textbook's Lagrange multiplier, rejects 3.5 % at N = 500 where
-    5 % is meant.)
+    Q spans the free responses and, on estimation data, also Psi. V = R(0)² N/(N + 2) diag(pairs at
+    each lag) is the variance for a known model, as in the test of Ljung and Box. The Lagrange
+    multiplier test has R(0) Z^T Z instead of V. At N = 500 the Lagrange multiplier test rejects 3.5
+    % instead of 5 % of white residuals.
 
-    M supposes white residuals. Of coloured ones Z^T Z is far from R(0) N I, and what is taken off
-    may be more than V: M is then indefinite, just in the directions that show the colour. And
-    where the noise alone determines a parameter, as in A of a pure autoregression, one of M's
-    eigenvalues is 0 and its estimate anything near. So where an eigenvalue of V^-1/2 M V^-1/2 is
-    not safely positive the Ljung-Box test decides, which weights the lags by V^-1 ::
+    M is derived for white residuals. For coloured residuals Z^T Z is far from R(0) N I, and the
+    subtracted term may exceed V. M is then indefinite in the directions that show the colour. If
+    only the noise determines a parameter, as in a pure autoregression, an eigenvalue of M is 0. The
+    estimate of this eigenvalue may have either sign. Therefore, if an eigenvalue of V^-1/2 M V^-1/2
+    is below 0.1, the Ljung-Box test replaces the portmanteau test. The Ljung-Box test weights the
+    lags by V^-1 ::
 
-        (s - m)^T V^-1 (s - m)     against chi-squared with tr(V^-1 M) degrees of freedom,
+        (s - m)^T V^-1 (s - m)     against chi-squared with tr(V^-1 M) degrees of freedom
 
-    each eigenvalue taken within 0 to 1. That is its mean under the hypothesis. Where the noise
-    determines all of A, C and D it is Ljung and Box's own lags - na - nc - nd; a parameter that
-    the input determines, as all of an OE model, costs none.
+    In tr(V^-1 M) each eigenvalue is limited to 0 … 1. The degrees of freedom are the mean of the
+    statistic under the hypothesis. If only the noise determines A, C and D, this number is lags -
+    na - nc - nd, as given by Ljung and Box. A parameter that the input determines, such as any
+    parameter of an OE model, does not reduce the degrees of freedom.
 
     Parameters
     ----------
     residuals : sequence of ndarray (N_i,)
-        Of each experiment, NaN where they are not known.
+        Residuals of each experiment, NaN if they are not known.
     blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment, sensitivity of the prediction less its projection on the free
-        response; zero in the rows without a residual.
+        Psi of each experiment: sensitivity of the prediction, less its projection on the free
+        response. Psi is zero in the rows without a residual.
     spans : sequence of ndarray (N_i, r_i)
-        Orthonormal basis of each experiment's free response, zero in the same rows.
+        Orthonormal basis of the free response of each experiment, zero in the rows without a
+        residual.
     theta_covariance : ndarray (d, d), optional
-        Of parameters estimated from other data; without it they come from these.
+        Covariance of the parameters, if they were estimated from other data. By default the
+        parameters were estimated from these data.
     Q : ndarray (sum of N_i, r), optional
-        Orthonormal basis of all blocks' columns, where it is known.
+        Orthonormal basis of the columns of all blocks, if it is known.
 
     References
     ----------
@@ -203,11 +214,11 @@ def portmanteau(
 
 
 def _decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
-    """Return the verdict on sums s of covariance M, or where that is not positive diag(V)."""
+    """Return the test of the sums s with covariance M, or diag(V) if M is nearly indefinite."""
     used = V > 0
     z = s[used] / np.sqrt(V[used])
     value, vector = np.linalg.eigh(M[np.ix_(used, used)] / np.sqrt(np.outer(V[used], V[used])))
-    if value.size and value[0] > _SAFE:
+    if value.size and value[0] > _MIN_EIGENVALUE:
         Q, degrees, test = float(np.sum((vector.T @ z) ** 2 / value)), float(z.size), PORTMANTEAU
     else:
         Q, degrees, test = float(z @ z), float(np.sum(np.clip(value, 0.0, 1.0))), LJUNG_BOX
@@ -215,14 +226,14 @@ def _decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
 
 
 def _without_last_zeros(M: Array) -> Array:
-    """Return M without the rows of zeros that it ends with."""
+    """Return M without its last rows of zeros."""
     rows = np.flatnonzero(M.any(axis=1))
     return M[: rows[-1] + 1] if rows.size else M[:0]
 
 
 def _with_past(e: Vector, M: Array, lags: int) -> Array:
     """Return (lags, d), the sums of e(t - k) m(t)^T, k = 1 … lags, over the rows m(t)^T of M."""
-    # Not as a product of matrices: 25 lagged copies of e cost more to fill than to multiply.
+    # Not one matrix product: to copy e with 25 lags would take longer than to multiply.
     n = M.shape[0]
     before = np.concatenate([np.zeros(lags), e[:n]])
     return np.array([before[lags - k : lags - k + n] @ M for k in range(1, lags + 1)])
@@ -236,13 +247,14 @@ def _autocorrelation(Q: Array, lags: int) -> Array:
 
 
 def portmanteau_p_value(Q: float, m: float, N: float) -> float:
-    """Return P(Q' >= Q) for a portmanteau statistic Q' of m degrees and N white residuals.
+    """Return P(Q' >= Q) for a portmanteau statistic Q' with m degrees of freedom.
 
-    Its mean is m but its variance is not 2 m: each r(k)² is divided by the same R(0)² and shares
-    its products with the others. In 60 000 runs for each of N = 100, 250, 500 and m = 5, 10, 25
-    it was 2 m (1 + c), c = (2 m - 5.5)/N, to within 0.02 for N >= 250, and chi-squared rejects
-    5.8 % at N = 500, m = 25 where 5 % is meant. So Q/m is taken as F(m, v), scaled to the mean
-    1, with the v whose variance is that one.
+    Q' is computed from N white residuals. The mean of Q' is m, but its variance is not 2 m, because
+    all r(k)² are divided by the same R(0)² and contain the same residuals. The variance was
+    simulated with 60 000 runs for each of N = 100, 250, 500 and m = 5, 10, 25. It was 2 m (1 + c),
+    c = (2 m - 5.5)/N, to within 0.02 for N >= 250. A chi-squared test would reject 5.8 % instead of
+    5 % at N = 500, m = 25. Therefore Q/m is compared with an F(m, v) distribution, scaled to the
+    mean 1. Its v is chosen for the simulated variance.
 
     References
     ----------
@@ -257,3 +269,27 @@ def portmanteau_p_value(Q: float, m: float, N: float) -> float:
         return float(chdtrc(m, Q))
     v = 4 + (m + 2) / c
     return float(fdtrc(m, v, Q / m * v / (v - 2)))
+
+
+def two_sided(level: float) -> float:
+    """Return z with P(|x| < z) = level for a standard normal x: 1.96 for 0.95."""
+    from scipy.special import erfinv
+
+    if not 0 < level < 1:
+        raise InputError(f"level={level!r} must lie between 0 and 1, for example 0.95")
+    return sqrt(2) * float(erfinv(level))
+
+
+def joint_p_value(s: Array, M: Array) -> float:
+    """Return P(chi² >= s^T M^+ s); the degrees of freedom are the rank of M. NaN for rank 0."""
+    from scipy.special import chdtrc
+
+    scale = np.sqrt(np.maximum(np.diag(M), 0.0))
+    used = scale > 1e-10 * max(float(scale.max(initial=0.0)), 1e-300)
+    if not used.any():
+        return float("nan")
+    s, M = s[used] / scale[used], M[np.ix_(used, used)] / np.outer(scale[used], scale[used])
+    value, vector = np.linalg.eigh(M)
+    kept = value > 1e-8 * value[-1]
+    z = vector[:, kept].T @ s
+    return float(chdtrc(int(np.count_nonzero(kept)), np.sum(z**2 / value[kept])))

@@ -1,1 +1,1 @@
-"""The rig's equations: as systems, sampled, integrated and fitted to data."""
+"""The equations of the rig: as systems, sampled, integrated numerically, and fitted to data."""

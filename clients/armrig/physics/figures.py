@@ -1,4 +1,4 @@
-"""Figures of the physical model: its structure, its step response, and its sensitivities."""
+"""Figures of the physical model: structure, step response and sensitivities."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PARTS = {
 _STRAIGHT = "arc3"
 _UP_THEN_LEFT = "angle,angleA=90,angleB=0,rad=0"
 _LEFT_THEN_UP = "angle,angleA=180,angleB=90,rad=0"
-# From which part to which, beside their centres by what, and the quantity's name and place.
+# Begin, end, offset of the arrow from the centres, its form, and label and place of the quantity.
 _QUANTITIES = (
     ("circuit", "motor", (0.0, 0.0), _STRAIGHT, "$i$", (1.95, _TOP + 0.2)),
     ("motor", "gear", (0.0, 0.0), _STRAIGHT, "$Q_m$", (3.3, _TOP + 0.2)),
@@ -46,9 +46,9 @@ _PARAMETER = re.compile(rf"\b({'|'.join(f.name for f in fields(ArmParameters))})
 
 
 def plot_rig(*, ax: Axes | None = None) -> Axes:
-    """Show the parts of the rig and the quantities between them (phase 1 of the derivation).
+    """Plot the parts of the rig and the quantities between them (phase 1 of the derivation).
 
-    The electrical half above, the mechanical half below it, from right to left.
+    The electrical half is above. The mechanical half is below, from right to left.
     """
     ax = axes(ax)
     points = 72 / ax.figure.dpi
@@ -63,7 +63,7 @@ def plot_rig(*, ax: Axes | None = None) -> Axes:
     ax.annotate("", places["circuit"], (0.3, _TOP), arrowprops=arrow | {"patchB": boxes["circuit"]})
     ax.text(0.5, _TOP + 0.2, "$u$", **style)
     for begin, end, beside, way, label, (x, y) in _QUANTITIES:
-        # From centre to centre, cut off at the boxes, however large they are.
+        # Each arrow runs from centre to centre and is clipped at the boxes.
         ends = {"patchA": boxes[begin], "patchB": boxes[end], "connectionstyle": way}
         first, last = (_beside(places[name], beside) for name in (begin, end))
         last = last if way == _STRAIGHT else places[end]
@@ -88,17 +88,20 @@ def plot_physical_step(
     seconds: float = 1.0,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show the chassis' speed after a step from rest, for several sets of parameters.
+    """Plot the chassis' speed after a step from rest, for several sets of parameters.
 
-    The legend gives the steady speed and the initial slope of each; the first one's are drawn.
+    The legend contains the steady speed and the initial slope of each set. Grey lines show the
+    steady speed and the initial slope of the first set.
 
     Parameters
     ----------
     cases : mapping of str to ArmParameters, optional
-        Label -> parameters; the handout's by default. See
-        `armrig.physics.systems.beside_the_handout`.
+        Parameters of each label; by default those of the handout. `beside_the_handout` of
+        `armrig.physics.systems` returns a mapping of this form.
     u : float, default 1
         Height of the step in V.
+    seconds : float, default 1
+        Duration in s.
     """
     ax = axes(ax)
     cases = {"handout": ArmParameters()} if cases is None else cases
@@ -127,7 +130,7 @@ def plot_physical_step(
 
 
 def _in_symbols(label: str) -> str:
-    """Return a label with the names of parameters in it as mathematics."""
+    """Return a label with its parameter names in mathtext."""
     return label if "$" in label else _PARAMETER.sub(lambda found: symbol(found[0]), label)
 
 
@@ -139,7 +142,10 @@ def plot_sensitivities(
     seconds: float = 1.0,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show what 1 % more of each parameter does to the chassis' speed after a step of u volts."""
+    """Plot the effect of 1 % more of each parameter on the chassis' speed after a step of u volts.
+
+    Parameters with equal effects share a curve.
+    """
     ax = axes(ax)
     p = ArmParameters() if p is None else p
     t = np.linspace(0.0, seconds, 1001)

@@ -1,41 +1,44 @@
-"""The physics of the whole arm as a model from voltage to angle, nothing of it estimated."""
+"""The physics of the whole arm as a model from voltage to angle, without an estimate."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from armrig_core.arm import ArmParameters, arm_matrices
+import numpy as np
+from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calls import checked_call
+from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset
 from armrig.data.dataset import Dataset, Vector
 from armrig.models.model import Model
-from armrig.physics.discretisation import transfer
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from armrig.models.summary import Summary
 
+Matrix = NDArray[np.float64]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class PhysicalModel(Model):
-    """The rig's equations, sampled: a claim, not an estimate, and nothing in it is uncertain."""
+    """The rig's equations, sampled; the model has no uncertainty, as nothing is estimated."""
 
     @property
     def label(self) -> str:
-        """What a table or a legend calls it."""
+        """Name in tables and legends."""
         return "physics"
 
     def predict(self, data: Dataset, horizon: int | None = None) -> Vector:
-        """Return ŷ(t) (N,), simulated by default: see `armrig.Fit.predict`."""
+        """Return ŷ(t) (N,), as `armrig.Fit.predict` does; the default is simulation."""
         from armrig.models.prediction import predicted
 
         return predicted(self, data, horizon)
 
     def summary(self) -> Summary:
-        """Return poles, zeros, gain, bandwidth and the like; print it."""
+        """Return poles, zeros, gain, bandwidth and times; print it."""
         from armrig.models.summary import summary
 
         return summary(self)
@@ -47,7 +50,7 @@ class PhysicalModel(Model):
         return plot_fit(self)
 
     def __repr__(self) -> str:
-        """Say it in a few lines, equation first."""
+        """Return the model as a few lines of text, the equation first."""
         from armrig.models.equation import equations, heading
 
         return "\n".join([heading(self), *equations(self)])
@@ -55,10 +58,10 @@ class PhysicalModel(Model):
 
 @checked_call
 def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
-    """Return the physics of the whole arm from u to theta_1 as a model, nothing estimated.
+    """Return the physics of the whole arm from u to theta_1 as a model.
 
-    Sampled exactly for an input held over Ts, see `armrig.physics.discretisation.transfer`. Its
-    standard deviations are 0: it is a claim, not an estimate.
+    The model is sampled exactly for an input held over Ts, see `transfer`. Its standard deviations
+    are 0, because nothing is estimated.
     """
     A, B, C = arm_matrices(p)
     data = as_dataset(data)
@@ -73,3 +76,36 @@ def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
         unit=data.unit,
         input_unit=data.input_unit,
     )
+
+
+def transfer(A: Matrix, B: Matrix, c: Vector, Ts: float) -> tuple[Vector, Vector]:
+    """Return B(q) and F(q) from u, held over Ts, to y = c x, exactly sampled.
+
+    F is the characteristic polynomial of Phi = exp(A Ts), and B the first n + 1 coefficients of
+    F times the pulse response 0, c Gamma, c Phi Gamma, ….
+
+    Parameters
+    ----------
+    A : ndarray (n, n)
+        Matrix of x' = A x + B u.
+    B : ndarray (n, 1)
+        Input matrix of the same equation.
+    c : ndarray (n,)
+        Row of the output; there is no direct term.
+    Ts : float
+        Sampling time in s.
+
+    Returns
+    -------
+    (ndarray, ndarray)
+        Coefficients in q^-1, both (n + 1,): B begins with 0, F with 1.
+    """
+    Phi, Gamma = zero_order_hold(A, B, Ts)
+    F = np.real(np.poly(Phi))
+    pulse, x = [0.0], Gamma[:, 0]
+    for _ in range(Phi.shape[0]):
+        pulse.append(float(c @ x))
+        x = Phi @ x
+    # scipy's ss2tf computes B as a difference of two characteristic polynomials. At 1 kHz B is
+    # small compared with F, and the difference loses five digits.
+    return np.convolve(pulse, F)[: F.size], F

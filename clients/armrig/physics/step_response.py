@@ -1,4 +1,4 @@
-"""What the physics answers to a step of the voltage, and what each parameter does to it."""
+"""Response of the physics to a step of the voltage, and the effect of each parameter."""
 
 from __future__ import annotations
 
@@ -20,62 +20,62 @@ from armrig.physics.systems import arm
 
 Vector = NDArray[np.float64]
 SPEED = "theta_1_rate"
-_SETTLED = 30.0  # times of the slowest pole after which the speed is steady to a rounding error
-_FINE = 50.0  # steps in 1/|p| of the fastest pole
-_POINTS, _LATER = 2001, 8.0
+_SETTLING_TIMES = 30.0  # after so many times of the slowest pole the speed is steady to rounding
+_STEPS_PER_TIME = 50.0  # steps in 1/|p| of the fastest pole
+_POINTS, _WINDOW_GROWTH = 2001, 8.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Characteristics:
-    """The figures by which a step response is recognised (handout, assignment 2.2)."""
+    """Characteristic numbers of the step response (handout, assignment 2.2)."""
 
     parameters: ArmParameters
-    """What they follow from."""
+    """Physical parameters."""
     steady_speed: float
-    """Of the chassis for one volt, in rad/(s V)."""
+    """Steady speed of the chassis for one volt, in rad/(s V)."""
     initial_slope: float
-    """Of the chassis' speed just after a step of one volt, in rad/(s² V)."""
+    """Slope of the chassis' speed just after a step of one volt, in rad/(s² V)."""
     rigid_slope: float
-    """What the slope would be were the arm screwed to the chassis, in rad/(s² V)."""
+    """Slope if the arm were rigidly attached to the chassis, in rad/(s² V)."""
     poles: NDArray[np.complex128]
-    """From u to theta_1, in 1/s, slowest first."""
+    """Poles from u to theta_1, in 1/s, slowest first."""
     zeros: NDArray[np.complex128]
-    """From u to theta_1, in 1/s."""
+    """Zeros from u to theta_1, in 1/s."""
     rise_time: float
-    """The speed's 63 % time, in s; the times are defined in `armrig.numerics.step_times`."""
+    """The 63 % time of the speed, in s; the times are defined in `armrig.numerics.step_times`."""
     equivalent_time: float
-    """By which the angle lags the ramp of the steady speed, in s."""
+    """Time by which the angle lags the ramp of the steady speed, in s."""
     slowest_time: float
-    """Of the slowest pole, 1/|Re s|, in s; the integrator's left out."""
+    """1/|Re s| of the slowest pole except the integrator, in s."""
 
     def explain(self) -> str:
-        """Say where each figure comes from."""
+        """Return a text with the origin of each number."""
         p = self.parameters
         oscillating = self.poles[self.poles.imag > 0]
         lines = [
             f"Steady speed {self.steady_speed:.4f} rad/s per V = (N K_m / R_m) / "
             "((N K_m)² / R_m + b_1)"
             + (" = 1/(N K_m)" if p.b_1 == 0 else "")
-            + ": the speed at which nothing accelerates any more, the spring is at rest and the "
-            "back-EMF leaves just the current that friction needs. Neither inertias nor spring "
-            "come into it" + (", nor does R_m." if p.b_1 == 0 else "."),
-            f"Initial slope {self.initial_slope:.2f} rad/s² per V = N K_m / (R_m J_1): at t = 0 "
-            "the chassis is at rest, so there is no back-EMF and the whole voltage drives current; "
-            "and the spring is not yet wound, so the torque accelerates J_1 alone. With the arm "
-            f"screwed on it would be {self.rigid_slope:.2f}, for J_1 + J_2.",
+            + ". At this speed nothing accelerates, the spring is at rest and the back-EMF leaves "
+            "only the current that friction needs. The speed does not depend on inertias or spring"
+            + (", nor on R_m." if p.b_1 == 0 else "."),
+            f"Initial slope {self.initial_slope:.2f} rad/s² per V = N K_m / (R_m J_1). At t = 0 "
+            "the chassis is at rest, so there is no back-EMF and the whole voltage drives current. "
+            "The spring is not yet wound, so the torque accelerates J_1 only. With the arm "
+            f"screwed to the chassis the slope would be {self.rigid_slope:.2f}, for J_1 + J_2.",
         ]
         if oscillating.size:
             w = abs(oscillating[0])
             lines.append(
-                f"Poles {_roots(self.poles)} 1/s: an integrator (the angle keeps what the speed "
-                f"has added), the motor's decay, and the arm on its spring, {w:.1f} rad/s with "
+                f"Poles {_roots(self.poles)} 1/s: an integrator (the angle is the integral of the "
+                f"speed), the motor's decay, and the arm on its spring, {w:.1f} rad/s with "
                 f"damping {-oscillating[0].real / w:.2f}."
             )
         else:
             lines.append(f"Poles {_roots(self.poles)} 1/s: no oscillation at these parameters.")
         lines.append(
-            f"Zeros {_roots(self.zeros)} 1/s at ±i sqrt(K_lin/J_2): there the arm swings against "
-            "the chassis and holds it still, whatever the motor does."
+            f"Zeros {_roots(self.zeros)} 1/s at ±i sqrt(K_lin/J_2): at this frequency the arm "
+            "swings against the chassis and holds it still, whatever the motor does."
         )
         return "\n".join(lines)
 
@@ -86,11 +86,12 @@ def characteristics(p: ArmParameters | None = None) -> Characteristics:
     Parameters
     ----------
     p : ArmParameters, optional
-        The handout's by default: 1.8623 rad/s per V, 98.40 rad/s² per V.
+        By default the values of the handout: steady speed 1.8623 rad/s per V, initial slope 98.40
+        rad/s² per V.
     """
     p = ArmParameters() if p is None else p
     system = arm(p)
-    # The determinant's pole at 0 is exact: nothing depends on where the chassis stands.
+    # The pole at 0 is exact: nothing depends on the angle of the chassis.
     poles = np.append(np.linalg.eigvals(np.asarray(system.A)[1:, 1:]), 0.0).astype(np.complex128)
     swing = 1j * np.sqrt(p.K_lin / p.J_2)
     steady_speed = p.torque_per_volt / p.damping
@@ -103,34 +104,34 @@ def characteristics(p: ArmParameters | None = None) -> Characteristics:
         poles=poles[np.argsort(np.abs(poles), kind="stable")],
         zeros=np.array([swing, -swing]),
         rise_time=_rise_time(p, dying, steady_speed),
-        # The area above a step response is -sum 1/p + sum 1/z; those of the two zeros cancel.
+        # The area above a step response is -sum 1/p + sum 1/z; the terms of the two zeros cancel.
         equivalent_time=-float(np.sum(1 / dying).real),
         slowest_time=slowest_time(dying.real),
     )
 
 
 def _rise_time(p: ArmParameters, poles: NDArray[np.complex128], steady_speed: float) -> float:
-    """Return the speed's 63 % time, looked for ever later, as parameters may be far apart."""
-    h = 1 / (_FINE * float(np.abs(poles).max()))
-    settled = _SETTLED * slowest_time(poles.real)
-    while h * _POINTS < _LATER * settled:
+    """Return the speed's 63 % time, or NaN; the window grows until it contains this time."""
+    h = 1 / (_STEPS_PER_TIME * float(np.abs(poles).max()))
+    settled = _SETTLING_TIMES * slowest_time(poles.real)
+    while h * _POINTS < _WINDOW_GROWTH * settled:
         angle = step_response(p, h * np.arange(_POINTS), state=THETA_1) / steady_speed
         found = rise_time(angle, h, integrated=True)
         if np.isfinite(found):
             return found
-        h *= _LATER
+        h *= _WINDOW_GROWTH
     return float("nan")
 
 
 def step_response(
     p: ArmParameters, t: ArrayLike, *, u: float = 1.0, model: Model = arm, state: str = SPEED
 ) -> Vector:
-    """Return a state (len(t),) after a step of u volts at t = 0 from rest, exactly.
+    """Return the exact response (len(t),) of a state to a step of u volts at t = 0 from rest.
 
     Parameters
     ----------
     t : array_like, shape (N,)
-        Equidistant times in s, the first is 0.
+        Equidistant times in s from 0 on.
     state : str, default "theta_1_rate"
         Label of the state.
     """
@@ -149,22 +150,23 @@ def step_sensitivities(
     model: Model = arm,
     state: str = SPEED,
 ) -> dict[str, Vector]:
-    """Return by parameter how a state after a step changes with the parameter's logarithm.
+    """Return the derivatives of a step response with respect to the logarithm of each parameter.
 
-    A hundredth of it is what 1 % more of the parameter does. b_1, which may be 0, is taken in
-    shares of the back-EMF's damping (N K_m)² / R_m.
+    If a parameter is 1 % larger, the response changes by 0.01 times its derivative. Since b_1 can
+    be 0, its derivative is with respect to b_1 divided by the damping of the back-EMF, (N K_m)² /
+    R_m.
 
     Parameters
     ----------
     t : array_like, shape (N,)
-        Equidistant times in s, the first is 0.
+        Equidistant times in s from 0 on.
     names : sequence of str, optional
-        All parameters by default.
+        Names of parameters; all by default.
 
     Returns
     -------
     dict of str to ndarray, shape (N,)
-        In the state's unit.
+        Derivatives by parameter, in the state's unit.
 
     Raises
     ------
@@ -191,7 +193,7 @@ def step_sensitivities(
 def _stepped(
     p: ArmParameters, t: ArrayLike, by: Sequence[str], u: float, model: Model, state: str
 ) -> tuple[Sampled, Vector, int]:
-    """Return the sampled model with derivatives, the voltage at each time, and the state's row."""
+    """Return the sampled model with derivatives, the voltage at each time, the state's index."""
     times = np.asarray(t, dtype=np.float64)
     if times.ndim != 1 or times.size < 2 or times[0] != 0 or not _even(times):
         raise InputError(

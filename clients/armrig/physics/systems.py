@@ -16,13 +16,14 @@ if TYPE_CHECKING:
 __all__ = ["ArmParameters", "arm", "beside_the_handout", "chassis", "rehearse"]
 
 HANDOUT = "handout"
-"""What the handout's own parameters are called in tables and figures."""
+"""Name of the handout's parameters in tables and figures."""
 
 
 def beside_the_handout(p: ArmParameters) -> dict[str, ArmParameters]:
-    """Return what assignment 2.3 compares, by what was changed in it.
+    """Return the cases that assignment 2.3 compares, by name.
 
-    The handout's parameters, each change of `p` alone, and all of them where there are several.
+    The cases are the handout's parameters, each change in `p` alone, and all changes together if
+    there are several.
     """
     own = ArmParameters()
     changed = {f.name: getattr(p, f.name) for f in fields(p)}
@@ -41,12 +42,13 @@ def arm(p: ArmParameters) -> control.StateSpace:
     Parameters
     ----------
     p : ArmParameters
-        Inertias, spring and motor, in SI units; `ArmParameters()` is the handout's.
+        Inertias, spring and motor, in SI units; `ArmParameters()` contains the handout's values.
 
     Returns
     -------
     control.StateSpace
-        Input u in V; outputs theta_1 and alpha in rad; states these two and their rates in rad/s.
+        Input u in V; outputs theta_1 and alpha in rad; states theta_1, alpha and their rates in
+        rad/s.
     """
     import control
 
@@ -62,7 +64,8 @@ def chassis(p: ArmParameters) -> control.StateSpace:
     Parameters
     ----------
     p : ArmParameters
-        Inertia of the chassis and motor, in SI units; `ArmParameters()` is the handout's.
+        Inertia of the chassis and motor, in SI units; `ArmParameters()` contains the handout's
+        values.
 
     Returns
     -------

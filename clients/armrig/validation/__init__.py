@@ -1,1 +1,1 @@
-"""Whether a model and its data can be trusted."""
+"""Validation: tests of data and of models."""

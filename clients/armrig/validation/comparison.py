@@ -1,4 +1,4 @@
-"""How well models say what the rig does, on data that they have or have not seen."""
+"""Comparison of models with measured data."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison:
-    """One model's output against measured data."""
+    """Output of one model, compared with measured data."""
 
     name: str
-    """The label given, or what the model calls itself: structure and orders."""
+    """Label of the model; by default its structure and orders."""
     fit_percent: float
     """100 (1 - |y - ŷ| / |y - mean y|) over the samples that were measured."""
     rms_error: float
     """Root mean square of y - ŷ, in y's unit."""
     velocity_fit_percent: float | None
-    """The same percentage for the rates of both, None where the output does not integrate."""
+    """`fit_percent` for the rates of y and ŷ; None if the output does not integrate."""
     on_estimation_data: bool
-    """The model was estimated from these very data."""
+    """True if the model was estimated from these data."""
     y: Vector
     """ŷ, (N,)."""
     model: Model
@@ -48,7 +48,7 @@ class Comparison:
 
     @property
     def characteristics(self) -> ModelCharacteristics:
-        """Gain, poles, resonances, bandwidth and step response of the model, computed anew."""
+        """Gain, poles, resonances, bandwidth and step response, computed at each call."""
         return model_characteristics(self.model)
 
 
@@ -57,36 +57,36 @@ class ComparisonTable:
     """Models side by side on one data set; iterate over it or print it."""
 
     rows: tuple[Comparison, ...]
-    """One a model, in the order asked for."""
+    """A row for each model, in the order of the arguments."""
     horizon: int | None
     """Prediction horizon in samples; None is simulation."""
     unit: str
     """Unit of the rms error."""
     note: str
-    """What was estimated from the compared data themselves."""
+    """Quantities that were estimated from the compared data."""
     data: Dataset
-    """What the models were compared with."""
+    """Data that the models were compared with."""
 
     def __len__(self) -> int:
         """Return the number of models."""
         return len(self.rows)
 
     def __getitem__(self, i: int) -> Comparison:
-        """Return number i."""
+        """Return the comparison of model i, from 0."""
         return self.rows[i]
 
     def table(self, *, brief: bool = False) -> str:
-        """Return the models' figures side by side: gain, resonances, bandwidth, step, poles.
+        """Return a table of gain, resonances, bandwidth, step response and poles of the models.
 
-        A brief one leaves out the poles, and gives a range by draws in place of its value.
+        A brief table contains no poles. If a value has a range from draws, the range replaces it.
         """
         return "\n".join(table(self.rows, brief=brief))
 
     def explain(self) -> str:
-        """Say which is closest, and where each differs by more than chance from the physics.
+        """Return the closest model and the significant differences from the reference, as text.
 
-        The physics is `armrig.physical_model(p, data)`, one of the models (handout, assignment
-        3.4); without one each is held against the last.
+        The reference is the physics, `armrig.physical_model(p, data)` (handout, assignment 3.4);
+        without a physical model it is the last model.
         """
         return "\n".join(explanation(self.rows))
 
@@ -98,13 +98,13 @@ class ComparisonTable:
         return figure_of(plot_comparison(self.data, self.rows, ax=ax))
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook: what it says, and its figure."""
+        """Return text and figure as HTML for a notebook."""
         from armrig.plots.notebook import html
 
         return html(self)
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Return a line for each model."""
         what = "simulation" if self.horizon is None else f"{self.horizon} samples ahead"
         lines = [f"{what}; {self.note}"]
         width = max(len(row.name) for row in self.rows)
@@ -128,47 +128,46 @@ def compare(
 ) -> ComparisonTable:
     """Compare models with data, by simulation unless a horizon is given.
 
-    A model cannot know the state the rig was in when the data began, so the initial state of each
-    experiment is estimated from these data by least squares, and with an integrator its input
-    offset too. Missing samples do not count. For an integrating output the percentage flatters
-    every model, because the ramp dominates |y - mean y|: read the rms error, and the fit of the
-    velocity (measured and modelled angle both differenced, so the measured one carries the
-    noise of two samples).
+    The initial state of each experiment is estimated from these data by least squares. For a model
+    with an integrator, the input offset of each experiment is also estimated. Missing samples are
+    not compared. If the output integrates, the fit is near 100 % for every model, because the ramp
+    dominates |y - mean y|. Then use the rms error and the fit of the velocity. The velocity is the
+    difference of the angle, so the measured velocity contains the noise of two samples.
 
     Parameters
     ----------
     data : Dataset
-        N samples, best of an experiment that no model has seen.
+        N samples, preferably of an experiment that no model was estimated from.
     *models : Fit
-        At least one, of the output that the data show.
+        At least one model, with the output of the data.
     horizon : int, optional
-        Predict so many samples ahead, >= 1, from the measured past; by default simulate.
+        Number of samples to predict ahead, >= 1, from the measured past; simulation by default.
     labels : sequence of str, optional
-        Names of the models, one each; structure and orders by default.
+        A name for each model; by default its structure and orders.
 
     Returns
     -------
     ComparisonTable
-        One row a model: fit in percent, rms error in y's unit, ŷ (N,). Its `table()` puts gain,
-        poles, resonances, bandwidth and step response side by side, `explain()` says what differs.
+        A row for each model: fit in percent, rms error in y's unit, ŷ (N,). `table()` compares
+        gain, poles, resonances, bandwidth and step response; `explain()` names the differences.
 
     Raises
     ------
     ValueError
-        No model was given, the labels are not one a model, or a model has another output, unit or
-        sampling time.
+        No model was given, the number of labels is not that of the models, or a model has another
+        output, unit or sampling time.
     """
     if not models:
         raise InputError("compare needs at least one model: compare(data, fit)")
     for model in models:
         if not hasattr(model, "label"):
             raise InputTypeError(
-                f"a {type(model).__name__} is no model: give each by itself, "
+                f"a {type(model).__name__} is no model: give each model by itself, "
                 "compare(data, fit1, fit2); names are labels=(…)"
             )
     if isinstance(labels, str):
         raise InputTypeError(
-            f"labels={labels!r} must be several names, one a model, such as labels=({labels!r},)"
+            f"labels={labels!r} must be a name for each model, such as labels=({labels!r},)"
         )
     names = [model.label for model in models] if labels is None else list(labels)
     if len(names) != len(models):
@@ -208,7 +207,7 @@ def _compared(
 
 
 def _misfit(measured: Vector, modelled: Vector) -> tuple[float, float]:
-    """Return fit percent and rms error over the samples that both have."""
+    """Return fit percent and rms error over the samples at which both are known."""
     if np.isinf(modelled).any():
         return -np.inf, np.inf
     both = np.isfinite(measured) & np.isfinite(modelled)

@@ -1,4 +1,4 @@
-"""The figure of a comparison: data and models, and what tells the models apart."""
+"""The figure of a comparison: data, models, and the differences of the models."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from armrig.validation.comparison import Comparison
 
 
-_NAMED = 3  # models, up to which each difference has a name; the pens are those above
-_APART = 16.0  # points between two numbers, before a layout takes some of the height
+_MAX_NAMED = 3  # models in a figure whose legend names the differences
+_MIN_DISTANCE_PT = 16.0  # between two numbers, before the layout takes some of the height
 
 
 def plot_comparison(
@@ -32,12 +32,13 @@ def plot_comparison(
     labels: Labels = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show measured output and models, and what tells the models apart.
+    """Show measured output and models, and the differences of the models.
 
-    Below are data and other models less the best model, which has the least rms error: the data as
-    dots, so that what hides in their noise shows. If another model is far worse, the scale is
-    linear up to about three times the best error and logarithmic beyond: dotted lines show where.
-    What is a ramp and little else is shown without it: see `armrig.data.figures.without_ramp`.
+    The lower panel shows the differences of the data and the other models from the best model,
+    which has the least rms error. The data are dots, so that small differences are visible in their
+    noise. If another model is far worse, the scale is linear up to about three times the least
+    error. Beyond this limit, which dotted lines mark, the scale is logarithmic. A ramp is removed:
+    see `armrig.data.figures.without_ramp`.
     """
     ax, below = panels(ax, 0.5)
     names = labels or [row.name for row in compared]
@@ -50,13 +51,13 @@ def plot_comparison(
         ax.plot(data.t, row.y - ramp, label=text, **pen)
         if i != best:
             thin = pen | {"lw": 0.6 * pen["lw"]}
-            difference = f"{name} − {names[best]}" if len(names) <= _NAMED else None
+            difference = f"{name} − {names[best]}" if len(names) <= _MAX_NAMED else None
             below.plot(data.t, row.y - reference, label=difference, **thin)
     below.plot(data.t, data.y - reference, ".", color=GREY, ms=1.2, zorder=3)
     below.plot([], [], ".", color=GREY, ms=5, label=f"measured − {names[best]}")
     below.axhline(0, color=INK, lw=0.6)
     linear = _limit_errors(below, data, compared, best)
-    # Not autoscaled: where nothing was measured a model's initial transient may be anywhere.
+    # Not autoscaled: at missing samples the initial transient of a model may be far off.
     shown = np.concatenate([(y - ramp)[data.valid] for y in (data.y, *(r.y for r in compared))])
     measured, all_ = _range(data.y - ramp), _range(shown[np.isfinite(shown)])
     span = measured[1] - measured[0] or 1.0
@@ -76,9 +77,9 @@ def plot_comparison(
 
 
 def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Comparison], best: int) -> float:
-    """Make the scale logarithmic beyond the best model's errors where another's are far larger.
+    """Make the scale logarithmic beyond the least error if other errors are far larger.
 
-    Returns from where on; 0 if the scale stays linear.
+    Return the limit of the linear part; 0 if the whole scale is linear.
     """
     sizes = [r.rms_error for r in rows if np.isfinite(r.rms_error) and r.rms_error > 0]
     if not sizes or max(sizes) <= 8 * min(sizes):
@@ -90,12 +91,12 @@ def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Comparison], best: int
     ax.set_ylim(-2 * largest, 2 * largest)
     for edge in (-linear, linear):
         ax.axhline(edge, color=INK, lw=0.9, ls=":", zorder=4)
-    # The panel may be as low as three lines of text: where the logarithm begins has a number if
-    # it stands apart from 0 and from the end.
+    # The panel may be as low as three lines of text. The limit is labelled only if it is far enough
+    # from 0 and from the end of the scale.
     steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.floor(np.log10(largest))
     highest = max(float(steps[steps <= largest].max(initial=0.0)), linear)
     places = ax.transData.transform([(0.0, 0.0), (0.0, linear), (0.0, highest)])[:, 1]
-    apart = np.diff(places).min() * 72 / ax.figure.dpi > _APART
+    apart = np.diff(places).min() * 72 / ax.figure.dpi > _MIN_DISTANCE_PT
     ticks = (-highest, -linear, 0, linear, highest) if apart else (-highest, 0, highest)
     ax.set_yticks(ticks, [minus(f"{v:g}") for v in ticks])
     decades = 10.0 ** np.arange(np.ceil(np.log10(linear)), np.log10(highest))
@@ -104,7 +105,7 @@ def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Comparison], best: int
 
 
 def _size(x: float) -> float:
-    """Return a number to be compared by: what is not finite is the largest."""
+    """Return x as a sort key: infinity if x is not finite."""
     return x if np.isfinite(x) else np.inf
 
 

@@ -1,4 +1,4 @@
-"""How models differ, as a table and in words that name what the figure depends on."""
+"""Differences of models, as a table and in words that name their causes."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from armrig.models.model import Model
 from armrig.numerics.quantities import minus, places, with_range, with_std
 
 SURE = 2.58  # standard deviations of the difference, 1 %
-_LARGE = 2.0  # ratio of rms errors at which one model is called the better one
-_HOPELESS = 5.0  # and at which the other one is not worth a comparison of figures
+_MIN_BETTER_RATIO = 2.0  # of rms errors, from which a model is called better
+_MAX_COMPARED_RATIO = 5.0  # of rms errors; a poorer model is not compared by its figures
 _NAMES = {
     "gain": "steady gain",
     "resonance": "resonance [rad/s]",
@@ -26,18 +26,17 @@ _NAMES = {
     "overshoot": "overshoot [%]",
 }
 _BECAUSE = {
-    "gain": "on the rig it is the motor and its supply: 1/(N K_m) without friction, and less with; "
-    "neither inertia nor spring has a part in it",
-    "resonance": "both inertias and the spring make it, and the motor's damping",
-    "antiresonance": "on the rig it is sqrt(K_lin/J_2), the arm alone on its spring: neither the "
-    "chassis nor the motor has a part in it",
-    "bandwidth": "the anti-resonance pulls |G| below −3 dB: it goes with K_lin/J_2 first",
-    "rise_time": "J_1 R_m / (N K_m)² makes the first rise, before the spring is wound",
-    "equivalent_time": "(J_1 + J_2) R_m / (N K_m)²: both inertias make it, and the spring does not",
-    "slowest_time": "the motor's damping stops the swing of the arm, the later the heavier the "
-    "chassis is",
-    "overshoot": "the spring gives back what it took; J_2 against J_1 and the motor's damping "
-    "make its size",
+    "gain": "on the rig it depends on the motor and its supply: 1/(N K_m) without friction, and "
+    "less with friction; inertias and spring have no effect",
+    "resonance": "it depends on both inertias, the spring and the motor's damping",
+    "antiresonance": "on the rig it is sqrt(K_lin/J_2), the frequency of the arm alone on its "
+    "spring; chassis and motor have no effect",
+    "bandwidth": "at the anti-resonance |G| is below −3 dB, so K_lin/J_2 affects it most",
+    "rise_time": "J_1 R_m / (N K_m)² determines the first rise, before the spring is wound",
+    "equivalent_time": "on the rig it is (J_1 + J_2) R_m / (N K_m)²; the spring has no effect",
+    "slowest_time": "the motor's damping stops the swing of the arm; with a heavier chassis this "
+    "takes longer",
+    "overshoot": "the spring returns its energy; J_2/J_1 and the motor's damping set the amount",
 }
 
 
@@ -57,10 +56,10 @@ class Row(Protocol):
 
 
 def table(rows: Sequence[Row], *, brief: bool) -> list[str]:
-    """Return the figures of all models side by side, those of a claim without deviations.
+    """Return a table of the characteristics of all models, a column for each model.
 
-    Where the linearisation is poor a 95 % range of draws stands in place of the deviation; in a
-    brief table, which has no poles, in place of the value too.
+    If the linearisation is poor, a 95 % range from draws of the parameters replaces the standard
+    deviation. In a brief table, which contains no poles, the range also replaces the value.
     """
     figures = [row.characteristics for row in rows]
     unit = "rate, " if any(t.integrating for t in figures) else ""
@@ -82,14 +81,14 @@ def table(rows: Sequence[Row], *, brief: bool) -> list[str]:
 
 
 def _notes(figures: Mapping[str, ModelCharacteristics]) -> list[str]:
-    """Say what the star means, if there is one, and what was left out for it."""
+    """Return the meaning of the star, if the table has one, and the number of draws left out."""
     marked = {name: t for name, t in figures.items() if t.draws is not None and _poor(t)}
     if not marked:
         return []
     of = " and ".join(marked)
     lines = [f"  * linearisation poor ({of}): 95 % of {DRAWS} draws of the parameters"]
     if any((t.poles_sampled & (t.poles_std > 0)).any() for t in marked.values()):
-        lines.append("    of a pole the σ is not to be trusted: fit.summary() has its range")
+        lines.append("    the σ of a pole cannot be trusted: fit.summary() prints its range")
     lines += [
         f"    {name}: {t.draws.left_out}, left out"
         for name, t in marked.items()
@@ -116,22 +115,22 @@ def _cell(t: ModelCharacteristics, name: str, *, brief: bool) -> str:
 
 
 def explanation(rows: Sequence[Row]) -> list[str]:
-    """Return in words which model is best, and what sets each apart from the reference.
+    """Return in words which model is best, and how each differs from the reference.
 
-    That is the physics (nothing of it was estimated), or else the last.
+    The reference is the physics, in which nothing was estimated, or else the last model.
     """
     lines = [_best(rows)]
     reference = next((row for row in rows if not isinstance(row.model, Estimate)), rows[-1])
     figures = reference.characteristics
     for row in (row for row in rows if row is not reference):
-        if row.rms_error > _HOPELESS * reference.rms_error:
+        if row.rms_error > _MAX_COMPARED_RATIO * reference.rms_error:
             lines.append(_hopeless(row, reference))
             continue
         apart = list(_apart(row, reference, figures))
         if not apart:
             lines.append(
-                f"{row.name} and {reference.name}: no figure differs by more than its uncertainty "
-                f"({SURE:g} σ) allows."
+                f"{row.name} and {reference.name}: no characteristic differs by more than its "
+                f"uncertainty ({SURE:g} σ)."
             )
         lines += apart
     return lines
@@ -141,37 +140,37 @@ def _best(rows: Sequence[Row]) -> str:
     ranked = sorted(rows, key=lambda row: row.rms_error)
     best, next_ = ranked[0], ranked[min(1, len(ranked) - 1)]
     if len(rows) == 1:
-        return f"{best.name} is off by {best.rms_error:.3g} rms."
+        return f"{best.name} has an error of {best.rms_error:.3g} rms."
     sizes = [f"{row.rms_error:.3g}" for row in (best, next_)]
     if sizes[0] == sizes[1]:
         said = f"{best.name} and {next_.name} are equally close to these data, {sizes[0]} rms"
     else:
         said = f"{best.name} is closest to these data, {sizes[0]} rms against {sizes[1]} of "
         said += next_.name
-    if sizes[0] != sizes[1] and next_.rms_error < _LARGE * best.rms_error:
-        said += ": not much of a difference"
+    if sizes[0] != sizes[1] and next_.rms_error < _MIN_BETTER_RATIO * best.rms_error:
+        said += ": a small difference"
     if best.on_estimation_data:
-        said += ", but it was estimated from them: judge by another recording"
+        said += ", but it was estimated from these data: compare on another recording"
     return f"{said}."
 
 
 def _hopeless(row: Row, reference: Row) -> str:
-    """Say why the figures of a model that simulates so badly say nothing of the rig."""
+    """Return the reason why the characteristics of a poor model do not describe the rig."""
     said = f"{row.name} has {row.rms_error / reference.rms_error:.3g} times the error of "
-    said += f"{reference.name}: its figures differ because the model is poor, not the rig"
+    said += f"{reference.name}: its characteristics differ because the model is poor"
     if isinstance(row.model, Estimate) and row.model.structure == "arx":
-        said += ". ARX assumes noise that passes through 1/A; a potentiometer adds it to the "
+        said += ". ARX assumes noise that passes through 1/A; a potentiometer adds noise to the "
         said += "output, which biases the ARX model: "
         return said + "take OE."
     return f"{said}. Look at its orders and its delay."
 
 
 def _apart(row: Row, reference: Row, b: ModelCharacteristics) -> Iterator[str]:
-    """Iterate over the figures that differ by more than chance from b, the reference's."""
+    """Yield a sentence for each characteristic that differs significantly from the reference b."""
     a = row.characteristics
     if a.integrating != b.integrating:
         which = (row if a.integrating else reference).name
-        yield f"Only {which} integrates: the other figures cannot be compared."
+        yield f"Only {which} integrates: the other characteristics cannot be compared."
         return
     for name in SCALARS:
         x, y = getattr(a, name), getattr(b, name)

@@ -1,4 +1,4 @@
-"""Search over model structures: what predicts other data best, and what is as good and simpler."""
+"""Search over model structures: the best on other data, and the simplest that is as good."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.finding import Finding
 from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
 from armrig.models.prediction import require_same_signals
-from armrig.models.structure_table import FAMILIES, OFFERED, Family
+from armrig.models.structure_table import OFFERED, OFFERED_NAMES, OfferedName
 from armrig.numerics.checks import require_integers, require_several
 from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
 from armrig.validation.advice.data_advice import Tested, doubts, tested
@@ -27,10 +28,10 @@ from armrig.validation.search_result import Candidate, Scored, SearchResult
 
 Vector = NDArray[np.float64]
 
-_LIKELY = 2.0  # deviations of a level from 0, from which it is better estimated along
+_MIN_LEVEL_SIGMAS = 2.0  # distance from 0 above which the level is estimated with the model
 _NOISE_ORDERS = (1, 2)  # of C and of D in a Box-Jenkins model
-_ROUNDING = 1e-9  # share of y below which errors are all the same
-_UNBOUNDED = 1e3  # times the largest output, beyond which an error is that of no model
+_ROUNDING = 1e-9  # share of y below which errors count as equal
+_UNBOUNDED = 1e3  # times the largest output, beyond which a model's output counts as unbounded
 
 
 @takes_recordings
@@ -38,7 +39,7 @@ def search(
     data: Dataset,
     validation: Dataset | None = None,
     *,
-    families: Sequence[Family] | None = None,
+    families: Sequence[OfferedName] | None = None,
     orders: Iterable[int] = range(1, 6),
     nk: int | Iterable[int] | None = None,
     integrator: bool | None = None,
@@ -49,53 +50,59 @@ def search(
 ) -> SearchResult:
     """Estimate many structures, rank them on other data, choose the simplest as good as the best.
 
-    A candidate of order n has n poles and n numerator coefficients; a Box-Jenkins one also nc =
-    nd = 1 and 2. The best has the least mean squared error on the validation data. As good is
-    whose mean of e² - e²_best is at most its standard error, from the means of 30 batches, since
-    the errors of a simulation are correlated; the simplest has the fewest parameters. In 200 runs
-    of an output-error system of order 3 (N = 1000 to estimate, as many to validate) that was the
-    true order in 82 %, the best in 48 %, with orders 1 to 5; the rest was larger.
+    A candidate of order n has n poles and n numerator coefficients; a Box-Jenkins candidate also
+    has nc = nd = 1 and 2. The best candidate has the least mean squared error on the validation
+    data. A candidate is as good as the best if its mean of e² - e²_best is at most the standard
+    error of this mean. The errors of a simulation are correlated, so the standard error is computed
+    from 30 batch means. The simplest candidate has the fewest parameters.
 
-    No pole of a candidate is on the unit circle or outside it, but an integrator that is known:
-    the estimators are called with `stable=True`, and the chosen model says where that moved one.
+    An output-error system of order 3 was simulated in 200 runs, with N = 1000 to estimate, N = 1000
+    to validate and orders 1 to 5. The chosen model had the true order in 82 % of the runs, the best
+    candidate in 48 %. In all other runs the order was too high.
+
+    No candidate has a pole on or outside the unit circle, except a known integrator. The estimators
+    are called with `stable=True`; the chosen model reports a pole that was moved.
 
     Parameters
     ----------
     data : Dataset
-        To estimate from.
+        Data to estimate from.
     validation : Dataset, optional
-        Other data; by default the second half of `data`, of which then the first half estimates.
+        Data to rank the models on; by default the second half of `data`. Then only the first half
+        is used for estimation.
     families : sequence of str, optional
-        Names of structures, such as "oe"; by default all but "ararx" and "pem", and in closed loop
-        those of them whose noise model keeps feedback from a bias.
+        Names of structures, such as "oe"; by default all but "ararx" and "pem". In closed loop the
+        default contains only structures whose noise model prevents a bias by feedback.
     orders : iterable of int
-        Numbers of poles to try, >= 1, an integrator's included.
+        Numbers of poles to try, >= 1, including the pole of an integrator.
     nk : int or iterable of int, optional
-        Samples before u reaches y, all of them tried; by default what `delay` finds, at least 1,
-        and 0 beside it where a direct term is not ruled out. In closed loop a direct term is not
-        tried, for it would be the controller's; where feedback and a direct term look the same it
-        is, and `doubts` say so.
+        Samples before u reaches y; each is tried. By default it is the result of `delay`, at least
+        1, and also 0 if a direct term is not ruled out. In closed loop a direct term is not tried,
+        because a controller would cause it. If the data do not distinguish feedback from a direct
+        term, 0 is tried, and `doubts` contains this finding.
     integrator : bool, optional
-        Whether structures that can have one get a pole at 1 exactly; by default where the output
-        is an angle, or is found to integrate.
+        If True, structures with this option have a pole at exactly 1. The default is True if the
+        output is an angle, or if a test finds that the output integrates.
     offset : bool, optional
-        Whether structures that can estimate the input's offset along; by default
-        where y has a level that u does not make (2 deviations), in either data.
+        If True, the offset of the input is estimated in structures with this option. The default is
+        True if y has a level that u does not cause (2 standard deviations), in one of the data
+        sets.
     horizon : int, optional
-        Samples ahead, >= 1; by default the models are simulated, and "n4sid" is estimated with
-        `focus="simulation"`. In closed loop it is 1 by default: the best simulation would be
-        that of a biased model.
+        Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
+        estimated with `focus="simulation"`. In closed loop the default is 1, because a biased model
+        would have the best simulation.
     executor : concurrent.futures.Executor, optional
-        Where the candidates are estimated, such as a ``ProcessPoolExecutor``; here by default.
+        Executor for the estimates, such as a ``ProcessPoolExecutor``; by default the thread of the
+        caller estimates.
     progress : callable, optional
-        Called with the number of candidates done, of all, and the name of the next one, "" after
-        the last.
+        Called with the number of finished candidates, the number of all, and the name of the next
+        candidate; "" after the last.
 
     Returns
     -------
     SearchResult
-        `fit` is the chosen model, `ranked` all of them, `explain()` the reasons, `doubts` what
-        speaks against the data.
+        `fit` is the chosen model, and `ranked` contains the usable models. `explain()` returns the
+        reasons, and `doubts` contains the findings against the data.
 
     Raises
     ------
@@ -115,35 +122,18 @@ def search(
     if nk is None:
         nk = _likely_delays(known)
     delays = [nk] if isinstance(nk, int) else [*nk]
-    if families is None:
-        families = [
-            name
-            for name, kind in OFFERED.items()
-            if kind.searched and (kind.closed_loop or not known.closed)
-        ]
+    families = _offered(known) if families is None else families
     if horizon is None and known.closed:
         horizon = 1
     against = doubts(data, known)
-    notes = [*known.integration.notes]
-    level = [f for f in against if f.about == "level"]
-    of_validation = None
-    if offset is None and not known.integration.integrates:
-        # A level of the validation data alone would rank models by how they happen to meet it.
-        of_validation = level_without_input(validation, _LIKELY)
-        offset = bool(of_validation or level_without_input(data, _LIKELY))
-    said = level_without_input(data) if level else of_validation
-    if offset and said:
-        against = [f for f in against if f not in level]
-        where = "" if level else "in the validation data "
-        able = ", ".join(name.upper() for name in families if "offset" in OFFERED[name].takes)
-        notes.append(f"{where}{said.text}: {able} estimate it along, offset=True")
+    offset, against, notes = _offset(data, validation, known, offset, families, against)
     candidates = list(
         _candidates(
             [*families],
             [*orders],
             delays,
             integrator=known.integration.integrates,
-            offset=bool(offset),
+            offset=offset,
             simulated=horizon is None,
         )
     )
@@ -159,7 +149,7 @@ def search(
         chosen_index=ranking.chosen,
         failed=tuple(j for j in scored if j.reason),
         doubts=tuple(against),
-        notes=tuple(notes),
+        notes=(*known.integration.notes, *notes),
         halved=halved,
         tests=residuals(ranking.fit, validation),
         horizon=horizon,
@@ -167,12 +157,45 @@ def search(
     )
 
 
+def _offered(known: Tested) -> list[OfferedName]:
+    """Return the structures that are searched by default for such data."""
+    return [
+        name
+        for name, kind in OFFERED.items()
+        if kind.searched and (kind.closed_loop or not known.closed)
+    ]
+
+
+def _offset(
+    data: Dataset,
+    validation: Dataset,
+    known: Tested,
+    offset: bool | None,
+    families: Sequence[OfferedName],
+    against: list[Finding],
+) -> tuple[bool, list[Finding], list[str]]:
+    """Decide whether the input's offset is estimated; return the decision, other doubts, notes."""
+    level = [f for f in against if f.about == "level"]
+    of_validation = None
+    if offset is None and not known.integration.integrates:
+        # A level of the validation data alone would distort the ranking.
+        of_validation = level_without_input(validation, _MIN_LEVEL_SIGMAS)
+        offset = bool(of_validation or level_without_input(data, _MIN_LEVEL_SIGMAS))
+    found = level_without_input(data) if level else of_validation
+    if not (offset and found):
+        return bool(offset), against, []
+    where = "" if level else "in the validation data "
+    able = ", ".join(name.upper() for name in families if "offset" in OFFERED[name].takes)
+    note = f"{where}{found.text}: {able} can estimate it (option offset)"
+    return True, [f for f in against if f not in level], [note]
+
+
 def _counted(
     coming: Iterable[Scored],
     names: list[str],
     progress: Callable[[int, int, str], object] | None,
 ) -> list[Scored]:
-    """Return all that come, each told before it is waited for."""
+    """Return the results; `progress` is called with each name before its result."""
     tell = progress or (lambda done, total, name: None)
     scored, following = [], iter(coming)
     for k, name in enumerate(names):
@@ -183,7 +206,7 @@ def _counted(
 
 
 def _candidates(
-    families: list[Family],
+    families: list[OfferedName],
     orders: list[int],
     delays: list[int],
     *,
@@ -192,8 +215,10 @@ def _candidates(
     simulated: bool,
 ) -> Iterator[Candidate]:
     for family in families:
-        if family not in FAMILIES:
-            raise InputError(f"families has {family!r}; each must be one of {', '.join(FAMILIES)}")
+        if family not in OFFERED_NAMES:
+            raise InputError(
+                f"families has {family!r}; each must be one of {', '.join(OFFERED_NAMES)}"
+            )
     for n in orders:
         require_integers(orders=(n, 1))
     for nk in delays:
@@ -213,15 +238,15 @@ def _candidates(
 
 
 def _likely_delays(known: Tested) -> list[int]:
-    """Return the least nk that is not ruled out, 1 where it cannot be told or is 0, too."""
+    """Return the least nk that is not ruled out, and 1 if it is 0 or not determined."""
     if not isinstance(known.late, Delay):
         return [1]
     nk = max(known.late.nk, 1)
     return [0, nk] if known.late.interval[0] == 0 else [nk]
 
 
-def _orders(family: Family, n: int) -> list[dict[str, int]]:
-    """Return the orders to try with n poles; a noise model of its own is tried small."""
+def _orders(family: OfferedName, n: int) -> list[dict[str, int]]:
+    """Return the orders to try with n poles; a separate noise model has order 1 or 2."""
     names = OFFERED[family].orders
     noise = _NOISE_ORDERS if "nd" in names else (n,)
     return [{name: m if name in ("nc", "nd") else n for name in names} for m in noise]
@@ -237,10 +262,10 @@ def _score(candidate: Candidate, data: Dataset, validation: Dataset, horizon: in
     except (ValueError, np.linalg.LinAlgError) as err:
         return Scored(candidate=candidate, fit=None, reason=str(err), error=none)
     reason = ""
-    # Of errors that grow to the end the mean is as large as its standard error, however large.
+    # If errors grow to the end, the standard error of their mean is as large as the mean.
     bound = _UNBOUNDED * np.max(np.abs(validation.y[validation.valid]), initial=0.0) or np.inf
     if not np.isfinite(fit.theta).all() or (np.abs(error) > bound).any():
-        reason = "its output has no bound"
+        reason = "its output is unbounded"
     elif farthest := largest_unstable(fit):
         reason = f"a pole at |z| = {farthest:.4f} is not inside the unit circle"
     return Scored(candidate=candidate, fit=fit, reason=reason, error=error)
@@ -265,7 +290,7 @@ def _ranked(scored: list[Scored], validation: Dataset) -> _Ranking:
         msg = "none of the structures could be estimated"
         msg += f"; the first, {scored[0].candidate.name}: {scored[0].reason}" if scored else ""
         raise InputError(msg)
-    # The same samples for all: one model's transient is not another's.
+    # The same samples for all models, since their initial transients differ.
     both = np.all([np.isfinite(j.error) for j in usable], axis=0)
     if not both.any():
         raise InputError("no validation sample is predicted by all models; validate on longer data")

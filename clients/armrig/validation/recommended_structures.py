@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, product
 from typing import Literal
 
 import numpy as np
@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from armrig.data.dataset import Dataset
+from armrig.estimation.hannan_rissanen import equation_error, steiglitz_mcbride
 from armrig.estimation.order_table import select_orders
-from armrig.estimation.prediction_error import PredictionError
-from armrig.estimation.steiglitz_mcbride import equation_error, steiglitz_mcbride
+from armrig.estimation.orders import require_samples
+from armrig.estimation.prediction_error import PredictionErrorProblem
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.criteria import mdl
-from armrig.numerics.polynomial import filtered, reflected
+from armrig.numerics.polynomial import filtered, reduced, reflected
 from armrig.numerics.whiteness import autoregression
 
 Vector = NDArray[np.float64]
@@ -28,28 +29,30 @@ Matrix = NDArray[np.float64]
 RECOMMENDED = 3
 BARE = 2.0  # difference of description length that hardly counts (Kass, Raftery 1995, BIC)
 HIGHEST = 7  # order that is tried
-_FIRST = (3, 6)  # orders of the models of which one leaves the first noise
-_LATEST = 30  # lag at which u is looked for
-_ARX = range(1, 7)  # orders that the lag is looked for with
-_LAGS = 6  # lags that are tried with each order
-_MORE = 2  # b's before the likeliest lag and after nf of them, to see which are there
-_STEPS = 30
-_ENOUGH = 3000  # samples that orders are tried on
-_RANK = 1e-9
+_FIRST_ORDERS = (3, 6)  # of the models for the first estimate of the noise
+_MAX_LAG = 30  # of u
+_ARX_ORDERS = range(1, 7)  # of the models for the lag
+_MAX_LAGS = 6  # that are tried with each order
+_EXTRA_COEFFICIENTS = 2  # of B, before the likeliest lag and after the nf-th
+_MAX_STEPS = 30  # of a search
+_MAX_SEARCHES = 2  # of a structure, from the starts of least cost
+_ADDED_ROOTS = (0.3, 0.8)  # of F, if the model of another order has fewer
+_MAX_SAMPLES = 3000  # for the trial of orders
+_RANK_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recommended:
-    """Orders of an output-error model, to be handed on: ``oe(data, **orders)``."""
+    """Orders of an output-error model, for ``oe(data, **orders)``."""
 
     nb: int
     """Number of b's."""
     nf: int
-    """Number of all f's, an integrator's included."""
+    """Number of f's, with that of an integrator."""
     nk: int
     """Samples before u reaches y."""
     integrator: bool
-    """One root of F is 1 exactly."""
+    """True if one root of F is exactly 1."""
 
     def keys(self) -> tuple[str, ...]:
         """Return the names, as a mapping does."""
@@ -64,11 +67,11 @@ class Recommended:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tried:
-    """A structure, its description length, and the model in which it was seen."""
+    """A structure, its description length, and the model that it was taken from."""
 
     structure: Recommended
     bits: float
-    """MDL: N log of the loss and log N for each coefficient."""
+    """Description length (MDL): N log of the loss, plus log N for each coefficient."""
     fitted: _Fitted
 
 
@@ -77,29 +80,70 @@ class _Fitted:
     """An output-error model of prewhitened data."""
 
     structure: Recommended
-    problem: PredictionError
+    problem: PredictionErrorProblem
     f: Vector
-    """Of F, without the integrator's factor."""
+    """Coefficients of F, without the integrator's factor."""
     cost: float
+    """Sum of the squared residuals."""
+    past: int
+    """Number of dimensions of the unknown past, which took part in the fit."""
     N: int
+    """Number of residuals."""
 
     @property
     def B(self) -> Vector:
-        """From the lag 0 on."""
+        """Numerator from lag 0 on."""
         ab = self.problem.solve(self.f).ab
         return np.append(np.zeros(self.structure.nk), ab)
 
     @property
     def F(self) -> Vector:
-        """The integrator's factor included."""
+        """Denominator, with the integrator's factor."""
         F = np.append(1.0, self.f)
         return np.convolve(F, [1.0, -1.0]) if self.structure.integrator else F
 
     def residuals(self) -> list[Vector]:
-        """Return those of each experiment, NaN where there is none."""
+        """Return the residuals of each experiment, NaN if unknown."""
         found = self.problem.solve(self.f)
         pairs = zip(self.problem.experiments, found.parts, strict=True)
         return [np.where(x.rows, p.e, np.nan) for x, p in pairs]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Record:
+    """Experiments that all structures describe at the same samples of y.
+
+    Description lengths of other samples cannot be compared: they change with the unit of y.
+    """
+
+    parts: tuple[Dataset, ...]
+    latest: int
+    """Largest nk of a structure."""
+
+    def require_samples(self, past: int = 0) -> None:
+        """Refuse experiments that are too short for a model of the lowest first order."""
+        needed = past + self.latest + 3 * (2 * _FIRST_ORDERS[0] + _EXTRA_COEFFICIENTS)
+        longest = max(part.N for part in self.parts)
+        require_samples("an experiment for structure hints", needed=needed, got=longest)
+
+    def filtered(self, D: Vector) -> _Record:
+        """Return the record of D u and D y, without the samples that D needs as its past."""
+        p, found = D.size - 1, []
+        for part in self.parts:
+            if p < part.N:
+                u, y = (filtered(D, [1.0], x)[p:] for x in (part.u, part.y))
+                found.append(part[p:].replaced(step=None, u=u, y=y, valid=np.isfinite(y)))
+        return replace(self, parts=tuple(found))
+
+    def problem(self, s: Recommended) -> PredictionErrorProblem:
+        """Return the problem with u advanced by the delay, whose unknown past costs time."""
+        d, cut = max(s.nk - 1, 0), self.latest - 1
+        letter: Literal["f", ""] = "f" if s.integrator else ""
+        n = Structure(nb=s.nb, nf=s.nf - s.integrator, nk=s.nk - d, integrator=letter, offset=True)
+        later = [
+            p[cut:].replaced(step=None, u=p.u[cut - d : p.N - d]) for p in self.parts if cut < p.N
+        ]
+        return PredictionErrorProblem(experiments=tuple(prepared(p, n) for p in later), structure=n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -107,15 +151,15 @@ class Recommendation:
     """The structures of least description length, and the model of the first."""
 
     structures: tuple[Recommended, ...]
-    """Best first."""
+    """Structures, best first."""
     shown: bool
-    """The description length says of the integrator what was given."""
+    """True if the description length confirms the decision on the integrator."""
     B: Vector
-    """Of the model of the first, from lag 0 on."""
+    """Numerator of the model of the first structure, from lag 0 on."""
     F: Vector
-    """Of the same."""
+    """Denominator of that model."""
     whitening: Vector
-    """D of the noise e/D by which the signals were prewhitened."""
+    """D of the noise e/D, the filter of the signals."""
 
     def G(self, omega: Vector, Ts: float) -> NDArray[np.complex128]:
         """Return the model's frequency response."""
@@ -126,39 +170,40 @@ class Recommendation:
 def recommended(
     data: Dataset, lags: Iterable[int], *, integrates: bool, decide: bool
 ) -> Recommendation:
-    """Return at most three structures, after the noise's colour was taken from u and y.
+    """Return at most three structures of the signals filtered by the noise's colour.
 
-    The noise that a first model leaves is described by an autoregression 1/D; D u and D y then
-    have white noise, for which output error is the maximum of the likelihood and the description
-    length (MDL) tells orders apart. Each order is fitted at the lags given and at those that ARX
-    models prefer; which b's are there then follows from their covariance, jointly.
+    An autoregression 1/D describes the noise that a first model leaves; D u and D y then have white
+    noise. For white noise output error is the maximum of the likelihood, and the description length
+    (MDL) separates orders. Each order is fitted at the given lags and at those that ARX models
+    prefer. The joint covariance of the b's then decides which b's are kept.
 
     Parameters
     ----------
     lags : iterable of int
-        nk to try, the likeliest first.
+        Values of nk to try, the likeliest first.
     integrates : bool
-        y is the sum of its rate.
+        True if y is the sum of its rate.
     decide : bool
-        Whether the description length may say otherwise: then one of each is recommended.
+        True if the description length may decide against it; then one of each is recommended.
     """
     data = _busiest(data)
-    nks = [*dict.fromkeys([*lags, *_arx_lags(data)])][:_LAGS]
-    parts = [*data.experiments()]
+    nks = [*dict.fromkeys([*lags, *_arx_lags(data)])][:_MAX_LAGS]
+    record = _Record(parts=tuple(data.experiments()), latest=max(*nks, 1) + _EXTRA_COEFFICIENTS)
+    record.require_samples()
     kinds = (False, True) if decide else (integrates,)
-    first = [m for i in kinds for n in _FIRST for m in _fits(parts, n, nks, integrates=i)]
+    first = [m for i in kinds for n in _FIRST_ORDERS for m in _fits(record, n, nks, integrates=i)]
     if not first:
         raise InputError(
             "u excites no model of third order: record with a richer input (telegraph, PRBS)"
         )
-    D, _ = autoregression(np.concatenate(min(first, key=_bits).residuals()))
-    parts, orders = _filtered(data, D), range(1, HIGHEST + 1)
-    scans = [s for i in kinds if (s := _scanned(parts, nks, orders, integrates=i))]
-    C, _ = autoregression(np.concatenate(_joined(scans)[0].fitted.residuals()))
+    D, _ = autoregression(np.concatenate(min(first, key=_bits).residuals()), mdl)
+    record.require_samples(past=D.size - 1)
+    white = record.filtered(D)
+    scans = [_refined(white, s) for i in kinds if (s := _scanned(white, nks, integrates=i))]
+    C, _ = autoregression(np.concatenate(_joined(scans)[0].fitted.residuals()), mdl)
     if C.size > 1:
         D = np.convolve(D, C)
-        parts = _filtered(data, D)
-        scans = [_again(parts, ranked) for ranked in scans]
+        scans = [_refined(record.filtered(D), s) for s in scans]
     ranked = _joined(scans)
     best = ranked[0].fitted
     other = min((t.bits for t in ranked if t.structure.integrator != integrates), default=np.inf)
@@ -178,9 +223,9 @@ def recommended(
 
 
 def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
-    """Return at most three: the shortest two, or one with and one without an integrator.
+    """Return the shortest two, or one with and one without an integrator; three at most.
 
-    After the shortest two the shortest with nb = nf comes, which a plant under a hold has.
+    The third is the shortest with nb = nf, which a plant under a hold has.
     """
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
     two = ranked[:2] if shown else _joined([s[:1] for s in scans])
@@ -193,61 +238,41 @@ def _joined(scans: Iterable[list[Tried]]) -> list[Tried]:
     return sorted(chain.from_iterable(scans), key=lambda t: t.bits)
 
 
-def _again(parts: Sequence[Dataset], ranked: list[Tried]) -> list[Tried]:
-    """Return structures near the first, of data that are filtered once more."""
-    s = ranked[0].structure
-    orders = range(max(s.nf - 1, 1), min(s.nf + 1, HIGHEST) + 1)
-    return _scanned(parts, [s.nk], orders, integrates=s.integrator) or ranked
-
-
 def _busiest(data: Dataset) -> Dataset:
     """Return the part of long data in which u moves most."""
-    if data.N <= _ENOUGH:
+    if data.N <= _MAX_SAMPLES:
         return data
     moves = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.u, prepend=data.u[0])))])
-    begins = np.linspace(0, data.N - _ENOUGH, 8).astype(int)
-    begin = int(begins[np.argmax(moves[begins + _ENOUGH] - moves[begins])])
-    return data[begin : begin + _ENOUGH]
+    begins = np.linspace(0, data.N - _MAX_SAMPLES, 8).astype(int)
+    begin = int(begins[np.argmax(moves[begins + _MAX_SAMPLES] - moves[begins])])
+    return data[begin : begin + _MAX_SAMPLES]
 
 
 def _arx_lags(data: Dataset) -> list[int]:
     """Return the lags that ARX models of several orders prefer."""
-    latest = min(_LATEST, max(data.N // 10, 1))
+    latest = min(_MAX_LAG, max(data.N // 10, 1))
     try:
-        table = select_orders(data, _ARX, _ARX, range(1, latest + 1))
+        table = select_orders(data, _ARX_ORDERS, _ARX_ORDERS, range(1, latest + 1))
     except ValueError:
         return []
     bits, found = np.nan_to_num(table.mdl, nan=np.inf), []
-    for n in reversed(_ARX):
+    for n in reversed(_ARX_ORDERS):
         of = np.flatnonzero((table.na == n) & (table.nb == n))
         found.append(int(table.nk[of[np.argmin(bits[of])]]))
     return [int(table.nk[np.argmin(bits)]), *found]
 
 
-def _filtered(data: Dataset, D: Vector) -> list[Dataset]:
-    """Return each experiment with D u and D y, from where D has its memory."""
-    p, found = D.size - 1, []
-    for part in data.experiments():
-        if p < part.N:
-            u, y = (filtered(D, [1.0], x)[p:] for x in (part.u, part.y))
-            found.append(part[p:].replaced(step=None, u=u, y=y, valid=np.isfinite(y)))
-    return found
-
-
-def _scanned(
-    parts: Sequence[Dataset], nks: list[int], orders: range, *, integrates: bool
-) -> list[Tried]:
+def _scanned(record: _Record, nks: list[int], *, integrates: bool) -> list[Tried]:
     """Return structures of all orders, least description length first."""
-    found: dict[tuple[int, int, int], Tried] = {}
+    found: dict[Recommended, Tried] = {}
     best, worse = np.inf, 0
     near: Vector = np.ones(1)
-    for nf in orders:
-        models = [*_fits(parts, nf, nks, integrates=integrates, near=near)]
+    for nf in range(1, HIGHEST + 1):
+        models = [*_fits(record, nf, nks, integrates=integrates, near=near)]
         for tried in (t for model in models for t in _trimmed(model)):
             s = tried.structure
-            key = s.nb, s.nf, s.nk
-            if key not in found or tried.bits < found[key].bits:
-                found[key] = tried
+            if s not in found or tried.bits < found[s].bits:
+                found[s] = tried
         if models:
             near = np.append(1.0, min(models, key=lambda m: m.cost).f)
         lowest = min((t.bits for t in found.values() if t.structure.nf == nf), default=np.inf)
@@ -258,65 +283,128 @@ def _scanned(
     return sorted(found.values(), key=lambda t: t.bits)
 
 
+def _refined(record: _Record, ranked: list[Tried]) -> list[Tried]:
+    """Return structures that are fitted as they are, with all neighbours of the shortest three."""
+    shortest = {t.structure.nf: t for t in reversed(ranked)}
+    known = {nf: t.fitted.f for nf, t in shortest.items()}
+    found: dict[Recommended, Tried | None] = {}
+    coming = [t.structure for t in (*ranked[:RECOMMENDED], *shortest.values())]
+    while coming:
+        for s in dict.fromkeys(coming):
+            model = _exact(record, s, known)
+            found[s] = Tried(structure=s, bits=_bits(model), fitted=model) if model else None
+        fitted = sorted((t for t in found.values() if t), key=lambda t: t.bits)
+        if not fitted:
+            return ranked
+        first = fitted[:RECOMMENDED]
+        known |= {t.structure.nf: t.fitted.f for t in reversed(first)}
+        coming = [s for t in first for s in _neighbours(t.structure) if s not in found]
+    return fitted
+
+
+def _neighbours(s: Recommended) -> Iterator[Recommended]:
+    """Yield structures with one pole, one b at either end, or both more or fewer."""
+    for poles, first, last in product((-1, 0, 1), repeat=3):
+        nb, nf, nk = s.nb + first + last, s.nf + poles, s.nk - first
+        if abs(first + last) <= 1 and nb >= 1 and 1 <= nf <= HIGHEST and nk >= min(s.nk, 1):
+            yield replace(s, nb=nb, nf=nf, nk=nk)
+
+
+def _exact(record: _Record, s: Recommended, known: dict[int, Vector]) -> _Fitted | None:
+    """Return the model of a structure, from its own starts and from models of other orders."""
+    if s.nk > record.latest:
+        return None
+    problem = record.problem(s)
+    n = problem.structure
+    starts = [F for F in _starts(problem) if F.size == n.nf + 1]
+    for more in range(-1, 3):
+        if (f := known.get(s.nf + more)) is not None:
+            starts.extend(_of_order(np.append(1.0, f), n.nf))
+    priced = sorted(((problem.cost(F[1:]), F[1:]) for F in starts), key=lambda x: x[0])
+    ends = [_fitted(problem, s, f) for _, f in priced[:_MAX_SEARCHES]]
+    return min((e for e in ends if e), key=lambda e: e.cost, default=None)
+
+
+def _of_order(F: Vector, nf: int) -> Iterator[Vector]:
+    """Yield F with roots added or taken out, so that nf are left."""
+    if F.size - 1 <= nf:
+        for root in _ADDED_ROOTS if F.size - 1 < nf else (0.0,):
+            yield np.convolve(F, np.real(np.poly([root] * (nf + 1 - F.size))))
+        return
+    for lower in reduced(F):
+        yield from _of_order(lower, nf)
+
+
 def _fits(
-    parts: Sequence[Dataset],
+    record: _Record,
     nf: int,
     nks: list[int],
     *,
     integrates: bool,
     near: Vector = np.ones(1),  # noqa: B008
 ) -> Iterator[_Fitted]:
-    """Yield models of an order at the likeliest lags, with more b's than are thought to be there.
+    """Yield models of an order at the likeliest lags, with more b's than expected.
 
-    Their covariance then tells which b's are.
+    Their covariance then decides which b's are kept.
     """
     if nf < integrates:
         return
-    begun = [s for k in nks if (s := _begun(parts, nf, nf, k, integrates, near))]
+    begun = [s for k in nks if (s := _begun(record, nf, k, integrates, near))]
     likeliest = [*begun[:1], *sorted(begun[1:], key=lambda s: s[0])[:2]]
     for nk, f in [(k, f) for _, k, f in likeliest]:
-        first = max(nk - _MORE, min(nk, 1))
-        problem = _problem(parts, nf + nk - first + _MORE, nf, first, integrates=integrates)
-        n = problem.structure
-        N = sum(int(np.count_nonzero(x.rows)) for x in problem.experiments)
-        if 3 * (n.nb + nf) < N:
-            end = problem.minimise(f, most=_STEPS)
-            wide = Recommended(nb=n.nb, nf=nf, nk=first, integrator=integrates)
-            yield _Fitted(structure=wide, problem=problem, f=end.theta, cost=end.cost, N=N)
+        first = max(nk - _EXTRA_COEFFICIENTS, min(nk, 1))
+        wide = Recommended(
+            nb=nf + nk - first + _EXTRA_COEFFICIENTS, nf=nf, nk=first, integrator=integrates
+        )
+        if model := _fitted(record.problem(wide), wide, f):
+            yield model
 
 
-def _problem(
-    parts: Sequence[Dataset], nb: int, nf: int, nk: int, *, integrates: bool
-) -> PredictionError:
-    """Return the problem with u advanced by the delay, whose unknown past costs time."""
-    d = max(nk - 1, 0)
-    letter: Literal["f", ""] = "f" if integrates else ""
-    n = Structure(nb=nb, nf=nf - integrates, nk=nk - d, integrator=letter, offset=True)
-    later = [p[d:].replaced(step=None, u=p.u[: p.N - d]) for p in parts if d < p.N]
-    return PredictionError(experiments=tuple(prepared(p, n) for p in later), structure=n)
+def _fitted(problem: PredictionErrorProblem, s: Recommended, f: Vector) -> _Fitted | None:
+    """Return the model that the search from f leads to; None for too few residuals."""
+    N = sum(int(np.count_nonzero(x.rows)) for x in problem.experiments)
+    if 3 * (s.nb + s.nf) >= N:
+        return None
+    end = problem.minimise(f, most=_MAX_STEPS)
+    past = sum(g.unknown.rank for g in problem.solve(end.theta).given)
+    if past + s.nb + s.nf >= N:
+        return None
+    return _Fitted(structure=s, problem=problem, f=end.theta, cost=end.cost, past=past, N=N)
 
 
-def _begun(
-    parts: Sequence[Dataset], nb: int, nf: int, nk: int, integrates: bool, near: Vector
-) -> tuple[float, int, Vector] | None:
-    """Return the cost at a start, nk and the start."""
-    problem = _problem(parts, nb, nf, nk, integrates=integrates)
+def _starts(problem: PredictionErrorProblem) -> list[Vector]:
+    """Return stable F of equation error and of Steiglitz and McBride's iterations."""
     n = problem.structure
     signals = [(x.u, x.y) for x in problem.experiments]
     try:
         F = reflected(equation_error(signals, np.ones(1), n)[0])
-        starts = [F, *steiglitz_mcbride(signals, F, n, iterations=3)]
-        if near.size == n.nf:
-            starts.append(np.convolve(near, [1.0, -0.3]))
-        return min(((problem.cost(F[1:]), nk, F[1:]) for F in starts), key=lambda s: s[0])
+        return [F, *steiglitz_mcbride(signals, F, n, iterations=3)]
     except (ValueError, np.linalg.LinAlgError):
-        return None
+        return []
+
+
+def _begun(
+    record: _Record, nf: int, nk: int, integrates: bool, near: Vector
+) -> tuple[float, int, Vector] | None:
+    """Return the cost at a start, nk and the start."""
+    problem = record.problem(Recommended(nb=nf, nf=nf, nk=nk, integrator=integrates))
+    starts = _starts(problem)
+    if starts and near.size == problem.structure.nf:
+        starts.append(np.convolve(near, [1.0, -0.3]))
+    return min(((problem.cost(F[1:]), nk, F[1:]) for F in starts), key=lambda s: s[0], default=None)
 
 
 def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
+    """Return the description length, `more` added to the cost and `fewer` coefficients counted.
+
+    Each dimension of one experiment's initial state costs log N, as a coefficient does. Through
+    that state, a pair of poles on the unit circle fits a sine of the noise, at the best of N/2
+    frequencies.
+    """
     s = model.structure
-    loss = max((model.cost + more) / model.N, np.finfo(np.float64).tiny)
-    return float(mdl(loss, s.nb + s.nf - s.integrator - fewer, model.N))
+    loss = max((model.cost + more) / (model.N - model.past), np.finfo(np.float64).tiny)
+    state = model.past / len(model.problem.experiments)
+    return float(mdl(loss, s.nb + s.nf - s.integrator - fewer + state, model.N))
 
 
 def _trimmed(model: _Fitted) -> Iterator[Tried]:
@@ -325,7 +413,7 @@ def _trimmed(model: _Fitted) -> Iterator[Tried]:
     R: Matrix = qr(solution.Psi, mode="r", check_finite=False)[0][: solution.Psi.shape[1]]
     scale = np.sqrt(np.sum(R**2, axis=0))
     scale[scale == 0] = 1.0
-    inverse = np.linalg.pinv(R / scale, rcond=_RANK) / scale[:, None]
+    inverse = np.linalg.pinv(R / scale, rcond=_RANK_TOLERANCE) / scale[:, None]
     P, b, s = inverse @ inverse.T, solution.ab, model.structure
     for i in range(s.nb):
         for j in range(s.nb - i):

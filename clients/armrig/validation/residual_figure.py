@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from armrig.validation.residuals import ResidualTest
 
 BAND_99_PERCENT = 2.58
-"""Two-sided quantile of the normal distribution."""
+"""Two-sided 99 % quantile of the normal distribution."""
 BAND = "99 % band of each lag"
 _JOINT = f"joint test, level {100 * WHITE_LEVEL:g}{NBSP}%"
 
@@ -25,9 +25,10 @@ _JOINT = f"joint test, level {100 * WHITE_LEVEL:g}{NBSP}%"
 def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     """Show the residuals' autocorrelation and, below, their correlation with the input.
 
-    Grey bands hold 99 % of each lag's values: if the residuals are white, and if the input has
-    nothing to do with them. Of 100 such lags one leaves its band, so the verdict is that of a test
-    of all lags together. Negative lags point to feedback, positive ones to missing dynamics.
+    If the residuals are white, the upper band contains 99 % of the values of each lag. If they are
+    independent of the input, the lower band contains 99 %. On average one lag of 100 is outside its
+    band, so a test of all lags together decides. A correlation at negative lags indicates feedback.
+    A correlation at positive lags indicates missing dynamics.
     """
     ax, below = panels(ax, 0.5, sharex=False)
     shade: dict[str, Any] = {"color": GREY, "alpha": 0.25, "lw": 0, "label": BAND}
@@ -58,7 +59,7 @@ def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
 
 
 def _verdict(found: Whiteness) -> str:
-    """Say whether the residuals are white, and at which level."""
+    """Return whether the residuals are white, with the p value and the level, as text."""
     if np.isnan(found.p_value):
         return f"residuals {found}"
     verdict = "coloured" if found.coloured else "white"

@@ -1,4 +1,4 @@
-"""Tests of a model by its residuals: are they white, and free of the input."""
+"""Tests of a model by its residuals: whiteness, and independence of the input."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from armrig.models.prediction import Residuals, prediction_errors, require_same_
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
-from armrig.numerics.quantile import joint_p_value
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import (
     WHITE_LEVEL,
@@ -25,6 +24,7 @@ from armrig.numerics.whiteness import (
     autocovariance,
     default_lags,
     joined,
+    joint_p_value,
     ljung_box,
     portmanteau,
 )
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 MOST_ALLOWED = 10.0
-"""Widening of the bands by the parameters' deviations beyond which a test has no power."""
+"""Factor by which parameter deviations widen the bands, beyond which a test has no power."""
 _COLUMNS = 8  # of the lagged inputs that are worked on at once
 
 
@@ -48,58 +48,58 @@ class ResidualTest:
     e: Vector
     """Residuals one step ahead, (N,), NaN where they are not known."""
     lags: NDArray[np.int_]
-    """0 … L."""
+    """Lags 0 … L."""
     autocorrelation: Vector
     """r_e at `lags`, 1 at lag 0."""
     autocorrelation_band: float
-    """99 % band of each lag but 0 for white residuals, 2.58/sqrt(N)."""
+    """99 % band of each lag except 0 for white residuals, 2.58/sqrt(N)."""
     whiteness: float
-    """p value of white residuals over all lags, of the test that decides."""
+    """p value of the hypothesis that the residuals are white, from the test that decides."""
     whiteness_test: str
-    """Name of the test that decides: the portmanteau test, or Ljung-Box where that cannot."""
+    """Name of the test that decides: portmanteau, or Ljung-Box if the former cannot be trusted."""
     ljung_box: float
     """p value of the Ljung-Box test, for comparison with other programs."""
     cross_lags: NDArray[np.int_]
-    """-L … L; at a positive lag the input came first."""
+    """Lags -L … L; at a positive lag the input precedes the residual."""
     cross_correlation: Vector
     """Correlation of e(t) with u(t - lag) at `cross_lags`."""
     cross_band: float
     """99 % band of each lag for a known model, 2.58 sqrt(P / (N R_e(0) R_u(0)))."""
     cross_std: Vector
-    """Standard deviation at each of `cross_lags` with the estimated parameters allowed for."""
+    """Standard deviation at each of `cross_lags`, with the effect of the estimated parameters."""
     missing_dynamics: float
-    """p value of no correlation with past and present input, lags 0 … L."""
+    """p value of the hypothesis of no correlation with past and present input, lags 0 … L."""
     feedback: float
-    """p value of no correlation with future input, lags -L … -1."""
+    """p value of the hypothesis of no correlation with future input, lags -L … -1."""
     on_estimation_data: bool
-    """The tests allow for parameters fitted to these very data."""
+    """True if the parameters were estimated from these data; the tests account for this."""
     source: str
-    """Where the data come from."""
+    """Hash of the recording, or ""."""
 
     @property
     def white(self) -> Whiteness:
-        """The test of white residuals; its str says what came out."""
+        """Test of white residuals; its str is the result in words."""
         return Whiteness(p_value=self.whiteness, test=self.whiteness_test)
 
     @property
     def allowance(self) -> float:
-        """How many times the parameters' deviations widen the band of the cross-correlation."""
+        """Factor by which the parameters' deviations widen the band of the cross-correlation."""
         known = self.cross_band / BAND_99_PERCENT
         return float(np.median(self.cross_std)) / known if known > 0 else float("nan")
 
     @property
     def powerless(self) -> str:
-        """Why nothing could be found, and what would help; "" where the tests have power.
+        """Reason why the tests have no power, with a remedy; "" if they have power.
 
-        A test on other data allows for the parameters' deviations. Where those are huge, as of a
-        pole that was estimated within rounding of 1, any residuals pass.
+        The tests on validation data allow for the deviations of the parameters. If the deviations
+        are huge, for example of a pole that is 1 within rounding, all residuals pass the tests.
         """
         if self.on_estimation_data or not self.allowance > MOST_ALLOWED:
             return ""
         return (
-            f"the model's own deviations allow correlations {self.allowance:.0f} times as large as "
-            "a known model's, so these tests find nothing. Estimate with integrator=True if a pole "
-            "is near 1, or with lower orders, or from more data"
+            f"the deviations of the parameters allow correlations {self.allowance:.0f} times as "
+            "large as those of a known model, so these tests find nothing. Fix a pole near 1 "
+            "(option integrator), lower the orders, or record more data"
         )
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
@@ -110,7 +110,7 @@ class ResidualTest:
         return figure_of(plot_residual_test(self, ax=ax))
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Return the results of the tests in a few lines."""
         if self.powerless:
             p_values = (self.whiteness, self.missing_dynamics, self.feedback)
             if not any(p < WHITE_LEVEL for p in p_values):
@@ -134,33 +134,35 @@ class ResidualTest:
 
 
 def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None) -> ResidualTest:
-    """Test whether the one-step residuals are white and free of the input.
+    """Test whether the one-step residuals are white and independent of the input.
 
-    Whiteness: the portmanteau test that allows for the estimated parameters, or Ljung-Box's where
-    that cannot be trusted (see `armrig.numerics.whiteness`). Beside it stands the Ljung-Box test
-    of other programs, its degrees of freedom lessened by na + nc + nd where these are the data
-    that A, C and D were fitted to. Input: the sums s_k = sum of e(t) u(t - k) are tested jointly,
-    s^T M^-1 s against chi-squared, with ::
+    Whiteness is tested by a portmanteau test that allows for the estimated parameters. If this test
+    cannot be trusted, the Ljung-Box test decides (see `armrig.numerics.whiteness`). The result
+    always contains the Ljung-Box test, for comparison with other programs. On estimation data the
+    degrees of freedom of the Ljung-Box test are reduced by na + nc + nd. Independence of the input
+    is tested by the sums s_k = sum of e(t) u(t - k) of all lags together. The statistic s^T M^-1 s
+    is chi-squared, with ::
 
         M = Z_p^T R_e Z_p                                        on estimation data
         M = Z^T R_e Z + (Z^T Psi) cov(theta) (Psi^T Z)           on other data
 
-    where Z holds the lagged inputs, R_e is the residuals' covariance (autoregressive estimate),
-    Psi the sensitivity of the prediction, and Z_p is Z less its projection on Psi: estimated
+    Z contains the lagged inputs, R_e is the residuals' covariance (autoregressive estimate) and Psi
+    the sensitivity of the prediction. Z_p is Z minus its projection on Psi, because estimated
     parameters make residuals less correlated with the past input than noise is.
 
-    The band for a single lag has the variance P/(N R_e(0) R_u(0)), P = sum of R_e(k) R_u(k), which
-    is 1/N only where e or u is white. It holds for a known model; `cross_std`, from the diagonal
-    of M, is narrower at some lags of estimation data and wider on other data.
+    The band for a single lag has the variance P/(N R_e(0) R_u(0)), P = sum of R_e(k) R_u(k). The
+    variance is 1/N only if e or u is white. The band holds for a known model. `cross_std` is
+    computed from the diagonal of M: it is smaller at some lags on estimation data, and larger on
+    other data.
 
     Parameters
     ----------
     fit : Fit
-        Estimated, of the output that the data show.
+        Model of the output of the data.
     data : Dataset
-        N samples; or a recording.
+        N samples, or a recording.
     lags : int, optional
-        L, from 1 to half of the residuals; 25 by default, fewer for short data.
+        L, from 1 to half the number of residuals; 25 by default, fewer for short data.
 
     Returns
     -------
@@ -179,7 +181,7 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
     """
     if not hasattr(fit, "noise_variance"):
         raise InputTypeError(
-            f"the model stands first, and a {type(fit).__name__} came: residuals(fit, data)"
+            f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"
         )
     data = as_dataset(data)
     require_same_signals(fit, data)
@@ -220,7 +222,7 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
 
 
 def _possible(L: int, N: int) -> int:
-    """Return the number of lags, or refuse one that N residuals do not allow."""
+    """Return the number of lags; refuse a number that N residuals do not allow."""
     longest = max(N // 2, 1)
     if not 1 <= L <= longest:
         raise InputError(f"lags={L} must be 1 to {longest}, half of the {N} residuals")
@@ -229,7 +231,7 @@ def _possible(L: int, N: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _InputSums:
-    """The sums s_k of e(t) u(t - k), k = -L … L, and how sure they are."""
+    """Sums s_k of e(t) u(t - k), k = -L … L, and their covariance."""
 
     sums: Array
     """(2 L + 1,)."""
@@ -238,7 +240,7 @@ class _InputSums:
     power: float
     """Sum of u(t)²."""
     variance: float
-    """Of one sum for a known model, N P."""
+    """Variance of one sum for a known model, N P."""
 
 
 def _input_sums(
@@ -255,14 +257,14 @@ def _input_sums(
         sums=sum((z.T @ np.nan_to_num(x) for z, x in zip(Z, e, strict=True)), np.zeros(2 * L + 1)),
         power=float(sum(np.sum(z**2) for z in u)),
         variance=float(exogenous_score(u, e)[0, 0]),
-        covariance=_score_covariance(Z, known, theta_covariance, own=own),  # spends Z: last
+        covariance=_score_covariance(Z, known, theta_covariance, own=own),  # modifies Z: last
     )
 
 
 def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
     """Return u(t - k), k = -L … L, (N, 2 L + 1), zero in the rows without a residual.
 
-    The free response is projected out: it was fitted to these residuals, on any data.
+    The free response is projected out, because it is estimated from the tested data themselves.
     """
     Z = np.zeros((u.size, 2 * L + 1), order="F")
     there = np.isfinite(known.e)
@@ -277,14 +279,14 @@ def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
 
 
 def _few(columns: int) -> list[slice]:
-    """Return groups of columns: what is copied of a long matrix is then small."""
+    """Return groups of columns, so that only a small part of a long matrix is copied at once."""
     return [slice(a, min(a + _COLUMNS, columns)) for a in range(0, columns, _COLUMNS)]
 
 
 def _score_covariance(
     Z: list[Array], known: list[Residuals], theta_covariance: Array, *, own: bool
 ) -> Array:
-    """Return M, and on estimation data leave in Z what Psi does not explain."""
+    """Return M; on estimation data, subtract from Z its projection on Psi, in place."""
     e = [r.e for r in known]
     if not own:
         pairs = zip(Z, known, strict=True)
@@ -301,13 +303,13 @@ def _score_covariance(
 
 
 def _noise_parameters(fit: Estimate) -> int:
-    """Return how many parameters the noise model C/(A D) has, the integrator not counted."""
+    """Return the number of parameters of the noise model C/(A D), without the integrator."""
     noise = fit.A.size + fit.C.size + fit.D.size - 3
     return noise - int(fit.integrating == "a")
 
 
 def _free_covariance(fit: Estimate) -> Array:
-    """Return the covariance of the parameters that were free: F̃'s, where F has an integrator."""
+    """Return the covariance of the free parameters; an integrator is divided out of F or A."""
     if not fit.integrator:
         return fit.covariance_robust
     part, size = fit.slice_of(fit.integrating), fit.theta.size

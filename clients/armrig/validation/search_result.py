@@ -1,4 +1,4 @@
-"""What a search over model structures found: the ranking, the choice, and its reasons."""
+"""Result of a search over model structures: ranking, choice and reasons."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
 from armrig.estimation.request import Request
 from armrig.models.fit import Fit
-from armrig.models.structure_table import KINDS, Family
+from armrig.models.structure_table import STRUCTURES, OfferedName
 from armrig.numerics.quantities import p_relation, plural
 from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.validation.residuals import ResidualTest
@@ -31,29 +31,29 @@ Vector = NDArray[np.float64]
 class Candidate:
     """A structure with its orders."""
 
-    family: Family
-    """Which estimator."""
+    family: OfferedName
+    """Name of the estimator."""
     orders: tuple[tuple[str, int], ...]
-    """Its orders by name."""
+    """Orders by name."""
     integrator: bool = False
-    """A pole at 1 by construction."""
+    """True if a pole is 1 by construction."""
     offset: bool = False
-    """The input's offset is estimated along."""
+    """True if the input's offset is estimated with the model."""
     simulates: bool = False
-    """Estimated for simulation, where the estimator can be told."""
+    """True if the estimator is called with the option `focus="simulation"`."""
 
     @property
     def name(self) -> str:
         """Structure and orders, as a comparison names them."""
-        return KINDS[self.family].short(dict(self.orders))
+        return STRUCTURES[self.family].short(dict(self.orders))
 
     @property
     def order(self) -> int:
         """Number of poles of B/F or B/A."""
-        return dict(self.orders)[KINDS[self.family].poles]
+        return dict(self.orders)[STRUCTURES[self.family].poles]
 
     def estimated(self, data: Dataset) -> Fit:
-        """Return the model of the data, poles outside the unit circle reflected into it."""
+        """Return the model estimated from the data, with unstable poles reflected."""
         orders = dict(self.orders)
         request = Request(
             structure=self.family,
@@ -63,28 +63,28 @@ class Candidate:
             offset=self.offset,
             stable=True,
             focus="simulation" if self.simulates else None,
-            # What has too many orders has many minima, and is not chosen.
-            starts="few" if "starts" in KINDS[self.family].takes else None,
+            # A model with too high orders has many minima, and is not chosen.
+            starts="few" if "starts" in STRUCTURES[self.family].takes else None,
         )
         return request.estimated(data)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scored:
-    """A candidate and what the validation data say of it."""
+    """A candidate and its error on the validation data."""
 
     candidate: Candidate
     """Structure and orders."""
     fit: Fit | None
-    """The model, None where there is none."""
+    """The model; None if the estimate failed."""
     reason: str
-    """Why there is no model, or ""."""
+    """Reason why there is no model, or ""."""
     error: Vector
-    """y - ŷ on the validation data, (N,), NaN where there is none; () without a model."""
+    """y - ŷ on the validation data, (N,), NaN where it is unknown; empty without a model."""
 
     @property
     def model(self) -> Fit:
-        """The model of one that has one, as all have that are ranked."""
+        """The model; each ranked candidate has a model."""
         if self.fit is None:
             raise InputError(self.reason)
         return self.fit
@@ -97,37 +97,37 @@ class Scored:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SearchResult:
-    """Models ranked on validation data, and the one to take; print it or ask it to explain."""
+    """Models ranked on validation data, with the choice and its reasons."""
 
     ranked: tuple[Scored, ...]
-    """Best first; those without a model, or whose output has no bound, are not among them."""
+    """Candidates with a usable model, best first."""
     rms: Vector
     """Root mean square of the error of each of `ranked`, in y's unit."""
     excess: Vector
-    """Mean squared error less that of the best, (n,)."""
+    """Mean squared error minus the mean squared error of the best candidate, (n,)."""
     excess_std: Vector
     """Standard error of `excess`, from the differences in batches, (n,)."""
     chosen_index: int
-    """Of the simplest within one standard error of the best."""
+    """Index of the simplest candidate within one standard error of the best."""
     failed: tuple[Scored, ...]
     """Candidates without a usable model."""
     doubts: tuple[Finding, ...]
-    """What speaks against the data, before any model: poor excitation, wrong samples, a level that
-    u does not make, feedback."""
+    """Findings against the data, before any model: poor excitation, wrong samples, a level that u
+    does not cause, feedback."""
     notes: tuple[str, ...]
-    """What the data decided: an integrator, an offset."""
+    """Decisions from the data: an integrator, an offset."""
     halved: bool
-    """The first half of the data estimated, the second ranked."""
+    """True if the first half of the data was used for estimation, the second for the ranking."""
     tests: ResidualTest
-    """Of the chosen model's residuals on the validation data."""
+    """Tests of the chosen model's residuals on the validation data."""
     horizon: int | None
-    """Samples ahead; None is simulation."""
+    """Samples ahead; None for simulation."""
     unit: str
-    """Of y."""
+    """Unit of y."""
 
     @property
     def chosen(self) -> Scored:
-        """The simplest within one standard error of the best."""
+        """Simplest candidate within one standard error of the best."""
         return self.ranked[self.chosen_index]
 
     @property
@@ -137,28 +137,28 @@ class SearchResult:
 
     @property
     def within(self) -> NDArray[np.bool_]:
-        """Which of `ranked` are within one standard error of the best, (n,)."""
+        """True for each of `ranked` within one standard error of the best, (n,)."""
         return np.asarray(self.excess <= self.excess_std)
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of error against number of parameters: see `armrig.plots.plot_search`."""
         from armrig.plots.layout import figure_of
-        from armrig.validation.search_figure import plot_search
+        from armrig.validation.figures import plot_search
 
         return figure_of(plot_search(self, ax=ax))
 
     def explain(self) -> str:
-        """Return in words what speaks against the data, what was chosen, and why."""
+        """Return the findings against the data, the choice and its reasons, in words."""
         doubts = [f"doubt about the data, {f.about}: {f.text}" for f in self.doubts]
         return "\n".join(f"- {line}" for line in (*doubts, *self.reasons))
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """What was chosen, and why, a sentence each."""
+        """Choice and reasons, a sentence each."""
         return tuple(_reasons(self))
 
     def table(self, most: int = 10) -> str:
-        """Return the best ones in a table, the choice marked."""
+        """Return a table of the best candidates, with a mark at the chosen candidate."""
         what = "simulated" if self.horizon is None else f"predicted {_ahead(self.horizon)}"
         count = len(self.ranked) + len(self.failed)
         where = "second half of the data; the first" if self.halved else "validation data"
@@ -185,7 +185,7 @@ class SearchResult:
         return "\n".join(lines)
 
     def __repr__(self) -> str:
-        """Say the best ones in a table, and why the choice was made."""
+        """Return the table of the best candidates, and the reasons for the choice."""
         return f"{self.table()}\n{self.explain()}"
 
 
@@ -202,10 +202,10 @@ def _reasons(found: SearchResult) -> Iterator[str]:
         yield (
             f"chosen: {chosen.candidate.name}, {chosen.parameters} parameters instead of "
             f"{best.parameters}; its mean squared error is higher by {found.excess[i]:.2g} ± "
-            f"{found.excess_std[i]:.2g}, no more than chance makes"
+            f"{found.excess_std[i]:.2g}, within its standard error"
         )
     else:
-        yield "chosen: the same, since nothing simpler is within one standard error of it"
+        yield "chosen: the best, since no simpler model is within one standard error of it"
     yield from _about_simpler(found)
     yield from _about_highest_order(found)
     yield from _about_families(found)
@@ -223,19 +223,20 @@ def _reasons(found: SearchResult) -> Iterator[str]:
 
 
 def _about_simpler(found: SearchResult) -> Iterator[str]:
-    """Say that fewer parameters were not enough."""
+    """Yield a sentence on the best candidate with fewer parameters, if there is one."""
     fewer = [k for k, j in enumerate(found.ranked) if j.parameters < found.chosen.parameters]
     if fewer:
         k = fewer[0]
         yield (
             f"fewer parameters are not enough: {found.ranked[k].candidate.name} has "
-            f"{found.ranked[k].parameters}, and rms error {found.rms[k]:.4g}, "
-            f"{found.excess[k] / max(found.excess_std[k], 1e-300):.1f} standard errors off"
+            f"{found.ranked[k].parameters}, rms error {found.rms[k]:.4g}, and a mean squared "
+            f"error {found.excess[k] / max(found.excess_std[k], 1e-300):.1f} standard errors above "
+            "the least"
         )
 
 
 def _about_highest_order(found: SearchResult) -> Iterator[str]:
-    """Say that a higher order, which was not tried, may be better still."""
+    """Yield a sentence if the chosen order is the highest that was tried."""
     n = found.chosen.candidate.order
     if n == max(j.candidate.order for j in (*found.ranked, *found.failed)):
         yield (
@@ -245,8 +246,8 @@ def _about_highest_order(found: SearchResult) -> Iterator[str]:
 
 
 def _about_families(found: SearchResult) -> Iterator[str]:
-    """Say how far the equation-error model is from the output-error one, if it is far."""
-    best: dict[Family, int] = {}
+    """Yield a sentence if the least error of ARX models is far above that of OE models."""
+    best: dict[OfferedName, int] = {}
     for k, j in enumerate(found.ranked):
         best.setdefault(j.candidate.family, k)
     if "arx" in best and "oe" in best and found.rms[best["oe"]] > 0:
@@ -254,7 +255,7 @@ def _about_families(found: SearchResult) -> Iterator[str]:
         if isfinite(ratio) and not found.within[best["arx"]] and ratio > 1.1:
             yield (
                 f"the best ARX model's error is {ratio:.3g} times that of the best OE model: "
-                "noise on the output biases A, which an ARX model takes for dynamics"
+                "noise on the output biases A of an ARX model"
             )
 
 
@@ -266,9 +267,9 @@ def _about_tests(tests: ResidualTest) -> Iterator[str]:
         yield f"the input still explains its residuals: dynamics are missing (p {p})"
     elif tests.feedback < WHITE_LEVEL:
         p = p_relation(tests.feedback)
-        yield f"its residuals run ahead of the input: feedback, or nk is too large (p {p})"
+        yield f"its residuals are correlated with later input: feedback, or nk is too large (p {p})"
     if tests.white.coloured:
         yield (
-            f"its residuals are {tests.white}: good for simulation, but trust std_robust, and take "
-            "a noise model for prediction"
+            f"its residuals are {tests.white}: good for simulation, but trust the robust "
+            "deviations, and take a noise model for prediction"
         )

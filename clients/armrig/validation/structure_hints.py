@@ -1,4 +1,4 @@
-"""Which structures describe the data, and what spectrum, phase and delay say (handout, 3.2)."""
+"""Structures that describe the data, with spectrum, phase and delay as reasons (handout, 3.2)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, long_enough
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.nonparametric.welch import explained
-from armrig.models.spectral_estimate import SpectralEstimate
+from armrig.models.spectral_estimate import (
+    SpectralEstimate,
+    high_band,
+    high_slope,
+    log_slope,
+    low_slope,
+    phase_delay,
+)
 from armrig.numerics.quantities import minus, plural, times
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -29,10 +36,10 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 PROMINENT_DB = 2.0  # least height of a resonance over its surroundings
-SURE = 3.0  # standard deviations by which a resonance stands out from either side
-STAYS = 0.3  # of the largest answer of the rate to a step: less is on its way to 0
+SURE = 3.0  # standard deviations by which a resonance differs from either side
+STAYS = 0.3  # of the largest value of the rate's step response; less is returning to 0
 DRAWS = 200  # of the impulse response's uncertainty
-LAGS = (100, 200, 400)  # of the impulse response, the next where the last are too few
+LAGS = (100, 200, 400)  # of the impulse response; the next number if the last is too small
 AGREED_SLOPE = 3.0  # dB a decade by which a slope and that of the first structure may differ
 AGREED_PEAK = 0.12  # of a frequency, the same of an extreme
 
@@ -42,45 +49,46 @@ class StructureHints:
     """Orders, integrator and delay suggested by estimates without a structure."""
 
     structures: tuple[Recommended, ...]
-    """At most three: the two of least description length, or one with and one without an
-    integrator, best first; then the one of least description length with nb = nf."""
+    """At most three, best first: the two of least description length, or one with and one without
+    an integrator. Then the structure with nb = nf of least description length."""
     integrator: bool
-    """The first structure has a pole at 1: y is the sum of its rate."""
+    """True if the first structure has a pole at 1: y is the sum of its rate."""
     integrator_shown: bool
-    """Description length and step answer agree on it; else the structures hold one of each."""
+    """True if description length and step response agree on it. Otherwise the structures contain
+    one with and one without an integrator."""
     low_slope: float | None
-    """Of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None where
-    the first structure has another."""
+    """Slope of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None if
+    the first structure has another slope."""
     low_slope_std: float
-    """Of the fit of a line to the points. Neighbours are smoothed together, so that noise moves
-    the slope by more."""
+    """Standard deviation of a line through the points. Neighbours are smoothed together, so noise
+    moves the slope by more."""
     low_band: Vector
-    """Frequencies that it was read at, in rad/s."""
+    """Frequencies of the slope, in rad/s."""
     high_slope: float | None
-    """Of |G| over the last third of a decade in which u explains y, in dB a decade; None where
-    the first structure has another."""
+    """Slope of |G| over the last third of a decade in which u explains y, in dB a decade. None if
+    the first structure has another slope."""
     high_band: Vector
-    """Frequencies that it was read at, in rad/s."""
+    """Frequencies of the slope, in rad/s."""
     relative_degree: int
-    """Poles less zeros, from the high slope; 0 where it does not fall, or there is none."""
+    """Poles less zeros, from the high slope; 0 if |G| does not fall, or without a slope."""
     resonances: tuple[float, ...]
-    """Frequencies of peaks (of the rate's |G|, if y integrates), in rad/s, that the first
-    structure has, too."""
+    """Frequencies of peaks that the first structure also has, in rad/s. If y integrates, they are
+    peaks of the rate's |G|."""
     antiresonances: tuple[float, ...]
-    """Frequencies of dips, in rad/s, the same."""
+    """Frequencies of dips that the first structure also has, in rad/s."""
     phase_delay: float | None
-    """Phase at the highest frequencies beyond what their slope accounts for, as a time in s; None
-    where it is not nk less half a sample."""
+    """Excess of the phase at the highest frequencies over that of their slope, as a time in s. None
+    if it is not nk less half a sample."""
     nk_interval: tuple[int, int] | None
-    """Least and greatest nk of `delay`; None where it refused, or nk is none of these."""
+    """Least and greatest nk of `delay`; None if `delay` refused, or if nk is outside."""
     singular_values: Vector
-    """Of the Hankel matrix of the response that dies out, over the largest."""
+    """Singular values of the Hankel matrix of the decaying response, over the largest."""
     threshold: float
-    """What the response's uncertainty alone makes of them (95 %), over the largest."""
+    """Largest singular value from the uncertainty alone (95 %), over the largest."""
     order: int
-    """Singular values above the threshold, and one for an integrator shown; no more than nf."""
+    """Number of singular values above the threshold, plus 1 for an integrator; at most nf."""
     trusted: float
-    """Highest frequency at which u explains y, in rad/s; 0 where it does at fewer than three."""
+    """Highest frequency at which u explains y, in rad/s; 0 if there are fewer than three."""
     spectrum: SpectralEstimate
     """Frequency response of y."""
     response: ImpulseResponse
@@ -93,12 +101,12 @@ class StructureHints:
 
     @property
     def nf(self) -> int:
-        """Number of its poles, an integrator's included."""
+        """Number of poles of the first structure, with that of an integrator."""
         return self.structures[0].nf
 
     @property
     def nk(self) -> int:
-        """Its samples before u reaches y."""
+        """Samples before u reaches y in the first structure."""
         return self.structures[0].nk
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
@@ -109,11 +117,11 @@ class StructureHints:
         return figure_of(plot_structure(self, ax=ax))
 
     def explain(self) -> str:
-        """Return the argument, point by point."""
+        """Return the reasons, a line each."""
         return "\n".join(f"- {line}" for line in _reasons(self))
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Return the first structure and the reasons."""
         return f"structure hints: begin with {_named(self.structures[0])}\n" + "\n".join(
             f"  {line}" for line in _reasons(self)
         )
@@ -126,42 +134,42 @@ def structure_hints(
     integrator: bool | None = None,
     seed: int | np.random.Generator = 0,
 ) -> StructureHints:
-    """Recommend at most three structures, and say what speaks for them.
+    """Recommend at most three structures, with the reasons for them.
 
-    The structures are those of output-error models of least description length
-    (`recommended`), after the noise's colour was taken from u and y; the third has nb = nf, as a
-    plant under a hold has. What estimates without a
-    structure show stands with them, where the first structure shows the same:
+    The structures are those of output-error models of least description length (`recommended`).
+    The signals are filtered before, so that the noise is white. The third structure has nb = nf, as
+    a plant under a hold has. Estimates without a structure give the reasons, if the first structure
+    shows the same:
 
-    - Integrator: the rate's answer to a step stays up, and the description is shorter with a pole
-      at 1. Where only one of these holds, or the descriptions are as good as equally long, a
-      structure with it and one without are recommended.
-      theta_1 is known to integrate, and is taken so unless that answer surely returns to 0: another
-      rig has the arm's names. The slope of |G| at low frequency is -20 dB a decade then.
-    - Order: singular values of the Hankel matrix of the regularised impulse response above what
-      draws from its own uncertainty make.
+    - Integrator: the rate's step response does not return to 0, and the description is shorter with
+      a pole at 1. If only one of these holds, or if the lengths hardly differ, a structure with and
+      one without an integrator are recommended. theta_1 is taken as integrating, unless its rate's
+      step response surely returns to 0: then another rig has the arm's names. With an integrator
+      the slope of |G| at low frequency is -20 dB a decade.
+    - Order: the singular values of the Hankel matrix of the regularised impulse response, above
+      those that its uncertainty alone causes.
     - Poles less zeros: the slope at the highest frequencies at which u explains y (coherence above
-      one half), 20 dB a decade each; sampling hides it near Nyquist.
-    - Delay: what `delay` finds, and the phase beyond what the roll-off accounts for.
+      one half), 20 dB a decade each. Sampling hides it near Nyquist.
+    - Delay: the result of `delay`, and the phase beyond that of the roll-off.
 
     Parameters
     ----------
     data : Dataset
-        Of an input that excites; missing samples and several experiments are allowed.
+        Data with an exciting input; missing samples and several experiments are allowed.
     integrator : bool, optional
-        Whether y integrates; by default read from the data.
+        True if y integrates; by default the data decide.
     seed : int or numpy.random.Generator, default 0
-        For the draws.
+        Seed or generator of the draws.
 
     Returns
     -------
     StructureHints
-        Figures, and in words by its repr or explain().
+        Orders and estimates; its repr and explain() give the reasons.
 
     Raises
     ------
     ValueError
-        There are too few samples, or u explains y at hardly any frequency and `delay` finds none.
+        There are too few samples, or u explains y at too few frequencies and `delay` refuses.
 
     References
     ----------
@@ -175,7 +183,7 @@ def structure_hints(
         integrates = not _returns(of_rate) if known else _stays(of_rate)
     late = _delay(data, integrates=integrates)
     rate = spa(data, "log", integrator=True).rate()
-    slope, slope_std, low = _low_slope(rate, _believed(rate, needed=late is None))
+    slope, slope_std, low = low_slope(rate, _believed(rate, needed=late is None))
     lags = [1] if late is None else [late.nk, late.interval[1], 1]
     decide = integrator is None and not known
     best = recommended(data, lags, integrates=integrates, decide=decide)
@@ -188,10 +196,10 @@ def structure_hints(
     peaks, dips = _extremes(response, spectrum.omega[believed])
     values, threshold = _hankel(response, max(nk, 1), np.random.default_rng(seed))
     order = int(np.count_nonzero(values > threshold)) + (integrates and best.shown)
-    high = spectrum.omega[_high(spectrum, believed)]
-    fall = _high_slope(spectrum, believed)
+    high = spectrum.omega[high_band(spectrum, believed)]
+    fall = high_slope(spectrum, believed)
     at = nk - 0.5
-    excess = _phase_delay(
+    excess = phase_delay(
         spectrum, believed, fall, sign=_sign(response), shown=max(nk - 1, 0) * data.Ts
     )
     seen = late is not None and late.interval[0] <= nk <= late.interval[1]
@@ -219,7 +227,7 @@ def structure_hints(
 
 
 def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
-    """Return what `delay` finds, None where it refuses."""
+    """Return the result of `delay`; None if it refuses."""
     try:
         return delay(data, integrator=integrates)
     except ValueError:
@@ -227,7 +235,7 @@ def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
 
 
 def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
-    """Return the indices at which u explains y, none where it does at too few, or refuse."""
+    """Return the indices at which u explains y; if there are too few, none, or refuse."""
     try:
         return explained(estimate)
     except ValueError:
@@ -237,8 +245,8 @@ def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
 
 
 def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> float | None:
-    """Return the slope where the first structure has it at these frequencies, too."""
-    other, _ = _slope(omega, np.abs(best.G(omega, Ts)))
+    """Return the slope if the first structure also has it at these frequencies."""
+    other, _ = log_slope(omega, np.abs(best.G(omega, Ts)))
     return slope if abs(slope - other) <= AGREED_SLOPE else None
 
 
@@ -260,55 +268,23 @@ def _confirmed(
 
 
 def _stays(of_rate: ImpulseResponse) -> bool:
-    """Tell whether the rate's answer to a step ends above a share of its largest, and not at 0."""
+    """Return whether the rate's step response ends above a share of its largest value."""
     end, std = _end_of_step(of_rate)
     return end > max(STAYS, SURE * std)
 
 
 def _returns(of_rate: ImpulseResponse) -> bool:
-    """Tell whether the rate's answer to a step ends surely below a share of its largest value."""
+    """Return whether the rate's step response surely ends below a share of its largest value."""
     end, std = _end_of_step(of_rate)
     return end + SURE * std < STAYS
 
 
 def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
-    """Return where the rate's answer to a step ends, and its deviation, over its largest value."""
+    """Return the end of the rate's step response and its deviation, over its largest value."""
     g, _ = of_rate.decaying
     steps = np.abs(np.cumsum(g))
     largest = float(np.max(steps))
     return float(steps[-1]) / largest, float(np.sqrt(_covariance(of_rate).sum())) / largest
-
-
-def _slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
-    """Return the slope in dB a decade of a straight line, and its standard deviation."""
-    if not omega.size:
-        return float("nan"), float("nan")
-    x, y = np.log10(omega), 20 * np.log10(magnitude)
-    x = x - x.mean()
-    slope = float(x @ y / (x @ x))
-    scatter = float(np.sum((y - y.mean() - slope * x) ** 2)) / max(x.size - 2, 1)
-    return slope, float(np.sqrt(scatter / (x @ x)))
-
-
-def _low_slope(rate: SpectralEstimate, believed: NDArray[np.int_]) -> tuple[float, float, Vector]:
-    """Return the slope over the lowest half decade, its deviation, and the frequencies."""
-    low = believed[rate.omega[believed] <= rate.omega[believed[:1]] * np.sqrt(10)]
-    low = low if low.size >= 3 else believed[:3]
-    return *_slope(rate.omega[low], rate.magnitude[low]), rate.omega[low]
-
-
-def _high_slope(spectrum: SpectralEstimate, believed: NDArray[np.int_]) -> float:
-    """Return the slope over the last third of a decade, below 0.6 of Nyquist where possible."""
-    high = _high(spectrum, believed)
-    return _slope(spectrum.omega[high], spectrum.magnitude[high])[0]
-
-
-def _high(spectrum: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return the indices of the last third of a decade."""
-    omega = spectrum.omega[believed]
-    top = np.minimum(omega[-1:], 0.6 * np.pi / spectrum.Ts)
-    high = believed[(omega <= top) & (omega >= top / 10 ** (1 / 3))]
-    return high if high.size >= 3 else believed[-3:]
 
 
 def _sign(response: ImpulseResponse) -> float:
@@ -316,38 +292,15 @@ def _sign(response: ImpulseResponse) -> float:
     return -1.0 if float(np.sum(response.decaying[0])) < 0 else 1.0
 
 
-def _phase_delay(
-    spectrum: SpectralEstimate,
-    believed: NDArray[np.int_],
-    slope: float,
-    *,
-    sign: float,
-    shown: float,
-) -> float:
-    """Return -(arg sign G - 90° slope/20)/omega over the last third of a decade, in s.
-
-    Only what exceeds the delay `shown`, in s, is read off the phase, which is known up to turns.
-    A minimum-phase system's phase is 90° for each 20 dB a decade of slope, nearly so where the
-    slope changes little (H. W. Bode, *Network Analysis and Feedback Amplifier Design*, 1945).
-    """
-    high = _high(spectrum, believed)
-    if not high.size:
-        return float("nan")
-    expected = np.pi / 2 * slope / 20
-    omega = spectrum.omega[high]
-    excess = np.angle(sign * spectrum.G[high] * np.exp(1j * (omega * shown - expected)))
-    return shown - float(np.mean(excess / omega))
-
-
 def _extremes(
     response: ImpulseResponse, believed: Vector
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the frequencies of peaks and dips that surely stand out from both sides.
 
-    From the transform of the impulse response: a lag window blunts them, the more the longer
-    the delay. |G| at the extreme and at the foot on either side differ by `SURE` standard
-    deviations of that difference, and the feet lie further apart than the n lags resolve,
-    2 pi/(n Ts).
+    They come from the transform of the impulse response: a lag window blunts extremes, the more
+    the longer the delay. |G| at the extreme and at its foot on either side differ by `SURE`
+    standard deviations of the difference. The feet are further apart than the resolution of the n
+    lags, 2 pi/(n Ts).
     """
     from scipy.signal import find_peaks
 
@@ -382,7 +335,7 @@ def _extremes(
 
 
 def _covariance(response: ImpulseResponse) -> Matrix:
-    """Return that of the response that dies out."""
+    """Return the covariance of the decaying response."""
     rate = response.rate_covariance
     return response.covariance if rate is None else rate
 
@@ -407,7 +360,7 @@ def _standing(n: int) -> str:
 
 
 def _extremes_told(h: StructureHints) -> str:
-    """Return which resonances and antiresonances stand out, and what they want."""
+    """Return the resonances and antiresonances, with the poles and zeros that they need."""
     told = []
     for x, name, wants in (
         (h.resonances, "resonance", "poles"),
@@ -452,13 +405,12 @@ def _reasons(h: StructureHints) -> Iterator[str]:
 
 
 def _more_poles(h: StructureHints) -> str:
-    """Return what it means that the first structure has more poles than stand out; "" if not."""
+    """Return the reason for more poles than singular values; "" if there are not more."""
     if h.order >= h.nf or not h.integrator_shown:
         return ""
     return (
-        f"; nf = {h.nf} describes these data shortest, which noise alone may bring about: keep it "
-        f"only if the residuals of a model with nf = {h.order} are coloured, or physics has more "
-        "poles"
+        f"; nf = {h.nf} has the shortest description, which noise alone may cause: keep it only if "
+        f"a model with nf = {h.order} has coloured residuals, or if physics has more poles"
     )
 
 

@@ -1,1 +1,1 @@
-"""Data of one's own, from a file: text, MATLAB's or numpy's, to a `Dataset`."""
+"""Loading of a `Dataset` from text files, MAT-files and .npz files."""

@@ -1,4 +1,4 @@
-"""Arrays with names, as MATLAB and numpy save them, to columns."""
+"""Columns of numbers from the named arrays of MAT-files and .npz files."""
 
 from __future__ import annotations
 
@@ -10,73 +10,74 @@ from typing import IO, Any
 from zipfile import ZipFile
 
 import numpy as np
-from armrig_core.errors import FileError
+from armrig_core.errors import FileError, InputError
 
 from armrig.data.files.mat_variables import DamageError, TooLongError, Unread, variables
 from armrig.data.files.table import Column, Vector
 
 MOST_BYTES = 1 << 28
-"""Most that a packed file may hold unpacked, in B, each number taken for one of 8 B."""
-_ALWAYS = 1 << 26
-_LARGEST_RATIO = 100  # what was measured packs 5 to 20 times, a thousand times only what is all 0
+"""Largest unpacked size of a packed file, in B; each number counts as 8 B."""
+_MIN_LIMIT_BYTES = 1 << 26
+_MAX_RATIO = 100  # measured data shrink by a factor of 5 to 20, zeros alone by 1000
 
 
 def most_unpacked(packed: int) -> int:
-    """Return how much a file of `packed` B may hold unpacked, in B: a small one holds little."""
-    return min(MOST_BYTES, max(_ALWAYS, _LARGEST_RATIO * packed))
+    """Return the largest allowed unpacked size, in B, of a file of `packed` B."""
+    return min(MOST_BYTES, max(_MIN_LIMIT_BYTES, _MAX_RATIO * packed))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArrayTable:
-    """Columns that are numbers already."""
+    """Columns that already are numbers."""
 
     columns: tuple[Column, ...]
-    """Names, `X:1`, `X:2` … for those of a matrix X."""
+    """Names of the columns; the columns of a matrix X are named `X:1`, `X:2` …"""
     values: Sequence[Any]
-    """One array a column, (N,), of any real type."""
+    """An array (N,) of any real type for each column."""
     refused: Mapping[str, str]
-    """What else the file holds, by name, and why it is no column of numbers."""
+    """For the name of each other variable, the reason why it is no column of numbers."""
     Ts: float | None
-    """Sampling time in s, of a number named Ts."""
+    """Sampling time in s, from a number named Ts."""
 
     @property
     def notes(self) -> Sequence[str]:
-        """Return nothing: all that there is holds values, or is refused."""
+        """Return an empty sequence: only text files have notes."""
         return ()
 
     def numbers(self, i: int) -> Vector:
-        """Return the values of column i, from 0; NaN where one is missing."""
-        with np.errstate(invalid="ignore"):  # NaN of another kind than ours is NaN, too
+        """Return the values of column i, from 0; NaN where a value is missing."""
+        with np.errstate(invalid="ignore"):  # a signalling NaN is NaN, too
             return np.array(self.values[i], dtype=np.float64)
 
     def place(self, k: int) -> str:
-        """Return the number from 1 of instant k."""
+        """Return the row of instant k as text; rows count from 1."""
         return f"row {k + 1}"
 
 
 def table_of(arrays: Mapping[str, Any], refused: Mapping[str, str]) -> ArrayTable:
-    """Return the columns of arrays; the longer side of a matrix is that of time.
+    """Return the columns of arrays as a table; time runs along the longer side of a matrix.
 
     Parameters
     ----------
     arrays : mapping of str to ndarray
-        Vectors, matrices, and numbers, of which that named Ts is the sampling time in s.
+        Vectors, matrices and numbers; the number named Ts is the sampling time in s.
     refused : mapping of str to str
-        What could not be read as an array, and why.
+        For the name of each unread variable, the reason why it is not an array.
     """
     columns: list[Column] = []
     values: list[Any] = []
     others = dict(refused)
     Ts = None
     for name, array in arrays.items():
-        if why := _no_columns(array):
-            others[name] = why
+        try:
+            found = _columns(array)
+        except InputError as err:
+            others[name] = str(err)
             continue
         if array.size == 1:
             if name.rpartition(".")[2].casefold() == "ts":
                 Ts = float(array.reshape(-1)[0])
             continue
-        found = _columns(array)
         numbered = [name] if len(found) == 1 else [f"{name}:{i + 1}" for i in range(len(found))]
         columns += [Column(name=each) for each in numbered]
         values += found
@@ -84,30 +85,28 @@ def table_of(arrays: Mapping[str, Any], refused: Mapping[str, str]) -> ArrayTabl
 
 
 def _columns(array: Any) -> list[Any]:
-    if array.ndim == 1:
+    """Return the columns of an array of real numbers; refuse any other array with the reason."""
+    if array.dtype.kind == "c":
+        raise InputError("is complex; save its real part if only that part was measured")
+    if array.dtype.kind not in "buif":
+        raise InputError("contains no numbers; save it as a vector of real numbers")
+    if array.size == 0:
+        raise InputError("is empty; save it with a value for each sample")
+    if array.ndim > 2:
+        raise InputError(
+            f"has {array.ndim} dimensions; save it as a vector, or a matrix of columns"
+        )
+    if array.ndim < 2:
         return [array]
     rows = array.T if array.shape[0] >= array.shape[1] else array
     return list(rows)
 
 
-def _no_columns(array: Any) -> str:
-    """Return why an array has no columns of real numbers; "" where it has."""
-    if array.dtype.kind == "c":
-        return "is complex; save its real part, if that is what was measured"
-    if array.dtype.kind not in "buif":
-        return "holds no numbers; save it as a vector of real numbers"
-    if array.size == 0:
-        return "is empty; save it with a value for each sample"
-    if array.ndim > 2 or (array.ndim == 0 and array.size != 1):
-        return f"has {array.ndim} dimensions; save it as a vector, or a matrix of columns"
-    return ""
-
-
 # The columns of a MAT-file: vectors and matrices, structures of them, and old iddata objects.
 
 
-_FIELDS = {"OutputData": "y", "InputData": "u"}  # those of iddata, by our names
-_AGAIN = "save it in MATLAB as save('data.mat', 'u', 'y', 'Ts', '-v7')"
+_NAME_OF_FIELD = {"OutputData": "y", "InputData": "u"}  # fields of iddata
+_SAVE_IN_MATLAB = "save it in MATLAB as save('data.mat', 'u', 'y', 'Ts', '-v7')"
 
 
 def read_mat(data: bytes) -> ArrayTable:
@@ -116,7 +115,7 @@ def read_mat(data: bytes) -> ArrayTable:
     Raises
     ------
     FileError
-        It is damaged, or too large once unpacked.
+        The file is damaged, or too large once unpacked.
     """
     arrays: dict[str, Any] = {}
     refused: dict[str, str] = {}
@@ -125,19 +124,19 @@ def read_mat(data: bytes) -> ArrayTable:
         for name, value in variables(data, most):
             _sort(name, value, arrays, refused)
     except DamageError as err:
-        raise FileError(f"is a damaged MAT-file ({err}); {_AGAIN}") from err
+        raise FileError(f"is a damaged MAT-file ({err}); {_SAVE_IN_MATLAB}") from err
     except TooLongError as err:
-        raise FileError(f"unpacked it has more than {most >> 20} MiB; {_AGAIN}") from err
+        raise FileError(f"unpacked it has more than {most >> 20} MiB; {_SAVE_IN_MATLAB}") from err
     return table_of(arrays, refused)
 
 
 def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]) -> None:
-    """Put a variable, or the fields of a structure, where they belong."""
+    """Add a variable, or the fields of a structure, to the arrays or to the refused names."""
     while isinstance(value, list) and len(value) == 1:
         value = value[0]  # a cell of one experiment
     if isinstance(value, dict):
         for field, inner in value.items():
-            _sort(f"{name}.{_FIELDS.get(field, field)}", inner, arrays, refused)
+            _sort(f"{name}.{_NAME_OF_FIELD.get(field, field)}", inner, arrays, refused)
     elif isinstance(value, list):
         refused[name] = f"is a cell of {len(value)} values; save one of them"
     elif isinstance(value, Unread):
@@ -146,19 +145,19 @@ def _sort(name: str, value: Any, arrays: dict[str, Any], refused: dict[str, str]
         arrays[name] = value
 
 
-# The arrays of a file that numpy.savez has written.
+# The arrays of a file of numpy.savez.
 
 
-_PICKLED = "holds Python objects, which are programs and never loaded; save numbers instead"
+_PICKLED = "contains pickled Python objects, which can run code and are not loaded; save numbers"
 
 
 def read_npz(data: bytes) -> ArrayTable:
-    """Return the columns of an .npz; nothing that is pickled is loaded.
+    """Return the columns of an .npz; pickled objects are not loaded.
 
     Raises
     ------
     FileError
-        It is a ZIP archive of other things, is damaged, or is too large once unpacked.
+        The file is a ZIP archive without arrays, is damaged, or is too large once unpacked.
     """
     arrays: dict[str, Any] = {}
     refused: dict[str, str] = {}
@@ -179,7 +178,7 @@ def read_npz(data: bytes) -> ArrayTable:
                     arrays[name] = array
     except FileError:
         raise
-    except Exception as err:  # whatever a damaged archive makes of its reader
+    except Exception as err:  # a damaged archive can raise any exception in its reader
         raise FileError(
             f"is a damaged .npz: {type(err).__name__}; save it again with numpy.savez"
         ) from err
@@ -191,10 +190,10 @@ def read_npz(data: bytes) -> ArrayTable:
 
 
 def _size(archive: ZipFile, member: str) -> int:
-    """Return what an array takes once its numbers have 8 B each, by its head."""
+    """Return the size of an array in B, from its header; a number counts as at least 8 B."""
     with archive.open(member) as file:
         is_first = np.lib.format.read_magic(file) == (1, 0)
-        # The third version has the form of the second, and names in UTF-8.
+        # Version 3 has the form of version 2, with names in UTF-8.
         head = (
             np.lib.format.read_array_header_1_0 if is_first else np.lib.format.read_array_header_2_0
         )
@@ -203,7 +202,7 @@ def _size(archive: ZipFile, member: str) -> int:
 
 
 def _array(file: IO[bytes]) -> Any:
-    """Return the array of an .npy; None where it would have to be unpickled."""
+    """Return the array of an .npy; None if it is pickled."""
     try:
         return np.lib.format.read_array(file, allow_pickle=False)
     except ValueError as err:

@@ -1,4 +1,4 @@
-"""From a file of data to a `Dataset`: which kind of file it is, and which columns are meant."""
+"""Loading of a `Dataset` from a file: recognition of the file's kind, and choice of the columns."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from armrig.data.files import arrays, text
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
 
 MOST_BYTES = 1 << 27
-"""Longest file, in B: a million rows of eight numbers have less."""
+"""Largest size of a file, in B; a text of a million rows with eight numbers is smaller."""
 SOURCE = "data"
-"""What stands before the hash of a file that is no recording, where data say whence they are."""
-_TIMES = ("t", "time")
-_OTHER = 0.05  # by which Ts may differ from the times
+"""Prefix of the hash in `source` if the file is not a recording."""
+_TIME_NAMES = ("t", "time")
+MAX_TS_DEVIATION = 0.05  # of the given Ts from the sampling time in the file, relative
 
 
 @checked_call
@@ -36,13 +36,13 @@ def load_data(
     time: str | None = None,
     Ts: float | None = None,
 ) -> Dataset:
-    """Return the data of a file that is no recording: CSV, another table of text, .mat or .npz.
+    """Load the data of a file other than a recording: CSV, another text table, .mat or .npz.
 
-    Columns are asked for by name or by number from 1. Text is parted by semicolon, tab, comma or
-    blanks, with a line of names or without; lines that begin with # or % are remarks; with a
-    semicolon the decimals may have a comma. A cell that is empty or NaN is missing: without its
-    output a sample is marked so; one without its input is left out, and after it a new experiment
-    begins.
+    Columns are chosen by name or by number from 1. The cells of a text are separated by semicolons,
+    tabs, commas or blanks. A line of names is optional. Lines that begin with # or % are remarks.
+    If semicolons separate the cells, the decimal mark may be a comma. An empty cell or NaN is a
+    missing value. A sample without its output is marked missing. A sample without its input is left
+    out, and a new experiment begins after it.
 
     Parameters
     ----------
@@ -51,21 +51,22 @@ def load_data(
     input, signal : str
         Columns of u and y.
     time : str, optional
-        Column of the times, in s if its header names no other unit; by default that named t or
-        time, if there is one. They must be evenly apart.
+        Column of the times, in s unless its header names another unit; by default the column named
+        t or time. The times must be equidistant.
     Ts : float, optional
-        Sampling time in s, whatever the times are. By default that of the times, or a number named
-        Ts in a MAT-file or .npz.
+        Sampling time in s; it has priority over the times. By default, the interval of the times.
+        If `time` is not given, a number named Ts in a MAT-file or .npz is used before the times.
 
     Returns
     -------
     Dataset
-        Named and with units as the file's header says; `source` has the hash of the file.
+        Data with the name of y and the units from the file's header; `source` contains the hash of
+        the file.
 
     Raises
     ------
     FileError
-        It cannot be read as data; says what came, what is read, and what to do.
+        The file cannot be read as data. The message names the problem and the remedy.
     OSError
         The file cannot be read.
     """
@@ -106,7 +107,7 @@ def _dataset(
     u, y = (_values(table, i, what) for what, i in at.items())
     if u.size != y.size:
         raise FileError(
-            f"the input has {u.size} samples and the signal {y.size}; both need one an instant"
+            f"the input has {u.size} samples and the signal {y.size}; both need the same number"
         )
     for name, x in (("input", u), ("signal", y)):
         try:
@@ -118,7 +119,7 @@ def _dataset(
     left_out = int(u.size - np.count_nonzero(known))
     of_u, of_y = (table.columns[i] for i in at.values())
     count = "1 sample" if left_out == 1 else f"{left_out} samples"
-    step = f"left out {count} without an input: a new experiment begins behind"
+    step = f"left out {count} without an input; a new experiment begins after each gap"
     return Dataset(
         u=u[known],
         y=y[known],
@@ -134,7 +135,7 @@ def _dataset(
 
 
 def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[str, int]:
-    """Return the indices of the columns, or refuse with all options that are missing."""
+    """Return the index of each requested column, or refuse with all options that are missing."""
     at: dict[str, int] = {}
     missing: dict[str, NoColumnError] = {}
     for what, wanted in columns.items():
@@ -154,23 +155,23 @@ def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[s
 
 
 def _named_times(table: Table) -> list[int]:
-    """Return the columns that are named as times."""
-    return [i for i, c in enumerate(table.columns) if c.name.casefold() in _TIMES]
+    """Return the indices of the columns named t or time."""
+    return [i for i, c in enumerate(table.columns) if c.name.casefold() in _TIME_NAMES]
 
 
 def _other_times(table: Table, time: str | None, taken: set[int], Ts: float) -> list[str]:
-    """Return what to note where the file says another sampling time than the one given."""
+    """Return a note if the sampling time in the file differs from the given Ts."""
     try:
         said = _sampling_time(table, time, taken)
     except FileError:
-        return []  # the way out of times that cannot be read
-    if isclose(said, Ts, rel_tol=_OTHER):
+        return []  # a given Ts is the remedy for times that cannot be read
+    if isclose(said, Ts, rel_tol=MAX_TS_DEVIATION):
         return []
-    return [f"took Ts = {Ts:g} s as given, although the times are {said:g} s apart"]
+    return [f"used the given Ts = {Ts:g} s, although the times are {said:g} s apart"]
 
 
 def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:
-    """Return Ts of the column of times, or as the file says it."""
+    """Return Ts from the column of times, or from the file's own Ts."""
     if time is not None:
         i = chosen(table, time, "time")
     elif table.Ts is not None:
@@ -187,14 +188,14 @@ def _sampling_time(table: Table, time: str | None, taken: set[int]) -> float:
 
 
 def _values(table: Table, i: int, what: str) -> Vector:
-    """Return a column in which each value is finite, or NaN where it is missing."""
+    """Return the values of a column, NaN where missing; refuse infinities and empty columns."""
     values = table.numbers(i)
     infinite = np.isinf(values)
     if infinite.any():
         k = int(np.argmax(infinite))
         raise FileError(
-            f"{table.place(k)}: the {what} is {values[k]} there, and in {infinite.sum()} samples "
-            "in all; leave a value that is not known empty, or write NaN"
+            f"{table.place(k)}: the {what} is {values[k]} here, and infinite in "
+            f"{infinite.sum()} samples in all; leave an unknown value empty, or write NaN"
         )
     if np.isnan(values).all():
         msg = f"the {what}, column {i + 1}, has no value in any of {values.size} rows; "
@@ -202,17 +203,17 @@ def _values(table: Table, i: int, what: str) -> Vector:
     return values
 
 
-# Which kind of file it is, told by how its bytes begin.
+# Recognition of a file's kind by its first bytes.
 
 
-_READ = "armrig reads CSV and other tables of text, .mat (to -v7) and .npz"
-_AGAIN = "save it there with save('data.mat', 'u', 'y', '-v7')"
-_UTF_16 = 'is saved as UTF-16, as Excel\'s "Unicode text" is; save it as "CSV UTF-8"'
-_OTHERS = (
-    (b"\x89MCAP0\r\n", "is a recording and no table; armrig.load(path).dataset() reads it"),
-    (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_AGAIN}"),
-    (b"\x89HDF\r\n", f"is HDF5, which armrig does not read; if MATLAB wrote it, {_AGAIN}"),
-    (b"# Created by Octave", "is Octave's own text; save it there with save -v7 data.mat u y"),
+_KNOWN_KINDS = "armrig reads CSV and other tables of text, .mat (to -v7) and .npz"
+_SAVE_IN_MATLAB = "save it in MATLAB with save('data.mat', 'u', 'y', '-v7')"
+_UTF_16 = 'is saved as UTF-16, like Excel\'s "Unicode text"; save it as "CSV UTF-8"'
+_REFUSED_KINDS = (
+    (b"\x89MCAP0\r\n", "is a recording and not a table; armrig.load(path).dataset() reads it"),
+    (b"MATLAB 7.3", f"is a MAT-file of version 7.3, which only MATLAB reads; {_SAVE_IN_MATLAB}"),
+    (b"\x89HDF\r\n", f"is HDF5, which armrig does not read; if MATLAB wrote it, {_SAVE_IN_MATLAB}"),
+    (b"# Created by Octave", "is Octave's text format; in Octave: save -v7 data.mat u y"),
     (b"\xd0\xcf\x11\xe0", "is an old Excel workbook; save its sheet as CSV"),
     (b"\x93NUMPY", "is an .npy, an array without a name; save it with numpy.savez(…, u=u, y=y)"),
     (b"PAR1", "is Parquet, which armrig does not read; save it as CSV"),
@@ -223,14 +224,14 @@ _OTHERS = (
 
 
 def table_of(data: bytes, suffix: str) -> Table:
-    """Return the table in a file; its suffix, such as .mat, decides where its beginning does not.
+    """Return the table in a file, whose kind is recognised by its first bytes and its suffix.
 
     Raises
     ------
     FileError
-        It is of another kind, or damaged.
+        The file is of a kind that armrig does not read, or it is damaged.
     """
-    for beginning, what in _OTHERS:
+    for beginning, what in _REFUSED_KINDS:
         if data.startswith(beginning):
             raise FileError(what)
     if data.startswith(b"PK\x03\x04"):
@@ -238,7 +239,7 @@ def table_of(data: bytes, suffix: str) -> Table:
     if data.startswith(b"MATLAB 5.0") or (suffix == ".mat" and b"\0" in data[:128]):
         return arrays.read_mat(data)
     if b"\0" in data:
-        raise FileError(f"is no text, and no other kind of file that is known; {_READ}")
+        raise FileError(f"is not text, and not of another known kind; {_KNOWN_KINDS}")
     try:
         content = decoded(data)
     except FileError as err:
@@ -246,55 +247,59 @@ def table_of(data: bytes, suffix: str) -> Table:
     return text.table_of(content)
 
 
-# The sampling time that a column of times gives.
+# Sampling time from a column of times.
 
 
-_UNEVEN = 0.05
-"""Share of Ts by which an interval may differ from it."""
+MAX_INTERVAL_DEVIATION = 0.05
+"""Largest deviation of an interval from the median interval, as a share of the median."""
 _SECONDS = {"": 1.0, "s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6}
 _SECONDS |= {"min": 60.0, "h": 3600.0}
-_DIGITS = 12
+_MAX_DIGITS = 12
 
 
 def sampling_time(t: Vector, column: Column, place: Callable[[int], str]) -> float:
-    """Return Ts in s of times that must be evenly apart.
+    """Return the sampling time Ts, in s, of equidistant times.
 
-    It is the mean interval, or the roundest number that the times agree with as well: those of a
-    file often have few digits.
+    The times of a file often have few digits. Ts is therefore the number with the fewest digits
+    that agrees with the times as well as the mean interval does.
 
     Parameters
     ----------
     t : ndarray, shape (N,)
-        Times in the column's unit; in s where it has none.
+        Times in the column's unit; in s without a unit.
     place : callable
-        Where in the file instant k stands.
+        Function that returns the place of instant k in the file.
 
     Raises
     ------
     FileError
-        A time is missing, or an interval differs from the mean by more than a twentieth.
+        The unit is unknown, a time is missing, there is only one time, or an interval differs from
+        the median interval by more than a twentieth.
     """
     name = f"the times in column {column.name}" if column.name else "the times"
     if column.unit.casefold() not in _SECONDS:
         known = ", ".join(unit for unit in _SECONDS if unit)
-        raise FileError(f"{name} are in {column.unit}, known are {known}; give Ts in s (--Ts)")
+        raise FileError(
+            f"{name} are in {column.unit}, known units are {known}; give Ts in s (--Ts)"
+        )
     missing = ~np.isfinite(t)
     if missing.any():
-        msg = f"{place(int(np.argmax(missing)))}: {name} have none here; fill it in, or give Ts in "
-        raise FileError(msg + "s (--Ts)")
+        msg = f"{place(int(np.argmax(missing)))}: {name} have no value here; fill it in, or give "
+        raise FileError(msg + "Ts in s (--Ts)")
     if t.size < 2:
         raise FileError(
-            f"{name}: a sampling time needs at least 2, got {t.size}; give Ts in s (--Ts)"
+            f"{name}: a sampling time needs at least 2 times, got {t.size}; give Ts in s (--Ts)"
         )
     t = t * _SECONDS[column.unit.casefold()]
     intervals = np.diff(t)
     usual = float(np.median(intervals))
-    wrong = ~(np.abs(intervals - usual) <= _UNEVEN * usual)
+    wrong = ~(np.abs(intervals - usual) <= MAX_INTERVAL_DEVIATION * usual)
     if wrong.any() or usual <= 0:
         k = int(np.argmax(wrong)) + 1
         raise FileError(
-            f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, usual is {usual:.6g} s; "
-            "sample evenly, cut the file, or give Ts in s (--Ts) if the times are wrong"
+            f"{place(k)}: {name} go from {t[k - 1]:.9g} to {t[k]:.9g} s, the usual interval is "
+            f"{usual:.6g} s; sample evenly, cut the file, or give Ts in s (--Ts) if the times are "
+            "wrong"
         )
     return _roundest(t)
 
@@ -303,7 +308,7 @@ def _roundest(t: Vector) -> float:
     k = np.arange(t.size)
     mean = float(t[-1] - t[0]) / (t.size - 1)
     apart = 1.1 * float(np.ptp(t - mean * k)) + 1e-9 * mean
-    for digits in range(1, _DIGITS):
+    for digits in range(1, _MAX_DIGITS):
         rounded = float(f"{mean:.{digits}g}")
         if float(np.ptp(t - rounded * k)) <= apart:
             return rounded

@@ -1,8 +1,8 @@
-"""The variables of a MAT-file of version 4 to 7, from its bytes.
+"""Variables of a MAT-file of version 4 to 7, read from its bytes.
 
-Not by scipy.io: its reader is compiled, and a file that is spoilt, or made for it, ends the whole
-program. Nothing here is larger than the bytes that there are, whatever they claim. The format is
-MathWorks' "MAT-File Format", R2019b.
+scipy.io is not used, because a damaged or hostile file can crash its compiled reader and the whole
+program. No memory is allocated for a size that the file claims: an array is a view of the bytes
+that contain it. The format is MathWorks' "MAT-File Format", R2019b.
 """
 
 from __future__ import annotations
@@ -17,59 +17,61 @@ from typing import Any
 import numpy as np
 from armrig_core.errors import FileError
 
-_HEADER = 128  # B before the first element of version 5
-_DEEPEST = 8  # structures inside each other; iddata have three
+_HEADER_BYTES = 128  # before the first element of version 5
+_MAX_DEPTH = 8  # of nested structures; iddata has three levels
 _MATRIX, _COMPRESSED = 14, 15
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8"}
 _NUMBERS |= {12: "i8", 13: "u8"}
 _CELL, _STRUCTURE, _OBJECT, _TEXT, _SPARSE = 1, 2, 3, 4, 5
 _FIRST_NUMBER, _LAST_NUMBER = 6, 15
 _COMPLEX = 0x0800
-_OLD_NUMBERS = ("f8", "f4", "i4", "i2", "u2", "u1")  # of version 4
-_MOST_NAME = 4096
+_VERSION_4_NUMBERS = ("f8", "f4", "i4", "i2", "u2", "u1")
+_MAX_NAME_BYTES = 4096
 _OPAQUE = (
-    "is an object that only MATLAB reads; there u = data.u; y = data.y; Ts = data.Ts; "
+    "is an object that only MATLAB reads; in MATLAB: u = data.u; y = data.y; Ts = data.Ts; "
     "save('data.mat', 'u', 'y', 'Ts', '-v7')"
 )
 
 Value = Any
-"""An array, a list of a cell's values, a dict of a structure's by field, or `Unread`."""
+"""An array, a list of the values of a cell, a dict of the fields of a structure, or `Unread`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unread:
-    """A variable that is no array of real numbers."""
+    """A variable that is not an array of real numbers."""
 
     why: str
-    """What it is instead, and what to do."""
+    """Reason, and the remedy."""
 
 
 class DamageError(FileError):
-    """Bytes that are no MAT-file after all."""
+    """The bytes of the file are not a valid MAT-file."""
 
 
 class TooLongError(FileError):
-    """More bytes once unpacked than were allowed."""
+    """The unpacked file is larger than the limit."""
 
 
 def variables(data: bytes, most: int) -> Iterator[tuple[str, Value]]:
-    """Iterate over names and values; of version 5 to 7 where the header says so, else of 4.
+    """Iterate over the names and values of a MAT-file of version 4 to 7.
 
     Parameters
     ----------
     most : int
-        Bytes that the file may have once unpacked.
+        Limit of the unpacked size, in B.
 
     Raises
     ------
-    DamageError, TooLongError
-        When it comes to the place.
+    DamageError
+        An element is damaged.
+    TooLongError
+        The unpacked size exceeds the limit.
     """
     order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
     if order is None:
         yield from _old_variables(memoryview(data))
         return
-    for kind, body in _elements(memoryview(data)[_HEADER:], order, padded=False):
+    for kind, body in _elements(memoryview(data)[_HEADER_BYTES:], order, padded=False):
         if kind == _MATRIX:
             yield _matrix(body, order)
         elif kind == _COMPRESSED:
@@ -89,12 +91,12 @@ def variables(data: bytes, most: int) -> Iterator[tuple[str, Value]]:
 def _elements(
     data: memoryview, order: str, *, padded: bool = True
 ) -> Iterator[tuple[int, memoryview]]:
-    """Iterate over kind and bytes of each element."""
+    """Iterate over the elements: the kind and the bytes of each."""
     at = 0
     while at + 8 <= len(data):
         kind, length = struct.unpack_from(f"{order}II", data, at)
         at += 8
-        if kind >> 16:  # a short one: its length above its kind, its bytes where a length stands
+        if kind >> 16:  # a short element: length and kind share 4 B, and the next 4 B are its data
             kind, length, begin = kind & 0xFFFF, kind >> 16, at - 4
             if length > 4:
                 raise DamageError("a short element of more than 4 B")
@@ -107,11 +109,11 @@ def _elements(
 
 
 def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
-    """Return name and value of an array of any class."""
+    """Return the name and the value of an array of any class."""
     parts = _elements(body, order)
     flags = _numbers(parts, order)
-    if flags.size < 1 or depth > _DEEPEST:
-        raise DamageError("an array without a class, or too many inside each other")
+    if flags.size < 1 or depth > _MAX_DEPTH:
+        raise DamageError("an array without a class, or nested too deeply")
     kind = int(flags[0]) & 0xFF
     if kind > _LAST_NUMBER:
         return _name(parts), Unread(_OPAQUE)
@@ -121,14 +123,14 @@ def _matrix(body: memoryview, order: str, depth: int = 0) -> tuple[str, Value]:
         return name, [_matrix(inner, order, depth + 1)[1] for inner in _matrices(parts)]
     if kind in (_STRUCTURE, _OBJECT):
         if kind == _OBJECT:
-            _name(parts)  # of its class
+            _name(parts)  # skips the name of the class
         return name, _structure(parts, shape, order, depth)
     if kind == _SPARSE:
         return name, Unread("is sparse; save full(…) of it")
     if kind == _TEXT or not _FIRST_NUMBER <= kind <= _LAST_NUMBER:
-        return name, Unread("holds no numbers; save it as a vector of real numbers")
+        return name, Unread("contains no numbers; save it as a vector of real numbers")
     if int(flags[0]) & _COMPLEX:
-        return name, Unread("is complex; save its real part, if that is what was measured")
+        return name, Unread("is complex; save its real part if only that part was measured")
     return name, _shaped(_numbers(parts, order), shape)
 
 
@@ -138,7 +140,7 @@ def _structure(
     """Return the fields of a structure."""
     width = _numbers(parts, order)
     _, names = next(parts, (0, memoryview(b"")))
-    if width.size != 1 or not 0 < int(width[0]) <= _MOST_NAME:
+    if width.size != 1 or not 0 < int(width[0]) <= _MAX_NAME_BYTES:
         raise DamageError("a structure without names")
     size = int(width[0])
     fields = [_text(names[i : i + size]) for i in range(0, len(names), size)]
@@ -153,10 +155,10 @@ def _matrices(parts: Iterator[tuple[int, memoryview]]) -> Iterator[memoryview]:
 
 
 def _numbers(parts: Iterator[tuple[int, memoryview]], order: str) -> Any:
-    """Return the next element as a vector of its own type."""
+    """Return the next element as a vector of the numeric type that it states."""
     kind, body = next(parts, (0, memoryview(b"")))
     if kind not in _NUMBERS or len(body) % int(_NUMBERS[kind][1]):
-        raise DamageError(f"an element of kind {kind} where numbers are due")
+        raise DamageError(f"an element of kind {kind} instead of numbers")
     return np.frombuffer(body, dtype=order + _NUMBERS[kind])
 
 
@@ -169,31 +171,31 @@ def _text(data: memoryview) -> str:
 
 
 def _shaped(values: Any, shape: tuple[int, ...]) -> Any:
-    """Return values, column by column, in their shape."""
+    """Return values, stored column by column, as an array of the given shape."""
     if len(shape) < 2 or any(n < 0 for n in shape) or prod(shape) != values.size:
         raise DamageError(f"{values.size} numbers in a shape of {shape}")
     return values.reshape(shape, order="F")
 
 
 def _old_variables(data: memoryview) -> Iterator[tuple[str, Value]]:
-    """Iterate over the variables of version 4: headers of 20 B, each before a name and numbers."""
+    """Iterate over the variables of version 4; each has a header of 20 B, a name and numbers."""
     at = 0
     while at + 20 <= len(data):
         order = "<" if 0 <= struct.unpack_from("<i", data, at)[0] < 1000 else ">"
         kind, rows, columns, imaginary, length = struct.unpack_from(f"{order}5i", data, at)
         form, number, what = kind // 100, kind // 10 % 10, kind % 10
-        known = form in (0, 10) and number < len(_OLD_NUMBERS) and what < 3
-        if not known or min(rows, columns) < 0 or not 0 < length <= _MOST_NAME:
+        known = form in (0, 10) and number < len(_VERSION_4_NUMBERS) and what < 3
+        if not known or min(rows, columns) < 0 or not 0 < length <= _MAX_NAME_BYTES:
             raise DamageError("no header of version 4")
         at += 20 + length
-        type_ = np.dtype(order + _OLD_NUMBERS[number])
+        type_ = np.dtype(order + _VERSION_4_NUMBERS[number])
         size = rows * columns * type_.itemsize
         name, body = _text(data[at - length : at]), data[at : at + size]
         at += size * (2 if imaginary else 1)
         if at > len(data):
             raise DamageError("it ends too early")
         if what or imaginary:
-            yield name, Unread("is no full matrix of real numbers; save it as one")
+            yield name, Unread("is not a full real matrix; save it as a full real matrix")
         else:
             yield name, _shaped(np.frombuffer(body, dtype=type_), (rows, columns))
     if at == 0:

@@ -1,4 +1,4 @@
-"""How the names of files end: one table for what reads them and for what is said of them."""
+"""Suffixes of file names, for readers and for messages."""
 
 from __future__ import annotations
 
@@ -6,6 +6,6 @@ RECORDING = ".mcap"
 TEXT = (".csv", ".tsv", ".txt", ".dat")
 ARRAYS = (".mat", ".npz")
 DATA = (*TEXT, *ARRAYS)
-"""Files of data that are no recording, in small letters."""
+"""Suffixes of data files other than recordings, in lower case."""
 OTHER_DATA = "other data (.csv, .dat, .mat, .npz)"
-"""What a person is told of them: one of each kind."""
+"""Name of the data files in messages, with one suffix of each kind."""

@@ -1,4 +1,4 @@
-"""Columns of numbers with names, whatever kind of file they came from."""
+"""Named columns of numbers, independent of the kind of file."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 
-_LISTED = 12  # columns that a message names
-_WIDEST = 40  # characters of a file that a message repeats
-_MOST_DIGITS = 9  # of the number of a column
+_MAX_LISTED_COLUMNS = 12
+_MAX_SHOWN_CHARACTERS = 40  # of a file's text in a message
+_MAX_NUMBER_DIGITS = 9  # of a column's number
 _UNIT = re.compile(r"(?P<name>.+?)(?:\s*\[(?P<unit>[^][]*)\]|\s+\((?P<other>[^()]*)\))")
 
 
 class NoColumnError(FileError):
-    """A column that was asked for is not there."""
+    """A requested column does not exist."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Column:
-    """What is known of a column beside its numbers."""
+    """Name and unit of a column."""
 
     name: str
-    """Its name, "" where the file gives none."""
+    """Name, "" if the file contains no name."""
     unit: str = ""
-    """Its unit, from a header such as `u [V]` or `u (V)`."""
+    """Unit, from a header such as `u [V]` or `u (V)`."""
 
 
 class Table(Protocol):
-    """Columns that all have a value, or none, at each instant."""
+    """Columns of equal length, with a value or a missing value at each instant."""
 
     @property
     def columns(self) -> Sequence[Column]:
@@ -43,31 +43,31 @@ class Table(Protocol):
 
     @property
     def refused(self) -> Mapping[str, str]:
-        """What else the file holds, by name, and why it is no column of numbers."""
+        """For the name of each other variable, the reason why it is no column of numbers."""
 
     @property
     def Ts(self) -> float | None:
-        """Sampling time in s, where the file says it beside the columns."""
+        """Sampling time in s, if the file states it outside the columns."""
 
     @property
     def notes(self) -> Sequence[str]:
-        """What was made of what holds no values."""
+        """Notes on lines that contain no values, such as a line of units."""
 
     def numbers(self, i: int) -> Vector:
-        """Return the values of column i, from 0; NaN where one is missing.
+        """Return the values of column i, from 0; NaN where a value is missing.
 
         Raises
         ------
         FileError
-            One is no number; the first such place is named.
+            A value is not a number; the message names the place of the first such value.
         """
 
     def place(self, k: int) -> str:
-        """Return where in the file instant k stands."""
+        """Return the place of instant k in the file as text, such as `line 4`."""
 
 
 def titled(heading: str) -> Column:
-    """Return the column that a header names, its unit apart: `u [V]` or `u (V)`."""
+    """Return the column with the name and the unit of a heading such as `u [V]` or `u (V)`."""
     found = _UNIT.fullmatch(heading)
     if found is None:
         return Column(name=heading)
@@ -75,42 +75,43 @@ def titled(heading: str) -> Column:
 
 
 def chosen(table: Table, wanted: str, what: str) -> int:
-    """Return the index of a column that was asked for by name, or by number from 1.
+    """Return the index of a column, given by name or by number from 1.
 
     Parameters
     ----------
     wanted : str
-        Its name, with or without its unit; small and capital letters are only told apart where
-        both are there. The number holds where no column has it for a name.
+        Name of the column, with or without its unit. Lower and upper case are distinguished only if
+        both exist. A number is an index unless a column has it as its name.
     what : str
-        What it is for: input, signal or time; for the message.
+        Purpose of the column for the message: input, signal or time.
 
     Raises
     ------
     NoColumnError
-        There is no such column.
+        The column does not exist.
     FileError
-        There are several.
+        Several columns have the name.
     """
-    asked = wanted.strip()
+    wanted = wanted.strip()
     for same in (_same, _same_but_for_case, _same_last_part):
-        found = [i for i, column in enumerate(table.columns) if same(column, asked)]
+        found = [i for i, column in enumerate(table.columns) if same(column, wanted)]
         if len(found) == 1:
             return found[0]
         if found:
-            numbers = " and ".join(str(i + 1) for i in found[:_LISTED])
+            numbers = " and ".join(str(i + 1) for i in found[:_MAX_LISTED_COLUMNS])
             raise FileError(
-                f"{what} {shown(asked)}: columns {numbers} are named so; give the number"
+                f"{what} {shown(wanted)}: columns {numbers} have this name; give the number"
             )
-    if asked.isdecimal() and len(asked) <= _MOST_DIGITS and 1 <= int(asked) <= len(table.columns):
-        return int(asked) - 1
-    if asked in table.refused:
-        raise FileError(f"{what} {shown(asked)}: {table.refused[asked]}")
-    raise NoColumnError(f"{what} {shown(asked)}: there is no such column; {listed(table, what)}")
+    is_number = wanted.isdecimal() and len(wanted) <= _MAX_NUMBER_DIGITS
+    if is_number and 1 <= int(wanted) <= len(table.columns):
+        return int(wanted) - 1
+    if wanted in table.refused:
+        raise FileError(f"{what} {shown(wanted)}: {table.refused[wanted]}")
+    raise NoColumnError(f"{what} {shown(wanted)}: there is no such column; {listed(table, what)}")
 
 
 def listed(table: Table, what: str) -> str:
-    """Return which columns there are, and how to ask for one for input, signal or time."""
+    """Return the remedy for a message: the option to give, with a list of the columns."""
     count = len(table.columns)
     if not count:
         held = "; ".join(f"{shown(name)} {why}" for name, why in table.refused.items())
@@ -120,25 +121,26 @@ def listed(table: Table, what: str) -> str:
         numbers = numbers if count <= 2 else f"a number from 1 to {count}"
         return f"its columns have no names: give --{what} {numbers}"
     if count == 1 and what != "time":
-        return "it has one column, and an input and an output are wanted"
+        return "it has one column, but an input and an output are needed"
     names = [f"{i} {shown(c.name) or '(no name)'}" for i, c in enumerate(table.columns, 1)]
-    more = f", … {count}" if count > _LISTED else ""
-    return f"give --{what} a name or a number of {', '.join(names[:_LISTED])}{more}"
+    more = f", … {count}" if count > _MAX_LISTED_COLUMNS else ""
+    return f"give --{what} a name or a number of {', '.join(names[:_MAX_LISTED_COLUMNS])}{more}"
 
 
 def shown(text: str) -> str:
-    """Return a text of the file as a message repeats it: not more than a line has room for."""
-    return printable(text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…")
+    """Return text of the file in printable form, shortened for a message."""
+    short = len(text) <= _MAX_SHOWN_CHARACTERS
+    return printable(text if short else f"{text[: _MAX_SHOWN_CHARACTERS - 1]}…")
 
 
-def _same(column: Column, asked: str) -> bool:
-    return asked == column.name != "" or titled(asked) == column
+def _same(column: Column, wanted: str) -> bool:
+    return wanted == column.name != "" or titled(wanted) == column
 
 
-def _same_but_for_case(column: Column, asked: str) -> bool:
-    return column.name.casefold() == titled(asked).name.casefold() != ""
+def _same_but_for_case(column: Column, wanted: str) -> bool:
+    return column.name.casefold() == titled(wanted).name.casefold() != ""
 
 
-def _same_last_part(column: Column, asked: str) -> bool:
-    """Return whether it is a field of a structure: `u` of `data.u`."""
-    return "." in column.name and column.name.rpartition(".")[2] == asked
+def _same_last_part(column: Column, wanted: str) -> bool:
+    """Return whether the column is the named field of a structure: `u` of `data.u`."""
+    return "." in column.name and column.name.rpartition(".")[2] == wanted

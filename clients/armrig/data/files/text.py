@@ -1,4 +1,4 @@
-"""Tables of text: parted by semicolon, tab, comma or blanks, with a line of names or without."""
+"""Tables of text: cells separated by semicolon, tab, comma or blanks, with optional names."""
 
 from __future__ import annotations
 
@@ -11,44 +11,44 @@ from armrig_core.errors import FileError
 
 from armrig.data.files.table import Column, Vector, shown, titled
 
-_REMARKS = ("#", "%")
+_REMARK_MARKS = ("#", "%")
 _MISSING = frozenset({"", "nan", "na", "n/a", "#n/a", "null", "none"})
 _SEPARATORS = (";", "\t", ",")
-_LONGEST_UNIT = 16  # characters
-_PROBED = 20  # lines that show which separator it is
+_MAX_UNIT_CHARACTERS = 16
+_PROBED_LINES = 20  # to find the separator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TextTable:
-    """The rows of a text, not yet read as numbers: a column that nobody asks for may be words."""
+    """Rows of a text, not yet read as numbers: a column that is not used may contain words."""
 
     columns: tuple[Column, ...]
-    """Names and units; without names where the text gives none."""
+    """Names and units; "" if the text contains no names."""
     rows: Sequence[str]
-    """The lines that hold values, without the separator that ends each, if any does."""
+    """Lines with values; a separator that ends every line is removed."""
     lines: Sequence[int]
-    """The number from 1 of each row's line."""
+    """Line number of each row, from 1."""
     separator: str
-    """Between the cells; "" are blanks."""
+    """Separator of the cells; "" for blanks."""
     notes: tuple[str, ...] = ()
-    """What was made of lines that hold no values."""
+    """Notes on lines that contain no values: the line of units."""
 
     @property
     def refused(self) -> Mapping[str, str]:
-        """Return nothing: all that there is are columns."""
+        """Return an empty mapping, since a text file contains nothing but columns."""
         return {}
 
     @property
     def Ts(self) -> None:
-        """A text does not say it beside its columns."""
+        """Return None, since a text file states no sampling time outside its columns."""
 
     def numbers(self, i: int) -> Vector:
-        """Return the values of column i, from 0; NaN where one is missing.
+        """Return the values of column i, from 0; NaN where a value is missing.
 
         Raises
         ------
         FileError
-            One is no number; its line is named.
+            A value is not a number; the message names its line.
         """
         values = np.empty(len(self.rows))
         for k, row in enumerate(self.rows):
@@ -60,36 +60,37 @@ class TextTable:
         return values
 
     def place(self, k: int) -> str:
-        """Return the line that instant k stands in."""
+        """Return the line of instant k as text, such as `line 4`."""
         return f"line {self.lines[k]}"
 
     def _no_number(self, i: int, k: int, cell: str) -> str:
         name = shown(self.columns[i].name) or str(i + 1)
-        text = f"{self.place(k)}, column {name}: '{shown(cell.strip())}' is no number; "
+        text = f"{self.place(k)}, column {name}: '{shown(cell.strip())}' is not a number; "
         if "," in cell and self.separator != ";":
-            return text + "write 0.5, or 0,5 where a semicolon parts the columns"
+            return text + "write 0.5, or 0,5 if semicolons separate the columns"
         return text + "leave a missing value empty, or write NaN; begin a remark's line with #"
 
 
 def table_of(text: str) -> TextTable:
-    """Return the table that a text holds.
+    """Return the table that a text contains.
 
-    The separator is the semicolon, where one is in the first lines, else tab, else comma, else
-    blanks. Lines that are empty, or begin with # or %, are remarks. The first other line is one
-    of names where none of its cells is a number, and the one below it then one of units where it
-    has none either. With a semicolon the decimals may have a comma.
+    The separator is the first of semicolon, tab and comma that the first lines contain. If they
+    contain none, blanks separate the cells. Lines that are empty, or begin with # or %, are
+    remarks. The first line that is not a remark contains names if none of its cells is a number.
+    The line after the names contains units if none of its cells is a number. If semicolons separate
+    the cells, the decimal mark may be a comma.
 
     Raises
     ------
     FileError
-        There is no row of values, or one has more cells or fewer than the others.
+        There is no row of values, or the rows have different numbers of cells.
     """
     numbered = [
         (number, line)
         for number, line in enumerate(text.splitlines(), start=1)
-        if line.strip() and not line.lstrip().startswith(_REMARKS)
+        if line.strip() and not line.lstrip().startswith(_REMARK_MARKS)
     ]
-    probed = [line for _, line in numbered[:_PROBED]]
+    probed = [line for _, line in numbered[:_PROBED_LINES]]
     separator = next((s for s in _SEPARATORS if any(s in line for line in probed)), "")
     header: list[str] = []
     if probed and _are_names(first := _cells(probed[0], separator)):
@@ -120,11 +121,11 @@ def table_of(text: str) -> TextTable:
 
 
 def number(cell: str, separator: str) -> float | None:
-    """Return the number of a cell, NaN for a missing one, None for what is neither."""
+    """Return the number in a cell, NaN for a missing value, None for other text."""
     text = cell.strip()
     if text.casefold() in _MISSING:
         return float("nan")
-    if "_" in text:  # 1_000 is a number of Python's
+    if "_" in text:  # Python reads 1_000 as a number
         return None
     try:
         return float(text.replace(",", ".") if separator == ";" else text)
@@ -140,28 +141,29 @@ def _cells(line: str, separator: str) -> list[str]:
     try:
         return next(csv.reader([line], delimiter=separator, skipinitialspace=True))
     except csv.Error as err:
-        raise FileError(f"'{shown(line)}' cannot be parted into cells: {err}") from err
+        raise FileError(f"'{shown(line)}' cannot be split into cells: {err}") from err
 
 
 def _are_names(cells: Sequence[str]) -> bool:
-    """Return whether none of the cells is a number; a row of values may hold a word or two."""
+    """Return whether the cells can be names: none of them is a number."""
     return all(number(cell, ";") is None for cell in cells if cell.strip())
 
 
 def _are_units(cells: Sequence[str], header: Sequence[str]) -> bool:
-    """Return whether the cells may be units: words, as many as there are names, none long."""
-    fits = len(cells) == len(header) and all(len(cell.strip()) <= _LONGEST_UNIT for cell in cells)
+    """Return whether the cells can be units: short texts, not numbers, one for each name."""
+    fits = all(len(cell.strip()) <= _MAX_UNIT_CHARACTERS for cell in cells)
+    fits &= len(cells) == len(header)
     return fits and any(cell.strip() for cell in cells) and _are_names(cells)
 
 
 def _column(heading: str, unit: str) -> Column:
-    """Return a column, of the unit below its name where that has none."""
+    """Return a column, with `unit` if its heading has no unit."""
     column = titled(heading)
     return column if column.unit else replace(column, unit=unit)
 
 
 def _each_ends(rows: Sequence[str], separator: str, *, width: int) -> bool:
-    """Return whether a separator ends each row, and no column begins behind it."""
+    """Return whether every row ends with a separator that no column follows."""
     if not separator or not all(row.rstrip(" \r").endswith(separator) for row in rows):
         return False
     return not width or len(_cells(rows[0], separator)) == width + 1
@@ -170,10 +172,10 @@ def _each_ends(rows: Sequence[str], separator: str, *, width: int) -> bool:
 def _ragged(line: int, cells: int, width: int, separator: str, *, names: bool) -> str:
     by = {"": "blanks", "\t": "tab", ";": "semicolon", ",": "comma"}[separator]
     whose = "the line of names" if names else "the first row"
-    text = f"line {line} has {_count(cells)} (parted by {by}), {whose} {_count(width)}; give "
-    text += "every row as many, and begin remarks with #"
+    text = f"line {line} has {_count(cells)} (separated by {by}), {whose} {_count(width)}; give "
+    text += "every row the same number, and begin remarks with #"
     if separator == "," and width < cells <= 2 * width:
-        text += "; where decimals have a comma, part the cells by semicolon"
+        text += "; if decimals have a comma, separate the cells by semicolon"
     return text
 
 

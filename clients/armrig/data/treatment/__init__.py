@@ -1,7 +1,7 @@
-"""Treatment of data before identification; each step is written into the data's history.
+"""Treatment of data before identification; the data's history contains each step.
 
-No step fills a gap: what is missing stays missing, and what a missing sample touches is missing
-too. Each experiment is treated by itself.
+No step fills a gap: a missing sample stays missing, and a result that depends on it is missing,
+too. Each experiment is treated separately.
 """
 
 from armrig.data.treatment.detrending import detrend, retrend

@@ -1,4 +1,4 @@
-"""Means and straight lines: taken from the data, and put back."""
+"""Removal of means and straight lines from data, and their restoration."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from armrig.numerics.stretches import Mask
 def detrend(data: Dataset, order: int = 0) -> Dataset:
     """Return the data with mean (order 0) or straight line (order 1) removed from u and y.
 
-    Each experiment loses its own, fitted to its valid samples by least squares. What was taken
-    stays with the data in `trends`, and `retrend` puts it back.
+    The mean or line of each experiment is fitted to its valid samples by least squares. The field
+    `trends` contains the mean or line, and `retrend` restores it.
 
     Parameters
     ----------
@@ -36,14 +36,15 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
     Returns
     -------
     Dataset
-        N samples in the same units, the step written into `history`.
+        N samples in the same units, with the step in `history`.
 
     Warns
     -----
     IntegratingOutputWarning
-        order=1 on an output that integrates: the line is then the answer to the input's mean,
-        not a drift, and the model is wrong without it. An output integrates by its name
-        (theta_1) or by a test, see `armrig.data.treatment.integrating`.
+        The order is 1 and the output integrates. The line is then the response to the mean of the
+        input, not a drift, and a model of data without the line is wrong. The name of the output
+        (theta_1) or a unit root test decides whether it integrates: see
+        `armrig.data.treatment.integrating`.
 
     Raises
     ------
@@ -57,8 +58,8 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
     found = integrating(data) if order == 1 else None
     if found:
         warnings.warn(
-            f"detrend(order=1): {found.text}, so its line is the answer to the mean of u and not a "
-            "drift; keep it, and use order=0, oe(integrator=True) or difference(data)",
+            f"detrend(order=1): {found.text}, so its line is the response to the mean of u and not "
+            "a drift; keep the line, and use order=0, oe(integrator=True) or difference(data)",
             IntegratingOutputWarning,
             stacklevel=2,
         )
@@ -67,11 +68,11 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
         t = part.t
         u_line = _line(t, part.u, np.ones(part.N, dtype=np.bool_), order)
         y_line = _line(t, part.y, part.valid, order)
-        taken = Trend(u_level=u_line[0], u_slope=u_line[1], y_level=y_line[0], y_slope=y_line[1])
+        removed = Trend(u_level=u_line[0], u_slope=u_line[1], y_level=y_line[0], y_slope=y_line[1])
         rows = slice(data.starts[k], data.starts[k] + part.N)
-        u[rows] -= taken.u(t)
-        y[rows] -= taken.y(t)
-        trends.append(data.trends[k] + taken if data.trends else taken)
+        u[rows] -= removed.u(t)
+        y[rows] -= removed.y(t)
+        trends.append(data.trends[k] + removed if data.trends else removed)
     what = "the mean" if order == 0 else "a straight line"
     each = "" if len(trends) == 1 else " of each experiment"
     despite = f", although {found.text}" if found else ""
@@ -90,30 +91,30 @@ def retrend(data: Dataset) -> Dataset: ...
 @overload
 def retrend(data: Dataset, y: ArrayLike) -> Vector: ...
 def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
-    """Return the data, or an output that a model made from them, with the trend put back.
+    """Return the data, or an output that a model computed from them, with the trend restored.
 
     Parameters
     ----------
     data : Dataset
-        N samples that `detrend` has treated; slices, parts and merged data know their trends too.
+        N samples treated by `detrend`; slices, parts and merged data keep their trends.
     y : array_like, shape (N,), optional
         An output simulated or predicted from these data, in y's unit.
 
     Returns
     -------
     Dataset or ndarray, shape (N,)
-        The data as they were measured; with `y`, that output about the level measured.
+        The data with the trend restored; if `y` is given, `y` plus the trend of the output.
 
     Raises
     ------
     ValueError
-        Nothing was taken from these data, or a later step made it impossible to put back; or y
-        is not (N,).
+        No trend was removed from these data, or a later step made it impossible to restore the
+        trend; or y is not (N,).
     """
     if not data.trends:
         done = "; ".join(data.history) or "no step"
         raise InputError(
-            "there is no trend to put back: detrend was not applied to these data, or they were "
+            "there is no trend to restore: detrend was not applied to these data, or they were "
             f"filtered after it (history: {done}); keep the data from before that step"
         )
     u_trend, y_trend = np.zeros(data.N), np.zeros(data.N)
@@ -125,21 +126,21 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
             u=data.u + u_trend,
             y=data.y + y_trend,
             trends=(),
-            step="put the trend back on u and y",
+            step="restored the trend of u and y",
         )
-    taken = column("y", y)
-    if taken.size != data.N:
+    given = column("y", y)
+    if given.size != data.N:
         raise InputError(
-            f"y has {taken.size} samples and the data have {data.N}; give one for each instant"
+            f"y has {given.size} samples and the data have {data.N}; give one for each instant"
         )
-    return taken + y_trend
+    return given + y_trend
 
 
 def _line(t: Vector, x: Vector, where: Mask, order: int) -> tuple[float, float]:
-    """Return level at t = 0 and slope of the line of best fit; 0 where nothing is known."""
+    """Return level at t = 0 and slope of the least-squares line; (0, 0) without a valid sample."""
     if not where.any():
         return 0.0, 0.0
-    # About the middle of the known times: there the errors of level and slope are independent.
+    # With time measured from its mean, the estimates of level and slope are uncorrelated.
     middle = float(np.mean(t[where]))
     basis = orthonormal(np.vander(t[where] - middle, order + 1, increasing=True))
     coefficients = basis.coefficients(x[where])

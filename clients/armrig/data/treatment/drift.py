@@ -1,4 +1,4 @@
-"""How fast the output drifts while the input explains nothing of it."""
+"""Estimation of the output's drift, the part that the input does not explain."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from armrig.data.dataset import Dataset
 from armrig.data.treatment.integrating import integrating
 from armrig.data.treatment.whitening import whitening
 
-_ORDER = 10
+_DEFAULT_ORDER = 10
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drift:
-    """A straight line under the output of one experiment, with its standard deviation."""
+    """Straight-line drift of the output of one experiment, with its standard deviation."""
 
     rate: float
     """Slope, in `unit` per s."""
     std: float
-    """Its standard deviation, in `unit` per s."""
+    """Standard deviation of the slope, in `unit` per s."""
     seconds: float
     """Length of the experiment, in s."""
     unit: str
@@ -30,12 +30,12 @@ class Drift:
 
     @property
     def z(self) -> float:
-        """Rate over its standard deviation: beyond 2.58 a drift, at 1 %."""
+        """Rate divided by its standard deviation; |z| > 2.58 is significant at the 1 % level."""
         return self.rate / self.std if self.std > 0 else float("nan")
 
     def __str__(self) -> str:
-        """Say it in a line."""
-        found = "a drift" if abs(self.z) > 2.58 else "no drift that shows"
+        """Describe the drift in one line."""
+        found = "a drift" if abs(self.z) > 2.58 else "no significant drift"
         return (
             f"{found}: {self.rate:.3g} ± {self.std:.2g} {self.unit or '1'}/s, "
             f"{f'{self.rate * self.seconds:.3g} {self.unit}'.rstrip()} in {self.seconds:g} s"
@@ -44,39 +44,41 @@ class Drift:
 
 @takes_recordings
 def drift(
-    data: Dataset, order: int = _ORDER, *, integrator: bool | None = None
+    data: Dataset, order: int = _DEFAULT_ORDER, *, integrator: bool | None = None
 ) -> tuple[Drift, ...]:
-    """Estimate the drift of the output of each experiment, with the input's answer set apart.
+    """Estimate the drift of the output of each experiment, without the response to the input.
 
-    From A(q) y(t) = B(q) u(t) + c + d t + e(t) of high order by least squares; the output drifts
-    by d / A(1) a sample. A line through y alone would take for drift what the input did, and its
-    standard deviation would not know of the noise's colour.
+    A model of high order, A(q) y(t) = B(q) u(t) + c + d t + e(t), is estimated by least squares;
+    the drift of the output is d / A(1) per sample. A line through y alone would also contain the
+    response to the input, and its standard deviation would ignore the colour of the noise.
 
     Parameters
     ----------
     data : Dataset
-        N samples; rows that a missing sample touches are left out.
+        N samples; rows that depend on a missing sample are left out.
     order : int, default 10
         Order of A and B.
     integrator : bool, optional
-        Whether the output integrates; asked of the data by default. A short record of a stable
-        output may leave it open, and where the physics say False that settles it.
+        Set whether the output integrates; by default a unit root test decides. On a short record
+        the test can mistake a stable output for an integrator. If the output is known to be stable,
+        give False.
 
     Returns
     -------
     tuple of Drift
-        One for each experiment.
+        A drift for each experiment.
 
     Raises
     ------
     ValueError
-        The output integrates, so that its line is the input's work; or there are too few samples.
+        The output integrates, so that its line is the response to the input, or there are too few
+        samples.
     """
     found = integrating(data) if integrator is None else None
     if found or integrator:
-        reason = found.text if found else f"{data.output} was said to integrate"
+        reason = found.text if found else f"{data.output} integrates, as integrator=True says"
         raise InputError(
-            f"{reason}: its line is the answer to the mean of u, not a drift; estimate the "
+            f"{reason}: its line is the response to the mean of u, not a drift; estimate the "
             "input's offset instead, oe(data, ..., integrator=True).free[0].offset"
         )
     return tuple(_drift_of(part, order) for part in data.experiments())
@@ -92,7 +94,7 @@ def _drift_of(part: Dataset, n: int) -> Drift:
     model = whitening([(part.u, part.y)], n, slope=True)
     if model.rows < needed - n:
         raise InputError(
-            f"{model.rows} samples of an experiment come after {n} others without a gap; a drift "
+            f"{model.rows} samples of an experiment follow {n} samples without a gap; a drift "
             f"by a model of order {n} needs {needed - n}: lower the order"
         )
     gain = float(np.sum(model.A))

@@ -1,4 +1,4 @@
-"""Filters of u and y alike: a band to identify in, and a slower sampling rate."""
+"""Filters of both u and y: a frequency band for identification, and a lower sampling rate."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from armrig.numerics.checks import column, require_integers, require_numbers
 from armrig.numerics.polynomial import filtered, stable
 from armrig.numerics.stretches import Mask
 
-_FORGOTTEN = 1e-4  # share of the impulse response's weight that may still be to come
-_LONGEST_MEMORY = 200_000
-_SIDE = 8  # half length of the anti-alias filter, in samples of the slower rate
-_KAISER = 5.0
+MAX_FORGOTTEN_SHARE = 1e-4  # of the impulse response's absolute sum, after the filter's memory
+_MAX_MEMORY_SAMPLES = 200_000
+_HALF_LENGTH = 8  # of the anti-alias filter, in samples of the lower rate
+_KAISER_BETA = 5.0
 
 
 @takes_recordings
@@ -31,36 +31,36 @@ def prefilter(
     band: tuple[float, float] | None = None,
     order: int = 4,
 ) -> Dataset:
-    """Return u and y both through one filter L(q): the model stays the same, its weighting not.
+    """Return u and y after the same filter L(q), which weights frequencies and leaves G unchanged.
 
-    L y = G L u + L v, so L says in which frequencies the model is to be good (Ljung 14.4); an
-    output-error fit is weighted by |L|², and its residuals are white where L v is.
+    Since L y = G L u + L v, L determines at which frequencies the model is accurate (Ljung 14.4).
+    An output-error fit is weighted by |L|², and its residuals are white if L v is white.
 
-    A value depends on the past: it is missing until the filter has forgotten all but 1e-4 of what
-    went before the experiment, or of a gap in it.
+    After the start of an experiment and after a gap, y is missing for the memory of the filter. The
+    memory contains all but 1e-4 of the absolute sum of the impulse response.
 
     Parameters
     ----------
     data : Dataset
         N samples.
     numerator, denominator : array_like
-        Coefficients of L in q^-1; a denominator of 1 alone is forgotten soonest.
+        Coefficients of L in q^-1; a filter without a denominator has the shortest memory.
     band : (float, float), optional
-        Instead: a Butterworth filter from one frequency to another in rad/s; (0, w) is a low-pass,
-        (w, inf) a high-pass.
+        Edges, in rad/s, of the pass band of a Butterworth filter, instead of coefficients. (0, w)
+        is a low-pass filter, and (w, inf) is a high-pass filter.
     order : int, default 4
-        Of the Butterworth filter.
+        Order of the Butterworth filter.
 
     Returns
     -------
     Dataset
-        N samples in the same units; the trends that `detrend` took cannot be put back on it.
+        N samples in the same units, without `trends`: `retrend` cannot restore them.
 
     Raises
     ------
     ValueError
-        Neither or both of numerator and band are given, the filter is unstable, the band is not
-        inside 0 to pi/Ts, or no sample would be left.
+        Both or neither of numerator and band are given, the filter is unstable, the band is not
+        inside 0 to pi/Ts, or all samples would be missing.
     """
     if (numerator is None) == (band is None):
         raise InputError(
@@ -80,42 +80,45 @@ def prefilter(
         valid[rows] = _known_for(part.valid, memory)
     if not valid.any():
         raise InputError(
-            f"{L.name} remembers {memory} samples, and no stretch of y without a gap is that long; "
-            "take a shorter filter (a wider band, a lower order, or a numerator alone)"
+            f"{L.name} remembers {memory} samples, and no stretch of y without a gap is as long; "
+            "use a shorter filter (a wider band, a lower order, or a numerator alone)"
         )
     lost = int(np.count_nonzero(data.valid & ~valid))
-    step = f"filtered u and y with {L.name}; {lost} more samples are missing, where the filter "
-    step += f"(memory {memory} samples) had not forgotten the start or a gap"
+    step = f"filtered u and y with {L.name}; {lost} more samples are missing, within the "
+    step += f"filter's memory of {memory} samples after the start or a gap"
     return data.replaced(u=u, y=y, valid=valid, trends=(), step=step)
 
 
 @takes_recordings
 def resample(data: Dataset, Ts: float) -> Dataset:
-    """Return the data at a slower rate, u and y both through one anti-alias filter.
+    """Return the data at a lower sampling rate, after the same anti-alias filter for u and y.
 
-    A symmetric low-pass filter of 16 Ts_new/Ts + 1 coefficients (Kaiser window, 53 dB down from
-    the new Nyquist frequency on, flat to 60 % of it) that shifts nothing and leaves straight lines
-    as they are; then every (Ts_new/Ts)-th sample is kept. A sample is missing where any that its
-    filter would weigh is. The first and last 8 new samples of each experiment cannot be made, and
-    are cut off. Only to slower rates: a faster one would invent samples.
+    The filter is a symmetric low-pass of 16 Ts_new/Ts + 1 coefficients with a Kaiser window. It is
+    flat up to 60 % of the new Nyquist frequency and attenuates by 53 dB above the new Nyquist
+    frequency. It causes no delay and does not change straight lines. Every (Ts_new/Ts)-th sample is
+    kept. A sample is missing if the filter would use a missing sample. The first and last 8 new
+    samples of each experiment cannot be computed and are cut off. A higher rate is refused, because
+    it would invent samples.
 
     Parameters
     ----------
     data : Dataset
         N samples.
     Ts : float
-        New sampling time in s, a whole multiple of the data's.
+        New sampling time in s, a whole multiple of the sampling time of the data.
 
     Returns
     -------
     Dataset
-        About N Ts_old/Ts_new samples. Between them u is no longer held: a model for a held input
-        is an approximation, good well below the new Nyquist frequency.
+        About N Ts_old/Ts_new samples. Between the new samples u is not constant. A model that
+        assumes a zero-order hold is therefore an approximation, accurate well below the new Nyquist
+        frequency.
 
     Raises
     ------
     ValueError
-        Ts is no whole multiple of the data's, an experiment is too short, or all would be missing.
+        Ts is not a multiple of the data's Ts, an experiment is too short, or all samples would be
+        missing.
     """
     from scipy.signal import firwin
 
@@ -128,14 +131,14 @@ def resample(data: Dataset, Ts: float) -> Dataset:
         )
     if factor == 1:
         return data
-    half = _SIDE * factor
-    h = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", _KAISER))
+    half = _HALF_LENGTH * factor
+    h = firwin(2 * half + 1, 0.8 / factor, window=("kaiser", _KAISER_BETA))
     us, ys, masks = [], [], []
     for i, part in enumerate(data.experiments()):
         if 2 * half + 1 > part.N:
             raise InputError(
                 f"experiment {i} has {part.N} samples; resampling to {Ts:g} s needs "
-                f"{2 * half + 1}: leave it out with select, or take a shorter Ts"
+                f"{2 * half + 1}: leave it out with select, or use a shorter Ts"
             )
         u, y, valid = _decimated(part, h, factor)
         us.append(u)
@@ -144,10 +147,10 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     valid = np.concatenate(masks)
     if not valid.any():
         raise InputError(
-            f"no stretch of y without a gap has {2 * half + 1} samples, as the anti-alias filter "
-            f"for {Ts:g} s needs: record at that rate instead, or difference and average"
+            f"no stretch of y without a gap has the {2 * half + 1} samples of the anti-alias "
+            f"filter for {Ts:g} s: record at that rate instead, or difference and average"
         )
-    step = f"resampled from {data.Ts:g} s to {factor * data.Ts:g} s behind a low-pass filter of "
+    step = f"resampled from {data.Ts:g} s to {factor * data.Ts:g} s after a low-pass filter of "
     step += f"{2 * half + 1} coefficients; {np.count_nonzero(~valid)} of {valid.size} samples "
     step += "are missing"
     return data.replaced(
@@ -162,13 +165,13 @@ def resample(data: Dataset, Ts: float) -> Dataset:
 
 
 def _decimated(part: Dataset, h: Vector, factor: int) -> tuple[Vector, Vector, Mask]:
-    """Return u, y and valid of an experiment behind the filter h, every factor-th sample."""
+    """Return u, y and valid of an experiment, filtered by h, at every factor-th sample."""
     from scipy.signal import upfirdn
 
     level = float(np.mean(part.y[part.valid])) if part.valid.any() else 0.0
     y = np.where(part.valid, part.y - level, 0.0)
     # Row j of the decimated convolution is centred on sample j factor - half.
-    rows = slice(2 * _SIDE, (part.N - 1) // factor + 1)
+    rows = slice(2 * _HALF_LENGTH, (part.N - 1) // factor + 1)
     return (
         upfirdn(h, part.u, down=factor)[rows],
         upfirdn(h, y, down=factor)[rows] + level,
@@ -178,12 +181,12 @@ def _decimated(part: Dataset, h: Vector, factor: int) -> tuple[Vector, Vector, M
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Filter:
-    """One filter L(q), and its name in the history."""
+    """A filter L(q), and its name in the history."""
 
     apply: Callable[[Vector], Vector]
-    """From rest."""
+    """Function that filters a signal, with zero initial state."""
     gain: float
-    """L(1)."""
+    """Gain L(1)."""
     name: str
 
 
@@ -192,8 +195,8 @@ def _rational(numerator: ArrayLike | None, denominator: ArrayLike) -> _Filter:
     a = column("denominator", denominator)
     if a[0] == 0 or not stable(a):
         raise InputError(
-            f"the filter's denominator {a.tolist()} must begin with a number that is not 0 and "
-            "have its roots inside the unit circle; differences are made with difference(data)"
+            f"the filter's denominator {a.tolist()} must begin with a number other than 0 and have "
+            "its roots inside the unit circle; for differences use difference(data)"
         )
     name = f"L = {_listed(b)}" + (f" / {_listed(a)}" if a.size > 1 or a[0] != 1 else "")
     return _Filter(apply=lambda x: filtered(b, a, x), gain=float(np.sum(b) / np.sum(a)), name=name)
@@ -212,8 +215,8 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
     nyquist = np.pi / Ts
     if not (0 <= low < high and low < nyquist) or (low == 0 and high >= nyquist):
         raise InputError(
-            f"band=({low:g}, {high:g}) rad/s must lie inside 0 to {nyquist:g} rad/s (pi/Ts), "
-            "with low < high and not all of it"
+            f"band=({low:g}, {high:g}) rad/s must be inside 0 to {nyquist:g} rad/s (pi/Ts), with "
+            "low < high, and not the whole range"
         )
     edges: float | tuple[float, float]
     if low == 0:
@@ -223,7 +226,7 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
     else:
         kind, edges = "bandpass", (low / nyquist, high / nyquist)
         name = f"band-pass from {low:g} to {high:g}"
-    # Sections, not polynomials: rounding moves a polynomial's poles where a band is low and narrow.
+    # Sections, not polynomials: rounding moves the poles of a polynomial with a low, narrow band.
     sections = butter(order, edges, kind, output="sos")
     return _Filter(
         apply=lambda x: np.asarray(sosfilt(sections, x)),
@@ -233,31 +236,31 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
 
 
 def _memory(L: _Filter) -> int:
-    """Return the samples after which all but 1e-4 of the impulse response has passed."""
+    """Return the number of samples with all but 1e-4 of the impulse response's absolute sum."""
     length = 256
     while True:
         pulse = np.zeros(length)
         pulse[0] = 1.0
         weight = np.abs(L.apply(pulse))
         ahead = np.cumsum(weight[::-1])[::-1]
-        short = np.flatnonzero(ahead <= _FORGOTTEN * ahead[0])
-        # The response decays: what was not computed is smaller than the last half of what was.
+        short = np.flatnonzero(ahead <= MAX_FORGOTTEN_SHARE * ahead[0])
+        # The response decays: the rest is smaller than the second half of the computed response.
         if short.size and short[0] <= length // 2:
             return max(int(short[0]), 1)
         length *= 4
-        if length > _LONGEST_MEMORY:
+        if length > _MAX_MEMORY_SAMPLES:
             raise InputError(
                 f"the filter remembers more than {length // 8} samples; widen its band"
             )
 
 
 def _from_steady(L: _Filter, x: Vector) -> Vector:
-    """Return x filtered as though its first value had always been there."""
+    """Return x filtered from the steady state for its first value."""
     return np.asarray(L.apply(x - x[0]) + L.gain * x[0])
 
 
 def _held(y: Vector, valid: Mask) -> Vector:
-    """Return y with the last known value in its gaps, whose traces are then marked missing."""
+    """Return y with the last known value held in each gap; the caller marks the results missing."""
     if not valid.any():
         return np.zeros(y.size)
     known = np.flatnonzero(valid)
@@ -266,7 +269,7 @@ def _held(y: Vector, valid: Mask) -> Vector:
 
 
 def _known_for(valid: Mask, memory: int) -> Mask:
-    """Return where `memory` samples in a row, the last of them here, are all known."""
+    """Return a mask, True where the last `memory` samples are all valid."""
     count = np.concatenate([[0], np.cumsum(valid)])
     whole = np.zeros(valid.size, dtype=np.bool_)
     if valid.size >= memory:

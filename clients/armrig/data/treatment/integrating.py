@@ -1,6 +1,8 @@
-"""Whether an output integrates its input, so that its line is no drift."""
+"""Detection of outputs that integrate their input; the line of such an output is not a drift."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from armrig_core import telemetry
@@ -13,12 +15,12 @@ from armrig.data.trend import Trend
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import complete, past
 
-# Outputs that integrate by construction, whatever a test on a short record says.
+# Outputs that integrate by construction, whatever the result of a test on a short record.
 INTEGRATING_OUTPUTS = frozenset({THETA_1})
 
 DICKEY_FULLER_TREND_5_PERCENT = -3.41  # Fuller 1976, table 8.5.2, constant and trend, n = inf
 _TEST_LAGS = 5
-_SEEN = 0.2  # pull back in a sample, as a share of the distance, that must be seen if there is one
+MIN_SEEN_PULL = 0.2  # return to the line per sample, a share of the distance, to be detected
 
 
 class IntegratingOutputWarning(UserWarning):
@@ -26,17 +28,17 @@ class IntegratingOutputWarning(UserWarning):
 
 
 def integrating(data: Dataset) -> Finding | None:
-    """Return why the output must be taken as integrating, None where nothing speaks for it.
+    """Return the evidence that the output integrates, None without evidence.
 
-    An output that is known by name to integrate does. Another one is tested with the
+    An output with the name of an integrating channel integrates. Another output is tested with the
     Dickey-Fuller regression with a trend, lags and the input as covariate ::
 
         y(t) - y(t-1) = c + d t + g y(t-1) + lags of the difference and of u + e(t)
 
-    and taken as integrating where g is not significantly negative (5 %). The input lowers the
-    critical value's magnitude (Hansen 1995), so the one used here errs towards an
-    integrator. Nothing is said where too few rows are without a hole to see a pull back of a fifth
-    of the distance in a sample.
+    The output integrates if g is not significantly negative at the 5 % level. With the input as
+    covariate, the exact critical value is smaller in magnitude (Hansen 1995). The critical value
+    without covariates, used here, therefore favours an integrator. The result is also None if too
+    few rows are complete for g = -0.2 to be significant.
 
     References
     ----------
@@ -58,16 +60,17 @@ def integrating(data: Dataset) -> Finding | None:
     basis = orthonormal(np.vstack(rows))
     degrees = target.size - basis.rank
     if degrees < 10 or not basis.W[0].any():
-        return None  # too little to tell, or y is constant
+        return None  # too few rows, or y is constant
     variance = float(np.sum(basis.without(target) ** 2)) / degrees
     g, std = basis.coefficients(target)[0], np.sqrt(variance * np.sum(basis.W[0] ** 2))
-    if g < DICKEY_FULLER_TREND_5_PERCENT * std or DICKEY_FULLER_TREND_5_PERCENT * std < -_SEEN:
+    limit = DICKEY_FULLER_TREND_5_PERCENT * std
+    if g < limit or limit < -MIN_SEEN_PULL:
         return None
     text = f"{data.output} behaves as an integrating output (no pull back to its line is found)"
     return warning("integrator", text, pull=float(g), std=float(std))
 
 
-# The rate of an output: an angle's velocity.
+# Rate of an output, such as an angle's velocity.
 
 
 def rate_name(output: str) -> str:
@@ -78,10 +81,11 @@ def rate_name(output: str) -> str:
 
 @takes_recordings
 def difference(data: Dataset) -> Dataset:
-    """Return the velocity (y(t) - y(t-1)) / Ts as output, u unchanged.
+    """Return data with the velocity (y(t) - y(t-1)) / Ts as output; u is unchanged.
 
-    It is missing where either neighbour is, and at the first sample of each experiment. A model
-    of it has the orders of the position's without the integrator, and the same nk.
+    The velocity is missing if one of the two samples is missing, and at the first sample of each
+    experiment. A model of the velocity has the same nk as a model of the position, and the same
+    orders without the integrator.
 
     Parameters
     ----------
@@ -91,7 +95,8 @@ def difference(data: Dataset) -> Dataset:
     Returns
     -------
     Dataset
-        N samples whose output is in y's unit per s: `velocity` for theta_1.
+        N samples whose output is the rate of y, in y's unit per s; the rate of theta_1 is named
+        `velocity`.
     """
     y = np.full(data.N, np.nan)
     y[1:] = np.diff(data.y) / data.Ts
@@ -107,3 +112,36 @@ def difference(data: Dataset) -> Dataset:
         ),
         step=f"took differences of {data.output} over Ts={data.Ts:g} s as the output {name!r}",
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Integration:
+    """Decision whether an output is taken as integrating, with its reason."""
+
+    integrates: bool
+    """True if y is treated as the sum of its rate."""
+    reason: str = ""
+    """Evidence in the data; "" if the caller or the output's name decides."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on the decision for a result; none if the caller or the output's name decides."""
+        if not self.reason:
+            return ()
+        what = "taken as integrating (in Python integrator=False prevents this)"
+        return (f"{self.reason}: {what}",)
+
+
+def integration(data: Dataset, integrator: bool | None) -> Integration:
+    """Decide whether the output is taken as integrating.
+
+    If `integrator` is not None, it is the decision. Otherwise an output integrates if its name is
+    theta_1, or if the unit root test of `integrating` finds an integrator. The notes report the
+    result of the test.
+    """
+    if integrator is not None:
+        return Integration(integrates=integrator)
+    if data.output in INTEGRATING_OUTPUTS:
+        return Integration(integrates=True)
+    found = integrating(data)
+    return Integration(integrates=found is not None, reason=found.text if found else "")

@@ -1,4 +1,4 @@
-"""A high-order ARX model that takes the dynamics out of the data and leaves what is unforeseen."""
+"""High-order ARX model that removes the dynamics from data and leaves the prediction errors."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from armrig.numerics.least_squares import orthonormal, triangle
 from armrig.numerics.polynomial import Array
 from armrig.numerics.regressors import complete, in_blocks
 
-_ROWS = 2_000
-_ENOUGH = 100_000  # rows: more do not make it a better judge of single samples
+_BLOCK_ROWS = 2_000
+_MAX_ROWS = 100_000  # more rows do not improve the judgement of single samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,20 +23,20 @@ class Whitening:
     """A(q) y(t) = B(q) u(t) + c + d t + e(t), estimated by least squares."""
 
     A: Vector
-    """(n + 1,), beginning with 1."""
+    """Coefficients of A (n + 1,), beginning with 1."""
     B: Vector
-    """(n + 1,), beginning with the direct term."""
+    """Coefficients of B (n + 1,), beginning with the direct term."""
     c: float
     """Constant."""
     d: float
-    """Slope, per sample; 0 where there is none."""
+    """Slope, per sample; 0 without a slope."""
     covariance: Array
-    """Of (a1 … an, b0 … bn, c, d), (2n + 3, 2n + 3)."""
+    """Covariance of (a1 … an, b0 … bn, c, d), (2n + 3, 2n + 3)."""
     rows: int
-    """Samples with all of their past, which it was estimated from."""
+    """Number of samples with a complete past, from which the model was estimated."""
 
     def residuals(self, u: Vector, y: Vector) -> Vector:
-        """Return e (N,), NaN where y or the past it needs is missing or before the start."""
+        """Return e (N,), NaN where y(t) or one of the n outputs before it is missing."""
         n = self.A.size - 1
         e = np.convolve(y, self.A)[: y.size] - np.convolve(u, self.B)[: u.size]
         e -= self.c + self.d * np.arange(y.size)
@@ -47,12 +47,12 @@ class Whitening:
 def whitening(parts: Sequence[tuple[Vector, Vector]], n: int, *, slope: bool = False) -> Whitening:
     """Estimate a model of order n from (u, y) of each experiment, y NaN where it is missing.
 
-    Of more than 100 000 rows evenly spread blocks are used. From the normal equations, or by QR
-    where those have too few digits.
+    From data with more than 200 000 rows, only evenly spaced blocks of rows are used. The normal
+    equations are solved; if they lose too many digits, QR is used.
     """
     width = 2 * n + 2 + int(slope)
     total = sum(u.size for u, _ in parts)
-    skip = max(1, total // _ENOUGH)
+    skip = max(1, total // _MAX_ROWS)
     blocks = [b for i, b in enumerate(_all_blocks(parts, n, slope)) if i % skip == 0]
     rows = sum(b.shape[0] for b in blocks)
     R = cholesky_factor(np.sum([b.T @ b for b in blocks], axis=0)) if rows else None
@@ -74,14 +74,14 @@ def whitening(parts: Sequence[tuple[Vector, Vector]], n: int, *, slope: bool = F
 
 
 def _all_blocks(parts: Sequence[tuple[Vector, Vector]], n: int, slope: bool) -> Iterator[Array]:
-    """Yield [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 (t) y(t)] of the rows that are complete."""
+    """Yield [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 (t) y(t)] of the complete rows."""
     for u, y in parts:
         if y.size <= n:
             continue
-        # Windows are faster than lagged copies, and hampel estimates a model in each of its rounds.
+        # Windows are faster than lagged copies, and hampel estimates a model in each round.
         outputs, inputs = (sliding_window_view(x, n + 1)[:, ::-1] for x in (y, u))
         times = np.arange(n, y.size, dtype=np.float64)[:, None]
-        blocks = (in_blocks(M, _ROWS) for M in (outputs, inputs, times))
+        blocks = (in_blocks(M, _BLOCK_ROWS) for M in (outputs, inputs, times))
         for ys, us, t in zip(*blocks, strict=True):
             block = np.ones((t.size, 2 * n + 3 + int(slope)))
             np.negative(ys[:, 1:], out=block[:, :n])

@@ -1,4 +1,4 @@
-"""The search for single wrong samples, by what each would leave in a model's residuals."""
+"""Search for single wrong samples, by the pattern of each in a model's residuals."""
 
 from __future__ import annotations
 
@@ -20,45 +20,55 @@ Indices = NDArray[np.intp]
 _Found = tuple[Mask, Vector]
 
 _MAD_TO_STD = 1.4826  # of a normal distribution
-_NEIGHBOURS = 11  # samples, whose median up to five wrong ones in a row do not move
-_GROSS = 100  # median deviations from it, beyond which a sample is of another order of magnitude
-_EARLY = 2  # times the limit, after a start or a gap
-_ROUNDS = 25
+_MEDIAN_SAMPLES = 11  # a window's median is not moved by up to five wrong samples in a row
+_GROSS_RATIO = 100  # of a deviation to the median deviation: another order of magnitude
+_EARLY_FACTOR = 2  # by which the limit is larger after a start or a gap
+_MAX_ROUNDS = 25
 MOST = 0.1
-"""Share of the samples beyond which they are no outliers; twice as many end the search."""
-_SHOWN = 1e-3  # share of its own trace that a sample must leave beside those marked already
+"""Largest allowed share of outliers; the search ends early at twice this share."""
+MIN_VISIBLE_SHARE = 1e-3  # of a sample's pattern, to be left unexplained by marked samples
+ENOUGH_NOISE = 0.32
+"""Least standard deviation of the noise, in steps, for which the quantisation error is white.
+
+The variance of the error is then step²/12. The theory requires a third of a step; the limit is
+lower by the error of the estimated noise. B. Widrow, I. Kollár, *Quantization Noise*, 2008, chapter
+5: with this Gaussian noise the first moments of the error agree with those of uniform white noise
+to a few percent.
+"""
 
 
 def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) -> list[Mask]:
-    """Return which samples are wrong, for (u, y) of each experiment, y NaN where it is missing.
+    """Return a mask of the wrong samples of each experiment (u, y); a missing y is NaN.
 
-    n is the order of the model, `limit` the least size in robust standard deviations. In the first
-    n samples after a gap the residuals lack their past, so a model of the data in reverse order,
-    which foresees y(t) from what follows, searches these first, for what is grossly wrong: how a
-    poor input began is not foreseen either.
+    `n` is the order of the model, and `limit` the least size of an outlier in robust standard
+    deviations. After a gap the first n samples have no complete past. A model of the reversed data,
+    which predicts y(t) from later samples, therefore searches these samples first. Its limit is
+    twice as large, since with a poorly exciting input it does not predict the first samples well
+    either.
     """
-    backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY * limit)
-    mended, early = [], []
+    backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY_FACTOR * limit)
+    corrected, early = [], []
     for (u, y), (wrong, expected) in zip(parts, backwards, strict=True):
         marked = wrong[::-1] & _lacks_past(y, n)
-        mended.append((u, np.where(marked, expected[::-1], y)))
+        corrected.append((u, np.where(marked, expected[::-1], y)))
         early.append(marked)
-    forwards = _marked(mended, n, limit)
+    forwards = _marked(corrected, n, limit)
     return [marked | wrong for marked, (wrong, _) in zip(early, forwards, strict=True)]
 
 
 def _lacks_past(y: Vector, n: int) -> Mask:
-    """Return where one of the n samples before is missing."""
+    """Return a mask, True where one of the n previous samples is missing or before the start."""
     missing = np.concatenate(([n], np.cumsum(np.isnan(y)) + n))
     before = np.concatenate((np.arange(n), missing))[: y.size]
     return missing[:-1] > before
 
 
 def _marked(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) -> list[_Found]:
-    """Return which samples do not fit a model, and y as it expects it.
+    """Return, for each experiment, a mask of the outliers and y with the model's values for them.
 
-    Samples of another order of magnitude than their neighbours would make the first model theirs,
-    and the search is then tried without them, too: what marks fewer samples is taken.
+    Samples of another order of magnitude would dominate the first model, so they are marked before
+    its estimation. The search is repeated without these marks, and the result with fewer outliers
+    is used.
     """
     gross = [_gross(y) for _, y in parts]
     none = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
@@ -76,17 +86,17 @@ def _count(wrong: Iterable[Mask]) -> int:
 
 
 def _gross(y: Vector) -> Mask:
-    """Return where y is far from the median of its neighbours, as no dynamics are."""
+    """Return a mask, True where y deviates from the median of its neighbours by a gross error."""
     from scipy.ndimage import median_filter
 
     known = np.flatnonzero(np.isfinite(y))
     wrong = np.zeros(y.size, dtype=np.bool_)
-    if known.size > _NEIGHBOURS:
-        off = np.abs(y[known] - median_filter(y[known], _NEIGHBOURS, mode="nearest"))
-        # A reading that mostly rests is its neighbours' median, and a step of its converter is not
-        # gross: the median is that of those that are off it.
+    if known.size > _MEDIAN_SAMPLES:
+        off = np.abs(y[known] - median_filter(y[known], _MEDIAN_SAMPLES, mode="nearest"))
+        # A signal mostly at rest is equal to the median of its neighbours. The typical deviation is
+        # the median of the deviations other than 0, so that a step of the converter is not gross.
         typical = float(np.median(off[off > 0])) if off.any() else 0.0
-        wrong[known] = off > _GROSS * max(typical, 1e-9 * float(np.max(np.abs(y[known]))))
+        wrong[known] = off > _GROSS_RATIO * max(typical, 1e-9 * float(np.max(np.abs(y[known]))))
     return wrong
 
 
@@ -97,13 +107,13 @@ def _searched(
     wrong: list[Mask],
     most: int,
 ) -> list[_Found]:
-    """Return the wrong samples, found from those that are marked to begin with, and y without.
+    """Mark outliers in addition to `wrong`; return the masks, and y with the model's values.
 
-    With far more than `most` it gives up, for the search of very many takes long.
+    The search ends early at far more than `most` outliers, because it would take too long.
     """
     expected = [(u, _bridged(y, marked)) for (u, y), marked in zip(parts, wrong, strict=True)]
     seen = set()
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         model = whitening(expected, n)
         sizes = [
             _sizes(model, model.residuals(u, y), marked)
@@ -124,7 +134,7 @@ def _searched(
 
 
 def _bridged(y: Vector, wrong: Mask) -> Vector:
-    """Return a copy of y, interpolated where it is wrong."""
+    """Return a copy of y, interpolated at the wrong samples."""
     bridged = y.copy()
     right = np.flatnonzero(np.isfinite(y) & ~wrong)
     if wrong.any() and right.size:
@@ -133,22 +143,23 @@ def _bridged(y: Vector, wrong: Mask) -> Vector:
 
 
 def _robust_std(x: Vector, parts: Sequence[tuple[Vector, Vector]]) -> float:
-    # The spread of x, not of e: where noise is no ARX model's, e is coloured and x is larger.
+    # Use the spread of x, not of e: if the noise is not that of an ARX model, e is coloured and the
+    # spread of x is larger.
     known = x[np.isfinite(x)]
     if known.size == 0:
         raise InputError(
             "no stretch of y is long enough for the model: there are too many gaps; lower the order"
         )
     mad = float(np.median(np.abs(known)))
-    # A least size: without noise, rounding errors would be outliers.
+    # A lower bound: without noise, rounding errors would be outliers.
     largest = max(float(np.nanmax(np.abs(y), initial=0.0)) for _, y in parts)
     return max(_MAD_TO_STD * mad, 1e-9 * largest, np.finfo(np.float64).tiny)
 
 
 def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
-    """Return x (N,), the size of an outlier at each sample as a residual; NaN where none shows.
+    """Return x (N,), the size of an outlier at each sample in the unit of e; NaN if not visible.
 
-    Beside samples that are marked already, only what those do not explain counts.
+    Near marked samples, only the part of a pattern that the marked samples do not explain is used.
     """
     n = model.A.size - 1
     there = np.isfinite(e)
@@ -159,12 +170,12 @@ def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
         rows = _rows(there, group, n)
         explained = orthonormal(_columns(model, rows, group)).Q.T @ _columns(model, rows, near)
         weight[near] -= np.sum(explained**2, axis=0)
-    shows = weight > _SHOWN * np.sum(model.A**2)
+    shows = weight > MIN_VISIBLE_SHARE * np.sum(model.A**2)
     return np.asarray(np.where(shows, ahead / np.sqrt(np.where(shows, weight, 1.0)), np.nan))
 
 
 def _peaks(z: Vector, limit: float, n: int) -> Indices:
-    """Return where z is beyond the limit, none within n samples of a larger one."""
+    """Return the indices of the peaks of z above the limit, which are more than n samples apart."""
     candidates = np.flatnonzero(z > limit)
     taken = np.zeros(z.size, dtype=np.bool_)
     peaks = []
@@ -176,9 +187,10 @@ def _peaks(z: Vector, limit: float, n: int) -> Indices:
 
 
 def _expect(model: Whitening, u: Vector, y: Vector, marked: Mask, least: float) -> Vector:
-    """Return y with the marked samples set to what makes the residuals least, near ones together.
+    """Return y with the marked samples set to the values that minimise the residuals.
 
-    A marked sample whose size, with its neighbours free too, is below `least` is unmarked.
+    The values of samples near each other are estimated jointly. A sample whose size in this joint
+    estimate is below `least` is unmarked.
     """
     n = model.A.size - 1
     expected, e = y.copy(), model.residuals(u, y)
@@ -191,10 +203,11 @@ def _expect(model: Whitening, u: Vector, y: Vector, marked: Mask, least: float) 
 
 
 def _surely_wrong(columns: Array, e: Vector, least: float) -> tuple[Indices, Vector]:
-    """Return which columns explain e by at least so much each, and by how much.
+    """Return the columns whose size is at least `least`, and their coefficients.
 
-    The least one is left out until all are: b and P, P s² the covariance of b, without column j are
-    b - P_j b_j / P_jj and P - P_j P_j^T / P_jj.
+    P s² is the covariance of the coefficients b, and the size of column j is |b_j| / sqrt(P_jj).
+    The column with the least size is removed until all sizes are large enough. Without column j, b
+    becomes b - P_j b_j / P_jj, and P becomes P - P_j P_j^T / P_jj.
     """
     basis = orthonormal(columns)
     kept, b, P = np.arange(columns.shape[1]), basis.coefficients(e), basis.W @ basis.W.T
@@ -212,66 +225,67 @@ def _surely_wrong(columns: Array, e: Vector, least: float) -> tuple[Indices, Vec
 
 
 def _rows(there: Mask, group: Indices, n: int) -> Indices:
-    """Return the residuals that see a sample of the group."""
+    """Return the indices of the residuals that depend on a sample of the group."""
     rows = np.arange(group[0], min(group[-1] + n + 1, there.size))
     return rows[there[rows]]
 
 
 def _columns(model: Whitening, rows: Indices, samples: Indices) -> Array:
-    """Return what a unit error of each sample adds to the residuals in the rows."""
+    """Return the contribution of a unit error of each sample to the residuals in the rows."""
     n = model.A.size - 1
     lag = rows[:, None] - samples[None, :]
     return np.where((lag >= 0) & (lag <= n), model.A[np.clip(lag, 0, n)], 0.0)
 
 
 def _groups(indices: Indices, n: int) -> Iterator[Indices]:
-    """Yield runs of indices that are no more than n apart: no residual sees two of them."""
+    """Yield groups of neighbours at most n apart; no residual depends on samples of two groups."""
     if indices.size:
         for group in pieces(np.diff(indices) > n):
             yield indices[group]
 
 
-# Single wrong samples, found where a model did not foresee them.
+# Search for single wrong samples, which a model did not predict.
 
 
-_FALSE_ALARM = 0.01  # chance of one or more in a clean record
-_LISTED = 10
+FALSE_ALARM_PROBABILITY = 0.01  # of one or more outliers in a clean record
+_MAX_LISTED_SAMPLES = 10
 
 
 @takes_recordings
 def hampel(data: Dataset, *, threshold: float | None = None, order: int | None = None) -> Dataset:
     """Return the data with outliers of y marked missing.
 
-    An ARX model of high order takes the dynamics out: a step of the input is no outlier, however
-    far y moves. A wrong y(t) shows in the residuals e(t) … e(t+n) with the pattern 1, a1 … an, and
-    its size in robust standard deviations is ::
+    An ARX model of high order removes the dynamics: a step of the input is not an outlier, however
+    far y moves. A wrong y(t) appears in the residuals e(t) … e(t+n) with the pattern 1, a1 … an,
+    and its size in robust standard deviations is ::
 
         z(t) = x(t) / s,    x(t) = sum a_k e(t+k) / sqrt(sum a_k²),    s = 1.4826 median |x|
 
-    The largest |z| are marked, set to what the model expects (for this search alone), and the
-    search goes on; those that their neighbours explain are let go. Nothing is interpolated in the
-    data returned. The first n samples after the start or a gap are searched in the reversed data,
-    for outliers of twice the size. In a stretch of n samples or fewer no outlier shows.
+    The samples with the largest |z| are marked. For the rest of the search they are set to the
+    model's values. Marked samples whose pattern their neighbours explain are unmarked. The returned
+    data contain no interpolated value. The first n samples after the start or a gap are searched in
+    the reversed data, for outliers of twice the size. No outlier can be found in a stretch of n
+    samples or fewer.
 
     Parameters
     ----------
     data : Dataset
-        N samples; each experiment is searched by itself, with one model and one s for all.
+        N samples; each experiment is searched separately, with one model and one s for all.
     threshold : float, optional
-        Least |z| of an outlier; by default the one that N normal residuals stay below with a
-        chance of 99 % (4.6 for 3000).
+        Least |z| of an outlier; by default the value that N normal residuals do not exceed with a
+        probability of 99 % (4.6 for N = 3000).
     order : int, optional
-        n, by default 20, or a tenth of the samples where they are fewer than 200.
+        Order n; by default 20, or N/10 if there are fewer than 200 samples.
 
     Returns
     -------
     Dataset
-        N samples, the outliers with `valid` False, and in `history` which they were.
+        N samples, outliers with `valid` False; `history` contains their numbers.
 
     Raises
     ------
     ValueError
-        There are too few samples, or a tenth of them would be outliers.
+        There are too few samples, or more than a tenth of them would be outliers.
 
     References
     ----------
@@ -288,7 +302,7 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
             f"{count} samples are too few to find outliers with order={n}; "
             f"{5 * n + 10} are needed: lower the order"
         )
-    limit = float(-ndtri(_FALSE_ALARM / (2 * count))) if threshold is None else threshold
+    limit = float(-ndtri(FALSE_ALARM_PROBABILITY / (2 * count))) if threshold is None else threshold
     require_numbers(threshold=limit)
     if not limit > 0:
         raise InputError(f"threshold={threshold!r} must be > 0, in robust standard deviations")
@@ -297,12 +311,39 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
     if found.size > MOST * count:
         raise InputError(
             f"{found.size} of {count} samples would be outliers at threshold={limit:.2f}: that "
-            "is another process, not outliers; plot the data, or raise the threshold"
+            "many are not outliers but another process; plot the data, or raise the threshold"
         )
-    where = ", ".join(map(str, found[:_LISTED])) + (", …" if found.size > _LISTED else "")
+    where = ", ".join(map(str, found[:_MAX_LISTED_SAMPLES]))
+    where += ", …" if found.size > _MAX_LISTED_SAMPLES else ""
     return data.replaced(
         valid=data.valid & ~wrong,
         step=f"marked {found.size} of {count} samples of {data.output} missing as outliers"
         f"{f' (samples {where})' if found.size else ''}: beyond {limit:.2f} robust standard "
         f"deviations in the residuals of an ARX model of order {n}",
+    )
+
+
+def quantum(data: Dataset) -> float:
+    """Return the quantisation step, of which all changes of y are multiples; 0 without a step."""
+    change = np.abs(np.diff(data.y))
+    change = change[np.isfinite(change)]
+    moved = change[change > 1e-9 * max(float(change.max(initial=0.0)), 1e-300)]
+    if moved.size < 10:
+        return 0.0
+    step = float(moved.min())
+    multiple = moved / step
+    off = np.abs(multiple - np.round(multiple)) > 1e-4 * np.maximum(multiple, 1.0)
+    return 0.0 if np.mean(off) > 1e-3 else step
+
+
+def too_quiet(step: float, noise_variance: float) -> str:
+    """Return a warning if the noise is below a third of the step, "" otherwise."""
+    if step == 0:
+        return ""
+    noise = float(np.sqrt(max(noise_variance - step**2 / 12, 0.0)))
+    if noise >= ENOUGH_NOISE * step:
+        return ""
+    return (
+        f"the noise is {noise / step:.2f} of the converter's step, less than a third: the "
+        "quantisation error is then not white, and the standard deviations are conservative"
     )

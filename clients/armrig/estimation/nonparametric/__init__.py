@@ -1,1 +1,1 @@
-"""What data say before a structure is chosen: impulse, frequency and step responses."""
+"""Nonparametric estimates of impulse, frequency and step responses."""

@@ -1,4 +1,4 @@
-"""Best linear approximation: what noise does, and what nonlinearity does."""
+"""Best linear approximation, with standard deviations due to noise and to nonlinearity."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
+from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.etfe import excited, period
-from armrig.estimation.nonparametric.integrator import integration
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import summation
@@ -20,7 +20,7 @@ from armrig.numerics.polynomial import summation
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Transforms = tuple[Complex, Complex, NDArray[np.intp]]
-"""U (lines,), Y (periods, lines) and how often y is known at each place of the period, (P,)."""
+"""U (lines,), Y (periods, lines), and number of known y at each instant of the period, (P,)."""
 
 
 def bla(
@@ -30,44 +30,48 @@ def bla(
     transient: int = 1,
     integrator: bool | None = None,
 ) -> SpectralEstimate:
-    """Estimate the best linear approximation from random-phase multisines, the robust method.
+    """Estimate the best linear approximation from random-phase multisines by the robust method.
 
-    Of R realisations with P whole periods each, after `transient` periods left out ::
+    Each of R realisations has P whole periods, not counting the `transient` periods at the
+    beginning ::
 
         G_r = mean over p of Y_rp / U_r,    s²_r = var over p of Y_rp / (P |U_r|²)
+
         G = mean of G_r,    var_noise(G) = mean(s²_r) / R
         var(G) = var over r of G_r / R,    s²_nl = R (var(G) - var_noise(G)), 0 at least
 
-    The scatter between periods is noise alone; that between realisations is noise and stochastic
-    nonlinear distortion, as friction makes, which averaging over periods never removes. `std_*` are
-    of the mean with both; with one realisation of the noise only.
+    The scatter between periods is due to noise. The scatter between realisations is due to noise
+    and to stochastic nonlinear distortion, for example by friction. An average over periods does
+    not remove this distortion. The standard deviations `std_*` of the mean over realisations
+    include noise and distortion. With one realisation they include only the noise.
 
-    Where y is missing, as in the dead band of theta_1, the mean of the other periods at the same
-    place stands in, which leaves G without a bias. With n_k of the P periods known at place k,
-    s²_r is then larger by (P - 1) / (mean of n_k - 1) times the mean of P/n_k, as for white noise.
+    A missing y, such as in the dead band of theta_1, is replaced by the mean of the other periods
+    at the same instant. The replacement does not bias G. With n_k known values at instant k of the
+    P periods, s²_r is multiplied by (P - 1) / (mean of n_k - 1) and by the mean of P/n_k. The
+    factors assume white noise.
 
     Parameters
     ----------
     data : Dataset or sequence of Dataset
-        One experiment a realisation, each with the same period and another set of phases. A period
-        less than half of which is known is left out.
+        One experiment for each realisation, with the same period and different phases. A period
+        with less than half of its samples known is not used.
     period_length : int, optional
-        Samples a period; by default found from u.
+        Length of the period in samples. By default the period is detected in u.
     transient : int, default 1
-        Periods left out at the beginning of each realisation, >= 0.
+        Number of unused periods at the beginning of each realisation, >= 0.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
-        the result then says.
+        As in `etfe`.
 
     Returns
     -------
     SpectralEstimate
-        At the lines excited in all realisations; `nonlinear_std` is s_nl, of one realisation.
+        Estimate at the lines that are excited in all realisations. `nonlinear_std` is s_nl, for one
+        realisation.
 
     Raises
     ------
     ValueError
-        An input is not periodic, periods differ, or some place in the period is never seen.
+        An input is not periodic, the periods differ, or an instant of the period is never measured.
 
     References
     ----------
@@ -89,7 +93,7 @@ def bla(
 def _approximation(
     joint: Dataset, pairs: Sequence[Transforms], P: int, *, integrates: bool
 ) -> SpectralEstimate:
-    """Return the mean over realisations, and what scatters about it."""
+    """Return the mean of G over the realisations, with standard deviations."""
     at = _common_lines(pairs)
     R = len(pairs)
     G_r = np.array([np.mean(Y[:, at], axis=0) / U[at] for U, Y, _ in pairs])
@@ -128,7 +132,7 @@ def _common_lines(pairs: Sequence[Transforms]) -> NDArray[np.int_]:
     at = np.flatnonzero(lit)
     if at.size == 0:
         raise InputError(
-            "no line is excited in all realisations: use the same lines, with other phases"
+            "no line is excited in all realisations: use the same lines with different phases"
         )
     return at
 
@@ -138,15 +142,15 @@ def _common_period(parts: Sequence[Dataset]) -> int:
     if len(found) > 1 or None in found:
         shown = ", ".join(str(P or "none") for P in sorted(found, key=lambda P: P or 0))
         raise InputError(
-            f"bla needs one period in all realisations, two whole periods at least; got {shown}. "
-            "Repeat one multisine in each experiment, or give period_length"
+            f"bla needs the same period in all realisations, at least two periods each; got "
+            f"{shown}. Repeat one multisine in each experiment, or give period_length"
         )
     (P,) = found
     return P or 0
 
 
 def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -> Transforms:
-    """Return the transforms of one realisation, gaps of y bridged."""
+    """Return the transforms of one realisation, in which missing y are replaced."""
     treated = difference(part) if integrates else part
     periods = part.N // P
     cut = slice(transient * P, periods * P)
@@ -156,14 +160,14 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
     y, seen = y[most], seen[most]
     if y.shape[0] == 0:
         raise InputError(
-            f"a realisation of {part.N} samples has no period of {P}, known by half, left after "
-            f"{transient} of transient: record more periods"
+            f"a realisation of {part.N} samples has no period of {P} samples, at least half of "
+            f"them known, after {transient} of transient: record more periods"
         )
     n_k = np.count_nonzero(seen, axis=0)
     if never := int(np.count_nonzero(n_k == 0)):
         raise InputError(
-            f"a realisation of {part.N} samples shows {never} of the {P} places in its period in "
-            f"no period after {transient} of transient: record more periods"
+            f"a realisation of {part.N} samples has no value at {never} of the {P} places in its "
+            f"period after {transient} of transient: record more periods"
         )
     bridged = np.where(seen, y, np.nanmean(y, axis=0))
     U = np.fft.rfft(part.u[cut][:P])
@@ -171,7 +175,7 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
 
 
 def _noise_variance(pairs: Sequence[Transforms], at: NDArray[np.int_]) -> Vector:
-    """Return the mean over realisations of the variance of G_r that is noise, NaN if unknown."""
+    """Return the noise variance of G_r, averaged over the realisations; NaN if unknown."""
     variances = [
         np.var(Y[:, at], axis=0, ddof=1) * _share_of_mean(n_k, Y.shape[0]) / np.abs(U[at]) ** 2
         for U, Y, n_k in pairs
@@ -181,9 +185,10 @@ def _noise_variance(pairs: Sequence[Transforms], at: NDArray[np.int_]) -> Vector
 
 
 def _share_of_mean(n_k: NDArray[np.intp], periods: int) -> float:
-    """Return the variance of the mean over that between periods: 1/periods where y is whole.
+    """Return the variance of the mean over the variance between periods.
 
-    What stands in for a missing sample does not scatter.
+    For complete y the ratio is 1/periods. For incomplete y the ratio is larger, because values
+    that replace missing samples do not scatter.
     """
     free = float(np.mean(n_k)) - 1
     return (periods - 1) / free * float(np.mean(1 / n_k)) if free > 0 else float("nan")
@@ -191,9 +196,9 @@ def _share_of_mean(n_k: NDArray[np.intp], periods: int) -> float:
 
 def _notes(R: int, counts: Sequence[int], noise: Vector, total: Vector) -> list[str]:
     if R == 1:
-        return ["one realisation: nonlinear distortion cannot be told; record others"]
+        return ["one realisation: nonlinear distortion cannot be estimated; record more"]
     if max(counts) < 2:
-        return ["one period each: noise and nonlinear distortion cannot be told apart"]
+        return ["one period each: noise and nonlinear distortion cannot be distinguished"]
     ratio = float(np.mean(total) / np.mean(noise))
     verdict = "nonlinear distortion" if ratio > 2 else "hardly any nonlinear distortion"
-    return [f"variance between realisations is {ratio:.2g} times what the noise makes: {verdict}"]
+    return [f"variance between realisations is {ratio:.2g} times that of the noise: {verdict}"]

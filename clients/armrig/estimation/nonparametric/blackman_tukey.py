@@ -1,4 +1,4 @@
-"""Spectra by a lag window on the covariances, and what a window too short hides."""
+"""Spectra by a lag window on the covariances, and a check whether the window is too short."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ from armrig.numerics.polynomial import filtered
 
 Vector = NDArray[np.float64]
 
-FINER = 4  # times the lag window of G, for the noise and for what the window blunts
-NO_POWER = 1e-8  # share of u's largest spectrum below which G is not known
-_BLUNTED = 1.1  # factor by which |G| is higher through the longer window
-_SURE = 4.0  # standard deviations of it, one of some hundred frequencies
-LONGEST = 60  # lags of the response
+FINE_LAG_RATIO = 4
+"""Ratio of the lengths of the longer lag window, for noise and check, and of the window of G."""
+MIN_POWER_SHARE = 1e-8
+"""Share of the largest value of Phi_u; G is not known at frequencies with a smaller Phi_u."""
+_MIN_BLUNTED_RATIO = 1.1  # least ratio of |G| by the longer window to |G| for a note
+_BLUNTED_SIGMAS = 4.0  # standard deviations of the difference, chosen for about 100 frequencies
+MAX_RESPONSE_LAGS = 60
+"""Largest number of lags of the impulse response from which missing outputs are computed."""
 
 
 def blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int) -> Spectra:
-    """Return the spectra of data whose missing outputs were filled, N not counting them."""
+    """Return the spectra of data in which missing outputs were filled; N outputs were measured."""
     L = int(gamma.max())
     R = covariances(data, L)
     k = np.arange(-L, L + 1)
@@ -42,16 +45,16 @@ def blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int
 
 
 def finer(data: Dataset, gamma: int) -> int:
-    """Return the longer lag window that this one is held against."""
-    return min(FINER * gamma, max(data.N // 5, gamma))
+    """Return the length of the longer lag window, for a comparison with the length gamma."""
+    return min(FINE_LAG_RATIO * gamma, max(data.N // 5, gamma))
 
 
 def blunted(data: Dataset, found: Spectra, gamma: int, omega: Vector, N: int) -> list[str]:
-    """Return a note where the longer lag window sees |G| clearly higher.
+    """Return a note if |G| is clearly higher with the longer lag window.
 
-    |G| through the window of gamma samples is that of a response smoothed over 2 pi/(gamma Ts)
-    rad/s: a narrower resonance is lower and wider in it, and its standard deviations, which are
-    about the smoothed response, do not tell.
+    The window of gamma samples smooths the response over 2 pi/(gamma Ts) rad/s. A narrower
+    resonance becomes lower and wider. The standard deviations do not include this bias, because
+    they describe the scatter about the smoothed response.
     """
     longer = finer(data, gamma)
     if longer <= gamma:
@@ -61,20 +64,20 @@ def blunted(data: Dataset, found: Spectra, gamma: int, omega: Vector, N: int) ->
     turn = w * np.exp(-1j * omega[:, None] * k * data.Ts)
     R: Covariances = covariances(data, longer)
     u, yu = data.Ts * np.real(turn @ R.uu), data.Ts * (turn @ R.yu)
-    known = np.minimum(u, found.u) > NO_POWER * float(np.max(found.u, initial=0.0))
+    known = np.minimum(u, found.u) > MIN_POWER_SHARE * float(np.max(found.u, initial=0.0))
     if not known.any():
         return []
     sharp, blunt = np.abs(yu[known]) / u[known], np.abs(found.yu[known]) / found.u[known]
     std = np.sqrt(found.noise[known] * float(np.sum(w**2)) / N / u[known])
-    higher = (sharp - blunt > _SURE * std) & (sharp > _BLUNTED * blunt)
+    higher = (sharp - blunt > _BLUNTED_SIGMAS * std) & (sharp > _MIN_BLUNTED_RATIO * blunt)
     if not higher.any():
         return []
     worst = int(np.argmax(np.where(higher, (sharp - blunt) / np.max(sharp), 0.0)))
     return [
         f"the lag window of {gamma} samples blunts the response near "
-        f"{omega[known][worst]:.3g} rad/s: with {longer} |G| is "
-        f"{sharp[worst] / max(blunt[worst], 1e-300):.2g} times as high. Where that is a resonance "
-        f'take window={longer} or "log"; where it is a delay say delay='
+        f"{omega[known][worst]:.3g} rad/s: with {longer} samples |G| is "
+        f"{sharp[worst] / max(blunt[worst], 1e-300):.2g} times as high. For a resonance use "
+        f'window={longer} or "log", for a delay give delay='
     ]
 
 
@@ -85,8 +88,8 @@ def _hann(k: NDArray[np.int_], gamma: NDArray[np.int_] | int) -> Vector:
 def _noise_covariance(data: Dataset, L: int, fine: int, N: int) -> Vector:
     """Return R_v(k), |k| <= L, from Phi_y - |Phi_yu|²/Phi_u with the longer lag window `fine`.
 
-    With the window of G itself the variation of G inside it would be taken for noise: bands near a
-    resonance would hold 100 %.
+    With the shorter window of G, the variation of G within the window would count as noise. Bands
+    near a resonance would then be far too wide, with a coverage of 100 %.
     """
     R = covariances(data, fine)
     k = np.arange(-fine, fine + 1)
@@ -95,35 +98,35 @@ def _noise_covariance(data: Dataset, L: int, fine: int, N: int) -> Vector:
 
     def spectrum(r: Vector) -> NDArray[np.complex128]:
         whole = np.zeros(size)
-        whole[k] = w * r  # negative lags wrap to the end, as the transform wants them
+        whole[k] = w * r  # the FFT expects the negative lags at the end
         return np.asarray(np.fft.fft(whole))
 
     u = np.real(spectrum(R.uu))
-    known = u > NO_POWER * float(u.max())
+    known = u > MIN_POWER_SHARE * float(u.max())
     explained = np.abs(spectrum(R.yu)) ** 2 / np.where(known, u, 1.0)
     nu = N / float(np.sum(w**2))
     Phi = np.maximum(np.real(spectrum(R.yy)) - np.where(known, explained, 0.0), 0.0)
-    Phi = Phi * nu / max(nu - 1, 1e-3) * data.N / N  # filled outputs carry no noise
+    Phi = Phi * nu / max(nu - 1, 1e-3) * data.N / N  # filled outputs contain no noise
     return np.asarray(np.real(np.fft.ifft(Phi))[np.arange(-L, L + 1)])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Covariances:
-    """Sample covariances at lags -L … L, each experiment about its own means."""
+    """Sample covariances at lags -L … L, with the means of each experiment subtracted."""
 
     uu: Vector
-    """(2 L + 1,), of u(t + lag) with u(t)."""
+    """Covariances of u(t + lag) and u(t), (2 L + 1,)."""
     yy: Vector
-    """(2 L + 1,), of y(t + lag) with y(t)."""
+    """Covariances of y(t + lag) and y(t), (2 L + 1,)."""
     yu: Vector
-    """(2 L + 1,), of y(t + lag) with u(t): at a positive lag the input came first."""
+    """Covariances of y(t + lag) and u(t), (2 L + 1,); at a positive lag u is earlier than y."""
 
 
 def covariances(data: Dataset, L: int) -> Covariances:
-    """Return R(k) = (1/N) sum over t of x(t + k) z(t), the biased form, for |k| <= L.
+    """Return the biased covariances R(k) = (1/N) sum over t of x(t + k) z(t) for |k| <= L.
 
-    No sample may be missing: see `armrig.estimation.nonparametric.blackman_tukey`. A spectrum
-    of these covariances is positive wherever the lag window's is.
+    No sample of the data may be missing (see `filled`). The spectrum of these covariances is
+    positive if the spectrum of the lag window is positive.
     """
     u = [part.u - np.mean(part.u) for part in data.experiments()]
     y = [part.y - np.mean(part.y) for part in data.experiments()]
@@ -145,16 +148,16 @@ def _sums(x: list[Vector], z: list[Vector], L: int) -> Vector:
 
 
 def filled(data: Dataset, *, integrator: bool) -> Dataset:
-    """Return the data with each missing y replaced by what the input explains of it.
+    """Return the data with each missing y replaced by the part that the input explains.
 
-    That is the regularised impulse response's answer plus the experiment's own level (and, with an
-    integrator, ramp), not an interpolation between neighbours. Correlating with holes instead
-    would turn all of y into noise, not only what u does not explain. A filled sample adds no
-    information: who counts samples must count the valid ones.
+    This part is the output of a regularised impulse response plus the level of the experiment, and
+    with an integrator also its ramp. It is not an interpolation. If missing samples were left out,
+    all of y would count as noise in a correlation. A filled sample adds no information, so only the
+    valid samples are counted.
     """
     if data.missing == 0:
         return data
-    n = max(2, min((data.N - data.missing) // 5, LONGEST))
+    n = max(2, min((data.N - data.missing) // 5, MAX_RESPONSE_LAGS))
     response = impulse_response(data, n, "tc", integrator=integrator)
     g, _ = response.decaying
     y = np.array(data.y)

@@ -1,4 +1,4 @@
-"""Correlation analysis: impulse response from correlations after whitening the input."""
+"""Correlation analysis: impulse response from the correlation of y with the whitened input."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.estimation.nonparametric.integrator import integration
+from armrig.data.treatment.integrating import integration
 from armrig.numerics.checks import require_integers
 from armrig.numerics.polynomial import filtered
-from armrig.numerics.quantile import two_sided
-from armrig.numerics.whiteness import autoregression, joined
+from armrig.numerics.whiteness import autoregression, joined, two_sided
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,22 +27,22 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Correlation:
-    """What correlation analysis says of the answer to a pulse."""
+    """Impulse response by correlation analysis."""
 
     lags: NDArray[np.int_]
-    """-L … L; at a positive lag the input came first."""
+    """Lags -L … L; at a positive lag u is earlier than y."""
     g: Vector
-    """R_yu(lag)/R_u(0) of the whitened signals: the impulse response, in y's unit per u's."""
+    """Impulse response R_yu(lag)/R_u(0) of the whitened signals, in units of y per unit of u."""
     std: float
-    """Of each g if y has nothing to do with u at that lag."""
+    """Standard deviation of g at each lag under the hypothesis that y and u are not related."""
     autocorrelation: Vector
-    """Of the whitened input at `lags`: 1 at 0, small elsewhere where whitening has worked."""
+    """Autocorrelation of the whitened input at `lags`: 1 at 0, small elsewhere if u is white."""
     whitener: Vector
-    """L(q) in q^-1 that whitens u, beginning with 1."""
+    """Coefficients in q^-1 of the filter L(q) that whitens u, beginning with 1."""
     rate: bool
-    """y is the rate of an integrating output."""
+    """True if y is the rate of an integrating output."""
     N: int
-    """Samples used."""
+    """Number of samples used."""
     Ts: float
     """Sampling time, in s."""
     output: str
@@ -55,21 +54,21 @@ class Correlation:
     source: str
     """Hash of the recording, or ""."""
     notes: tuple[str, ...] = ()
-    """What a reader should know."""
+    """Notes on the reliability of the estimate."""
 
     def band(self, level: float = 0.99) -> float:
-        """Return the half width that holds each g of lags without a relation."""
+        """Return the half width of the band that contains g if y and u are not related."""
         return two_sided(level) * self.std
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
-        """Return a figure of g and its band: see `armrig.plots.plot_correlation`."""
+        """Return a figure of g and its band, as `armrig.plots.plot_correlation` draws it."""
         from armrig.estimation.nonparametric.figures import plot_correlation
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_correlation(self, level=level, ax=ax))
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Return the result as a few lines of text."""
         band, positive = self.band(), self.lags >= 0
         outside = self.lags[np.abs(self.g) > band]
         first = next((int(k) for k in outside if k >= 0), None)
@@ -92,30 +91,29 @@ def correlation(
 ) -> Correlation:
     """Estimate the impulse response by correlating y with u after whitening u.
 
-    Both are filtered with L(q), an autoregression fitted to u, and ::
+    Both signals are filtered by L(q), an autoregression fitted to u. Then ::
 
         g(k) = R_yu(k) / R_u(0)
 
-    whose standard deviation where y has nothing to do with u is
-    sqrt(sum over j of R_y(j) R_u(j) / N) / R_u(0), which is sqrt(R_y(0)/(N R_u(0))) for a perfectly
-    white u. It tells whether there is a relation; for a band of g itself see `impulse_response`.
+    If y and u are not related, the standard deviation of g is sqrt(sum over j of R_y(j) R_u(j) / N)
+    / R_u(0). For a white u this is sqrt(R_y(0)/(N R_u(0))). The band shows only whether there is a
+    relation. The confidence band of g itself is computed by `impulse_response`.
 
     Parameters
     ----------
     data : Dataset
-        N samples; missing ones and several experiments are allowed.
+        N samples; missing samples and several experiments are allowed.
     lags : int, default 20
-        L, >= 1.
+        Largest lag L, >= 1.
     order : int, optional
-        Of the autoregression; by default by AIC. 0 leaves u as it is.
+        Order of the autoregression, by default chosen by AIC. With 0 the signals are not filtered.
     integrator : bool, optional
-        Whether y integrates u, which is then treated as its rate; by default so for theta_1 and
-        another y that behaves so, which the result then says.
+        As in `etfe`. If y integrates, the result is for the rate of y.
 
     Returns
     -------
     Correlation
-        .lags and .g (2 L + 1,), of the rate where y integrates.
+        `lags` and `g`, (2 L + 1,); g is the response of the rate if y integrates.
 
     Raises
     ------
@@ -129,9 +127,7 @@ def correlation(
     """
     require_integers(lags=(lags, 1))
     if np.ptp(data.u) == 0:
-        raise InputError(
-            "u is constant: nothing can be correlated with it; record an input that varies"
-        )
+        raise InputError("u is constant and has no correlation; record an input that varies")
     decided = integration(data, integrator)
     integrates = decided.integrates
     treated = difference(data) if integrates else data
@@ -146,7 +142,7 @@ def correlation(
     if pairs.min() < 10:
         raise InputError(
             f"lags={lags} leaves {int(pairs.min())} pairs of samples at a lag, 10 are needed: "
-            "ask for fewer lags"
+            "lower lags"
         )
     N = int(np.count_nonzero(np.isfinite(y)))
     # Bartlett's window keeps the sum from being negative.
@@ -182,14 +178,14 @@ def _whitener(u: list[Vector], order: int | None) -> Vector:
 
 
 def _whitened(x: Vector, L: Vector) -> Vector:
-    """Return L(q) x less its mean, NaN where its past is not known."""
+    """Return x, less its mean, filtered by L(q); NaN if the past is not known."""
     y = filtered(L, [1.0], x - np.nanmean(x))
     y[: L.size - 1] = np.nan
     return y
 
 
 def _crossed(y: Vector, u: Vector, L: int) -> tuple[Vector, Vector]:
-    """Return the means of y(t + k) u(t), k = -L … L, over the pairs that are there, and them."""
+    """Return the means of y(t + k) u(t), k = -L … L, over known pairs, and the numbers of pairs."""
     means: list[float] = []
     counts: list[int] = []
     for k in range(-L, L + 1):

@@ -1,4 +1,4 @@
-"""The empirical transfer function estimate: transform of y over transform of u."""
+"""Empirical transfer function estimate (ETFE): the transform of y divided by the transform of u."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import difference
-from armrig.estimation.nonparametric.integrator import integration
+from armrig.data.treatment.integrating import integration
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.polynomial import summation
 
 Vector = NDArray[np.float64]
-# A PWM of 10 bits puts 1e-3 of a multisine's 125 lines on each of the lines between, 2e-3 at most.
-_ROUNDED = 5e-3
+# Least magnitude of an excited line, as a share of the largest line. Between the 125 lines of a
+# multisine, a PWM of 10 bits causes lines with shares of 1e-3, at most 2e-3.
+_MIN_LINE_SHARE = 5e-3
 
 
 @takes_recordings
@@ -24,37 +25,37 @@ def etfe(
 ) -> SpectralEstimate:
     """Return G(omega_k) = Y(omega_k)/U(omega_k) at the lines of the discrete Fourier transform.
 
-    With a periodic input (found by itself, two whole periods at least) the first period, which
-    holds the transient, is left out, the others are averaged, and only excited lines are given:
-    without noise the result is exact. From two periods on that are left, the scatter between them
-    gives the noise, of which ::
+    A periodic input is detected if it has at least two whole periods. The first period, with the
+    transient, is not used, and the other periods are averaged. The result contains only excited
+    lines, and is exact if there is no noise. With P >= 2 averaged periods, the variance of G is
+    estimated from their scatter ::
 
         E|dG|² = s²_Y / (P |U|²),    s²_Y = variance of Y between P periods
 
-    Without a period neighbouring values are independent, each as uncertain as |noise|/|U| there,
-    however long the record: smooth with `spa`. An integrating y is treated as its rate, and the
-    result divided by 1 - q^-1.
+    If the input has no period, values at neighbouring frequencies are independent. Their
+    uncertainty |noise|/|U| does not decrease with the length of the data, so use `spa` for a smooth
+    estimate. If y integrates, the response of the rate of y is estimated and divided by 1 - q^-1.
 
     Parameters
     ----------
     data : Dataset
-        One experiment. Missing outputs are allowed only where the input is periodic and each
-        instant of the period was measured once.
+        One experiment. Missing outputs are allowed only if the input is periodic and each instant
+        of the period was measured at least once.
     period_length : int, optional
-        P in samples; by default found from u.
+        Length of the period in samples. By default the period is detected in u.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
-        the result then says.
+        True if y integrates u. By default theta_1 integrates, and any other y is tested. If the
+        test finds an integrator, a note of the result reports it.
 
     Returns
     -------
     SpectralEstimate
-        At rising frequencies above 0; standard deviations are NaN where they are not known.
+        Estimate at ascending frequencies above 0. A standard deviation that is not known is NaN.
 
     Raises
     ------
     ValueError
-        Several experiments, missing outputs that nothing replaces, or a constant input.
+        There are several experiments, an output is missing in all periods, or u is constant.
 
     References
     ----------
@@ -66,9 +67,7 @@ def etfe(
             "data.experiments(), or use spa, or bla for realisations of a multisine"
         )
     if np.ptp(data.u) == 0:
-        raise InputError(
-            "u is constant: it has no frequency to answer at; record an input that varies"
-        )
+        raise InputError("u is constant and excites no frequency; record an input that varies")
     decided = integration(data, integrator)
     integrates = decided.integrates
     P = period(data.u) if period_length is None else period_length
@@ -110,14 +109,14 @@ def _aperiodic(data: Dataset, *, integrates: bool) -> Lines:
             f"etfe needs every output of an input without a period, {data.missing} of {data.N} "
             "are missing: use spa, or cut the longest stretch without a hole, data[a:b]"
         )
-    # The rate has no first sample; u keeps step with it.
+    # The rate is not known at the first sample, so the first u is removed too.
     treated = difference(data)[1:] if integrates else data
     U = np.fft.rfft(treated.u - np.mean(treated.u))
     Y = np.fft.rfft(treated.y - np.mean(treated.y))
     at = np.flatnonzero(excited(U))
     at = at[at > 0]
     omega: Vector = 2 * np.pi * at.astype(np.float64) / (treated.N * data.Ts)
-    words = "the input has no period: not smoothed, its scatter does not fall with N"
+    words = "the input has no period: not smoothed, its scatter does not decrease with N"
     return omega, Y[at] / U[at], np.full(at.size, np.nan), words
 
 
@@ -130,8 +129,8 @@ def _periodic(data: Dataset, P: int, *, integrates: bool) -> Lines:
     if not there.any(axis=0).all():
         holes = int(np.count_nonzero(~there.any(axis=0)))
         raise InputError(
-            f"{holes} of the {P} instants of the period were never measured (the first period, "
-            "a transient, does not count): record more periods, or use spa"
+            f"{holes} of the {P} instants of the period were never measured after the first "
+            "period, which is a transient: record more periods, or use spa"
         )
     U = np.fft.rfft(data.u[cut].reshape(periods - 1, P)[0])
     Y = np.fft.rfft(np.nanmean(y, axis=0))
@@ -142,22 +141,22 @@ def _periodic(data: Dataset, P: int, *, integrates: bool) -> Lines:
     if np.count_nonzero(whole) >= 2:
         scatter = np.var(np.fft.rfft(y[whole], axis=1)[:, at], axis=0, ddof=1)
         variance = scatter / (np.abs(U[at]) ** 2 * (periods - 1))
-    words = f"{periods - 1} periods of {P} samples after one left out as transient: exact but for "
+    words = f"{periods - 1} periods of {P} samples, after a transient of one: exact except for "
     omega: Vector = 2 * np.pi * at.astype(np.float64) / (P * data.Ts)
     return omega, Y[at] / U[at], variance, f"{words}noise"
 
 
 def period(u: Vector, tolerance: float = 1e-9) -> int | None:
-    """Return the least P with u(t + P) = u(t) throughout and two periods at least, else None.
+    """Return the least P with u(t + P) = u(t) for all t and at least two periods, or None.
 
-    A constant has none.
+    A constant has no period.
     """
     allowed = tolerance * float(np.ptp(u))
     if allowed == 0:
         return None
     head = min(16, u.size // 2)
     for P in range(2, u.size // 2 + 1):
-        # Most candidates fail on the first few samples.
+        # Most candidates fail at the first few samples, so these are compared first.
         if np.abs(u[P : P + head] - u[:head]).max() <= allowed and (
             np.abs(u[P:] - u[:-P]).max() <= allowed
         ):
@@ -166,5 +165,5 @@ def period(u: Vector, tolerance: float = 1e-9) -> int | None:
 
 
 def excited(U: NDArray[np.complex128]) -> NDArray[np.bool_]:
-    """Tell at which lines of a transform there is power beyond rounding, and that of the PWM."""
-    return np.asarray(np.abs(U) > _ROUNDED * np.abs(U).max(initial=0.0))
+    """Return a mask of the lines whose power exceeds the effects of rounding and PWM."""
+    return np.asarray(np.abs(U) > _MIN_LINE_SHARE * np.abs(U).max(initial=0.0))

@@ -1,4 +1,4 @@
-"""Figures of estimates that assume no structure, and of what is read off them."""
+"""Figures of nonparametric estimates: impulse, step and frequency responses."""
 
 from __future__ import annotations
 
@@ -9,8 +9,22 @@ from numpy.typing import NDArray
 
 from armrig.numerics.quantities import minus
 from armrig.plots.captions import NAMES, legend, sign
-from armrig.plots.layout import BLUE, GREEN, GREY, INK, SKY, VERMILION, axes, finish, panels, stems
-from armrig.plots.scales import bare_minor, decibel_ticks, decibels, hertz
+from armrig.plots.layout import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    SKY,
+    VERMILION,
+    axes,
+    bare_minor,
+    decibel_ticks,
+    decibels,
+    finish,
+    hertz,
+    panels,
+    stems,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,11 +34,12 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-LEAST_POWER = 1e-5  # over the largest value: what is less is not drawn
+MIN_SHOWN_POWER = 1e-5
+"""Share of the largest power; a figure does not show power below this share."""
 
 
 class Signals(Protocol):
-    """What names the axes and the recording."""
+    """Names of the axes and of the recording."""
 
     @property
     def output(self) -> str: ...  # noqa: D102
@@ -37,7 +52,7 @@ class Signals(Protocol):
 
 
 class Response(Signals, Protocol):
-    """What is drawn of an impulse response: `ImpulseResponse` has it."""
+    """Fields of an impulse response in a figure, such as those of `ImpulseResponse`."""
 
     @property
     def lags(self) -> NDArray[np.int_]: ...  # noqa: D102
@@ -57,7 +72,7 @@ class Response(Signals, Protocol):
 
 
 class Correlated(Signals, Protocol):
-    """What is drawn of a correlation analysis: `Correlation` has it."""
+    """Fields of a correlation analysis in a figure, such as those of `Correlation`."""
 
     @property
     def lags(self) -> NDArray[np.int_]: ...  # noqa: D102
@@ -67,7 +82,7 @@ class Correlated(Signals, Protocol):
 
 
 class Step(Signals, Protocol):
-    """What is drawn of an answer to steps: `StepAnalysis` has it."""
+    """Fields of a step analysis in a figure, such as those of `StepAnalysis`."""
 
     @property
     def t(self) -> Vector: ...  # noqa: D102
@@ -90,7 +105,7 @@ class Step(Signals, Protocol):
 
 
 class Hints(Protocol):
-    """What is drawn of hints at a structure: `StructureHints` has it."""
+    """Fields of structure hints in a figure, such as those of `StructureHints`."""
 
     @property
     def spectrum(self) -> SpectralEstimate: ...  # noqa: D102
@@ -111,10 +126,11 @@ class Hints(Protocol):
 
 
 def plot_impulse(response: Response, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
-    """Show the impulse response with its band about zero: what leaves it is there.
+    """Plot the impulse response with its band about 0.
 
-    Of an integrating output the rate's response is shown, and below it its running sum, with a
-    band about itself.
+    Coefficients outside the band are significant. If the output integrates,
+    the upper panel shows the response of the rate. The lower panel shows the running sum of this
+    response, with a band about the sum.
     """
     g, std = response.decaying
     width = response.band(level)
@@ -148,20 +164,20 @@ def plot_impulse(response: Response, *, level: float = 0.99, ax: Axes | None = N
 
 
 def plot_correlation(result: Correlated, *, level: float = 0.99, ax: Axes | None = None) -> Axes:
-    """Show what correlation analysis gives, with the band of lags without a relation."""
+    """Plot the result of a correlation analysis with the band for unrelated y and u."""
     ax = axes(ax)
     band = result.band(level)
     ax.axhspan(-band, band, color=GREY, alpha=0.25, lw=0, label=f"{100 * level:g} %, no relation")
     stems(ax, result.lags, result.g, VERMILION)
     ax.axvline(-0.5, color=GREY, lw=0.6, ls=":")
-    ax.set_xlabel("lag [samples], negative: y came first")
+    ax.set_xlabel("lag [samples], negative: y is earlier")
     ax.set_ylabel(f"$R_{{yu}}/R_u(0)$, whitened [{_gain(result)}]")
     finish(ax)
     return sign(ax, result.source, above=legend(ax))
 
 
 def plot_step_analysis(result: Step, *, ax: Axes | None = None) -> Axes:
-    """Show the mean answer to a unit step with final value, dead time and 63 % time."""
+    """Plot the mean response to a unit step, with final value, dead time and 63 % time."""
     ax = axes(ax)
     ax.plot(result.t, result.y, ".", color=GREY, ms=2.5, label="measured, mean of all steps")
     t, y, std = (np.append(0.0, x) for x in (result.smooth_t, result.smooth, result.smooth_std))
@@ -186,7 +202,7 @@ def plot_step_analysis(result: Step, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
-    """Show the step response at the recommended instants, and the spectrum with its band."""
+    """Plot the step response with the recommended samples, and the spectrum with its bandwidth."""
     ax, below = panels(ax, 0.5, sharex=False)
     end = 1.5 * result.settling
     t, response = _with_gaps(result.t, result.response)
@@ -196,12 +212,12 @@ def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
     name = rf"recommended samples, every {1e3 * result.Ts:g} ms"
     ax.plot(grid, dots, "o", color=VERMILION, ms=2.6, label=name)
     ax.axhspan(0.95, 1.05, color=GREY, alpha=0.25, lw=0, label="final value ±5 %")
-    ax.axhline(1 - np.exp(-1), color=INK, lw=0.7, ls=":", label="63 % of it")
+    ax.axhline(1 - np.exp(-1), color=INK, lw=0.7, ls=":", label="63 % of the final value")
     ax.set_xlim(0, end)
     ax.set_xlabel("$t$ [s]")
     ax.set_ylabel("response over\nits final value")
     s = result.spectrum
-    # Where it is hardly more than its deviation it is noise, and no part of the band.
+    # |G| below two standard deviations is noise and is not drawn.
     known = np.isfinite(s.G) & (s.magnitude > 2 * np.nan_to_num(s.std_magnitude))
     relative = np.where(known, s.magnitude, np.nan) / result.gain
     below.plot(s.omega, relative, color=BLUE, lw=1.1, label="$|G|$, relative")
@@ -216,7 +232,7 @@ def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
     below.set_xscale("log")
     below.set_yscale("log")
     drawn = np.concatenate([relative[known], result.power, [np.sqrt(0.5), 1.0]])
-    drawn = drawn[drawn > LEAST_POWER]
+    drawn = drawn[drawn > MIN_SHOWN_POWER]
     below.set_ylim(0.5 * float(drawn.min()), 2 * float(drawn.max()))
     below.set_xlabel(r"$\omega$ [rad/s]")
     below.set_ylabel("relative magnitude")
@@ -228,7 +244,7 @@ def plot_sampling_time(result: SamplingTime, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
-    """Show the frequency response with resonances and slopes, and Hankel singular values."""
+    """Plot the frequency response with resonances and slopes, and Hankel singular values."""
     ax, below = panels(ax, 0.4, sharex=False)
     s = hints.spectrum
     known = np.isfinite(s.G) & (s.omega > 0)
@@ -278,13 +294,13 @@ def plot_structure(hints: Hints, *, ax: Axes | None = None) -> Axes:
 
 
 def _with_gaps(t: Vector, y: Vector) -> tuple[Vector, Vector]:
-    """Return a curve with a NaN in each of its gaps, so that no line is drawn across."""
+    """Return a curve with a NaN in each gap, so that no line crosses the gap."""
     gaps = np.flatnonzero(np.diff(t) > 1.5 * np.median(np.diff(t))) + 1
     return np.insert(t, gaps, t[gaps - 1] + 1e-9), np.insert(y, gaps, np.nan)
 
 
 def _about(ax: Axes, y: Vector) -> None:
-    """Limit an axis to a curve, so that noisy dots beside it do not flatten it."""
+    """Limit an axis to a curve, so that noisy dots do not flatten the curve."""
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     room = 0.25 * (high - low) or 1.0
     ax.set_ylim(low - room, high + room)
@@ -295,6 +311,6 @@ def _name(output: str) -> str:
 
 
 def _gain(result: Any, *, rate: bool = False) -> str:
-    """Return the unit of y over that of u."""
+    """Return the unit of y per unit of u."""
     unit = f"{result.unit}/s" if rate and result.unit else result.unit
     return f"{unit or '–'}/{result.input_unit}" if result.input_unit else unit or "–"

@@ -1,4 +1,4 @@
-"""Impulse response from any input: plain least squares, or with a prior that it dies out."""
+"""Impulse response from any input: by least squares, or with a prior of a decaying response."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.estimation.nonparametric.integrator import integration
+from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.kernels import (
     KERNELS,
     Evidence,
@@ -26,8 +26,14 @@ from armrig.numerics.checks import column, require_integers
 from armrig.numerics.covariance import exogenous_score_in_blocks
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.polynomial import summation
-from armrig.numerics.quantile import two_sided
-from armrig.numerics.whiteness import LJUNG_BOX, Whiteness, default_lags, joined, ljung_box
+from armrig.numerics.whiteness import (
+    LJUNG_BOX,
+    Whiteness,
+    default_lags,
+    joined,
+    ljung_box,
+    two_sided,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,8 +42,10 @@ if TYPE_CHECKING:
 Matrix = NDArray[np.float64]
 Vector = NDArray[np.float64]
 
-LONGEST_PLAIN, LONGEST_REGULARISED = 70, 100  # lags by default
-FADED = 0.05  # share of the prior's variance left at the last lag of a response long enough
+MAX_PLAIN_LAGS, MAX_REGULARISED_LAGS = 70, 100
+"""Largest default number of lags, without and with a kernel."""
+MAX_LAST_VARIANCE_SHARE = 0.05
+"""Largest prior variance, relative to its scale, at the last lag of a long enough response."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -45,25 +53,25 @@ class ImpulseResponse:
     """Coefficients g(k) of y(t) = sum of g(k) u(t - k), with their uncertainty."""
 
     lags: NDArray[np.int_]
-    """-negative_lags … n - 1, in samples."""
+    """Lags -negative_lags … n - 1, in samples."""
     g: Vector
-    """At `lags`, in y's unit per u's."""
+    """Coefficients at `lags`, in units of y per unit of u."""
     covariance: Matrix
-    """Of g."""
+    """Covariance of g."""
     rate: Vector | None
-    """For an integrating output the response of (y(t) - y(t-1))/Ts, whose running sum g is."""
+    """Response of the rate (y(t) - y(t-1))/Ts if y integrates; g is Ts times its running sum."""
     rate_covariance: Matrix | None
-    """Of rate."""
+    """Covariance of `rate`."""
     kernel: str | None
-    """None, "tc", "dc" or "ss"."""
+    """Name of the kernel: "tc", "dc" or "ss"; None for least squares."""
     hyperparameters: dict[str, float]
-    """Of the prior; empty without one."""
+    """Hyperparameters of the prior; empty without a prior."""
     noise_variance: float
-    """Of the residuals, degrees of freedom allowed for."""
+    """Variance of the noise: sum of squared residuals over their degrees of freedom."""
     whiteness: float
-    """p value of white residuals (Ljung-Box)."""
+    """p value of the Ljung-Box test of whiteness of the residuals."""
     N: int
-    """Samples used."""
+    """Number of samples used."""
     Ts: float
     """Sampling time, in s."""
     output: str
@@ -75,60 +83,60 @@ class ImpulseResponse:
     source: str
     """Hash of the recording, or ""."""
     warnings: tuple[str, ...]
-    """What a reader should know before trusting the numbers."""
+    """Warnings about the reliability of the numbers."""
 
     @property
     def std(self) -> Vector:
-        """Standard deviations of g; those of the posterior where there is a prior."""
+        """Standard deviations of g; with a kernel, the standard deviations of the posterior."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def rate_std(self) -> Vector | None:
-        """Standard deviations of the rate's response."""
+        """Standard deviations of `rate`, or None."""
         if self.rate_covariance is None:
             return None
         return np.sqrt(np.maximum(np.diag(self.rate_covariance), 0.0))
 
     @property
     def integrator(self) -> bool:
-        """The output was taken as integrating."""
+        """True if the output was treated as integrating."""
         return self.rate is not None
 
     @property
     def died_out(self) -> bool:
-        """The last tenth of the response (the rate's, if y integrates) is nothing any more."""
+        """True if the last tenth of the response (of the rate if y integrates) is about 0."""
         g, _ = self.decaying
         covariance = self.covariance if self.rate_covariance is None else self.rate_covariance
         return died_out(g, covariance)
 
     @property
     def band_name(self) -> str:
-        """What the band is: of confidence, or of a posterior."""
+        """Name of the band: confidence, or Bayesian."""
         return "confidence" if self.kernel is None else "Bayesian (credible)"
 
     @property
     def decaying(self) -> tuple[Vector, Vector]:
-        """The response that dies out and its standard deviations: the rate's, or g's."""
+        """Decaying response and its standard deviations: `rate` if y integrates, otherwise g."""
         if self.rate is None or self.rate_std is None:
             return self.g, self.std
         return self.rate, self.rate_std
 
     def band(self, level: float = 0.95) -> Vector:
-        """Return the half width of each lag's band at a level between 0 and 1."""
+        """Return the half width of the band of g at each lag, for a level between 0 and 1."""
         return two_sided(level) * self.std
 
     def significant(self, level: float = 0.99) -> NDArray[np.int_]:
-        """Return the lags at which zero lies outside the band (for an integrating y the rate's)."""
+        """Return the lags at which 0 is outside the band of g (of `rate` if y integrates)."""
         g, std = self.decaying
         return np.asarray(self.lags[np.abs(g) > two_sided(level) * std])
 
     def first_lag(self, level: float = 0.99) -> int | None:
-        """Return the first lag >= 0 whose coefficient leaves its band, None where none does."""
+        """Return the first significant lag >= 0, or None."""
         found = [int(k) for k in self.significant(level) if k >= 0]
         return found[0] if found else None
 
     def step_response(self) -> StepResponse:
-        """Return the answer to a unit step, the running sum of g(0), g(1), …."""
+        """Return the response to a unit step: the running sum of g(0), g(1), …."""
         causal = self.lags >= 0
         g = self.g[causal]
         S = np.tri(g.size)
@@ -140,7 +148,7 @@ class ImpulseResponse:
         )
 
     def spectrum(self, omega: ArrayLike) -> SpectralEstimate:
-        """Return the transform of g at omega (n,) in rad/s, with g's uncertainty carried on."""
+        """Return the Fourier transform of g at omega (n,) in rad/s, with standard deviations."""
         w = column("omega", np.atleast_1d(omega))
         g, _ = self.decaying
         covariance = self.covariance if self.rate_covariance is None else self.rate_covariance
@@ -169,7 +177,7 @@ class ImpulseResponse:
             )
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
-        """Return a figure of g with its band about zero: see `armrig.plots.plot_impulse`."""
+        """Return a figure of g and its band about 0, as `armrig.plots.plot_impulse` draws it."""
         from armrig.estimation.nonparametric.figures import plot_impulse
         from armrig.plots.layout import figure_of
 
@@ -177,11 +185,11 @@ class ImpulseResponse:
 
     @property
     def white(self) -> Whiteness:
-        """The test of white residuals; its str says what came out."""
+        """Result of the whiteness test; str() returns it as text."""
         return Whiteness(p_value=self.whiteness, test=LJUNG_BOX)
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Return the result as a few lines of text."""
         how = "plain least squares" if self.kernel is None else f"regularised, {self.kernel}"
         first, last = int(self.lags[0]), int(self.lags[-1])
         what = f"impulse response of {self.output}, lags {first} … {last}, Ts {self.Ts:g} s"
@@ -190,7 +198,7 @@ class ImpulseResponse:
             values = ", ".join(f"{k} {v:.4g}" for k, v in self.hyperparameters.items())
             lines.append(f"  prior: {values}")
         if self.integrator:
-            lines.append("  estimated as the rate's and integrated: y integrates its input")
+            lines.append("  y integrates: the response of its rate was estimated, then integrated")
         g, std = self.decaying
         k = int(np.argmax(np.abs(g)))
         name = "rate's largest" if self.integrator else "largest"
@@ -213,42 +221,43 @@ def impulse_response(
 ) -> ImpulseResponse:
     """Estimate g in y(t) = c + sum over k = -m … n-1 of g(k) u(t - k) + v(t).
 
-    Each experiment has its own level c. Only rows whose inputs were all applied within the
-    experiment, and whose y is valid, are used.
+    Each experiment has its own level c. A row is used only if its y is valid and all its inputs are
+    inside the experiment.
 
-    kernel=None is least squares by QR. Its band is one of confidence: the covariance is
-    W M W^T, W W^T = (Phi^T Phi)^-1, with M = Phi^T R Phi where R belongs to an autoregression
-    fitted to the residuals (order by AIC; order 0 is the classic form), so it holds for coloured
-    output noise too, as long as u does not depend on v.
+    With kernel=None the method is least squares by QR, with a confidence band. The covariance of g
+    is P M P, with P = (Phi^T Phi)^-1 and M = Phi^T R Phi. R is the covariance of an autoregression
+    fitted to the residuals, with the order by AIC. For order 0 the covariance has the classic form.
+    If u does not depend on v, the band is valid for coloured output noise too.
 
-    With a kernel g(0), g(1), … have the Gaussian prior N(0, s P(lambda)), whose hyperparameters and
+    With a kernel g(0), g(1), … have the Gaussian prior N(0, s P(lambda)). The hyperparameters and
     sigma² maximise the marginal likelihood, and g is the posterior mean. The band is then Bayesian
-    (credible): right on average over systems like the prior, not for each system, and for white v.
-    Negative lags have no prior: shrinking them would hide the feedback they are there to show.
+    (credible). For white v its coverage is correct on average over systems drawn from the prior,
+    but not for each system. Negative lags have no prior, because a prior would shrink these
+    coefficients and hide feedback.
 
-    An integrating y has a response that never dies out, so the rate's is estimated, on y as it was
-    measured: its regressors are the running sums of u, and each experiment has a ramp besides its
-    level. g is then Ts times the running sum of the rate's response.
+    If y integrates, g does not decay. Then the response of the rate is estimated, with the running
+    sums of u as regressors and the measured y as output. Each experiment has a level and a ramp. g
+    is Ts times the running sum of the response of the rate.
 
     Parameters
     ----------
     data : Dataset
-        N samples; missing ones and several experiments are allowed.
+        N samples; missing samples and several experiments are allowed.
     n : int, optional
-        Lags 0 … n - 1; by default a fifth of the samples, 100 at most (plain least squares: a
-        tenth, 70 at most).
+        Number of lags 0 … n - 1. The default is a fifth of the samples, at most 100. With
+        kernel=None it is a tenth of the samples, at most 70.
     kernel : {"tc", "dc", "ss", None}
-        Tuned/correlated, diagonal/correlated, stable spline, or plain least squares.
+        Kernel: tuned/correlated, diagonal/correlated or stable spline; None for least squares.
     negative_lags : int, default 0
-        m; coefficients there that leave their band show feedback.
+        Number m of negative lags. Coefficients at negative lags outside their band indicate
+        feedback.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
-        the result then says.
+        As in `etfe`.
 
     Returns
     -------
     ImpulseResponse
-        .lags, .g and .std (m + n,), g in y's unit per u's and sample.
+        `lags`, `g` and `std`, (m + n,), with g in units of y per unit of u and sample.
 
     Raises
     ------
@@ -266,8 +275,8 @@ def impulse_response(
     n = _default(data.N - data.missing, plain=kernel is None) if n is None else n
     require_integers(n=(n, 1), negative_lags=(negative_lags, 0))
     lags = np.arange(-negative_lags, n)
-    # A fifth more lags, left out again, stand for all that follow: running sums are so alike that
-    # the last coefficient would take the place of what comes after it.
+    # A fifth more lags are estimated and then dropped. They represent all later lags. Without them
+    # the last coefficient would include the effect of later lags, because running sums are similar.
     spare = 1 + n // 5 if kernel is None and integrates else 0
     asked = range(-negative_lags, n + spare)
     rows = regression(data, asked, integrator=integrates)
@@ -291,8 +300,8 @@ def _require_rows(rows: FirRegression, free: int, asked: str, samples: int) -> N
     needed = max(free + rows.nuisance + 2, 3)
     if needed > rows.N:
         raise InputError(
-            f"{asked} needs at least {needed} rows with all of "
-            f"their inputs known, got {rows.N} of {samples} samples; ask for fewer lags"
+            f"{asked} needs at least {needed} rows with all inputs known, got {rows.N} of "
+            f"{samples} samples; lower the number of lags"
         )
 
 
@@ -305,7 +314,7 @@ def _response(
     *,
     integrates: bool,
 ) -> ImpulseResponse:
-    """Return the estimate with its verdict; the rate's is integrated."""
+    """Return the estimate with a whiteness test; the response of a rate is also integrated."""
     g, covariance, variance, hyperparameters = estimate
     p = ljung_box(joined(rows.residuals(g), 40), default_lags(rows.N))
     white = Whiteness(p_value=p, test=LJUNG_BOX)
@@ -332,11 +341,12 @@ def _response(
 
 
 def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> ImpulseResponse:
-    """Return the regularised response with the first of `lags` at which its prior has faded.
+    """Return the regularised response with the first of `lags` for which the prior decays.
 
-    Where none is enough, with those at which it has faded most. One that is cut off before ripples
-    in frequency, every 2 pi/(n Ts) rad/s, and its standard deviations know nothing of that.
-    `died_out` alone does not tell, as its band is wide then.
+    If no number of lags is enough, the result is the response whose prior has decayed most. The
+    spectrum of a truncated response has ripples with the period 2 pi/(n Ts) rad/s. The standard
+    deviations do not include these ripples. `died_out` alone does not detect a truncation, because
+    the band is wide.
     """
 
     def left(response: ImpulseResponse) -> tuple[bool, float]:
@@ -347,7 +357,7 @@ def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> Im
     tried: list[ImpulseResponse] = []
     for n in dict.fromkeys(min(n, most) for n in lags):
         tried.append(impulse_response(data, n, integrator=integrator))
-        if left(tried[-1]) < (False, FADED):
+        if left(tried[-1]) < (False, MAX_LAST_VARIANCE_SHARE):
             break
     return min(tried, key=left)
 
@@ -356,7 +366,7 @@ Estimate = tuple[Vector, Matrix, float, dict[str, float]]
 
 
 def died_out(g: Vector, covariance: Matrix) -> bool:
-    """Tell whether the mean of the last tenth is within its band, or under 2 % of the largest."""
+    """Return whether the mean of the last tenth is 0 within 4 std or within 2 % of max |g|."""
     tail = max(1, g.size // 10)
     mean = np.full(tail, 1 / tail)
     std = float(np.sqrt(max(mean @ covariance[-tail:, -tail:] @ mean, 0.0)))
@@ -364,7 +374,7 @@ def died_out(g: Vector, covariance: Matrix) -> bool:
 
 
 def _plain(rows: FirRegression) -> Estimate:
-    """Return least squares; W W^T = (Phi^T Phi)^-1 comes from the triangle of [Phi y]."""
+    """Return the least-squares estimate, computed from the triangular factor of [Phi y]."""
     R = rows.triangle()
     d = R.shape[0] - 1
     basis = orthonormal(R[:, :d])
@@ -377,7 +387,7 @@ def _plain(rows: FirRegression) -> Estimate:
 
 
 def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
-    """Return the posterior of all lags, flat for the first m, from the triangle of [Phi y]."""
+    """Return the posterior of all lags, with a flat prior for the first m, the negative lags."""
     R = rows.triangle()
     d = R.shape[0] - 1
     _require_rank(orthonormal(R[:, :m]), m, "negative lags")
@@ -391,7 +401,7 @@ def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
     if m == 0:
         found = posterior
         return found.g, found.covariance, found.noise_variance, found.hyperparameters
-    # g_flat = R_ff^-1 (r_f - R_fp g), for each g of the posterior.
+    # The negative lags are R_ff^-1 (r_f - R_fp g) for each g of the posterior.
     inverse = np.linalg.inv(R[:m, :m])
     slope = -inverse @ R[:m, m:d]
     flat = inverse @ R[:m, d] + slope @ posterior.g
@@ -406,12 +416,12 @@ def _require_rank(basis: Basis, d: int, what: str) -> None:
     if basis.rank < d:
         raise InputError(
             f"u determines only {basis.rank} of {d} {what}: it has too few frequencies; "
-            "excite with a richer input (telegraph, PRBS), or ask for fewer with a kernel"
+            "excite with a richer input (telegraph, PRBS), or use a kernel with fewer lags"
         )
 
 
 def _default(N: int, *, plain: bool) -> int:
-    share, longest = (10, LONGEST_PLAIN) if plain else (5, LONGEST_REGULARISED)
+    share, longest = (10, MAX_PLAIN_LAGS) if plain else (5, MAX_REGULARISED_LAGS)
     return max(2, min(N // share, longest))
 
 
@@ -419,7 +429,7 @@ def _warnings(
     g: Vector, covariance: Matrix, kernel: Literal["tc", "dc", "ss"] | None, white: Whiteness
 ) -> Iterator[str]:
     if not died_out(g, covariance):
-        yield "the response has not died out at the last lags: ask for more lags (n)"
+        yield "the response has not decayed at the last lags: give more lags (n)"
     if kernel is not None and white.coloured:
         yield (
             f"the residuals are {white} and the Bayesian band assumes white noise; "

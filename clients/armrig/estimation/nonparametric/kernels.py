@@ -1,7 +1,7 @@
-"""Priors of an impulse response that dies out, and how likely each makes the data.
+"""Priors for a decaying impulse response, and marginal likelihood of the data.
 
-A kernel is the covariance P(lambda, rho) of g(0) … g(n-1) up to a scale; its factor L has
-L L^T = P.
+A kernel is the covariance P(lambda, rho) of g(0) … g(n-1), except for a scale. Its factor L
+satisfies L L^T = P.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ Kernel = Literal["tc", "dc", "ss"]
 KERNELS = ("tc", "dc", "ss")
 _DECAYS = (0.5, 0.7, 0.85, 0.93, 0.98)
 _SCALES = (1e-2, 1.0, 1e2, 1e4)
-_ROWS = 4096  # made at once: they stay in the cache
+_BLOCK_ROWS = 4096  # rows computed at once, which fit into the cache
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Posterior:
-    """g given the data, for the hyperparameters that make the data likeliest."""
+    """Posterior of g for the hyperparameters of maximum likelihood."""
 
     g: Vector
     """Posterior mean, (n,)."""
     covariance: Matrix
     """Posterior covariance, (n, n)."""
     noise_variance: float
-    """Estimate of sigma², of y's unit squared."""
+    """Estimate of sigma², in the squared unit of y."""
     hyperparameters: dict[str, float]
-    """scale (of P, in g's unit squared), decay lambda, and for "dc" the correlation rho."""
+    """Scale of P in the squared unit of g, decay lambda, and for "dc" the correlation rho."""
 
 
 def factor(kernel: Kernel, n: int, decay: float, correlation: float = 0.0) -> Matrix:
-    """Return L (n, n) with L L^T = P, where for i, j = 1 … n the kernel P(i, j) is as follows.
+    """Return L (n, n) with L L^T = P.
 
-    ::
+    For i, j = 1 … n the kernel P(i, j) is ::
 
         TC: lambda^max(i,j)
         DC: lambda^((i+j)/2) rho^|i-j|
@@ -58,10 +58,11 @@ def factor(kernel: Kernel, n: int, decay: float, correlation: float = 0.0) -> Ma
     if kernel == "ss":
         largest = np.maximum.outer(i, i)
         P = decay ** (np.add.outer(i, i) + largest) / 2 - decay ** (3 * largest) / 6
-        # By eigenvalues: P is singular to rounding, and Cholesky would need a jitter.
+        # Eigenvalues, because P is singular to rounding: a Cholesky factor would need a larger
+        # diagonal.
         value, vector = np.linalg.eigh(P)
         return np.asarray(vector * np.sqrt(np.maximum(value, 0.0)))
-    # TC is DC with rho = sqrt(lambda); an AR(1) process has this factor in closed form.
+    # TC is DC with rho = sqrt(lambda). The covariance of an AR(1) process has a closed-form factor.
     rho = np.sqrt(decay) if kernel == "tc" else correlation
     apart = np.subtract.outer(i, i)
     ar = np.where(apart >= 0, rho ** np.maximum(apart, 0), 0.0)
@@ -71,14 +72,16 @@ def factor(kernel: Kernel, n: int, decay: float, correlation: float = 0.0) -> Ma
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evidence:
-    """The marginal likelihood of M samples y = Phi g + e, reduced once to a triangle.
+    """Marginal likelihood of M samples y = Phi g + e, from a triangular factor.
 
-    With [Phi y] = Q [[R, r], [0, s]], e white of variance sigma² and g of covariance
-    kappa sigma² L L^T, one QR of [[R L sqrt(kappa), r], [I, 0]] gives [[T, t], [0, d]] and ::
+    Let [Phi y] = Q [[R, r], [0, s]]. e is white with the variance sigma², and g has the covariance
+    kappa sigma² L L^T. The triangular factor of [[R L sqrt(kappa), r], [I, 0]] is [[T, t], [0, d]].
+    Then ::
 
         -2 log p(y) = M log(sigma²) + 2 log|det T| + (d² + s²)/sigma²
 
-    least for sigma² = (d² + s²)/M. N samples are met once, n lags at each trial.
+    The minimum is at sigma² = (d² + s²)/M. Only the first QR decomposition needs all samples. The
+    decomposition in each trial has 2 n rows.
 
     References
     ----------
@@ -86,25 +89,26 @@ class Evidence:
     """
 
     kernel: Kernel
+    """Name of the kernel."""
     R: Matrix
-    """(n, n), upper triangular."""
+    """Triangular factor R of Phi, (n, n)."""
     r: Vector
-    """(n,)."""
+    """Part r of Q^T y, (n,)."""
     rest: float
-    """s², what no g explains."""
+    """Part s² of |y|² that is not explained by any g."""
     M: int
-    """Samples less the nuisance parameters."""
+    """Number of samples less the number of nuisance parameters."""
 
     def posterior(self) -> Posterior:
-        """Return the posterior for the likeliest hyperparameters."""
+        """Return the posterior for the hyperparameters of maximum likelihood."""
         return self._given(self.likeliest())
 
     def likeliest(self) -> Vector:
-        """Return log kappa and the logits of lambda and rho that maximise the likelihood."""
+        """Return log kappa and the logits of lambda and, for "dc", rho, of maximum likelihood."""
         from scipy.optimize import minimize
 
         starts = sorted(self._starts(), key=self._cost)[:1]
-        if self.kernel == "dc":  # TC is one of its cases, and easier found
+        if self.kernel == "dc":  # the optimum of TC, a special case of DC, is a good start value
             x = replace(self, kernel="tc").likeliest()
             starts.append(np.append(x, _logit(np.sqrt(self._parameters(x)[1]))))
         options = {"xatol": 1e-2, "fatol": 1e-3, "maxiter": 400}
@@ -114,7 +118,7 @@ class Evidence:
         return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
 
     def _starts(self) -> list[Vector]:
-        # kappa |R|_F² / n is the ratio of signal to noise of a coefficient.
+        # kappa |R|_F² / n is the signal-to-noise ratio of a coefficient.
         unit = self.r.size / max(float(np.sum(self.R**2)), 1e-300)
         correlations = (0.3, 0.8, 0.97) if self.kernel == "dc" else (None,)
         return [
@@ -170,31 +174,31 @@ def _logistic(x: float) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FirExperiment:
-    """One experiment; its rows are made when they are asked for, N d numbers are never held."""
+    """Regression of one experiment; its rows are computed in blocks to save memory."""
 
     windows: Matrix
-    """x(t - k) of all lags k, (N, d), a view; 0 outside the experiment."""
+    """Inputs x(t - k) at all lags k, (N, d), a view; 0 outside the experiment."""
     y: Vector
-    """Output (N,) without what the experiment has of its own, 0 where it is not used."""
+    """Output (N,) less its projection on `own`; 0 in rows that are not used."""
     used: NDArray[np.bool_]
-    """(N,), True where y and all of the lagged inputs are known."""
+    """Mask (N,) of rows in which y and all lagged inputs are known."""
     own: Matrix
-    """Orthonormal basis of what the experiment has of its own (level, ramp), (N, k)."""
+    """Orthonormal basis of the experiment's level and ramp, (N, k)."""
     shadow: Matrix
-    """Coefficients of the regressors along it, (k, d)."""
+    """Coefficients of the projection of the regressors on `own`, (k, d)."""
 
     def rows(self, part: slice) -> Matrix:
-        """Return Phi of these rows, zero in those that cannot be used."""
+        """Return the rows `part` of Phi; a row that cannot be used is 0."""
         Phi = np.where(self.used[part, None], self.windows[part], 0.0)
         return np.asarray(Phi - self.own[part] @ self.shadow)
 
     def parts(self) -> list[slice]:
-        """Return the rows of each block, first to last."""
+        """Return the slice of each block of rows, from first to last."""
         N = self.y.size
-        return [slice(a, min(a + _ROWS, N)) for a in range(0, N, _ROWS)]
+        return [slice(a, min(a + _BLOCK_ROWS, N)) for a in range(0, N, _BLOCK_ROWS)]
 
     def residuals(self, g: Vector) -> Vector:
-        """Return y - Phi g (N,), NaN where it is not known."""
+        """Return the residuals y - Phi g, (N,); NaN if not known."""
         e = np.full(self.y.size, np.nan)
         for part in self.parts():
             there = self.used[part]
@@ -204,12 +208,12 @@ class FirExperiment:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FirRegression:
-    """y = Phi g + e, what each experiment has of its own (level, ramp) projected out."""
+    """Regression y = Phi g + e; level and ramp of each experiment are projected out."""
 
     experiments: tuple[FirExperiment, ...]
-    """Rows of each."""
+    """Regression of each experiment."""
     nuisance: int
-    """Levels and ramps projected out."""
+    """Number of levels and ramps projected out."""
 
     @property
     def N(self) -> int:
@@ -217,7 +221,7 @@ class FirRegression:
         return sum(int(np.count_nonzero(x.used)) for x in self.experiments)
 
     def triangle(self) -> Matrix:
-        """Return R (d + 1, d + 1) of Q R = [Phi y], all rows used."""
+        """Return the triangular factor R (d + 1, d + 1) of [Phi y], from all used rows."""
         return triangle(self._blocks(), self.experiments[0].windows.shape[1] + 1)
 
     def _blocks(self) -> Iterator[Matrix]:
@@ -227,7 +231,7 @@ class FirRegression:
                 yield np.column_stack([x.rows(part), x.y[part]])[there]
 
     def residuals(self, g: Vector) -> list[Vector]:
-        """Return y - Phi g of each experiment, (N_i,), NaN where it is not known."""
+        """Return the residuals y - Phi g of each experiment, (N_i,); NaN if not known."""
         return [x.residuals(g) for x in self.experiments]
 
     def backwards(self) -> Iterator[Iterator[Matrix]]:
@@ -237,11 +241,11 @@ class FirRegression:
 
 
 def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression:
-    """Return the regression of y(t) on u(t - k), k in lags (from one <= 0 to one >= 0).
+    """Return the regression of y(t) on u(t - k) for k in `lags`; 0 must be in `lags`.
 
-    For an integrating output the regressors are the running sums Ts (u(0) + … + u(t - k)), so that
-    the coefficients are those of the rate and the noise stays on y as it was measured; besides a
-    level each experiment then has a ramp, which is what an offset of the input does.
+    For an integrating output the regressors are the running sums Ts (u(0) + … + u(t - k)). The
+    coefficients are then the response of the rate, while the noise is still that of the measured y.
+    Each experiment has a level and a ramp. The ramp is the effect of an input offset.
     """
     mean = float(np.mean(data.u))
     experiments = []
@@ -254,7 +258,7 @@ def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression
 
 
 def _experiment(part: Dataset, x: Vector, lags: range, *, columns: int) -> FirExperiment:
-    """Return one experiment's rows; `columns` of 1, t are its own."""
+    """Return the regression of one experiment, less level (1 column) or level and ramp (2)."""
     first, last = lags[-1], -lags[0]
     padded = np.concatenate([np.zeros(first), x, np.zeros(last)])
     windows = sliding_window_view(padded, len(lags))[:, ::-1]

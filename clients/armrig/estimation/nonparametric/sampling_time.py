@@ -1,4 +1,4 @@
-"""Which sampling time a process wants (handout, 3.1.1), with reasons and figures."""
+"""Recommendation of a sampling time (handout, 3.1.1) with the reasons for it."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
+from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.blackman_tukey import filled
 from armrig.estimation.nonparametric.impulse import impulse_response, long_enough
-from armrig.estimation.nonparametric.integrator import integration
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.estimation.nonparametric.welch import explained, welch
@@ -31,99 +31,99 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 SAMPLES_PER_PERIOD = 20  # handout 3.1.1: omega_s = 20 omega_B
-LAGS = (100, 200, 400, 600)  # of the impulse response, the next where the last are too few
-MOST_LAGS = 500  # of the impulse response of steps
-FEWEST, MOST = 7, 10  # handout 3.1.1: samples in the transient
-NEAR_NYQUIST = 0.8  # of it: what counts as near
-FASTER = 5  # by how much where the response is over within a sample
-ZERO = 0.05  # of the largest value of a step response: less is a final value of 0
-ALIASING = 0.05  # share of power near Nyquist from which folding is suspected
-# Share near Nyquist of 1 - cos(omega Ts), the spectrum of differences of white noise; and with the
-# scatter of an estimated spectrum.
+LAGS = (100, 200, 400, 600)  # numbers of lags of the impulse response, tried one after the other
+MAX_STEP_LAGS = 500  # largest number of lags of the impulse response from steps
+MIN_TRANSIENT_SAMPLES, MAX_TRANSIENT_SAMPLES = 7, 10  # handout 3.1.1: samples in the transient
+NYQUIST_SHARE = 0.8  # lower limit of the frequencies near Nyquist, as a share of Nyquist
+SPEED_UP = 5  # factor of a faster recording, if the response ends within a sample
+MIN_GAIN_SHARE = 0.05  # share of a response's largest value; a smaller final value is 0
+MIN_ALIASING_SHARE = 0.05  # share of power near Nyquist for a note on aliasing
+# Share of power near Nyquist of 1 - cos(omega Ts), the spectrum of differences of white noise, and
+# its largest value with the scatter of an estimated spectrum.
 DIFFERENCED, MOST_DIFFERENCED = 0.39, 0.45
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SamplingTime:
-    """A recommended sampling time and what it follows from."""
+    """Recommended sampling time with the reasons for it."""
 
     Ts: float
-    """Recommended, in s: one of 1, 2, 5 times a power of ten."""
+    """Recommended sampling time in s: 1, 2 or 5 times a power of ten."""
     tau: float
-    """63 % time of the step response (of the rate, if y integrates), less the dead time, in s."""
+    """63 % time of the step response (of the rate if y integrates), less the dead time, in s."""
     omega_step: float
-    """omega_B = 1/tau, in rad/s."""
+    """Bandwidth omega_B = 1/tau of the step, in rad/s."""
     omega_first: float
-    """Frequency at which |G| first falls below 1/sqrt(2) of its low-frequency value, rad/s."""
+    """Lowest frequency at which |G| falls below 1/sqrt(2) of its low-frequency value, in rad/s."""
     omega_spectrum: float
-    """omega_B from the spectrum: where |G| is above that for the last time, in rad/s."""
+    """Bandwidth omega_B of the spectrum: highest frequency at which |G| is above the same value."""
     settling: float
-    """Length of the transient: the step response stays within 5 % from then on, in s."""
+    """Length of the transient, after which the step response stays within 5 %, in s."""
     settling_std: float
-    """Its standard deviation; NaN where the response was not read from steps."""
+    """Standard deviation of `settling`; NaN if the response was not measured with steps."""
     Ts_step: float
-    """2 pi/(20 omega_B) with omega_B of the step, in s."""
+    """Sampling time 2 pi/(20 omega_B) with omega_B of the step, in s."""
     Ts_spectrum: float
-    """2 pi/(20 omega_B) with omega_B of the spectrum, in s."""
+    """Sampling time 2 pi/(20 omega_B) with omega_B of the spectrum, in s."""
     Ts_transient: tuple[float, float]
-    """settling/10 and settling/7, in s."""
+    """Sampling times settling/10 and settling/7, in s."""
     near_nyquist: float
-    """Share of the output's power (the rate's, if y integrates) above 0.8 pi/Ts in these data."""
+    """Share of the power of y (of its rate if y integrates) above 0.8 of the data's Nyquist."""
     beyond: float
-    """Share above pi/Ts of the recommendation; NaN where these data do not reach that far."""
+    """Share of the power above pi/Ts of the recommendation; NaN above the Nyquist of the data."""
     from_step: bool
-    """The response was read from steps; else from a regularised impulse response."""
+    """True if the response was measured with steps, False if by a regularised impulse response."""
     recorded_at: float
     """Sampling time of the data, in s."""
     output: str
-    """What was looked at."""
+    """Name of the analysed output."""
     t: Vector
     """Times of `response`, in s."""
     response: Vector
-    """Step response over its final value; of steps 0 up to the step."""
+    """Step response divided by its final value; 0 up to the step."""
     gain: float
-    """What |G| is divided by: final value of the steps, else |G| at low frequency."""
+    """Reference value for |G|: final value of the step response, or |G| at low frequency."""
     omega: Vector
     """Frequencies of `power`, in rad/s."""
     power: Vector
-    """Spectrum of the output over its largest value."""
+    """Spectrum of the output divided by its largest value."""
     spectrum: SpectralEstimate
-    """Frequency response (of the rate, if y integrates)."""
+    """Frequency response (of the rate if y integrates)."""
     source: str
     """Hash of the recording, or ""."""
     notes: tuple[str, ...]
-    """What a reader should know."""
+    """Notes about the reliability of the recommendation."""
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of step response and spectrum: `armrig.plots.plot_sampling_time`."""
+        """Return a figure of step response and spectrum, by `armrig.plots.plot_sampling_time`."""
         from armrig.estimation.nonparametric.figures import plot_sampling_time
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_sampling_time(self, ax=ax))
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook: what it says, and its figure."""
+        """Return text and figure as HTML for a notebook."""
         from armrig.plots.notebook import html
 
         return html(self)
 
     def __repr__(self) -> str:
-        """Give the recommendation and its reasons."""
+        """Return the recommendation with its reasons as text."""
         beyond = "unknown" if np.isnan(self.beyond) else f"{100 * self.beyond:.2g} %"
         how = "steps" if self.from_step else "regularised impulse response"
         lines = [
             f"sampling time: {times(self.Ts)} recommended (from {self.output} at "
             f"{times(self.recorded_at)}, {how})",
-            f"  step:      {self._step_told()}",
-            f"  spectrum:  -3 dB {self._band_told()} rad/s, omega_s = 20 omega_B: Ts "
+            f"  step:      {self._step_text()}",
+            f"  spectrum:  -3 dB {self._band_text()} rad/s, omega_s = 20 omega_B: Ts "
             f"{times(self.Ts_spectrum)}",
-            f"  transient: {self._transient_told()}",
+            f"  transient: {self._transient_text()}",
             f"  aliasing:  {100 * self.near_nyquist:.2g} % of the power above 0.8 Nyquist now, "
             f"{beyond} above the recommendation's Nyquist",
         ]
         return "\n".join([*lines, *(f"  {note}" for note in self.notes)])
 
-    def _step_told(self) -> str:
+    def _step_text(self) -> str:
         if self.tau < self.recorded_at:
             return f"63 % time tau below a sample, {times(self.recorded_at)}"
         return (
@@ -131,7 +131,7 @@ class SamplingTime:
             f"omega_s = 20 omega_B: Ts {times(self.Ts_step)}"
         )
 
-    def _transient_told(self) -> str:
+    def _transient_text(self) -> str:
         if self.settling < self.recorded_at:
             return "over within a sample"
         scale, unit = (1e3, "ms") if self.settling < 1 else (1.0, "s")
@@ -140,39 +140,40 @@ class SamplingTime:
             length = times(self.settling)
         return f"{length} to within 5 %, 10 to 7 samples in it: Ts {times(*self.Ts_transient)}"
 
-    def _band_told(self) -> str:
+    def _band_text(self) -> str:
         first, last = (f"{omega:.3g}" for omega in (self.omega_first, self.omega_spectrum))
         return f"at {last}" if first == last else f"first at {first}, last (omega_B) at {last}"
 
 
 @takes_recordings
 def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingTime:
-    """Recommend a sampling time from a first recording, by the handout's rules.
+    """Recommend a sampling time from a first recording, by the rules of the handout.
 
-    omega_s = 20 omega_B gives Ts = 2 pi/(20 omega_B), with omega_B = 1/tau from the step response
-    and omega_B from the spectrum; 7 to 10 samples in the transient give Ts = settling/10 …
-    settling/7 (for a first-order system that is 0.3 to 0.43 tau, and the first rule 0.31 tau). The
-    shortest of them is recommended, to the nearest of 1, 2, 5 times a power of ten: the fast part
-    of a response that is fast first and slow after is lost otherwise, while short sampling
-    costs an output-error model nothing but computation.
+    By the rule omega_s = 20 omega_B, Ts is 2 pi/(20 omega_B). The bandwidth omega_B is 1/tau of the
+    step response, or is read from the spectrum. By the rule of 7 to 10 samples in the transient, Ts
+    is settling/10 to settling/7. For a first-order system the first rule leads to 0.31 tau, and the
+    second rule to 0.3 to 0.43 tau. The recommendation is the shortest of the sampling times,
+    rounded to 1, 2 or 5 times a power of ten. If a response is fast first and then slow, a longer
+    sampling time would lose the fast part. The only cost of a short sampling time for an
+    output-error model is computation.
 
-    omega_B of the spectrum is the frequency at which |G| is above 1/sqrt(2) of its low-frequency
-    value for the last time: a notch, as the arm's, is no end of the band. Of an integrating y
-    the rate is looked at, which has a gain and a time constant.
+    omega_B of the spectrum is the highest frequency at which |G| is above 1/sqrt(2) of its
+    low-frequency value. A notch below this frequency, such as that of the arm, does not end the
+    band. If y integrates, the rate of y is analysed, because the rate has a gain and a time
+    constant.
 
     Parameters
     ----------
     data : Dataset
-        Steps, or any input that excites (telegraph); sampled faster than what it is to tell.
-        Missing samples and several experiments are allowed.
+        Steps, or any exciting input (telegraph), sampled faster than the time constants. Missing
+        samples and several experiments are allowed.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
-        the result then says.
+        As in `etfe`.
 
     Returns
     -------
     SamplingTime
-        .Ts in s; its repr gives the reasons, .plot() shows them.
+        `Ts` in s. The printed text and the figure of `plot` contain the reasons.
 
     Raises
     ------
@@ -196,11 +197,11 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     gain = abs(steps.gain) if steps else _low(estimate)
     first, last = _bandwidth(estimate, gain)
     Ts_step, Ts_spectrum = (2 * np.pi / (SAMPLES_PER_PERIOD * w) for w in (1 / tau, last))
-    rules = (Ts_step, Ts_spectrum, transient / FEWEST)
+    rules = (Ts_step, Ts_spectrum, transient / MIN_TRANSIENT_SAMPLES)
     seen = tau >= data.Ts
-    Ts = nearest_125(min(rules) if seen else data.Ts / FASTER)
+    Ts = nearest_125(min(rules) if seen else data.Ts / SPEED_UP)
     omega, power = _power(data, integrates=integrates)
-    near = _share(omega, power, NEAR_NYQUIST * np.pi / data.Ts)
+    near = _share(omega, power, NYQUIST_SHARE * np.pi / data.Ts)
     return SamplingTime(
         Ts=Ts,
         tau=tau,
@@ -212,7 +213,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
         gain=gain,
         Ts_step=Ts_step,
         Ts_spectrum=Ts_spectrum,
-        Ts_transient=(transient / MOST, transient / FEWEST),
+        Ts_transient=(transient / MAX_TRANSIENT_SAMPLES, transient / MIN_TRANSIENT_SAMPLES),
         near_nyquist=near,
         beyond=_share(omega, power, np.pi / Ts) if Ts >= data.Ts else float("nan"),
         from_step=stepped,
@@ -234,17 +235,17 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
 
 
 def nearest_125(x: float) -> float:
-    """Return the nearest of 1, 2, 5 times a power of ten, by ratio."""
+    """Return the number nearest by ratio among 1, 2 and 5 times a power of ten."""
     decade = int(np.floor(np.log10(x)))
     candidates = [m * 10.0**d for d in (decade, decade + 1) for m in (1, 2, 5)]
     return float(f"{min(candidates, key=lambda c: abs(np.log(c / x))):.1g}")
 
 
 def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
-    """Return the step analysis of a few long holds that the response settles in, else None.
+    """Return the step analysis if the input is a few long holds in which y settles, otherwise None.
 
-    A telegraph's longest hold looks like a step; but its next switch comes before the transient of
-    the last is over, and what is read there is that of several.
+    The longest hold of a telegraph signal looks like a step. However, the signal switches again
+    before the transient has ended, so that the response is a sum of several transients.
     """
     lengths = [[s.stop - s.start for s in constant(part.u)] for part in data.experiments()]
     switches = sum(len(n) - 1 for n in lengths)
@@ -253,7 +254,7 @@ def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
     between = [n for held in lengths for n in held[1:-1]]
     if not between:
         return step_analysis(data, integrator=integrates)
-    # Those before the first switch and after the last may have been cut short.
+    # The holds before the first and after the last switch may be truncated.
     if min(between) < max(between) / 2:
         return None
     try:
@@ -274,23 +275,21 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
     y = np.cumsum(g)
     t: Vector = data.Ts * (np.arange(y.size, dtype=np.float64) - 0.5 * integrates)
     gain = float(np.mean(y[-max(1, y.size // 10) :]))
-    if abs(gain) <= ZERO * float(np.max(np.abs(y))):
-        raise InputError(
-            "the step response returns to about 0: it has no time to 63 % of a final value"
-        )
+    if abs(gain) <= MIN_GAIN_SHARE * float(np.max(np.abs(y))):
+        raise InputError("the step response returns to about 0, so it has no 63 % time")
     t, y = np.append(t[0] - data.Ts, t), np.append(0.0, y / gain)
     shown = data.Ts * np.cumsum(y[1:]) if integrates else y[1:]
     crossing = rise_time(shown, data.Ts, integrated=integrates)
     if np.isnan(crossing):
         raise InputError("the step response never reaches 63 % of its final value; record longer")
-    dead, _ = _dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # counts for neither rule
+    dead, _ = _dead_time(t, y, linear_crossing(t, y, 0.5), data.Ts)  # not part of any rule
     outside = np.flatnonzero(np.abs(y - 1) > 0.05)
     end = float(t[min(int(outside[-1]) + 1, y.size - 1)])
     return t, y, crossing - dead, end - dead
 
 
 def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tuple[float, float]]:
-    """Return L of s (t - L)^p, p = 1 or 2, on the rise up to one half, and its interval."""
+    """Return L of s (t - L)^p, p = 1 or 2, fitted to the rise up to 50 %, and the interval of L."""
     rise = (t <= half + Ts) & np.isfinite(y)
     t, y = t[rise], y[rise]
     delays = np.linspace(0.0, half, 201)
@@ -309,20 +308,20 @@ def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tup
 
 
 def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> SpectralEstimate:
-    """Return the frequency response (the rate's, if y integrates).
+    """Return the frequency response (of the rate, if y integrates).
 
-    By spectral analysis, but for steps, whose transient in s is known: their power at low frequency
-    leaks through any lag window.
+    The method is spectral analysis, but not for steps, because their low-frequency power leaks
+    through any lag window. For steps the length of the transient is given in s.
     """
     if transient is None:
         estimate = spa(data, "log", integrator=integrates)
     else:
-        # One that is cut off before the transient is over swells at its last lags, and makes a band
-        # of noise; where noise shortens the transient, it is over by twice its length.
-        n = int(np.clip(2 * transient / data.Ts, LAGS[0], MOST_LAGS))
+        # A response that is truncated before the transient ends swells at its last lags and makes
+        # a band of noise. Noise may shorten the transient, but not to less than half.
+        n = int(np.clip(2 * transient / data.Ts, LAGS[0], MAX_STEP_LAGS))
         n = min(n, (data.N - data.missing) // 5)
         response = impulse_response(data, n, integrator=integrates)
-        # Below a period in the record nothing is known but the gain.
+        # Below one period in the record only the gain is known.
         shortest = min(part.N for part in data.experiments())
         omega = np.geomspace(2 * np.pi / (shortest * data.Ts), np.pi / data.Ts, 300)
         estimate = response.spectrum(omega)
@@ -330,17 +329,17 @@ def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> Sp
 
 
 def _low(estimate: SpectralEstimate) -> float:
-    """Return |G| at low frequency, the mean of the lowest tenth of the frequencies."""
+    """Return |G| at low frequency: the mean over the lowest tenth of the frequencies."""
     magnitude = estimate.magnitude[np.isfinite(estimate.G)]
     return float(np.mean(magnitude[: max(1, magnitude.size // 10)]))
 
 
 def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
-    """Return where |G| falls 3 dB below the gain first, and where it is surely above last."""
+    """Return the first frequency with |G| below -3 dB, and the last with |G| surely above."""
     known = np.isfinite(estimate.G)
     omega, magnitude = estimate.omega[known], estimate.magnitude[known]
-    # Of many frequencies that noise alone makes some are above by chance: by 2 standard deviations
-    # where the coherence says which they are, by 4 none of some hundred.
+    # Some frequencies that contain only noise are above the level by chance. Two standard
+    # deviations suffice if the coherence excludes such frequencies, else four are necessary.
     width = 4 if estimate.coherence is None else 2
     sure = magnitude - width * np.nan_to_num(estimate.std_magnitude[known])
     if estimate.coherence is not None:
@@ -349,7 +348,7 @@ def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
     below, above = np.flatnonzero(magnitude < level), np.flatnonzero(sure > level)
 
     def fall(j: int) -> float:
-        """Return where |G| meets the level before point j, by a straight line."""
+        """Return the frequency before point j at which |G| reaches the level, interpolated."""
         if j == 0 or not magnitude[j] < level <= magnitude[j - 1]:
             return float(omega[j])
         share = (magnitude[j - 1] - level) / (magnitude[j - 1] - magnitude[j])
@@ -358,13 +357,13 @@ def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
     first = fall(int(below[0]) if below.size else omega.size - 1)
     if above.size == 0:
         return first, first
-    # From the last sure point on, the first that is below.
+    # The first frequency below the level after the last sure one.
     beyond = below[below > above[-1]]
     return first, fall(int(beyond[0]) if beyond.size else omega.size - 1)
 
 
 def _power(data: Dataset, *, integrates: bool) -> tuple[Vector, Vector]:
-    """Return frequencies and the spectrum of y (or its rate) there, by Welch's method."""
+    """Return frequencies and the spectrum of y (of its rate if y integrates), by Welch's method."""
     whole = filled(data, integrator=integrates)
     if integrates:
         whole = merge([difference(part)[1:] for part in whole.experiments()])
@@ -387,40 +386,40 @@ def _notes(
     seen: bool,
     of: str,
 ) -> Iterator[str]:
-    """Say what a reader should know; `of` is the output whose rate was looked at, or ""."""
+    """Yield notes on the recommendation; `of` is the output, if its rate was analysed, or ""."""
     if not seen:
         yield (
-            f"63 % is reached within one sample of {times(now)}, so these data do not tell how "
-            f"fast the response is: record at {times(Ts)} once and ask again; if it is still over "
-            "within a sample then, any Ts will do"
+            f"63 % is reached within one sample of {times(now)}, so the data do not determine the "
+            f"speed: record at {times(Ts)} and repeat the analysis. If the response then still "
+            "ends within a sample, any Ts is suitable"
         )
         return
     names = ("the step's time constant", "the spectrum's bandwidth", "the transient")
     least, most = int(np.argmin(rules)), int(np.argmax(rules))
     yield (
-        f"the shortest is taken, {times(rules[least])} by {names[least]}, rounded to {times(Ts)} "
-        "(1, 2 or 5 times a power of ten): a longer one loses dynamics"
+        f"the shortest time decides, {times(rules[least])} by {names[least]}, rounded to "
+        f"{times(Ts)} (1, 2 or 5 times a power of ten): a longer sampling time loses dynamics"
     )
     if rules[most] > 4 * rules[least]:
         yield (
-            f"the rules differ {rules[most] / rules[least]:.2g} times: the response rises fast and "
-            "settles slowly, and the fast part decides"
+            f"the rules differ by a factor {rules[most] / rules[least]:.2g}: the response rises "
+            "fast and settles slowly, and the fast part decides"
         )
     if bandwidth > 0.4 * np.pi / now:
         yield (
             f"the band reaches {100 * bandwidth * now / np.pi:.0f} % of these data's Nyquist "
-            f"frequency: record at {times(now / FASTER)} once and ask again"
+            f"frequency: record at {times(now / SPEED_UP)} and repeat the analysis"
         )
-    if near > ALIASING and of and near < MOST_DIFFERENCED:
+    if near > MIN_ALIASING_SHARE and of and near < MOST_DIFFERENCED:
         yield (
-            f"{100 * near:.2g} % of the power lies near Nyquist: white noise of {of} gives its "
-            f"differences {100 * DIFFERENCED:g} % there, at any sampling time, so a faster "
-            "recording shows it, too"
+            f"{100 * near:.2g} % of the power is near Nyquist. If {of} has white noise, the "
+            f"differences of the noise have {100 * DIFFERENCED:g} % there at any sampling time, so "
+            "a faster recording would show the same"
         )
-    elif near > ALIASING:
+    elif near > MIN_ALIASING_SHARE:
         yield (
-            f"{100 * near:.2g} % of the power lies near Nyquist: noise or folded frequencies; "
-            "compare with a faster recording before trusting it"
+            f"{100 * near:.2g} % of the power is near Nyquist: noise or aliasing; compare with a "
+            "faster recording before you trust the spectrum"
         )
     if Ts < now:
-        yield "it is shorter than these data's, which show nothing above their Nyquist frequency"
+        yield "the recommended Ts is below Ts of the data, which show nothing above their Nyquist"

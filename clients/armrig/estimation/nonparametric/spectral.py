@@ -1,4 +1,4 @@
-"""Spectral analysis: the frequency response, what is noise, and how sure it is."""
+"""Spectral analysis: frequency response and noise spectrum with standard deviations."""
 
 from __future__ import annotations
 
@@ -12,8 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, merge
 from armrig.data.treatment import difference
-from armrig.estimation.nonparametric.blackman_tukey import NO_POWER, blackman_tukey, blunted, filled
-from armrig.estimation.nonparametric.integrator import integration
+from armrig.data.treatment.integrating import integration
+from armrig.estimation.nonparametric.blackman_tukey import (
+    MIN_POWER_SHARE,
+    blackman_tukey,
+    blunted,
+    filled,
+)
 from armrig.estimation.nonparametric.welch import Spectra, welch
 from armrig.models.spectral_estimate import SpectralEstimate
 from armrig.numerics.checks import column, require_integers
@@ -21,10 +26,11 @@ from armrig.numerics.polynomial import summation
 
 Vector = NDArray[np.float64]
 
-LOGARITHMIC_RESOLUTION = 0.5  # width of the window at omega, as a share of omega
-LONGEST = 300
-"""Lag window in samples, at most."""
+LOGARITHMIC_RESOLUTION = 0.5  # width of the window at omega, divided by omega
+MAX_LAGS = 300
+"""Largest lag window of `spectral_reference`, in samples."""
 POINTS = 40
+"""Number of frequencies of `spectral_reference`."""
 
 
 @takes_recordings
@@ -39,53 +45,56 @@ def spa(
 ) -> SpectralEstimate:
     """Estimate the frequency response and the noise spectrum by spectral analysis.
 
-    Blackman and Tukey's, with the Hann lag window w(k) = (1 + cos(pi k/gamma))/2, |k| <= gamma ::
+    The method of Blackman and Tukey uses the Hann lag window w(k) = (1 + cos(pi k/gamma))/2, |k| <=
+    gamma ::
 
         Phi_yu(omega) = Ts sum of w(k) R_yu(k) exp(-i omega k Ts),   Phi_u, Phi_y likewise
         G = Phi_yu / Phi_u,     E|dG|² = Phi_v / (nu Phi_u),    nu = N / sum of w(k)²
 
-    Phi_v is (Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1) with a lag window four times as long (N/5 at
-    most), smoothed to this one's resolution, so that the variation of G within the window is not
-    taken for noise. Missing outputs are first filled with what the input explains of them; N does
-    not count them. The standard deviations are about the smoothed response, which is what an
-    estimate with this window tends to: narrow resonances are blunted over about 2 pi/(gamma Ts)
-    rad/s, which a note tells where a window four times as long (N/5 at most) sees |G| higher by
-    more than a tenth and than four standard deviations. Half of E|dG|² belongs to the magnitude,
-    half to the phase, except near 0 and pi/Ts, where G is real. A phase whose standard deviation
-    exceeds 0.3 rad is known worse than it says.
+    Phi_v is (Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1) with a lag window four times as long (at most
+    N/5), smoothed to the resolution of gamma. With this longer window, the variation of G within
+    the window does not count as noise. Missing outputs are replaced by the part that the input
+    explains, and are not counted in N.
 
-    An integrating y is treated as its rate, and the result divided by 1 - q^-1.
+    The standard deviations describe the scatter about the smoothed response, the expected value for
+    this window. The window blunts resonances that are narrower than about 2 pi/(gamma Ts) rad/s. A
+    note reports a blunted resonance if |G| is clearly higher with the longer window: by more than
+    10 % and by more than four standard deviations. Half of E|dG|² is the variance of the magnitude,
+    and half is due to the phase, except near 0 and pi/Ts, at which G is real. A standard deviation
+    of the phase above 0.3 rad is too small.
+
+    If y integrates, the response of the rate of y is estimated and then divided by 1 - q^-1.
 
     Parameters
     ----------
     data : Dataset
-        N samples; missing ones and several experiments are allowed (Welch: only segments
-        without a missing one are used).
+        N samples; missing samples and several experiments are allowed. The method "welch" uses only
+        segments without a missing sample.
     window : int or "log", optional
-        gamma in samples, >= 2, by default N/10, 30 at most; Welch: the length of a segment, by
-        default N/8. "log": gamma falls with omega, so that the resolution is half of omega
-        (gamma from 4 to N/4).
+        gamma in samples, >= 2, by default N/10 but at most 30. For "welch" the window is the length
+        of a segment, by default N/8. With "log", gamma decreases with omega from at most N/4 to at
+        least 4, so that the resolution is half of omega.
     omega : array_like (n,), optional
-        Frequencies in rad/s, 0 to pi/Ts; by default 128 equally spaced up to pi/Ts, or 100 on a
-        logarithmic scale with "log".
+        Frequencies in rad/s, 0 to pi/Ts. By default there are 128 equally spaced frequencies up to
+        pi/Ts, or 100 frequencies on a logarithmic scale with window="log".
     method : {"blackman-tukey", "welch"}
-        Welch: averaged periodograms of Hann-tapered segments that overlap by half.
+        "welch" averages the periodograms of Hann-tapered segments that overlap by half.
     delay : int, default 0
-        Samples by which y is advanced for the estimate, and G turned back after: a known delay
-        that is not short beside the window lowers |G| and the coherence.
+        Known delay in samples. For the estimate y is advanced by the delay, and the phase of G is
+        corrected afterwards. If a delay is not short compared with the window and is not given, |G|
+        and the coherence are too low.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
-        the result then says.
+        As in `etfe`.
 
     Returns
     -------
     SpectralEstimate
-        .G, .std_magnitude, .std_phase, .noise_spectrum, .noise_std and .coherence, (n,).
+        `G`, `std_magnitude`, `std_phase`, `noise_spectrum`, `noise_std` and `coherence`, (n,).
 
     Raises
     ------
     ValueError
-        The window is impossible, a frequency is outside 0 to pi/Ts, or u is constant.
+        The window is not allowed, a frequency is outside 0 to pi/Ts, or u is constant.
 
     References
     ----------
@@ -109,12 +118,12 @@ def spa(
 
 
 def _samples_with_output(data: Dataset) -> int:
-    """Return the number of samples with an output, or refuse data without an answer."""
+    """Return the number of samples with an output; refuse too few samples or a constant u."""
     N = data.N - data.missing
     if N < 8 or np.ptp(data.u) == 0:
         what = f"only {N} samples have an output" if N < 8 else "u is constant"
         raise InputError(
-            f"spa cannot see a frequency response: {what}; record an input that varies"
+            f"spa cannot estimate a frequency response: {what}; record an input that varies"
         )
     return N
 
@@ -122,7 +131,7 @@ def _samples_with_output(data: Dataset) -> int:
 def _by_segments(
     data: Dataset, window: int | str | None, omega: Vector, N: int, *, integrates: bool
 ) -> tuple[Spectra, str, list[str]]:
-    """Return Welch's spectra, how they were found, and no note."""
+    """Return Welch's spectra, the name of the method, and an empty list of notes."""
     length = _length(window, N)
     spectra = welch(difference(data) if integrates else data, length, omega)
     return spectra, f"Welch, segments of {length} samples", []
@@ -131,7 +140,7 @@ def _by_segments(
 def _by_lags(
     data: Dataset, window: int | str | None, omega: Vector, N: int, *, integrates: bool
 ) -> tuple[Spectra, str, list[str]]:
-    """Return Blackman and Tukey's spectra, how they were found, and what the window hides."""
+    """Return Blackman and Tukey's spectra, the name of the method, and any note on blunting."""
     gamma = _gamma(window, omega, data.Ts, N)
     whole = filled(data, integrator=integrates)
     whole = _rate(whole) if integrates else whole
@@ -142,7 +151,7 @@ def _by_lags(
 
 
 def _advanced(data: Dataset, delay: int) -> Dataset:
-    """Return the data with y earlier by `delay` samples."""
+    """Return the data with y advanced by `delay` samples."""
     parts = [part for part in data.experiments() if delay + 1 < part.N]
     if not parts:
         longest = max(part.N for part in data.experiments())
@@ -163,7 +172,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
 
 
 def _rate(data: Dataset) -> Dataset:
-    """Return the rate without the first sample of each experiment, which has none."""
+    """Return the rate of y, without the first sample of each experiment, at which it is unknown."""
     return merge([difference(part)[1:] for part in data.experiments() if part.N > 1])
 
 
@@ -186,7 +195,7 @@ def _length(window: int | str | None, N: int) -> int:
         return max(8, N // 8)
     if isinstance(window, str):
         raise InputError(
-            f"window={window!r} is for Blackman-Tukey; Welch takes the length of a segment"
+            f"window={window!r} is for Blackman-Tukey; give the length of a segment for Welch"
         )
     require_integers(window=(window, 4))
     return window
@@ -218,7 +227,7 @@ def _estimate(
     integrates: bool,
     notes: list[str],
 ) -> SpectralEstimate:
-    floor = NO_POWER * float(np.max(s.u, initial=0.0))
+    floor = MIN_POWER_SHARE * float(np.max(s.u, initial=0.0))
     notes = [*notes]
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.where(s.u > floor, s.u, np.nan)
@@ -237,7 +246,7 @@ def _estimate(
     if float(np.min(s.averages)) < 8:
         notes.append(
             f"only {float(np.min(s.averages)):.1f} independent averages: too few for trustworthy "
-            "bands; take a smaller window (Welch: shorter segments)"
+            "bands; use a smaller window (Welch: shorter segments)"
         )
     return SpectralEstimate(
         omega=omega,
@@ -260,17 +269,18 @@ def _estimate(
 
 
 def spectral_reference(data: Dataset) -> SpectralEstimate:
-    """Return the spectral analysis of data that a model is drawn beside.
+    """Return a spectral analysis of data, for comparison with a model in a figure.
 
-    Its lag window is N/10, 300 samples at most, ten times what `spa` takes by itself: a blunted
-    resonance would be held against the model, wide bars are not. The 40 frequencies are equally
-    spaced on a logarithmic scale from the lowest that the window resolves, 2 pi/(window Ts).
+    The lag window is N/10, at most 300 samples. This limit is ten times the limit in `spa`. With a
+    short window a blunted resonance would seem to contradict the model. With a long window the bars
+    are wide, but they do not contradict the model. The 40 frequencies are equally spaced on a
+    logarithmic scale from the lowest resolved frequency, 2 pi/(window Ts).
 
     Raises
     ------
     ValueError
         u is constant, or there are too few samples.
     """
-    window = max(2, min(data.N // 10, LONGEST))
+    window = max(2, min(data.N // 10, MAX_LAGS))
     nyquist = np.pi / data.Ts
     return spa(data, window, np.geomspace(2 * nyquist / window, nyquist, POINTS))

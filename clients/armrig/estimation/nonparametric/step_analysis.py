@@ -1,4 +1,4 @@
-"""Step analysis: time constant, dead time and gain, on the rate where y integrates."""
+"""Step analysis: time constant, dead time and gain of y, or of its rate if y integrates."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.data.quantisation import quantum
 from armrig.data.treatment import difference
-from armrig.estimation.nonparametric.integrator import integration
+from armrig.data.treatment.integrating import integration
+from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.nonparametric.step_answer import Answer, step_answer
-from armrig.estimation.nonparametric.step_lag import area_above, lag_of_angle
 from armrig.numerics.quantities import plural, times, with_std
+from armrig.numerics.step_times import area_above, lag_of_angle
 from armrig.numerics.stretches import Mask, constant, stretches
 
 if TYPE_CHECKING:
@@ -27,62 +27,65 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-SHORTEST_HOLD = 8  # samples before and after a step
-SHORTEST_GAP, SMALL_GAP = 2, 0.1
-"""Samples, and share of the 63 % time, from which on a gap on the rise is told."""
-BAND = 0.05  # about the final value, in which the answer has settled
-_SURE = 5  # standard deviations of a slope before the step
-_UNSETTLED = 0.005  # share of the answer still to come before the step, from which on it is told
-_BETWEEN = 0.1
-"""Error of a curve between samples over Ts²/tau, seen without noise at 2 to 4 samples in tau."""
-_LOUD = 0.03  # deviation of the highest value from which on it may be noise
+MIN_HOLD_SAMPLES = 8
+"""Least number of samples of constant u before and after a step."""
+MIN_GAP_SAMPLES, MIN_GAP_SHARE = 2, 0.1
+"""Least length of a reported gap on the rise: in samples, and as a share of the 63 % time."""
+SETTLING_BAND = 0.05
+"""Half width of the band in which the response has settled, as a share of the final value."""
+_SLOPE_SIGMAS = 5  # standard deviations; a smaller slope before the step counts as 0
+_MIN_UNSETTLED_SHARE = 0.005  # share of the response; less motion before the step is not reported
+_CURVE_ERROR = 0.1
+"""Error of a curve between samples over Ts²/tau, found without noise at 2 to 4 samples in tau."""
+_MAX_OVERSHOOT_STD = 0.03  # with a larger std the highest value may be noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class StepAnalysis:
-    """The answer to a unit step, averaged over all steps of the record, and what it shows."""
+    """Response to a unit step, averaged over all steps of the data, with characteristic times."""
 
     t: Vector
-    """Time in s from the step, (n,); negative before it."""
+    """Time in s from the step, (n,); negative before the step."""
     y: Vector
-    """Mean answer less what was before, per unit of u, (n,)."""
+    """Mean response less the level before the step, per unit of u, (n,)."""
     gain: float
-    """Final value, mean of the last third, in y's unit per u's (the rate's, if y integrates)."""
+    """Final value: mean of the last third, in units of y (per s if y integrates) per unit of u."""
     gain_std: float
-    """Its standard deviation: the scatter of that third, and what had not settled before."""
+    """Standard deviation of `gain`, from scatter in the last third and motion before the step."""
     dead_time: float
-    """In s; 0.0 unless none is almost ruled out."""
+    """Dead time in s; 0.0 unless the probability of no dead time is below 1 %."""
     dead_time_interval: tuple[float, float]
-    """95 %, in s, whether one is claimed or not."""
+    """95 % interval of the dead time in s, which is estimated even if `dead_time` is 0."""
     tau: float
-    """The 63 % time: from the step to 63.2 % of the final value, less the dead time, in s."""
+    """63 % time: time from the step to 63.2 % of the final value, less the dead time, in s."""
     tau_std: float
-    """Its standard deviation: noise and gaps on the rise, and a dead time that may be there."""
+    """Standard deviation of `tau` due to noise, gaps on the rise, and a possible dead time."""
     equivalent_time: float
-    """The area above the answer over its final value, less the dead time, in s; of a rate how far
-    the angle lags the ramp that it ends up on, which a gap on the rise does not touch."""
+    """Area above the response divided by its final value, less the dead time, in s. For a rate the
+    equivalent time is the lag of the angle relative to its final ramp. A gap on the rise does not
+    affect this lag."""
     equivalent_time_std: float
-    """Its standard deviation."""
+    """Standard deviation of `equivalent_time`, in s."""
     smooth_t: Vector
     """Times of `smooth`, in s from the step on."""
     smooth: Vector
-    """Mean of the curves that are likely given y, in y's unit per u's: 0 at the step."""
+    """Mean of the posterior curves, in units of y per unit of u; 0 at the step."""
     smooth_std: Vector
-    """Their standard deviation, which grows in a gap."""
+    """Standard deviation of the posterior curves, which grows in a gap."""
     hidden: tuple[float, float] | None
-    """Between which times y is missing on the rise, in s; None where it is not."""
+    """Begin and end of a gap of y on the rise, in s; None if there is no gap."""
     settling: float
-    """Time from which the answer stays within 5 % of its final value, in s."""
+    """Time from which the response stays within 5 % of its final value, in s."""
     settling_std: float
-    """Its standard deviation."""
+    """Standard deviation of `settling`, in s."""
     overshoot: float
-    """Largest value over the final one, less 1: 0 where there is none, NaN where noise hides it."""
+    """Largest value over the final value, less 1; 0 without overshoot, NaN if noise hides it."""
     overshoot_std: float
-    """Its standard deviation."""
+    """Standard deviation of `overshoot`."""
     rate: bool
-    """y is the rate of an integrating output."""
+    """True if y is the rate of an integrating output."""
     steps: int
-    """Steps averaged."""
+    """Number of averaged steps."""
     Ts: float
     """Sampling time, in s."""
     output: str
@@ -94,22 +97,22 @@ class StepAnalysis:
     source: str
     """Hash of the recording, or ""."""
     warnings: tuple[str, ...]
-    """What a reader should know before trusting the numbers."""
+    """Warnings about the reliability of the numbers."""
 
     @property
     def bandwidth(self) -> float:
-        """1/tau, in rad/s (handout, 3.1.1)."""
+        """Bandwidth 1/tau, in rad/s (handout, 3.1.1)."""
         return 1 / self.tau
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of the answer to a step: see `armrig.plots.plot_step_analysis`."""
+        """Return a figure of the step response, by `armrig.plots.plot_step_analysis`."""
         from armrig.estimation.nonparametric.figures import plot_step_analysis
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_step_analysis(self, ax=ax))
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Return the result as a few lines of text."""
         low, high = self.dead_time_interval
         name = self.output
         if self.rate:  # as the choice of a sampling time names it
@@ -124,51 +127,52 @@ class StepAnalysis:
             f"  equivalent time {with_std(self.equivalent_time, self.equivalent_time_std)} s "
             "(area above the response)",
             f"  within 5 % after {with_std(self.settling, self.settling_std)} s, "
-            f"{self._overshoot_told()}",
+            f"{self._overshoot_text()}",
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 
-    def _overshoot_told(self) -> str:
+    def _overshoot_text(self) -> str:
         if np.isnan(self.overshoot):
-            return "noise hides whether it overshoots"
-        # Of 3 standard deviations, not 2: it is the largest of many.
+            return "noise hides a possible overshoot"
+        # Three standard deviations, not two, because the overshoot is the largest of many values.
         if self.overshoot <= 3 * self.overshoot_std:
             about = f" (± {100 * self.overshoot_std:.2g} %)" if self.overshoot_std else ""
-            return f"no overshoot seen{about}"
+            return f"no visible overshoot{about}"
         return f"overshoot {with_std(100 * self.overshoot, 100 * self.overshoot_std)} %"
 
 
 @takes_recordings
 def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnalysis:
-    """Return the 63 % time, the dead time and the gain of the answer to a step.
+    """Return the 63 % time, the dead time and the gain of the response to a step.
 
-    All changes of u with long holds before and after are used, each answer less its own level
-    before and weighted by the size of its step. Of an integrating y the rate is analysed, whose
-    sample (y(t) - y(t-1))/Ts belongs to the middle of its interval. 63 % time, settling, overshoot
-    and dead time are those of curves drawn from a Gaussian process given all of the record
-    (`armrig.estimation.nonparametric.step_answer`), each from its own final value; their deviations
-    are the curves', and grow where samples are missing. A dead time is claimed only where the
-    probability of none is below 1 %; where none is claimed, the 63 % time's deviation has what may
-    be there.
+    All changes of u with long holds before and after are used as steps. The level before each step
+    is subtracted, and each response is weighted by the size of its step. If y integrates, the rate
+    is analysed. The sample (y(t) - y(t-1))/Ts of the rate is at the middle of the interval.
+
+    The 63 % time, settling, overshoot and dead time are computed from curves drawn from a Gaussian
+    process, given all samples. Each curve is divided by its own final value (see
+    `armrig.estimation.nonparametric.step_answer`). The standard deviations are computed from the
+    scatter of the curves, and increase if samples are missing. A dead time is reported only if the
+    probability of no dead time is below 1 %; otherwise `dead_time` is 0. The standard deviation of
+    the 63 % time then includes a possible dead time.
 
     Parameters
     ----------
     data : Dataset
-        At least one step up or down with 8 samples of rest before it; missing samples and several
+        At least one step up or down after 8 samples of rest. Missing samples and several
         experiments are allowed.
     integrator : bool, optional
-        Whether y integrates u; by default so for theta_1 and another y that behaves so, which
-        the result then says.
+        As in `etfe`.
 
     Returns
     -------
     StepAnalysis
-        Times in s; the answer (n,) in y's unit per u's.
+        Times in s, and the response (n,) in units of y per unit of u.
 
     Raises
     ------
     ValueError
-        u has no step with holds that long, or y does not answer.
+        u has no step with long holds before and after, or y does not respond.
 
     References
     ----------
@@ -190,8 +194,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     gain_std = float(np.std(tail) / np.sqrt(max(tail.size, 1)))
     if not np.isfinite(gain) or abs(gain) <= 4 * gain_std:
         raise InputError(
-            f"{treated.output} does not answer to the step: final value {gain:.3g} ± "
-            f"{gain_std:.2g}; make it larger, or hold it longer"
+            f"{treated.output} does not respond to the step: final value {gain:.3g} ± "
+            f"{gain_std:.2g}; use a larger step, or hold u longer"
         )
     answer = _answer(own, k, weight, data, gain, integrates=integrates)
     crossing, L = answer.crossing, answer.dead_time
@@ -201,7 +205,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     unsettled = _left_to_settle(y, k, steps, crossing / data.Ts)
     hidden = _hidden(own, k, crossing, data.Ts)
     above, above_std = answer.overshoot
-    above = above if above_std < _LOUD else float("nan")
+    above = above if above_std < _MAX_OVERSHOOT_STD else float("nan")
     return StepAnalysis(
         t=t,
         y=y,
@@ -210,7 +214,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
         dead_time=L,
         dead_time_interval=(low, high),
         tau=crossing - L,
-        tau_std=float(np.hypot(answer.tau_std, _BETWEEN * data.Ts**2 / crossing)),
+        tau_std=float(np.hypot(answer.tau_std, _CURVE_ERROR * data.Ts**2 / crossing)),
         equivalent_time=lag - L,
         equivalent_time_std=float(np.hypot(lag_std, L_std)),
         smooth_t=answer.t,
@@ -233,14 +237,14 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
 
 
 class _Steps(NamedTuple):
-    """The steps that are averaged."""
+    """Steps to average."""
 
     at: list[tuple[int, int]]
-    """Experiment, and the first sample of it with the new input."""
+    """Index of the experiment, and its first sample with the new input."""
     pre: int
-    """Samples before each."""
+    """Number of samples before each step."""
     post: int
-    """Samples from each on."""
+    """Number of samples from each step on."""
 
 
 def _steps(data: Dataset) -> _Steps:
@@ -249,11 +253,11 @@ def _steps(data: Dataset) -> _Steps:
         for before, after in pairwise(constant(part.u)):
             pre, post = before.stop - before.start, after.stop - after.start
             known = int(np.count_nonzero(part.valid[before]))
-            if min(known, post) >= SHORTEST_HOLD:
+            if min(known, post) >= MIN_HOLD_SAMPLES:
                 found.append((i, after.start, pre, post))
     if not found:
         raise InputError(
-            f"u has no step with {SHORTEST_HOLD} constant samples before and after; record "
+            f"u has no step with {MIN_HOLD_SAMPLES} constant samples before and after; record "
             "armrig.step(N, at=50), or use impulse_response(data).step_response()"
         )
     longest = max(min(pre, post) for _, _, pre, post in found)
@@ -264,10 +268,11 @@ def _steps(data: Dataset) -> _Steps:
 def _averaged(
     data: Dataset, steps: _Steps, *, slope: bool
 ) -> tuple[NDArray[np.int_], Vector, Vector]:
-    """Return samples from the step on (negative before), and the mean answer to a unit step.
+    """Return sample numbers relative to the step, the mean response to a unit step, and weights.
 
-    The third is what divides the variance of each sample's noise. Each answer is less its level
-    before; with `slope` less the straight line before.
+    The numbers are negative before the step. The noise variance of a sample of the mean is
+    inversely proportional to its weight. The level before each step is subtracted, or with `slope`
+    the straight line before the step.
     """
     k = np.arange(-steps.pre, steps.post)
     total, weight = np.zeros(k.size), np.zeros(k.size)
@@ -288,9 +293,9 @@ def _averaged(
 
 
 def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: float) -> float:
-    """Return by how much the mean answer was still to move when u stepped; 0 where it rested.
+    """Return the motion of y before the step, as an error of the response; 0 if y was at rest.
 
-    Its slope before the step times the 63 % time, in samples: what settles with that time constant.
+    The motion is the slope before the step times the 63 % time in samples, `crossing`.
     """
     near = (k < 0) & (k >= -(steps.pre // 2) - 1) & np.isfinite(y)
     if np.count_nonzero(near) <= 2:
@@ -299,7 +304,7 @@ def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: flo
     spread = float(x @ x)
     slope = float(x @ y) / spread
     std = float(np.linalg.norm(y - slope * x)) / np.sqrt((x.size - 2) * spread)
-    return crossing * slope if abs(slope) > _SURE * std else 0.0
+    return crossing * slope if abs(slope) > _SLOPE_SIGMAS * std else 0.0
 
 
 def _answer(
@@ -311,9 +316,9 @@ def _answer(
     *,
     integrates: bool,
 ) -> Answer:
-    """Return the answer over the gain."""
+    """Return the posterior of the response divided by the gain."""
     y = np.where(_alone(np.isfinite(y)) & (k >= 0), np.nan, y / gain)
-    # What a converter rounds looks smooth where y moves slowly, and would pass for signal.
+    # Rounding by a converter looks smooth if y moves slowly, and would count as signal.
     rounding = quantum(data) / (abs(gain) * np.sqrt(weight.max()))
     return step_answer(
         k,
@@ -321,13 +326,13 @@ def _answer(
         weight,
         data.Ts,
         integrates=integrates,
-        band=BAND,
+        band=SETTLING_BAND,
         least_variance=float(rounding**2 / 12),
     )
 
 
 def _weight(data: Dataset, steps: _Steps) -> float:
-    """Return what divides the noise of one sample in the mean answer to a unit step."""
+    """Return the factor by which the mean over all steps divides the noise of a sample."""
     parts = list(data.experiments())
     sizes = [p.u[at] - p.u[at - 1] for p, at in ((parts[i], at) for i, at in steps.at)]
     return float(np.linalg.norm(sizes))
@@ -342,7 +347,7 @@ def _lag(
     *,
     integrates: bool,
 ) -> tuple[float, float]:
-    """Return the equivalent time from the step on, and its deviation."""
+    """Return the equivalent time from the step on, and its standard deviation, in s."""
     settled = k >= (2 * k[-1]) // 3
     if integrates:
         n = steps.pre // 2 + 1
@@ -359,9 +364,9 @@ def _lag(
 
 
 def _alone(known: Mask) -> Mask:
-    """Return which samples stand alone between two gaps: a wiper at the edge of its track lies."""
+    """Return a mask of single samples between gaps; they occur at the end of the track."""
     alone = np.zeros_like(known)
-    gaps = [g for g in stretches(~known) if g.stop - g.start >= SHORTEST_GAP]
+    gaps = [g for g in stretches(~known) if g.stop - g.start >= MIN_GAP_SAMPLES]
     for before, after in pairwise(gaps):
         alone[before.stop : after.start] = after.start - before.stop == 1
     return alone
@@ -370,12 +375,12 @@ def _alone(known: Mask) -> Mask:
 def _hidden(
     y: Vector, k: NDArray[np.int_], crossing: float, Ts: float
 ) -> tuple[float, float] | None:
-    """Return between which times the longest gap on the rise lies, in s; None without one."""
+    """Return begin and end of the longest gap on the rise, in s, or None if there is no gap."""
     after = np.isnan(y[k >= 0])
     gaps = [s for s in stretches(after) if s.start * Ts <= crossing + Ts]
     longest = max(gaps, key=lambda s: s.stop - s.start, default=slice(0, 0))
     begin, end = Ts * (longest.start - 1), Ts * longest.stop
-    few = longest.stop - longest.start < SHORTEST_GAP or end - begin < SMALL_GAP * crossing
+    few = longest.stop - longest.start < MIN_GAP_SAMPLES or end - begin < MIN_GAP_SHARE * crossing
     return None if few else (begin, end)
 
 
@@ -389,19 +394,19 @@ def _warnings(
     if hidden:
         yield (
             f"{data.output} is missing {times(*hidden)} after the step, on the rise: the "
-            f"63 % time is known to ± {times(answer.tau_std)} only; record the step again "
+            f"63 % time is known only to ± {times(answer.tau_std)}; record the step again "
             "at another angle of the chassis (`armrig collect step --at SECONDS`)"
         )
-    if abs(unsettled) > _UNSETTLED:
+    if abs(unsettled) > _MIN_UNSETTLED_SHARE:
         yield (
-            "the output had not settled before the step: it was still to move by "
-            f"{100 * abs(unsettled):.2g} % of the answer; hold u longer before the step"
+            "the output had not settled before the step: the remaining motion was "
+            f"{100 * abs(unsettled):.2g} % of the response; hold u longer before the step"
         )
     half = tail.size // 2
     change = float(abs(np.mean(tail[half:]) - np.mean(tail[:half]))) if half else 0.0
     noise = float(np.std(np.diff(tail))) / np.sqrt(max(tail.size, 1))  # a slope does not count
     if change > 0.04 + 4 * noise:
-        yield "the answer has not settled in the last third of the hold: hold u longer"
+        yield "the response has not settled in the last third of the hold: hold u longer"
     if answer.crossing < 3 * data.Ts:
         yield (
             f"63 % is reached within {answer.crossing / data.Ts:.1f} samples, which is coarse: "

@@ -1,15 +1,16 @@
-"""The answer to a step with its uncertainty: curves drawn from a Gaussian process.
+"""Step response with its uncertainty, from curves drawn from a Gaussian process.
 
-The impulse response g is 0 up to the dead time L, jumps there by any amount, and is a random walk
-from there on. Its increments die out::
+The impulse response g is 0 up to the dead time L. At L it jumps by any amount, and then it is a
+random walk with decaying increments::
 
     var dg = c exp(-(t - L)/T) / (t - L)^2 dt
 
-which allows for a fast rise and a slow end at once. The samples have white noise. Of each L, c and
-T the likely curves are a Gaussian process, whose mean is a smoothing spline; each combination has
-the weight of its restricted likelihood. The level before the step, and the speed of an angle, are
-unknown, too. What is read off the curves, such as when they reach 63 %, has the scatter that it has
-among the curves: noise, missing samples and the dead time enter it alike.
+This prior allows for a fast rise followed by a slow end. The noise of the samples is white. For
+each L, c and T the posterior is a Gaussian process whose mean is a smoothing spline. Each
+combination of L, c and T is weighted by its restricted likelihood. The level before the step, and
+for an angle the speed before the step, are also estimated. The standard deviation of a time, such
+as the 63 % time, is computed from its scatter among the drawn curves. This scatter includes the
+effects of noise, missing samples and the dead time.
 """
 
 from __future__ import annotations
@@ -27,85 +28,88 @@ Vector = NDArray[np.float64]
 Setting = tuple[int, int, int]  # of L in cells, of c, of T
 
 DRAWS = 400
-NONE = 0.5
-"""Probability, before the data, of no dead time; else it is anything up to the 63 % time."""
-STRICT = 0.01
-"""Probability of no dead time below which one is claimed."""
+PRIOR_NO_DEAD_TIME = 0.5
+"""Prior probability of no dead time; the rest is distributed uniformly up to the 63 % time."""
+MAX_NO_DEAD_TIME = 0.01
+"""Probability of no dead time below which a dead time is reported."""
 
-_CELLS = 1000  # of the grid of time; more only where there are more samples
-_FINEST = 4  # cells a sample
-_SMOOTH = np.arange(-28.0, 16.0)  # log of the noise over c
-_HORIZONS = 2.0 ** -np.arange(9.0)  # T over the time after the step
-_LARGEST = 1e10  # of a weight, or the equations are singular to working precision
-_DELAYS = 13  # dead times that are tried at once
-_UNLIKELY = 7.0  # -2 log of the likelihood, over the least, up to which neighbours are tried
-_NEGLIGIBLE = 0.01  # weight over the largest one
-_EXACT = 1e-6  # least deviation of the noise, of the largest value
-_AT_ONCE = 4_000_000  # values of curves that are held at once
+_CELLS = 1000  # number of cells of the time grid; more only if there are more samples
+_MAX_CELLS_PER_SAMPLE = 4
+_LOG_SMOOTHNESS = np.arange(-28.0, 16.0)  # logarithm of the ratio of the noise to c
+_TIME_SHARES = 2.0 ** -np.arange(9.0)  # T divided by the time after the step
+_MAX_WEIGHT = 1e10  # with larger weights the equations are singular to rounding
+_DELAYS_AT_ONCE = 13  # number of dead times tried in a round
+_MAX_DEVIANCE = 7.0  # excess of -2 log likelihood up to which neighbours are tried
+_MIN_WEIGHT_SHARE = 0.01  # share of the largest weight; smaller weights are ignored
+_MIN_NOISE_SHARE = 1e-6  # least standard deviation of the noise, as a share of the largest value
+_MAX_CURVE_VALUES = 4_000_000  # number of values in memory at once
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Answer:
-    """The answer over its final value, and what is read off its likely curves."""
+    """Step response divided by its final value, with the times of the drawn curves."""
 
     t: Vector
     """Times from the step on, in s, (n,)."""
     y: Vector
-    """Mean curve, (n,); of an integrating output its rate's."""
+    """Mean curve, (n,); the curve of the rate if y integrates."""
     std: Vector
     """Standard deviation of `y`, (n,)."""
     crossings: Vector
-    """When each curve reaches 63 %, in s, (DRAWS,)."""
+    """Time at which each curve reaches 63 %, in s, (DRAWS,)."""
     delays: Vector
     """Dead time of each curve, in s, (DRAWS,)."""
     settlings: Vector
-    """From when on each curve stays within the band, in s, (DRAWS,)."""
+    """Time after which each curve stays within the band, in s, (DRAWS,)."""
     peaks: Vector
     """Largest value of each curve, (DRAWS,)."""
     none: float
-    """Probability that there is no dead time."""
+    """Probability of no dead time."""
 
     @property
     def dead_time(self) -> float:
-        """Dead time in s; 0.0 where none is almost certain to be there."""
-        return float(np.median(self.delays[self.delays > 0])) if self.none < STRICT else 0.0
+        """Dead time in s; 0.0 unless the probability of no dead time is below 1 %."""
+        return (
+            float(np.median(self.delays[self.delays > 0])) if self.none < MAX_NO_DEAD_TIME else 0.0
+        )
 
     @property
     def crossing(self) -> float:
-        """When the answer reaches 63 %, in s."""
+        """Time at which the response reaches 63 %, in s."""
         return float(np.median(self.crossings))
 
     @property
     def settling(self) -> float:
-        """From when on the answer stays within the band, in s."""
+        """Time after which the response stays within the band, in s."""
         return float(np.median(self.settlings))
 
     @property
     def settling_std(self) -> float:
         """Distance from `settling` within which 68.3 % of the curves settle, in s.
 
-        A time is known to a cell of the grid at best.
+        The distance includes the rounding of times to cells of the grid.
         """
         cell = float(self.t[1] - self.t[0])
         return float(np.hypot(_deviation(self.settlings - self.settling), cell / np.sqrt(12)))
 
     @property
     def overshoot(self) -> tuple[float, float]:
-        """Largest value less the final one, 1, and its deviation."""
+        """Largest value less the final value 1, and the standard deviation of this difference."""
         above = float(np.max(self.y)) - 1
         return max(above, 0.0), float(np.sqrt(np.mean((self.peaks - 1 - above) ** 2)))
 
     @property
     def tau_std(self) -> float:
-        """The like distance of the 63 % time less the dead time, in s.
+        """Distance from the reported 63 % time, less dead time, that contains 68.3 % of the curves.
 
-        From that which is reported: a dead time that is not claimed enters it.
+        The distance is in s. If the dead time is too uncertain to be reported, the distance
+        includes its uncertainty.
         """
         return _deviation((self.crossings - self.delays) - (self.crossing - self.dead_time))
 
     @property
     def dead_time_interval(self) -> tuple[float, float]:
-        """The shortest that has the dead times of 95 % of the curves, in s."""
+        """Shortest interval with the dead times of 95 % of the curves, in s."""
         delays = np.sort(self.delays)
         n = int(np.ceil(0.95 * delays.size)) - 1
         first = int(np.argmin(delays[n:] - delays[: delays.size - n]))
@@ -113,7 +117,7 @@ class Answer:
 
 
 def _deviation(error: Vector) -> float:
-    """Return within what 68.3 % of the errors are: few large ones do not make it large."""
+    """Return the 68.3 % quantile of |error|, on which a few large errors have little effect."""
     return float(np.quantile(np.abs(error), 0.683))
 
 
@@ -127,25 +131,25 @@ def step_answer(
     band: float,
     least_variance: float = 0.0,
 ) -> Answer:
-    """Return the answer to a step at k = 0.
+    """Return the posterior of the response to a step at k = 0.
 
     Parameters
     ----------
     k : array of int, shape (N,)
-        Samples from the step on, negative before it.
+        Number of each sample relative to the step, negative before the step.
     y : ndarray, shape (N,)
-        Response over its final value, NaN where it is not known. Of an integrating output its
-        angle, of which the rate has the final value.
+        Response divided by its final value; NaN if not known. For an integrating output, the angle
+        divided by the final value of the rate.
     weight : ndarray, shape (N,)
-        By what the variance of each sample's noise is divided.
+        Divisor of the noise variance of each sample.
     Ts : float
         Sampling time, in s.
     integrates : bool
-        The rate of y is looked at.
+        True to analyse the rate of y.
     band : float
-        About 1, in which the answer has settled.
+        Half width of the band about 1 in which the response has settled.
     least_variance : float, default 0
-        Least variance of the noise in y, where the weight is largest.
+        Least noise variance of y at the largest weight.
 
     References
     ----------
@@ -183,7 +187,7 @@ def step_answer(
 
 
 def _reached(t: Vector, curves: Vector) -> Vector:
-    """Return when each curve (n, draws), which ends at 1, first reaches 63 %."""
+    """Return the first time at which each curve (n, draws), of final value 1, reaches 63 %."""
     i = np.argmax(curves >= SHARE, axis=0)
     here, columns = curves[i, np.arange(i.size)], np.arange(i.size)
     before = np.where(i > 0, curves[i - 1, columns], 0.0)
@@ -193,33 +197,33 @@ def _reached(t: Vector, curves: Vector) -> Vector:
 
 
 def _settled(t: Vector, curves: Vector, band: float) -> Vector:
-    """Return from when on each curve (n, draws), which ends at 1, stays within the band."""
+    """Return the time after which each curve (n, draws) stays within the band about 1."""
     last = t.size - 1 - np.argmax(np.abs(curves - 1)[::-1] > band, axis=0)
     return np.asarray((t[last] + t[np.minimum(last + 1, t.size - 1)]) / 2)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Spline:
-    """The likely curves of one setting: a mean, and the scatter about it."""
+    """Posterior of the curves for one setting of L, c and T: mean and covariance."""
 
     delay: int
-    """Cells up to the onset."""
+    """Number of cells up to the onset."""
     z: Vector
-    """Mean from the onset on, (M - delay,)."""
+    """Mean of z from the onset on, (M - delay,)."""
     factor: Vector
-    """Banded Cholesky factor of their precision, times the noise's variance."""
+    """Banded Cholesky factor of the precision times the noise variance."""
     lines: Vector
-    """What the level before, and the speed, take from z, each of 1."""
+    """Change of z per unit of the level before the step, and per unit of the speed."""
     lines_cov: Vector
-    """Covariance of both, over the noise's variance."""
+    """Covariance of level and speed, divided by the noise variance."""
     variance: float
-    """Of the noise."""
+    """Variance of the noise."""
     criterion: float
-    """-2 log of the restricted likelihood, but for a constant."""
+    """-2 log of the restricted likelihood, except for a constant."""
 
 
 class _Record:
-    """The samples, and the grid of time that the curves are on."""
+    """Samples of the response, and the time grid for the curves."""
 
     def __init__(
         self,
@@ -231,26 +235,27 @@ class _Record:
         integrates: bool,
         least_variance: float,
     ) -> None:
-        # The level comes from the later half of what is before the step, as the answer's does.
+        # The level is estimated from the later half of the samples before the step, as in the
+        # response.
         known = np.isfinite(y) & (k >= k[0] // 2)
         k, self._y, self._w = k[known], y[known], weight[known] / weight.max()
-        self._cells = int(np.clip(_CELLS // k[-1], 1, _FINEST))
+        self._cells = int(np.clip(_CELLS // k[-1], 1, _MAX_CELLS_PER_SAMPLE))
         self._order = 3 if integrates else 2
         self._X = np.vander(k / k[-1], self._order - 1, increasing=True)
         self._after = k > 0
         self._at = self._cells * k[self._after] - 1
-        self._least = max(least_variance, (_EXACT * float(np.max(np.abs(self._y)))) ** 2)
+        self._least = max(least_variance, (_MIN_NOISE_SHARE * float(np.max(np.abs(self._y)))) ** 2)
         self.dt = Ts / self._cells
         self.size = self._cells * int(k[-1])
         grid = np.arange(self.size + (not integrates), dtype=np.float64)
         self.t: Vector = self.dt * (grid + 0.5 * integrates)
 
     def spline(self, delay: int, smooth: float, horizon: float) -> _Spline:
-        """Return the likely curves of a setting, `horizon` of the time after the step."""
+        """Return the posterior for one setting; `horizon` is T over the time after the step."""
         d, M, m = self._order, self.size - delay, self._cells
         i = np.arange(M)
         rough = np.exp(np.minimum(i / (horizon * self.size), 50.0)) * ((i + 1) / m) ** 2
-        cost = np.minimum(np.exp(smooth) * m ** (2 * d - 1) * rough, _LARGEST)
+        cost = np.minimum(np.exp(smooth) * m ** (2 * d - 1) * rough, _MAX_WEIGHT)
         here = self._at >= delay
         at, after = self._at[here] - delay, np.flatnonzero(self._after)[here]
         w, X = self._w[after], self._X[after]
@@ -260,8 +265,8 @@ class _Record:
         seen[at, 0], seen[at, 1:] = w * self._y[after], w[:, None] * X
         factor = cholesky_banded(A, check_finite=False)
         solved = cho_solve_banded((factor, False), seen, check_finite=False)
-        # What rounding leaves of the equations is solved for once more: it is that of A's large
-        # elements, where the noise is small.
+        # One step of iterative refinement: if the noise is small, A has large elements, which cause
+        # rounding errors.
         rest = seen - _penalised(solved, cost, d)
         rest[at] -= w[:, None] * solved[at]
         solved += cho_solve_banded((factor, False), rest, check_finite=False)
@@ -273,7 +278,7 @@ class _Record:
         off = self._y - self._X @ level
         off[after] -= z[at]
         squares = float(off @ (self._w * off)) + _cost(z, cost, d)
-        freedom = self._y.size - d  # the jump at the onset, and the line
+        freedom = self._y.size - d  # degrees of freedom: less the jump at the onset and the line
         variance = max(squares / freedom, self._least)
         log_det = 2 * np.sum(np.log(factor[-1])) + np.linalg.slogdet(left)[1]
         log_det -= np.sum(np.log(cost[d - 1 :])) + (np.log(cost[0]) if d == 3 else 0.0)
@@ -289,8 +294,8 @@ class _Record:
         )
 
     def drawn(self, of: _Spline, count: int, rng: np.random.Generator) -> Iterator[Vector]:
-        """Yield curves (n, some) over their final values, `count` in all."""
-        most = max(1, _AT_ONCE // self.size)
+        """Yield `count` curves in blocks (n, ·), each curve divided by its final value."""
+        most = max(1, _MAX_CURVE_VALUES // self.size)
         std, root = np.sqrt(of.variance), np.linalg.cholesky(of.lines_cov)
         for first in range(0, count, most):
             n = min(most, count - first)
@@ -300,19 +305,19 @@ class _Record:
             z = np.zeros((self.size + 1, n))
             z[of.delay + 1 :] = of.z[:, None] + std * own
             y = np.diff(z, axis=0) / self.dt if self._order == 3 else z
-            # Of a loud record some curve may end near 0, which is no final value.
+            # With strong noise a curve may end near 0, so the divisor is at least 0.1.
             yield y / np.maximum(y[-1], 0.1)
 
 
 def _penalty(cost: Vector, d: int) -> Vector:
-    """Return sum_j cost_j (D^d z)_j² as a banded matrix (d + 1, M), for z = 0 at and before 0.
+    """Return sum_j cost_j (D^d z)_j² as a banded matrix (d + 1, M), for z = 0 up to the onset.
 
-    For d = 3 with a row more: the rate is 0 at the onset, for a parabola from there.
+    For d = 3 there is one more row: the rate is 0 at the onset, and z begins as a parabola.
     """
     row = np.array([-1.0, 3.0, -3.0, 1.0]) if d == 3 else np.array([1.0, -2.0, 1.0])
     banded = np.zeros((d + 1, cost.size))
     for a in range(d + 1):
-        first = d if a == 0 else d - 1  # the 0 at the onset is no unknown
+        first = d if a == 0 else d - 1  # z at the onset is 0, so it is not an unknown
         for b in range(a, d + 1):
             banded[d - (b - a), first - d + b : cost.size - d + b] += row[a] * row[b] * cost[first:]
     if d == 3:
@@ -322,9 +327,9 @@ def _penalty(cost: Vector, d: int) -> Vector:
 
 
 def _penalised(z: Vector, cost: Vector, d: int) -> Vector:
-    """Return P z of `_penalty` for columns z (M, n), by differences of z."""
+    """Return P z for columns z (M, n) by differences of z; P is the matrix of `_penalty`."""
     rough = cost[d - 1 :, None] * np.diff(np.vstack([np.zeros_like(z[:1]), z]), d, axis=0)
-    # The adjoint of a difference, d times.
+    # The adjoint of the d-th difference.
     for _ in range(d):
         rough = -np.diff(rough, axis=0, prepend=0.0, append=0.0)
     rough = rough[1:]
@@ -336,39 +341,39 @@ def _penalised(z: Vector, cost: Vector, d: int) -> Vector:
 
 
 def _cost(z: Vector, cost: Vector, d: int) -> float:
-    """Return z' P z of `_penalty`."""
+    """Return z' P z; P is the matrix of `_penalty`."""
     total = float(cost[d - 1 :] @ np.diff(np.append(0.0, z), d) ** 2)
     return total + (float(cost[0] * (4 * z[0] - z[1]) ** 2) if d == 3 else 0.0)
 
 
 class _Search:
-    """The settings tried so far."""
+    """Search over the settings (L, c, T), with the posteriors computed so far."""
 
     def __init__(self, record: _Record) -> None:
         self._record = record
         self.found: dict[Setting, _Spline] = {}
 
     def criterion(self, at: Setting) -> float:
-        """Return that of a setting."""
+        """Return the criterion of a setting."""
         if at not in self.found:
             delay, i, j = at
-            self.found[at] = self._record.spline(delay, _SMOOTH[i], _HORIZONS[j])
+            self.found[at] = self._record.spline(delay, _LOG_SMOOTHNESS[i], _TIME_SHARES[j])
         return self.found[at].criterion
 
     @property
     def best(self) -> Setting:
-        """The most likely setting."""
+        """Most likely setting so far."""
         return min(self.found, key=self.criterion)
 
     def climb(self, at: Setting) -> Setting:
-        """Return the most likely setting of its delay, by steps to neighbours from `at` on."""
+        """Return the most likely setting with the delay of `at`, found by steps to neighbours."""
         while (best := min((at, *_near(at)), key=self.criterion)) != at:
             at = best
         return at
 
     def spread(self) -> None:
-        """Try the neighbours of all that are likely."""
-        limit = self.criterion(self.best) + _UNLIKELY
+        """Compute the neighbours of all likely settings."""
+        limit = self.criterion(self.best) + _MAX_DEVIANCE
         tried = [at for at in self.found if self.criterion(at) < limit]
         while tried:
             new = [at for at in _near(tried.pop()) if at not in self.found]
@@ -377,24 +382,26 @@ class _Search:
 
 def _near(at: Setting) -> Iterator[Setting]:
     delay, i, j = at
-    for x in range(max(i - 1, 0), min(i + 2, _SMOOTH.size)):
-        for v in range(max(j - 1, 0), min(j + 2, _HORIZONS.size)):
+    for x in range(max(i - 1, 0), min(i + 2, _LOG_SMOOTHNESS.size)):
+        for v in range(max(j - 1, 0), min(j + 2, _TIME_SHARES.size)):
             yield delay, x, v
 
 
 def _weighed(record: _Record) -> tuple[list[_Spline], Vector, float]:
-    """Return the likely splines with their probabilities, and that of no dead time."""
+    """Return the likely splines, their probabilities, and the probability of no dead time."""
     search = _Search(record)
-    starts = [(0, i, j) for i in range(0, _SMOOTH.size, 5) for j in (1, 4, 7)]
+    starts = [(0, i, j) for i in range(0, _LOG_SMOOTHNESS.size, 5) for j in (1, 4, 7)]
     best = search.climb(min(starts, key=search.criterion))
-    (curves,) = record.drawn(search.found[best], min(DRAWS // 2, _AT_ONCE // record.size), _rng())
+    (curves,) = record.drawn(
+        search.found[best], min(DRAWS // 2, _MAX_CURVE_VALUES // record.size), _rng()
+    )
     latest = int(np.quantile(np.argmax(curves >= SHARE, axis=0), 0.99)) + 1
     latest = min(latest, record.size // 2)
     at = best
     for delay in _spaced(1, latest):
         at = search.climb((delay, *at[1:]))
     at = search.best
-    width = 1.5 * latest / _DELAYS
+    width = 1.5 * latest / _DELAYS_AT_ONCE
     for delay in _spaced(max(at[0] - width, 1), min(at[0] + width, latest)):
         search.climb((delay, *at[1:]))
     search.spread()
@@ -402,17 +409,19 @@ def _weighed(record: _Record) -> tuple[list[_Spline], Vector, float]:
     weights = {at: np.exp((least - found.criterion) / 2) for at, found in search.found.items()}
     delays = np.array(sorted({at[0] for at in weights}))
     widths = np.gradient(delays.astype(np.float64)) / latest if delays.size > 1 else np.ones(1)
-    prior = dict(zip(delays, (1 - NONE) * widths, strict=True)) | {0: NONE}
+    prior = dict(zip(delays, (1 - PRIOR_NO_DEAD_TIME) * widths, strict=True)) | {
+        0: PRIOR_NO_DEAD_TIME
+    }
     shares = np.array([prior[at[0]] * weight for at, weight in weights.items()])
     shares /= shares.sum()
     none = float(sum(s for at, s in zip(weights, shares, strict=True) if at[0] == 0))
-    kept = shares > _NEGLIGIBLE * shares.max()
+    kept = shares > _MIN_WEIGHT_SHARE * shares.max()
     splines = [found for found, here in zip(search.found.values(), kept, strict=True) if here]
     return splines, shares[kept] / shares[kept].sum(), none
 
 
 def _spaced(first: float, last: float) -> list[int]:
-    return sorted({round(x) for x in np.linspace(first, last, _DELAYS)})
+    return sorted({round(x) for x in np.linspace(first, last, _DELAYS_AT_ONCE)})
 
 
 def _rng() -> np.random.Generator:

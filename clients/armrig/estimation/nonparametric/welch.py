@@ -1,4 +1,4 @@
-"""Averaged periodograms of segments."""
+"""Spectra by averages of the periodograms of segments (Welch)."""
 
 from __future__ import annotations
 
@@ -12,35 +12,37 @@ from armrig.data.dataset import Dataset
 from armrig.models.spectral_estimate import COHERENT, SpectralEstimate
 
 Vector = NDArray[np.float64]
-OVERLAP_CORRELATION = 1 / 36  # of periodograms of Hann-tapered segments that overlap by half
-FEWEST_FREQUENCIES = 3
+OVERLAP_CORRELATION = 1 / 36  # correlation of periodograms of Hann segments that overlap by half
+MIN_FREQUENCIES = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spectra:
-    """Spectra at n frequencies, in units squared times s."""
+    """Spectra at n frequencies, in squared units times s."""
 
     u: Vector
-    """Phi_u, (n,)."""
+    """Spectrum Phi_u, (n,)."""
     y: Vector
-    """Phi_y, (n,)."""
+    """Spectrum Phi_y, (n,)."""
     yu: NDArray[np.complex128]
-    """Phi_yu, (n,)."""
+    """Cross spectrum Phi_yu, (n,)."""
     averages: Vector
-    """nu, (n,): independent averages of two degrees of freedom each."""
+    """Number nu of independent averages, (n,), with two degrees of freedom each."""
     reality: Vector
-    """(n,): E(dG²)/E|dG|² in the direction of G; 1 at 0 and pi/Ts, 0 between."""
+    """Ratio E(dG²)/E|dG|², dG relative to the phase of G, (n,): 1 at 0 and pi/Ts, 0 between."""
     noise: Vector
-    """Phi_v, (n,)."""
+    """Noise spectrum Phi_v, (n,)."""
 
 
 def welch(data: Dataset, length: int, omega: Vector) -> Spectra:
-    """Return the averages over Hann-tapered segments, each less its mean, overlapping by half.
+    """Return the spectra, averaged over Hann-tapered segments that overlap by half.
+
+    The mean of each segment is subtracted.
 
     Raises
     ------
     ValueError
-        No segment of that length is without a missing sample.
+        Every segment of this length has a missing sample.
     """
     taper = np.sin(np.pi * (np.arange(length) + 0.5) / length) ** 2
     turn = np.exp(-1j * np.outer(np.arange(length), omega) * data.Ts) * taper[:, None]
@@ -48,8 +50,8 @@ def welch(data: Dataset, length: int, omega: Vector) -> Spectra:
     K = U.shape[0]
     if K == 0:
         raise InputError(
-            f"no {length} samples in a row have an output; take shorter segments (window), "
-            'or method="blackman-tukey", which needs no whole segments'
+            f"no {length} samples in a row have an output; use shorter segments (window), "
+            'or method="blackman-tukey", which needs no complete segments'
         )
     scale = data.Ts / float(np.sum(taper**2))
     energy = taper**2
@@ -77,7 +79,7 @@ def _transforms(
         while begin + length <= part.N:
             cut = slice(begin, begin + length)
             if not part.valid[cut].all():
-                # Past the last hole in it.
+                # Continue after the last missing sample of the segment.
                 begin += int(np.flatnonzero(~part.valid[cut])[-1]) + 1
                 continue
             U.append((part.u[cut] - np.mean(part.u[cut])) @ turn)
@@ -88,7 +90,7 @@ def _transforms(
 
 
 def explained(estimate: SpectralEstimate) -> NDArray[np.int_]:
-    """Return the indices up to the last frequency at which u explains y, known ones only.
+    """Return the indices of known G from the first to the last frequency at which u explains y.
 
     Raises
     ------
@@ -97,10 +99,10 @@ def explained(estimate: SpectralEstimate) -> NDArray[np.int_]:
     """
     coherence = np.nan_to_num(np.zeros(1) if estimate.coherence is None else estimate.coherence)
     good = np.flatnonzero(coherence > COHERENT)
-    if good.size < FEWEST_FREQUENCIES:
+    if good.size < MIN_FREQUENCIES:
         at = ("no frequency", "one frequency", "two frequencies")[good.size]
         raise InputError(
-            f"u explains y at {at} (coherence above {COHERENT:g}), and {FEWEST_FREQUENCIES} are "
+            f"u explains y at {at} (coherence above {COHERENT:g}), and {MIN_FREQUENCIES} are "
             "needed: record longer, or with a "
             "larger or richer input"
         )

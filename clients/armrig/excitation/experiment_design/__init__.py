@@ -1,4 +1,4 @@
-"""Standard deviations before the experiment: what a planned input would teach."""
+"""Predicted standard deviations of a planned experiment."""
 
 from armrig.excitation.experiment_design.parametric import PlannedModel, predicted_std
 from armrig.excitation.experiment_design.physical import predicted_parameter_std

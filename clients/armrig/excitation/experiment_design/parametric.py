@@ -1,4 +1,4 @@
-"""The Fisher information of a polynomial model for a planned input."""
+"""Fisher information of a polynomial model for a planned input."""
 
 from __future__ import annotations
 
@@ -33,40 +33,42 @@ def predicted_std(
     noise_variance: float | None = None,
     initial: Literal["estimate", "zero"] = "estimate",
 ) -> PredictedStd:
-    """Predict the standard deviations of a model's parameters for an input not yet played.
+    """Predict the standard deviations of the parameters of a model for a planned input.
 
-    The inverse of the Fisher information for Gaussian white e in A y = (B/F) u + (C/D) e, ::
+    The standard deviations are computed from the inverse of the Fisher information M. With Gaussian
+    white e of variance lambda in A y = (B/F) u + (C/D) e ::
 
         M = (1/lambda) sum psi_u psi_u^T + sum psi_e psi_e^T
 
-    where psi_u, the part of the prediction's gradient that u makes, is simulated, less its
-    projection on the initial states (and level and ramp of an integrator), which an estimate must
-    spend data on; psi_e, the part that e makes, has its variance from impulse responses.
+    The gradient of the prediction has a part psi_u from u and a part psi_e from e. psi_u is
+    simulated. Its projection on the initial states, and on level and ramp of an integrator, is
+    subtracted, because these are estimated too. The variance of psi_e is computed from impulse
+    responses.
 
     Parameters
     ----------
     model : Fit or PlannedModel
-        From an earlier experiment, or from what is believed.
+        Model of an earlier experiment, or assumed model.
     u : array_like, shape (N,), or Dataset
-        Planned input in the unit of the model's, about its offset. A Dataset is planned for as it
-        is, with its gaps and its experiments; its y does not matter.
+        Planned input, in the unit of the model's input, less the offset. Of a Dataset, the input,
+        the gaps and the boundaries of experiments are used, but not y.
     noise_variance : float, optional
-        In place of the model's, in y's unit squared.
+        Variance of e, in the squared unit of y. The default is the variance in the model.
     initial : {"estimate", "zero"}
-        Whether initial states will be estimated along; the first samples of a model with A serve
-        as its past.
+        Assumption on the initial states: estimated from the data, or zero. In a model with A the
+        first samples are the past of the model.
 
     Returns
     -------
     PredictedStd
-        Standard deviations in the order of the model's parameters; `explain` tells whether the
+        Standard deviations in the order of the model's parameters. `explain` reports whether the
         experiment is long enough.
 
     Raises
     ------
     ValueError
-        The input cannot determine all parameters, the noise variance is not known, or gaps are
-        planned for a model that is not output error.
+        The input cannot determine all parameters, or the noise variance is not known. Data with
+        gaps are also refused if the model is not an output-error model.
 
     References
     ----------
@@ -75,7 +77,7 @@ def predicted_std(
     variance = model.noise_variance if noise_variance is None else noise_variance
     if not (np.isfinite(variance) and variance > 0):
         raise InputError(
-            f"noise_variance={variance!r} must be > 0; give the variance of e, for example of an "
+            f"noise_variance={variance!r} must be > 0; give the variance of e, for example from an "
             "earlier fit"
         )
     if initial not in ("estimate", "zero"):
@@ -84,8 +86,8 @@ def predicted_std(
     output_error = model.A.size == model.C.size == model.D.size == 1
     if planned.missing and not output_error:
         raise InputError(
-            f"{planned.missing} samples are missing; gaps are planned for with an output-error "
-            "model only: plan with the complete input"
+            f"{planned.missing} samples are missing, but only an output-error model can be planned "
+            "with gaps: plan with the complete input"
         )
     rows = [
         block
@@ -99,10 +101,10 @@ def predicted_std(
 def _gradient(
     model: ModelWithNoise, part: Dataset, variance: float, *, estimate: bool
 ) -> Iterator[Array]:
-    """Yield rows whose squares add up to lambda M, for one experiment.
+    """Yield blocks of rows Psi for one experiment, with Psi^T Psi = lambda M in sum.
 
-    The columns belong to a, b, c, d, f; with an integrator to the coefficients without it. One in
-    A is taken out by differences of y, one in F by sums of u.
+    The columns belong to a, b, c, d and f, without the factor of an integrator. An integrator in A
+    is removed by differencing y. An integrator in F is removed by summing u.
     """
     A, B, C, D = model.A, model.B, model.C, model.D
     F, u, N = model.F, part.u, part.N
@@ -110,7 +112,8 @@ def _gradient(
     if inside == "A":
         A = without_integrator(A)
     if inside == "F":
-        # The mean of u makes a ramp, which is projected out; without it the sums round less.
+        # The mean of u leads to a ramp, which is projected out anyway. If the mean is subtracted,
+        # the sums have less rounding.
         F, u = without_integrator(F), np.cumsum(u - np.mean(u) if estimate else u)
     na, nf = A.size - 1, F.size - 1
     forced = filtered(B, F, u)
@@ -129,7 +132,7 @@ def _gradient(
     if model.A.size > 1:
         rows[: max(model.A.size, B.size) - 1] = False
         if inside and estimate:
-            Z = filtered(D, C, np.ones((1, N))).T  # the input's offset
+            Z = filtered(D, C, np.ones((1, N))).T  # offset of the input
     elif estimate:
         count = transient_count(
             numerator_degree=B.size - 1,
@@ -143,9 +146,9 @@ def _gradient(
 
 
 def _by_noise(model: ModelWithNoise, weight: Vector, width: int) -> Array:
-    """Return the impulse responses from e to the gradient, row j weighted by the times it occurs.
+    """Return the impulse responses from e to the gradient, with row j multiplied by its weight.
 
-    With psi_e(t) = sum_j s_j e(t-j) the expected sum of psi_e psi_e^T over N samples from rest is
+    Let psi_e(t) = sum_j s_j e(t-j). Over N samples from rest, the expected sum of psi_e psi_e^T is
     lambda times the sum of (N - j) s_j s_j^T.
     """
     pulse = np.zeros(weight.size)
@@ -161,13 +164,14 @@ def _by_noise(model: ModelWithNoise, weight: Vector, width: int) -> Array:
 
 
 def _parameters(model: ModelWithNoise) -> tuple[tuple[str, ...], Vector, Array]:
-    """Return names, values, and the derivatives of them by those that are estimated."""
+    """Return names, values, and their derivatives with respect to the estimated parameters."""
     parts = {"a": model.A[1:], "b": model.B[model.nk :], "c": model.C[1:]}
     parts |= {"d": model.D[1:], "f": model.F[1:]}
     names = tuple(f"{letter}{k + 1}" for letter, p in parts.items() for k in range(p.size))
     to_full = np.eye(len(names))
     if model.integrator:
-        # F = (1 - q^-1) F̃ is linear in F̃: f_k = f̃_k - f̃_(k-1); and so is A.
+        # F = (1 - q^-1) F̃ is linear in F̃: f_k = f̃_k - f̃_(k-1). The equations for A are the
+        # same.
         letter = integrating_polynomial(model).lower()
         own = [k for k, name in enumerate(names) if name[0] == letter]
         to_full = np.delete(to_full, own[-1], axis=1)
@@ -176,7 +180,7 @@ def _parameters(model: ModelWithNoise) -> tuple[tuple[str, ...], Vector, Array]:
 
 
 class ModelWithNoise(Protocol):
-    """What is asked of a model: a `Fit` has it, and so has `PlannedModel`."""
+    """Properties of a model with noise, such as a `Fit` or a `PlannedModel`."""
 
     @property
     def A(self) -> Vector: ...  # noqa: D102
@@ -200,33 +204,33 @@ class ModelWithNoise(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PlannedModel:
-    """A model that is believed before there are data: A y = (B/F) u + (C/D) e.
+    """Model that is assumed before there are data: A y = (B/F) u + (C/D) e.
 
     Raises
     ------
     ValueError
-        A denominator does not begin with 1 or is unstable, or B is nothing but zeros.
+        A denominator does not begin with 1 or is unstable, or all coefficients of B are 0.
     """
 
     B: Vector
-    """Coefficients in q^-1; the zeros that it begins with are the delay."""
+    """Coefficients in q^-1; the number of leading zeros is the delay nk."""
     F: Vector = field(default_factory=lambda: np.ones(1))
     """Coefficients in q^-1, beginning with 1; with `integrator` one of its roots is 1."""
     noise_variance: float
-    """Variance of e, in y's unit squared."""
+    """Variance of e, in the squared unit of y."""
     Ts: float
     """Sampling time, in s."""
     integrator: bool = False
-    """A, where it has coefficients, or else F has the factor 1 - q^-1, known and not estimated."""
+    """True if the factor 1 - q^-1 is known, not estimated: in A if A is not 1, otherwise in F."""
     A: Vector = field(default_factory=lambda: np.ones(1))
-    """As F."""
+    """Coefficients in q^-1, beginning with 1."""
     C: Vector = field(default_factory=lambda: np.ones(1))
-    """As F."""
+    """Coefficients in q^-1, beginning with 1."""
     D: Vector = field(default_factory=lambda: np.ones(1))
-    """As F."""
+    """Coefficients in q^-1, beginning with 1."""
 
     def __post_init__(self) -> None:
-        """Refuse what no model can be."""
+        """Refuse polynomials of an impossible model."""
         for name in "ABCDF":
             p = column(name, getattr(self, name))
             object.__setattr__(self, name, p)
@@ -245,15 +249,15 @@ class PlannedModel:
         for name, p in (("C", self.C), ("F", F)):
             if not stable(p):
                 msg = f"{name} has a root on or outside the unit circle"
-                msg += "; an integrator is told by integrator=True" if name == "F" else ""
+                msg += "; declare an integrator with integrator=True" if name == "F" else ""
                 raise InputError(msg)
 
     @property
     def nk(self) -> int:
-        """Samples before u reaches y."""
+        """Number of samples before u reaches y."""
         return int(np.argmax(self.B != 0))
 
 
 def integrating_polynomial(model: ModelWithNoise) -> str:
-    """Return "A" or "F", whichever has the known factor 1 - q^-1, or "" where none has."""
+    """Return "A" or "F", the polynomial with the known factor 1 - q^-1, or "" if there is none."""
     return "" if not model.integrator else "A" if model.A.size > 1 else "F"

@@ -1,4 +1,4 @@
-"""The Fisher information of physical parameters for a planned input."""
+"""Fisher information of physical parameters for a planned input."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from armrig.models.structure import free_columns
 from armrig.numerics.checks import require_numbers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered
-from armrig.physics.discretisation import transfer
+from armrig.physics.physical_model import transfer
 
-_LOG_STEP = 1e-4  # of a parameter's logarithm: truncation 1e-9, rounding less
+_LOG_STEP = 1e-4  # of a parameter's logarithm: truncation error 1e-9, smaller rounding error
 
 
 def predicted_parameter_std(
@@ -34,35 +34,36 @@ def predicted_parameter_std(
     output: str = THETA_1,
     initial: Literal["estimate", "zero"] = "estimate",
 ) -> PredictedStd:
-    """Predict the standard deviations of physical parameters for an input not yet played.
+    """Predict the standard deviations of physical parameters for a planned input.
 
-    As `predicted_std`, for the physics sampled exactly under a held input and white noise on the
-    output; the derivatives by the logarithms of the parameters are central differences. The
-    initial state and the input's offset are estimated along.
+    The method is the method of `predicted_std`. The physical model is sampled exactly for an input
+    held between samples, and the noise on the output is white. Derivatives are central differences
+    with respect to the logarithms of the parameters.
 
     Parameters
     ----------
     model : callable
-        ArmParameters -> state space in continuous time: `armrig.arm` or `armrig.chassis`.
+        Function from ArmParameters to a state space in continuous time: `armrig.arm` or
+        `armrig.chassis`.
     u : array_like, shape (N,), or Dataset
         Planned input, in V.
     Ts : float
         Sampling time, in s.
     noise_variance : float
-        Of the noise on the output, in rad².
+        Variance of the noise on the output, in rad².
     free : sequence of str
-        Names of the parameters to be estimated; the others are taken as known.
+        Names of the estimated parameters; all other parameters are known.
     fixed : ArmParameters, optional
-        Their values; the handout's by default.
+        Values of all parameters; by default the values of the handout.
     output : str, default "theta_1"
-        Output of the model that is measured.
+        Measured output of the model.
     initial : {"estimate", "zero"}
-        Estimate the initial state and the input's offset along, or take both as known.
+        Estimate the initial state and the input offset too, or assume that both are known.
 
     Raises
     ------
     ValueError
-        There is no such parameter or output, or the input cannot determine all that are free.
+        A parameter or output does not exist, or the input cannot determine all free parameters.
     """
     require_numbers(noise_variance=noise_variance, Ts=Ts)
     p = ArmParameters() if fixed is None else fixed
@@ -94,7 +95,7 @@ def _gradient(
     part: Dataset,
     output: str,
 ) -> Array:
-    """Return the derivatives of the output by the free parameters, (N, d)."""
+    """Return the derivatives of the output with respect to the free parameters, (N, d)."""
     columns = []
     for name in free:
         value = getattr(p, name)
@@ -107,7 +108,7 @@ def _gradient(
 
 
 def _free_part(system: Any, part: Dataset, output: str) -> Array:
-    """Return what initial state and offset of the input can add to the output, (N, n + 1)."""
+    """Return the responses to initial states and to an offset of the input, (N, n + 1)."""
     _, F = _transfer(system, part.Ts, output)
     states = free_columns(F, part.N, count=F.size - 1, drift=False)
     return np.column_stack([states, _output(system, np.ones(part.N), part.Ts, output)])
@@ -117,7 +118,7 @@ def _transfer(system: Any, Ts: float, output: str) -> tuple[Vector, Vector]:
     """Return B and F of one output of a state space, sampled under a held input."""
     labels = list(system.output_labels)
     if output not in labels:
-        raise InputError(f"output={output!r} is none of the model's {', '.join(labels)}")
+        raise InputError(f"output={output!r} is not among the outputs {', '.join(labels)}")
     i = labels.index(output)
     return transfer(np.asarray(system.A), np.asarray(system.B), np.asarray(system.C)[i], Ts)
 

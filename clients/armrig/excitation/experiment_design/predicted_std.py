@@ -1,4 +1,4 @@
-"""Predicted standard deviations, and whether an experiment is long enough for those wanted."""
+"""Predicted standard deviations, and the length that an experiment must have."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from armrig.numerics.polynomial import Array
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class PredictedStd:
-    """Standard deviations that an efficient estimate would have (the Cramér-Rao bound)."""
+    """Standard deviations of an efficient estimate (the Cramér-Rao bound)."""
 
     names: tuple[str, ...]
-    """Of the parameters, in a fit's order."""
+    """Names of the parameters, in the order of a fit."""
     theta: Vector
-    """The values that they were predicted for, (d,)."""
+    """Parameter values of the prediction, (d,)."""
     covariance: NDArray[np.float64]
-    """(d, d), the inverse of the Fisher information."""
+    """Inverse of the Fisher information, (d, d)."""
     N: int
-    """Samples of the planned experiment that are seen."""
+    """Number of samples of the planned experiment that are not missing."""
     seconds: float
-    """Its length, in s."""
+    """Length of the planned experiment, in s."""
 
     @property
     def std(self) -> Vector:
@@ -35,17 +35,18 @@ class PredictedStd:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     def seconds_for(self, **wanted: float) -> float:
-        """Return the length in s of an input of this kind that gives every std wanted, by name.
+        """Return the length, in s, of a similar input for which all wanted std are reached.
 
-        The information is taken to grow with the length. That is rough where the experiment is
-        short against the slowest mode.
+        The information is assumed to grow with the length. This is inaccurate for an experiment
+        that is short compared with the slowest mode.
         """
         return self.seconds * max(self._times_longer(name, std) for name, std in wanted.items())
 
     def explain(self, **wanted: float) -> str:
-        """Say whether the experiment is long enough for standard deviations wanted, by name.
+        """Return a text: whether the experiment is long enough for the wanted standard deviations.
 
-        For example ``predicted.explain(f1=0.001)``; without any, all that are predicted are told.
+        An example is ``predicted.explain(f1=0.001)``. Without arguments the text contains all
+        predicted standard deviations.
         """
         if not wanted:
             return repr(self)
@@ -53,7 +54,7 @@ class PredictedStd:
         for name, std in wanted.items():
             got = float(self.std[self._index(name)])
             times = self._times_longer(name, std)
-            verdict = "will do" if times <= 1 else "will not do"
+            verdict = "is long enough" if times <= 1 else "is too short"
             lines.append(
                 f"{name}: {self.seconds:.3g} s give a standard deviation of {got:.3g}, {std:.3g} "
                 f"is wanted: {self.seconds:.3g} s {verdict}, about {self.seconds * times:.3g} s "
@@ -61,7 +62,7 @@ class PredictedStd:
             )
         if len(wanted) > 1:
             needed = self.seconds_for(**wanted)
-            verdict = "will do" if needed <= self.seconds else "will not do"
+            verdict = "is long enough" if needed <= self.seconds else "is too short"
             lines.append(
                 f"together: {self.seconds:.3g} s {verdict}, about {needed:.3g} s are needed"
             )
@@ -69,17 +70,17 @@ class PredictedStd:
 
     def _index(self, name: str) -> int:
         if name not in self.names:
-            raise InputError(f"{name!r} is none of the parameters {', '.join(self.names)}")
+            raise InputError(f"{name!r} is not among the parameters {', '.join(self.names)}")
         return self.names.index(name)
 
     def _times_longer(self, name: str, std: float) -> float:
         require_numbers(**{name: std})
         if not std > 0:
-            raise InputError(f"{name}={std!r}: a standard deviation wanted must be > 0")
+            raise InputError(f"{name}={std!r}: a wanted standard deviation must be > 0")
         return float(self.std[self._index(name)] / std) ** 2
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Describe the prediction in a few lines."""
         lines = [f"predicted for {self.N} samples in {self.seconds:.4g} s:"]
         for name, value, std in zip(self.names, self.theta, self.std, strict=True):
             share = f" ({100 * std / abs(value):.2g} %)" if value != 0 else ""
@@ -88,10 +89,10 @@ class PredictedStd:
 
 
 def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
-    """Return the input as data to plan for."""
+    """Return a planned input as data."""
     if not isinstance(u, Dataset):
-        taken = column("u", u)
-        return Dataset(u=taken, y=np.zeros(taken.size), Ts=Ts)
+        given = column("u", u)
+        return Dataset(u=given, y=np.zeros(given.size), Ts=Ts)
     if not np.isclose(u.Ts, Ts, rtol=1e-9, atol=0.0):
         raise InputError(
             f"the model has Ts={Ts:g} s and the data have Ts={u.Ts:g} s; plan at one rate"
@@ -102,15 +103,15 @@ def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
 def inverted(
     Psi: Array, variance: float, names: tuple[str, ...], theta: Vector, planned: Dataset, to: Array
 ) -> PredictedStd:
-    """Return the bound from rows Psi whose squares add up to the variance times the information.
+    """Return the Cramér-Rao bound from rows Psi, with Psi^T Psi = variance times information.
 
-    `to` are the derivatives of the parameters told by those that Psi belongs to.
+    `to` contains the derivatives of the reported parameters with respect to the parameters of Psi.
     """
     basis = orthonormal(Psi)
     if basis.rank < Psi.shape[1]:
         raise InputError(
             f"the planned input determines only {basis.rank} of {Psi.shape[1]} parameters; "
-            "excite with a richer input (describe_input tells its order), or lower the orders"
+            "use a richer input (describe_input reports its order), or lower the orders"
         )
     return PredictedStd(
         names=names,

@@ -1,1 +1,1 @@
-"""Physical parameters from data (handout 3.5 and 3.6): estimate, second opinion, split study."""
+"""Estimates of physical parameters, an independent check, a split study (handout 3.5, 3.6)."""

@@ -1,8 +1,9 @@
-"""The grey-box estimate: physical parameters that fit the simulated output best."""
+"""The grey-box estimate: the physical parameters that minimise the simulation error."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from armrig_core.arm import ArmParameters, require_parameters
@@ -12,12 +13,26 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.data.quantisation import quantum, too_quiet
+from armrig.data.treatment.wrong_samples import quantum, too_quiet
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import Inference, infer
+from armrig.numerics.least_squares import Basis
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
-from armrig.physics.grey_box.fit import GreyFit, below_zero
-from armrig.physics.grey_box.least_squares_problem import GreyBox, GreyBoxWithFriction, bipolar
+from armrig.physics.grey_box.fit import (
+    GreyFit,
+    below_zero,
+    by_experiment,
+    determined,
+    named_influence,
+    named_std,
+    scales,
+)
+from armrig.physics.grey_box.least_squares_problem import (
+    GreyBox,
+    GreyBoxWithFriction,
+    Linearised,
+    bipolar,
+)
 from armrig.physics.grey_box.parameters import (
     COULOMB,
     NAMES,
@@ -28,25 +43,19 @@ from armrig.physics.grey_box.parameters import (
     require_output,
 )
 from armrig.physics.grey_box.sampled_model import Model, Physics
-from armrig.physics.grey_box.uncertainty import (
-    by_experiment,
-    determined,
-    named_influence,
-    named_std,
-    scales,
-)
 from armrig.physics.systems import chassis
 
 Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
-RATE = "theta_1_rate"
-ROUNDING = 1e-18  # share of |y|² below which |e|² is rounding noise
-_UNSEEN = 1e-7  # share of a derivative below which the free response explains all of it
-FURTHEST = 12.0
-"""Logarithm of the factor by which a parameter may move from its start; e^12 is 160 000."""
-_AT_BOUND = 0.98  # share of it from which on a search has ended there: its steps are halved
-_CLEARLY = 10.0  # N ln of the ratio of two costs above which one is worse by more than chance
-_TINY = 1e-300
+SPEED_STATE = "theta_1_rate"
+ROUNDING_SHARE = 1e-18  # of |y|², below which |e|² is rounding
+_MIN_SEEN_SHARE = 1e-7  # least share of a derivative that the free responses must leave
+MAX_LOG_FACTOR = 12.0
+"""Logarithm of the largest factor by which a parameter moves from its start; e^12 is 160 000."""
+_BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
+_MIN_LOG_RATIO = 10.0  # N ln of the ratio of two costs, above which the difference is significant
+_MIN_COST = 1e-300
 
 
 @takes_recordings
@@ -62,9 +71,9 @@ def greybox(
 ) -> GreyFit:
     """Estimate physical parameters by minimising the error of the simulated output.
 
-    The model is sampled exactly for the held input, and its derivatives with it. Initial state and
-    input offset u0 of each experiment are estimated along; missing outputs cost their own rows.
-    The chassis alone, with a = N K_m / R_m and d = (N K_m)² / R_m ::
+    The model and its derivatives are sampled exactly for the held input. Initial state and input
+    offset u0 of each experiment are estimated too. A missing output removes only its own residual.
+    For the chassis, with a = N K_m / R_m and d = (N K_m)² / R_m, the equation is ::
 
         J_1 theta_1'' = a (u - u0) - (d + b_1) theta_1' - T_c sign theta_1'
 
@@ -73,33 +82,36 @@ def greybox(
     data : Dataset
         u in V and the output that `output` names.
     model : callable, default `armrig.chassis`
-        `ArmParameters` -> control.StateSpace, continuous, one input; `armrig.arm` and your own too.
+        Function `ArmParameters` -> control.StateSpace, continuous with one input: `armrig.chassis`,
+        `armrig.arm`, or your own function.
     free : sequence of str, default ("J_1",)
-        Parameters to estimate, fields of `ArmParameters`; the search starts at their values in
+        Parameters to estimate, fields of `ArmParameters`. The search starts at their values in
         `fixed`.
     fixed : ArmParameters, optional
-        Values of all others; the handout's by default.
+        Values of all other parameters; by default the handout's.
     output : str, default "theta_1"
-        Label of the model's output that was measured.
+        Label of the model's measured output.
     fixed_std : mapping of str to float, optional
-        Standard deviations of parameters that are held fixed; carried into those of the estimates.
+        Standard deviations of fixed parameters. The variances that they cause are added to those of
+        the estimates.
     friction : {"viscous", "coulomb", "both"}, optional
-        Estimate the friction of the chassis too: b_1 in Nms/rad, T_c in Nm, or both. The handout
-        says that it may be neglected, which is the default, and shifts J_1 where there is any
-        (Coulomb friction only where the chassis stops: without, u0 takes it). With T_c the offset
-        of an experiment is estimated where its input is bipolar, and held at 0 where it is not:
-        on an input of one sign the two stand in for each other.
+        Estimate the friction of the chassis too: b_1 in Nms/rad, T_c in Nm, or both. The default,
+        as in the handout, neglects friction. Viscous friction then biases J_1, and Coulomb friction
+        biases J_1 if the chassis stops. If the chassis does not stop, u0 contains the Coulomb
+        friction. If T_c is estimated, u0 is estimated only with a bipolar input. With an input of
+        one sign T_c and u0 cannot be distinguished, and u0 is 0.
 
     Returns
     -------
     GreyFit
-        `covariance` is lambda (Psi^T Psi)^-1 with the free responses marginalised, and on top what
-        `fixed_std` adds; `covariance_robust` the same with the sandwich form.
+        `covariance` is lambda (Psi^T Psi)^-1 with the free responses marginalised, plus the
+        contribution of `fixed_std`. `covariance_robust` is the sandwich form with the same
+        contribution.
 
     Raises
     ------
     ValueError
-        A name is unknown or given twice, the model lacks what is needed, there are too few
+        A name is unknown or given twice, the model lacks a signal that is needed, there are too few
         samples, or the data do not determine the parameters.
 
     References
@@ -140,29 +152,29 @@ def _require_samples(
     if samples < needed or min(part.N for part in experiments) < 2:
         where = f" in {len(experiments)} experiments, two in each" if len(experiments) > 1 else ""
         raise InputError(
-            f"{samples} samples came, to estimate {', '.join(names)} at least {needed} are "
-            f"needed{where}: record longer, or cut into fewer parts"
+            f"{samples} samples are too few to estimate {', '.join(names)}, which needs at least "
+            f"{needed}{where}: record longer, or cut into fewer parts"
         )
 
 
 def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:
-    """Return the minimum near a start; no logarithm is searched further off than `FURTHEST`."""
+    """Return the minimum found from a start; logarithms change by less than `MAX_LOG_FACTOR`."""
     plain = problem if isinstance(problem, GreyBox) else problem.plain
     logarithms = np.flatnonzero([name not in SIGNED for name in plain.names])
 
     def admissible(eta: Vector) -> bool:
-        return bool(np.all(np.abs(eta - start)[logarithms] < FURTHEST))
+        return bool(np.all(np.abs(eta - start)[logarithms] < MAX_LOG_FACTOR))
 
-    # A model that explodes has no finite cost, and is passed over.
+    # A model that overflows has no finite cost, and the search refuses the step.
     with np.errstate(over="ignore", invalid="ignore"):
         return levenberg_marquardt(problem.linearise, start, admissible=admissible)
 
 
 def _speed(physics: Physics) -> int:
     states = physics.labels()[1]
-    if RATE not in states:
-        raise InputError(f"Coulomb friction needs a state {RATE!r}, the model has {states}")
-    return states.index(RATE)
+    if SPEED_STATE not in states:
+        raise InputError(f"Coulomb friction needs a state {SPEED_STATE!r}, the model has {states}")
+    return states.index(SPEED_STATE)
 
 
 def _fit(
@@ -179,34 +191,17 @@ def _fit(
     values = plain.values(best.theta[: len(plain.names)])
     if COULOMB in names:
         values[COULOMB] = float(best.theta[len(plain.names)])
-    _require_seen(names, np.linalg.norm(at.Psi, axis=0) > _UNSEEN * at.size)
+    _require_seen(names, np.linalg.norm(at.Psi, axis=0) > _MIN_SEEN_SHARE * at.size)
     valid_y = data.y[data.valid]
-    rounding = ROUNDING * float(valid_y @ valid_y)
+    rounding = ROUNDING_SHARE * float(valid_y @ valid_y)
     converged = best.converged or best.cost <= rounding
-    held = tuple(x for x in NAMES if x not in names)
     basis = determined(at.Psi)
-    residuals, blocks, spans = by_experiment(plain.experiments, at)
-    found = infer(
-        residuals,
-        blocks,
-        score="exogenous",
-        spans=spans,
-        y=data.y,
-        basis=basis.spread(data.valid),
-        rounding=rounding,
-    )
+    found = _inference(data, plain.experiments, at, basis, rounding)
+    held = tuple(x for x in NAMES if x not in names)
     influence = -basis.W @ (basis.Q.T @ problem.at(best.theta, held).Psi)
     scale_held = scales(held, {x: getattr(plain.physics.fixed, x) for x in held})
-    carried = influence @ np.diag([fixed_std.get(x, 0.0) for x in held] / scale_held)
-    scale = scales(names, values)
-    noise, whole, robust = (
-        part * np.outer(scale, scale)
-        for part in (
-            found.covariance,
-            found.covariance + carried @ carried.T,
-            found.covariance_robust + carried @ carried.T,
-        )
-    )
+    std_held = np.array([fixed_std.get(x, 0.0) for x in held]) / scale_held
+    noise, whole, robust = _covariances(found, influence, std_held, scales(names, values))
     std = named_std(names, whole)
     step = quantum(data)
     return GreyFit(
@@ -216,21 +211,13 @@ def _fit(
         std=std,
         std_noise=named_std(names, noise),
         std_robust=named_std(names, robust),
-        covariance=whole,
-        covariance_robust=robust,
         condition=float(np.linalg.cond(at.Psi / np.linalg.norm(at.Psi, axis=0))),
         influence=named_influence(names, held, influence),
         fixed=plain.physics.parameters({k: v for k, v in values.items() if k != COULOMB}),
         fixed_std=fixed_std,
         initial=tuple(tuple(x[:-1].tolist()) for x in at.free),
         offset=tuple(float(x[-1]) for x in at.free),
-        noise_variance=found.noise_variance,
-        loss=found.loss,
-        fit_percent=found.fit_percent,
-        whiteness=found.white.p_value,
-        whiteness_test=found.white.test,
         quantum=step,
-        N=found.N,
         Ts=data.Ts,
         converged=converged,
         physics=plain.physics,
@@ -242,15 +229,49 @@ def _fit(
             *below_zero(values, std),
             *noise_warnings(step, found, has_friction=bool({"b_1", COULOMB} & {*names})),
         ),
+        **replace(found, covariance=whole, covariance_robust=robust).quality(),
         **data.origin(),
     )
+
+
+def _inference(
+    data: Dataset,
+    experiments: tuple[Dataset, ...],
+    at: Linearised,
+    basis: Basis,
+    rounding: float,
+) -> Inference:
+    residuals, blocks, spans = by_experiment(experiments, at)
+    return infer(
+        residuals,
+        blocks,
+        score="exogenous",
+        spans=spans,
+        y=data.y,
+        basis=basis.spread(data.valid),
+        rounding=rounding,
+    )
+
+
+def _covariances(
+    found: Inference, influence: Matrix, std_held: Vector, scale: Vector
+) -> Iterator[Matrix]:
+    """Yield the covariance due to noise alone, then the classic and the robust covariance.
+
+    The last two contain the uncertainty of the fixed parameters. `influence` and `std_held` refer
+    to coordinates; `scale` converts coordinates to parameters.
+    """
+    carried = influence @ np.diag(std_held)
+    added = carried @ carried.T
+    for part in (found.covariance, found.covariance + added, found.covariance_robust + added):
+        yield part * np.outer(scale, scale)
 
 
 def _require_seen(names: tuple[str, ...], seen: NDArray[np.bool_]) -> None:
     lost = [name for name, there in zip(names, seen, strict=True) if not there]
     if lost:
         raise InputError(
-            f"the data do not show {', '.join(lost)}: hold it fixed, or excite the rig more"
+            f"the data do not determine {', '.join(lost)}: hold it fixed, or excite the rig more"
         )
 
 
@@ -262,50 +283,51 @@ def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:
     names : sequence of str
         The free parameters.
     moved : ndarray (d,)
-        How far each has moved from its start, as a logarithm unless it is signed; more may follow.
+        Change of each coordinate in the search; elements after the names are ignored.
     """
     for name, by in zip(names, moved, strict=False):
-        if name not in SIGNED and abs(float(by)) > _AT_BOUND * FURTHEST:
+        if name not in SIGNED and abs(float(by)) > _BOUND_SHARE * MAX_LOG_FACTOR:
             yield (
-                f"the search for {name} ended at its bound, a factor {np.exp(FURTHEST):.0f} from "
-                "its start: begin nearer, with another `fixed`, or see whether the data show it"
+                f"the search for {name} ended at its bound, a factor {np.exp(MAX_LOG_FACTOR):.0f} "
+                "from its start: begin nearer, with another `fixed`, or check whether the data "
+                f"determine {name}"
             )
 
 
 def no_model(fit: float) -> Iterator[str]:
-    """Yield a warning where the model explains less than a constant does."""
+    """Yield a warning if the model explains less than a constant."""
     if fit < 0:
         yield (
-            f"the fit is {fit:.1f} %, below 0: a constant explains the output better. See the "
-            "units and the calibration of the data, the model, and the parameters held fixed"
+            f"the fit is {fit:.1f} %, below 0: a constant explains the output better. Check the "
+            "units and the calibration of the data, the model, and the fixed parameters"
         )
 
 
 def noise_warnings(step: float, found: Inference, *, has_friction: bool) -> Iterator[str]:
-    """Yield a warning where the output was read in steps, or the residuals are coloured."""
+    """Yield a warning if the converter's steps exceed the noise, or the residuals are coloured."""
     if quiet := too_quiet(step, found.noise_variance):
         yield quiet
     if found.white.coloured:
         perhaps = "" if has_friction else " (friction?)"
         yield (
-            f"the residuals are {found.white}: the model leaves something of the rig out"
-            f"{perhaps}, or the noise is not white; prefer std_robust"
+            f"the residuals are {found.white}: the model lacks a property of the rig{perhaps}, "
+            "or the noise is not white; prefer std_robust"
         )
 
 
 def worse_with_friction(data: Dataset, without: float, best: float) -> tuple[str, ...]:
-    """Return a warning where Coulomb friction has made the fit worse, by more than chance.
+    """Return a warning if the fit is significantly worse with Coulomb friction.
 
-    `without` and `best` are |e|² without and with it.
+    `without` and `best` are |e|² without and with Coulomb friction.
     """
     samples = data.N - data.missing
-    if not samples * np.log(max(best, _TINY) / max(without, _TINY)) > _CLEARLY:
+    if not samples * np.log(max(best, _MIN_COST) / max(without, _MIN_COST)) > _MIN_LOG_RATIO:
         return ()
     y = data.y[data.valid]
     fits = [f"{fit_percent(y, cost):.1f} %" for cost in (best, without)]
     held = not all(bipolar(part.u) for part in data.experiments())
     way_out = (
-        'the input has one sign and u0 is held at 0: take friction="viscous", or play an input of '
+        'the input has one sign and u0 is held at 0: use friction="viscous", or play an input of '
         "both signs"
         if held
         else "the search ended in a poorer minimum: begin nearer, with another `fixed`"

@@ -12,8 +12,17 @@ from armrig.numerics.quantities import listed, plural, raised, scaled
 from armrig.physics.grey_box.least_squares_problem import GreyBox
 from armrig.physics.grey_box.parameters import COULOMB, UNITS
 from armrig.plots.captions import in_mathtext, legend, sign, symbol
-from armrig.plots.layout import BLUE, GREY, MISSING, VERMILION, axes, finish, panels, shade
-from armrig.plots.scales import logarithmic
+from armrig.plots.layout import (
+    BLUE,
+    GREY,
+    MISSING,
+    VERMILION,
+    axes,
+    finish,
+    logarithmic,
+    panels,
+    shade,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,9 +35,9 @@ Vector = NDArray[np.float64]
 
 
 def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes:
-    """Show measured and simulated output, initial state and offset refitted, and below the error.
+    """Plot measured and simulated output, with refitted initial state and offset, and the error.
 
-    Coulomb friction is left out of the simulation here; its error shows what it does.
+    The simulation contains no Coulomb friction, so the error contains its effect.
     """
     ax, below = panels(ax, 0.38)
     names = tuple(n for n in fit.names if n != COULOMB)
@@ -53,10 +62,11 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
 
 
 def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
-    """Show each part's estimate with ±2 standard deviations and, below, those against N.
+    """Plot each part's estimate with ±2 standard deviations; below, the deviations against N.
 
-    The cross is the scatter of the parts: of four parts it has three degrees of freedom, so its
-    95 % interval is wide. Two parts have no cross: its interval would be wider than the figure.
+    A cross marks the scatter of the parts. For four parts it has three degrees of freedom, so its
+    95 % interval is wide. For two parts no cross is drawn, because its interval would exceed the
+    figure.
     """
     ax, below = panels(axes(ax), 0.5, sharex=False)
     unit = UNITS.get(study.parameter, "")
@@ -119,14 +129,14 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
 
 
 def _with_ticks(low: float, high: float) -> tuple[float, float]:
-    """Return limits that hold at least two of 1, 2, 5 and their multiples by powers of ten."""
+    """Return limits that contain at least two of 1, 2, 5 times powers of ten."""
     steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.arange(-4.0, 4.0)[:, None]
     below, above = steps[steps <= high], steps[steps >= low]
     return min(low, float(below.max()) * 0.95), max(high, float(above.min()) * 1.05)
 
 
 def _of(size: float, unit: str) -> str:
-    """Return a power of ten and a unit, as far as there are any: 10⁻³ kg m²."""
+    """Return a power of ten and a unit, or "–" without both: 10⁻³ kg m²."""
     exponent = round(float(np.log10(size)))
     power = f"10{raised(exponent)}" if exponent else ""
     return f"{power} {unit}".strip() or "–"

@@ -1,8 +1,10 @@
-"""The result of a grey-box estimation: parameters, how sure they are, and what that rests on."""
+"""The result of a grey-box estimation: parameters with their uncertainty and influences."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +12,10 @@ from armrig_core.arm import ArmParameters
 from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
+from armrig.data.dataset import Dataset
 from armrig.numerics.checks import column
+from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.physics.grey_box.least_squares_problem import Linearised
 from armrig.physics.grey_box.parameters import COULOMB, SIGNED, UNITS
 from armrig.physics.grey_box.response import linear_parts
 from armrig.physics.grey_box.sampled_model import Physics
@@ -22,11 +27,13 @@ if TYPE_CHECKING:
 
     from armrig.data.dataset import Dataset
 
+
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
-_SURE = 2.0  # standard deviations that a parameter must be from 0
+_MIN_SIGMAS = 2.0  # least distance of a parameter from 0, in standard deviations
 _WAY_OUT = (
-    "free fewer parameters, begin nearer to them, or record longer with an input that changes often"
+    "estimate fewer parameters, start nearer to them, or record longer with an input that changes "
+    "often"
 )
 
 
@@ -37,46 +44,46 @@ class GreyFit:
     method: str
     """"output error" or "inverse dynamics"."""
     names: tuple[str, ...]
-    """Parameters that were free, in the order of the matrices."""
+    """Estimated parameters, in the order of the covariance."""
     values: dict[str, float]
     """Estimates by name, in SI units."""
     std: dict[str, float]
-    """Standard deviations by name: noise, and the uncertainty of what was held fixed."""
+    """Standard deviations by name, due to the noise and the uncertainty of fixed parameters."""
     std_noise: dict[str, float]
-    """The part of `std` that the noise makes; smaller with more data, the other part is not."""
+    """Standard deviations due to the noise only, which decrease with more data."""
     std_robust: dict[str, float]
-    """As `std`, right also where the residuals are coloured."""
+    """Standard deviations by name, valid also if the residuals are coloured."""
     covariance: Matrix
-    """Of the estimates, (d, d), in products of their units."""
+    """Covariance of the estimates, (d, d), in products of their units."""
     covariance_robust: Matrix
-    """As `covariance`, the sandwich form."""
+    """Covariance of the estimates, sandwich form."""
     condition: float
-    """Condition number of the scaled derivatives: how nearly the parameters stand in for each
-    other; 1 is best."""
+    """Condition number of the scaled derivatives; 1 is best. It is large if the data hardly
+    distinguish the parameters."""
     influence: dict[str, dict[str, float]]
-    """By free and fixed name: percent that the estimate moves where the fixed one is 1 % higher."""
+    """Change of each estimate in percent if a fixed parameter is 1 % larger, by their names."""
     fixed: ArmParameters
-    """All parameters, the estimates in their place."""
+    """All parameters, fixed and estimated."""
     fixed_std: dict[str, float]
-    """What was given for those held fixed."""
+    """Given standard deviations of fixed parameters."""
     initial: tuple[tuple[float, ...], ...]
     """Initial state of each experiment."""
     offset: tuple[float, ...]
-    """Input that each experiment answers with standstill (u0), in the input's unit."""
+    """Input u0 of each experiment at which the rig is at rest, in the input's unit."""
     noise_variance: float
-    """Of the residuals, degrees of freedom subtracted."""
+    """Variance of the noise, from the residuals and their degrees of freedom."""
     loss: float
     """Mean squared residual."""
     fit_percent: float
     """100 (1 - |y - ŷ| / |y - mean y|), simulated, on the estimation data."""
     whiteness: float
-    """p value of white residuals; for inverse dynamics of smoothed white noise."""
+    """p value of the hypothesis of white residuals; inverse dynamics: of smoothed white noise."""
     whiteness_test: str
-    """Name of the test that it is of."""
+    """Name of the test of `whiteness`."""
     quantum: float
-    """Step in which the output was read, 0 where none is seen."""
+    """Quantisation step of the output, 0 if none is visible."""
     N: int
-    """Samples used."""
+    """Number of samples used."""
     Ts: float
     """Sampling time, in s."""
     converged: bool = True
@@ -84,11 +91,11 @@ class GreyFit:
     physics: Physics
     """The model."""
     width: float = np.nan
-    """Standard deviation of the smoothing kernel in s; NaN where nothing was smoothed."""
+    """Standard deviation of the smoothing kernel in s; NaN without smoothing."""
     bias: dict[str, float] = field(default_factory=dict)
-    """What the noise of the smoothed velocity adds to the estimates, by name; none is taken off."""
+    """Bias due to the noise of the smoothed velocity, by name; it is not subtracted."""
     warnings: tuple[str, ...] = ()
-    """What a reader should know before trusting the numbers."""
+    """Warnings on the reliability of the numbers."""
     output: str = "y"
     """Name of y."""
     unit: str = ""
@@ -96,14 +103,14 @@ class GreyFit:
     input_unit: str = ""
     """Unit of u."""
     source: str = ""
-    """Hash of the recording, or ""."""
+    """Hash of the recording or data file, or ""."""
     history: tuple[str, ...] = ()
     """Treatment of the data."""
     digest: str = ""
-    """Fingerprint of the data."""
+    """Hash of the data, see `Dataset.digest`."""
 
     def __post_init__(self) -> None:
-        """Make the arrays as frozen as the rest."""
+        """Make the arrays read-only."""
         for name in ("covariance", "covariance_robust"):
             array = np.array(getattr(self, name), dtype=np.float64)
             array.flags.writeable = False
@@ -118,21 +125,21 @@ class GreyFit:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Parameters above 0 by definition that two standard deviations of the noise take to 0."""
+        """Positive parameters whose estimate is within two standard deviations of 0."""
         return tuple(
             name
             for name in self.names
             if name not in SIGNED | {COULOMB}
-            and not _SURE * self.std_noise[name] < abs(self.values[name])
+            and not _MIN_SIGMAS * self.std_noise[name] < abs(self.values[name])
         )
 
     def require_result(self) -> None:
-        """Refuse a search that did not end, and parameters that the data do not determine.
+        """Refuse a search that did not converge, and parameters that the data do not determine.
 
         Raises
         ------
         InputError
-            With what to do.
+            The search did not converge, or a parameter is not determined.
         """
         if lost := self.undetermined:
             raise InputError(
@@ -151,11 +158,11 @@ class GreyFit:
 
     @property
     def relative_std(self) -> dict[str, float]:
-        """Standard deviations as shares of the estimates."""
+        """Standard deviations divided by the estimates, by name."""
         return {n: self.std[n] / abs(v) if v else np.inf for n, v in self.values.items()}
 
     def to_control(self) -> control.StateSpace:
-        """Return the model at the estimates, in continuous time; without Coulomb friction."""
+        """Return the continuous model at the estimates, without Coulomb friction."""
         return self.physics.model(self.fixed)
 
     def simulate(self, u: ArrayLike) -> Vector:
@@ -166,14 +173,14 @@ class GreyFit:
         return linear_parts(model, column("u", u))[0]
 
     def plot(self, data: Dataset, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of measured and simulated output and, below, the error."""
+        """Return a figure of measured and simulated output with the error below."""
         from armrig.physics.grey_box.figures import plot_greybox
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_greybox(self, data, ax=ax))
 
     def explain(self) -> str:
-        """Say what was found and what it rests on."""
+        """Return a text with the estimates and their dependence on the fixed parameters."""
         parts = []
         for name in self.names:
             unit = f" {UNITS.get(name, '')}".rstrip()
@@ -185,20 +192,20 @@ class GreyFit:
             moved = {k: v for k, v in self.influence.get(name, {}).items() if abs(v) >= 0.05}
             if moved:
                 shares = ", ".join(f"{k} {v:+.2f} %" for k, v in moved.items())
-                parts.append(f"On these data 1 % more of what was held fixed moves it: {shares}.")
+                parts.append(f"If a fixed parameter is 1 % larger, {name} changes: {shares}.")
         if np.isfinite(self.width):
             added = ", ".join(f"{v:+.2g} to {k}" for k, v in self.bias.items())
             parts.append(
-                f"Smoothed over {self.width:.3g} s (one standard deviation of the kernel); the "
-                f"noise of the velocity adds {added}."
+                f"The data were smoothed over {self.width:.3g} s (one standard deviation of the "
+                f"kernel); the noise of the velocity adds {added}."
             )
         if any(self.fixed_std.values()):
             noise = ", ".join(f"{k} {v:.2g}" for k, v in self.std_noise.items())
-            parts.append(f"Standard deviations by the noise alone: {noise}.")
+            parts.append(f"Standard deviations by the noise only: {noise}.")
         return "\n".join([*parts, *(f"Note: {w}." for w in self.warnings)])
 
     def __repr__(self) -> str:
-        """Show the estimates with both standard deviations."""
+        """Return a table of the estimates with both standard deviations."""
         unit = f"{self.unit}/s²" if self.method == "inverse dynamics" else self.unit
         lines = [
             f"grey box ({self.method}), {self.output}, {self.N} samples at {self.Ts:g} s, "
@@ -214,9 +221,67 @@ class GreyFit:
 
 
 def below_zero(values: dict[str, float], std: dict[str, float]) -> list[str]:
-    """Return a warning for each friction that came out negative."""
+    """Return a warning for each negative estimate of a friction."""
     return [
         f"{n} = {v:.2g} is below 0, by {abs(v) / std[n]:.1f} standard deviations: take it as 0"
         for n, v in values.items()
         if n in SIGNED | {COULOMB} and v < 0 < std[n] < np.inf
     ]
+
+
+def determined(Psi: Matrix) -> Basis:
+    """Return an orthonormal basis of the derivatives; refuse indistinguishable parameters."""
+    basis = orthonormal(Psi)
+    if basis.rank < Psi.shape[1]:
+        raise InputError(
+            f"the data determine only {basis.rank} of {Psi.shape[1]} parameters and cannot "
+            "distinguish the others: hold more of them fixed"
+        )
+    return basis
+
+
+def by_experiment(
+    experiments: tuple[Dataset, ...], at: Linearised
+) -> tuple[list[Vector], list[Matrix], list[Matrix]]:
+    """Return residuals, derivatives and free responses of each experiment, for all samples."""
+    masks = [d.valid for d in experiments]
+    edges = np.cumsum([0, *(np.count_nonzero(valid) for valid in masks)])
+    residuals, blocks = [], []
+    for valid, (a, b) in zip(masks, pairwise(edges), strict=True):
+        e = np.full(valid.size, np.nan)
+        e[valid] = at.e[a:b]
+        residuals.append(e)
+        blocks.append(_spread(at.Psi[a:b], valid))
+    spans = [_spread(Q, valid) for Q, valid in zip(at.spans, masks, strict=True)]
+    return residuals, blocks, spans
+
+
+def _spread(rows: Matrix, valid: NDArray[np.bool_]) -> Matrix:
+    """Return a matrix for all samples: the rows at the valid samples, zeros elsewhere."""
+    whole = np.zeros((valid.size, rows.shape[1]))
+    whole[valid] = rows
+    return whole
+
+
+def scales(names: Sequence[str], values: dict[str, float]) -> Vector:
+    """Return the derivative of each parameter with respect to its coordinate."""
+    return np.array([1.0 if x in SIGNED | {COULOMB} else values[x] for x in names])
+
+
+def named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
+    """Return standard deviations by name."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    return dict(zip(names, std.tolist(), strict=True))
+
+
+def named_influence(
+    names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
+) -> dict[str, dict[str, float]]:
+    """Return d ln estimate / d ln fixed by the names of both, for positive parameters."""
+    return {
+        name: {
+            k: float(v) for k, v in zip(held, row, strict=True) if k not in SIGNED and abs(v) > 1e-9
+        }
+        for name, row in zip(names, influence, strict=True)
+        if name not in SIGNED | {COULOMB}
+    }

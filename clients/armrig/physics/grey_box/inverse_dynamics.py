@@ -1,8 +1,9 @@
-"""The inertia from the torque balance itself: a second estimate, which shares nothing but the data.
+"""The inertia from the torque balance: an estimate that is independent of `greybox`.
 
     theta_1'' = (1/J_1) (a (u - u0) - d theta_1') - (b_1/J_1) theta_1' - (T_c/J_1) sign theta_1'
 
-with a = N K_m / R_m and d = (N K_m)² / R_m, on smoothed and decimated signals, by least squares.
+Here a = N K_m / R_m and d = (N K_m)² / R_m. The method is least squares on smoothed and decimated
+signals.
 
 References
 ----------
@@ -23,12 +24,12 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.data.quantisation import quantum
+from armrig.data.treatment.wrong_samples import quantum
 from armrig.numerics.inference import Inference, infer
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.quantities import p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL
-from armrig.physics.grey_box.fit import GreyFit, below_zero
+from armrig.physics.grey_box.fit import GreyFit, below_zero, named_std
 from armrig.physics.grey_box.least_squares_problem import bipolar
 from armrig.physics.grey_box.parameters import (
     COULOMB,
@@ -39,7 +40,7 @@ from armrig.physics.grey_box.parameters import (
 )
 from armrig.physics.grey_box.sampled_model import Physics
 from armrig.physics.grey_box.smoothing import (
-    LEAST_WIDTH,
+    MIN_WIDTH,
     SMOOTHED_NOISE,
     kernels,
     near_standstill,
@@ -47,21 +48,20 @@ from armrig.physics.grey_box.smoothing import (
     smoothed,
     smoothed_noise_p_value,
 )
-from armrig.physics.grey_box.uncertainty import named_std
 from armrig.physics.systems import chassis
 
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_KEPT = 1.5  # one sample for so many standard deviations of the kernel
-_HELD = ("N", "R_m", "K_m")
-_COLOURED = (
-    "the residuals are more than smoothed noise (p {p}): the model leaves something of the rig out "
+_WIDTHS_PER_ROW = 1.5  # standard deviations of the kernel for each row
+_HELD_NAMES = ("N", "R_m", "K_m")
+_COLOURED_TEXT = (
+    "the residuals are more than smoothed noise (p {p}): the model lacks a property of the rig "
     "(friction?), or the noise is not white"
 )
-_ROWS = 10  # values that are left, for each unknown: fewer show too small a deviation
-_STEP = 2**0.5  # from one width that is tried to the next
-_WIDEST = 6  # such kernels, at least, are in the longest experiment
+_MIN_ROWS_PER_UNKNOWN = 10  # with fewer rows the standard deviations are too small
+_WIDTH_RATIO = 2**0.5  # between successive widths
+_MIN_KERNELS = 6  # lengths of a kernel in the longest experiment
 
 
 @takes_recordings
@@ -73,48 +73,50 @@ def inverse_dynamics(
     width: float | None = None,
     fixed_std: Mapping[str, float] | None = None,
 ) -> GreyFit:
-    """Estimate J_1 of the chassis alone from its torque balance, by linear least squares.
+    """Estimate J_1 of the chassis without the arm from its torque balance, by least squares.
 
-    The acceleration, the noisiest signal, stands on the left; the noise of the velocity, on the
-    right, shifts J_1 by `bias`.
+    The acceleration, the noisiest signal, is on the left side of the equation. The noise of the
+    velocity on the right side causes the `bias` of J_1.
 
     Parameters
     ----------
     data : Dataset
         u in V and theta_1 in rad.
     fixed : ArmParameters, optional
-        N, R_m, K_m and, where it is not free, b_1; the handout's by default.
+        Values of N, R_m, K_m and, if b_1 is not estimated, b_1; by default those of the handout.
     friction : {"viscous", "coulomb", "both"}, optional
-        As for `greybox`, the input's offset too; with T_c stretches nearly at rest are left out.
+        As for `greybox`; the offset of the input is estimated as there. If T_c is estimated,
+        stretches nearly at rest are not used.
     width : float, optional
-        Standard deviation s of the smoothing kernel in s. A narrower one lets more noise into the
-        velocity, which shifts J_1; a wider one loses excitation and data. By default widths a
-        factor sqrt(2) apart are tried, and the one with the least std² + bias² is taken.
+        Standard deviation s of the smoothing kernel in s; by default the width with the least std²
+        + bias² of a series with the ratio sqrt(2). A narrow kernel passes more noise of the
+        velocity, which biases J_1. A wide kernel loses excitation and data.
     fixed_std : mapping of str to float, optional
         As for `greybox`.
 
     Returns
     -------
     GreyFit
-        Both standard deviations are those of the sandwich form: smoothed noise is never white.
-        `whiteness` is the p value of residuals that are white noise of the angle, smoothed;
-        `width` is s and `bias` what the noise of the velocity adds to each estimate, to first
-        order, of which nothing is taken off.
+        Both standard deviations are those of the sandwich form, because smoothed noise is never
+        white. `whiteness` is the p value of the hypothesis that the residuals are smoothed white
+        noise of the angle. `width` is s. `bias` is the first-order bias due to the noise of the
+        velocity; it is not subtracted.
 
     Raises
     ------
     ValueError
-        An option is unknown, the kernel is wider than the data are long, or too little is left
-        after smoothing.
+        An option is unknown, the kernel is longer than the data, or too few values are left after
+        smoothing.
 
     Notes
     -----
-    With columns X, of which g_i v' is column i's part of the velocity, white noise of variance
-    λ on the angle and the kernel h' of the velocity, the estimate is off by ::
+    X (M rows) contains the regressors, and g_i is the derivative of column i with respect to the
+    velocity. λ is the variance of the white noise on the angle, and h' is the kernel of the
+    velocity. The bias (attenuation by errors in variables) is ::
 
         bias = -(X^T X / M)^-1 λ |h'|² g g^T β
 
-    (attenuation by errors in variables); λ is taken from the residuals of the narrowest width.
+    λ is computed from the residuals of the narrowest width.
     """
     p = ArmParameters() if fixed is None else fixed
     require_output(data, THETA_1)
@@ -127,7 +129,7 @@ def inverse_dynamics(
     found = solution.inference.transformed(slope)
     physics, held = Physics(model=chassis, fixed=p, output=THETA_1), _held(names)
     by_held = slope @ solution.by_held
-    # The widest kernels leave few values, and those the sandwich form may take for too sure.
+    # Wide kernels leave few values, for which the sandwich form may be too small.
     raised = chosen.std / np.sqrt(np.diag(found.covariance_robust))
     noise = found.covariance_robust * np.outer(raised, raised)
     covariance = noise + _carried(by_held, [given.get(k, 0.0) for k in held])
@@ -167,24 +169,26 @@ def inverse_dynamics(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Tried:
-    """The estimate of one width."""
+    """Estimate for one width of the kernel."""
 
     s: float
+    """Standard deviation of the kernel, in s."""
     solution: _Solution
+    """Least-squares solution."""
     values: dict[str, float]
+    """Estimates by name."""
     slope: Matrix
-    """Derivatives of the values by the coefficients."""
+    """Derivatives of the values with respect to the coefficients."""
     noise: float
-    """Variance of white noise of the angle that leaves such residuals."""
+    """Variance of the white noise on the angle, computed from the residuals."""
     bias: Vector
-    """What the noise of the velocity adds to each value."""
-
+    """Bias of each value due to the noise of the velocity."""
     std: Vector
-    """Standard deviations by the noise: by the residuals, or by white noise if that is more."""
+    """Standard deviations due to the noise: the larger of the sandwich and the white-noise form."""
 
 
 def _best(tried: Sequence[_Tried]) -> _Tried:
-    """Return the width with the least sum of std² + bias², each by the least std² of any."""
+    """Return the estimate with the least sum of (std² + bias²) / (least std² of all widths)."""
     least = np.min([one.std for one in tried], axis=0)
     return min(tried, key=lambda one: float(np.sum((one.std**2 + one.bias**2) / least**2)))
 
@@ -192,31 +196,31 @@ def _best(tried: Sequence[_Tried]) -> _Tried:
 def _tried(
     data: Dataset, p: ArmParameters, names: tuple[str, ...], width: float | None
 ) -> list[_Tried]:
-    """Return the estimates of all widths that leave enough data, or of the one asked for."""
+    """Return the estimates for all widths that leave enough data, or for the given width."""
     longest = max(part.N for part in data.experiments())
-    least = LEAST_WIDTH * data.Ts
+    least = MIN_WIDTH * data.Ts
     if width is not None:
         s = max(width, least)
         if 2 * reach(s, data.Ts) + 1 > longest:
             raise InputError(
-                f"width={width:g} s: the kernel sees {2 * reach(s, data.Ts) + 1} samples, the "
+                f"width={width:g} s: the kernel needs {2 * reach(s, data.Ts) + 1} samples, the "
                 f"longest experiment has {longest}; give {longest * data.Ts / 10:.2g} s or less"
             )
         return [_at(data, p, names, s)]
     found: list[_Tried] = []
     s = least
-    while 2 * reach(s, data.Ts) + 1 <= longest / (_WIDEST if found else 1):
+    while 2 * reach(s, data.Ts) + 1 <= longest / (_MIN_KERNELS if found else 1):
         try:
             found.append(_at(data, p, names, s, noise=found[0].noise if found else None))
         except ValueError:
             if found:
                 break
-        s *= _STEP
+        s *= _WIDTH_RATIO
     if not found:
-        msg = f"no kernel from {least:.2g} to {max(s / _STEP, least):.2g} s leaves {_ROWS} values "
-        msg += "for each unknown: record longer"
+        msg = f"no kernel from {least:.2g} to {max(s / _WIDTH_RATIO, least):.2g} s leaves "
+        msg += f"{_MIN_ROWS_PER_UNKNOWN} values for each unknown: record longer"
         if COULOMB in names:
-            msg += ', or with fewer stops; friction="viscous" leaves nothing out near a stop'
+            msg += ', or with fewer stops; friction="viscous" also uses the data near a stop'
         raise InputError(msg)
     return found
 
@@ -228,7 +232,7 @@ def _at(
     s: float,
     noise: float | None = None,
 ) -> _Tried:
-    """Return the estimate of a width; `noise` is that of the angle where it is known."""
+    """Return the estimate for a width; `noise` is the variance of the angle's noise, if known."""
     balance = _torque_balance(data, p, names, s)
     solution = _solved(balance, s)
     values, slope = _parameters(solution.beta, names)
@@ -266,7 +270,7 @@ def _meat(blocks: Sequence[Matrix], h: Vector, m: int) -> Matrix:
 
 
 def _of_bias(chosen: _Tried) -> Iterator[str]:
-    """Yield a warning where the noise of the velocity shifts J_1 by more than it varies."""
+    """Yield a warning if the bias of J_1 exceeds its standard deviation."""
     if abs(chosen.bias[0]) > chosen.std[0]:
         yield (
             f"the noise of the velocity shifts J_1 by {chosen.bias[0]:+.2g}, more than its "
@@ -275,69 +279,69 @@ def _of_bias(chosen: _Tried) -> Iterator[str]:
 
 
 def _carried(by_held: NDArray[np.float64], std: list[float]) -> NDArray[np.float64]:
-    """Return the covariance that deviations of what is held bring along."""
+    """Return the covariance caused by the standard deviations of the fixed parameters."""
     carried = by_held * std
     return np.asarray(carried @ carried.T)
 
 
 def _noise_warnings(p_value: float) -> list[str]:
-    return [_COLOURED.format(p=p_relation(p_value))] if p_value < WHITE_LEVEL else []
+    return [_COLOURED_TEXT.format(p=p_relation(p_value))] if p_value < WHITE_LEVEL else []
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _TorqueBalance:
-    """The torque balance on decimated signals of all experiments."""
+    """Equations of the torque balance for decimated signals of all experiments."""
 
     target: Vector
-    """Acceleration (M,), NaN where it is not known."""
+    """Acceleration (M,), NaN if it is not known."""
     X: Matrix
-    """Torque, velocity and sign as far as they are free, and the offset, (M, columns)."""
+    """Regressors (M, columns): torque; then velocity, sign and offset if they are estimated."""
     moved: Matrix
-    """Derivatives of the torque by what is held, (M, held)."""
+    """Derivatives of the torque with respect to the fixed parameters, (M, held)."""
     by_velocity: Vector
-    """Derivatives of the columns by the velocity, (columns,)."""
+    """Derivatives of the columns with respect to the velocity, (columns,)."""
     sizes: tuple[int, ...]
-    """Rows of each experiment."""
+    """Number of rows of each experiment."""
 
 
 def _held(names: tuple[str, ...]) -> tuple[str, ...]:
-    return _HELD if "b_1" in names else (*_HELD, "b_1")
+    return _HELD_NAMES if "b_1" in names else (*_HELD_NAMES, "b_1")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Solution:
-    """The torque balance by least squares."""
+    """Least-squares solution of the torque balance."""
 
     beta: Vector
-    """Coefficients of its columns, (columns,)."""
+    """Coefficients of the columns, (columns,)."""
     by_held: Matrix
-    """Derivatives of beta by what is held: where that is another, so is the right side."""
+    """Derivatives of beta with respect to the fixed parameters, which change the first column."""
     condition: float
-    """Of the scaled columns."""
+    """Condition number of the scaled columns."""
     moment: Matrix
-    """X^T X / M, (columns, columns)."""
+    """Matrix X^T X / M, (columns, columns)."""
     inference: Inference
-    """Of beta."""
+    """Covariance of beta, and loss."""
     residuals: list[Vector]
-    """Of each experiment, NaN where they are not known."""
+    """Residuals of each experiment, NaN if they are not known."""
     blocks: list[Matrix]
-    """Columns of each experiment, 0 where they are not known."""
+    """Columns of each experiment, 0 in rows that are not known."""
 
 
 def _solved(balance: _TorqueBalance, s: float) -> _Solution:
-    """Return the least-squares coefficients of the rows that are complete."""
+    """Return the least-squares solution of the complete rows."""
     kept = np.isfinite(balance.target)
     X, target, moved = balance.X[kept], balance.target[kept], balance.moved[kept]
     columns = X.shape[1]
-    if target.size < _ROWS * columns:
+    if target.size < _MIN_ROWS_PER_UNKNOWN * columns:
         raise InputError(
-            f"smoothing over {s:.3g} s leaves {target.size} values for {columns} "
-            f"unknowns, each of which needs {_ROWS}; give longer data, or another width"
+            f"smoothing over {s:.3g} s leaves {target.size} values for {columns} unknowns, "
+            f"{_MIN_ROWS_PER_UNKNOWN} for each are needed; give longer data, or another width"
         )
     basis = orthonormal(X)
     if basis.rank < columns:
         raise InputError(
-            "the data do not tell torque, friction and offset apart: excite the rig more"
+            "the data do not distinguish torque, friction and offset: excite the rig more"
         )
     beta, e = basis.coefficients(target), basis.without(target)
     residuals, blocks = _by_experiment(balance, e, kept)
@@ -363,9 +367,9 @@ def _solved(balance: _TorqueBalance, s: float) -> _Solution:
 def _whiteness(
     residuals: list[Vector], values: dict[str, float], p: ArmParameters, s: float, Ts: float
 ) -> float:
-    """Return the p value of residuals that are smoothed white noise of the angle.
+    """Return the p value of the hypothesis that residuals are smoothed white noise of the angle.
 
-    The noise reaches acceleration less braking, theta_1'' + (d + b_1)/J_1 theta_1'.
+    The noise of the angle enters the residual through theta_1'' + (d + b_1)/J_1 theta_1'.
     """
     k = kernels(s, Ts)
     braking = p.damping - p.b_1 + values.get("b_1", p.b_1)
@@ -375,12 +379,12 @@ def _whiteness(
 
 
 def _every(s: float, Ts: float) -> int:
-    """Return of how many samples one is kept."""
-    return max(1, int(_KEPT * s / Ts))
+    """Return the decimation: the number of samples for each row."""
+    return max(1, int(_WIDTHS_PER_ROW * s / Ts))
 
 
 def _offset_is_free(data: Dataset, names: tuple[str, ...]) -> bool:
-    """Tell whether u0 is estimated: not where Coulomb friction would stand in for it."""
+    """Return whether u0 is estimated; with Coulomb friction this needs a bipolar input."""
     return COULOMB not in names or bipolar(data.u)
 
 
@@ -438,7 +442,7 @@ def _by_experiment(
 
 
 def _parameters(beta: Vector, names: tuple[str, ...]) -> tuple[dict[str, float], Matrix]:
-    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, with their derivatives by beta."""
+    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, and their derivatives in beta."""
     values = {"J_1": float(1 / beta[0])}
     slope = np.zeros((len(names), beta.size))
     slope[0, 0] = -1 / beta[0] ** 2

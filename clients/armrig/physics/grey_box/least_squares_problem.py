@@ -18,27 +18,28 @@ from armrig.physics.grey_box.sampled_model import Physics
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-# How the voltage T_c R_m / (N K_m) that stands for the friction goes with the logarithms.
+# Exponents of the parameters in the voltage T_c R_m / (N K_m) of the friction.
 _VOLTAGE_POWERS = {"R_m": 1.0, "N": -1.0, "K_m": -1.0}
-_LEAST_START_V = 0.01  # of the search for the friction
-_BIPOLAR = 0.05  # share of the samples that are driven the other way round
+_MIN_START_V = 0.01  # least start value of the search for the friction
+_MIN_REVERSED_SHARE = 0.05  # least share of samples of either sign in a bipolar input
 
 
 def bipolar(u: Vector) -> bool:
-    """Tell whether an input drives the chassis both ways, so that friction is no offset."""
-    return bool(min(np.mean(u > 0), np.mean(u < 0)) >= _BIPOLAR)
+    """Return whether an input has both signs, so that friction differs from an offset."""
+    return bool(min(np.mean(u > 0), np.mean(u < 0)) >= _MIN_REVERSED_SHARE)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Linearised:
-    """Everything at one point, in the valid rows of all experiments."""
+    """Residuals and derivatives at given coordinates, for the valid samples of all experiments."""
 
     e: Vector
-    """Residuals (M,), the free responses fitted."""
+    """Residuals (M,) after the fit of the free responses."""
     Psi: Matrix
-    """Derivatives of the output by the coordinates less what the free responses explain, (M, d)."""
+    """Derivatives of the output with respect to the coordinates, (M, d), less their projection on
+    the free responses."""
     size: Vector
-    """Norm of each derivative before that, (d,)."""
+    """Norm of each derivative before the projection, (d,)."""
     spans: tuple[Matrix, ...]
     """Orthonormal basis of each experiment's free response."""
     free: tuple[Vector, ...]
@@ -47,15 +48,17 @@ class Linearised:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GreyBox:
-    """min |y - model(parameters) - free responses|; the free responses are projected out."""
+    """Problem min |y - model(parameters) - free responses|, the free responses projected out."""
 
     physics: Physics
+    """Model with its fixed parameters."""
     names: tuple[str, ...]
-    """Free parameters; the coordinates are their logarithms, or they themselves (SIGNED)."""
+    """Free parameters; the coordinates are logarithms, except for `SIGNED` parameters."""
     experiments: tuple[Dataset, ...]
+    """Data of each experiment."""
 
     def values(self, eta: Vector) -> dict[str, float]:
-        """Return parameters at the coordinates."""
+        """Return the parameters that have the given coordinates."""
         return {
             name: float(x if name in SIGNED else np.exp(x))
             for name, x in zip(self.names, eta, strict=True)
@@ -66,12 +69,12 @@ class GreyBox:
         return np.array([v if k in SIGNED else np.log(v) for k, v in values.items()])
 
     def linearise(self, eta: Vector) -> tuple[Vector, Matrix]:
-        """Return e and J at eta."""
+        """Return the residuals, and the derivatives of the output, at the coordinates eta."""
         at = self.at(eta)
         return at.e, at.Psi
 
     def at(self, eta: Vector, by: Sequence[str] | None = None) -> Linearised:
-        """Return residuals and derivatives, by other parameters than the free ones if asked."""
+        """Return residuals and the derivatives with respect to the free parameters, or to `by`."""
         by = self.names if by is None else by
         Ts = self.experiments[0].Ts
         model = self.physics.sampled(self.values(eta), by, Ts)
@@ -98,38 +101,40 @@ class GreyBox:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GreyBoxWithFriction:
-    """The same with Coulomb friction, which makes the free responses' part nonlinear.
+    """The least-squares problem with Coulomb friction, which is nonlinear in the free responses.
 
-    The coordinates are those of the parameters, T_c, and then of each experiment x0 and, where its
-    input is bipolar, u0. On an input of one sign, the rig's, the chassis hardly ever turns back,
-    and a friction that never changes its sign and an offset stand in for each other: u0 is 0.
+    The coordinates are those of the parameters, then T_c, then x0 of each experiment. If the input
+    is bipolar, u0 follows x0. With an input of one sign, as on the rig, the chassis hardly ever
+    turns back. A friction of constant sign cannot be distinguished from an offset, so u0 is then 0.
     """
 
     plain: GreyBox
+    """Problem without Coulomb friction."""
     speed: int
-    """Which state is the speed of the chassis."""
+    """Index of the state that is the speed of the chassis."""
 
     def start(self, eta: Vector) -> Vector:
-        """Return coordinates from frictionless ones.
+        """Return start coordinates from those of the problem without friction.
 
-        Where u0 is not free it has taken the friction; elsewhere the search begins with little.
+        If u0 is not free here, T_c is computed from the u0 of the problem without friction.
+        Otherwise the search begins with a small T_c.
         """
         free = self.plain.at(eta).free
         taken = [x[-1] for x, is_free in zip(free, self._offsets(), strict=True) if not is_free]
-        volts = max(float(np.mean(taken)) if taken else 0.0, _LEAST_START_V)
+        volts = max(float(np.mean(taken)) if taken else 0.0, _MIN_START_V)
         per_volt = self.plain.physics.parameters(self.plain.values(eta)).torque_per_volt
         own = [x if is_free else x[:-1] for x, is_free in zip(free, self._offsets(), strict=True)]
         return np.concatenate([eta, [volts * per_volt], *own])
 
     def linearise(self, z: Vector) -> tuple[Vector, Matrix]:
-        """Return e and J at z."""
+        """Return the residuals, and the derivatives of the output, at the coordinates z."""
         e, J, _ = self._all(z, self.plain.names)
         return e, J
 
     def at(self, z: Vector, by: Sequence[str] | None = None) -> Linearised:
-        """Return residuals and derivatives, the free responses' directions projected out.
+        """Return residuals and derivatives, with the free responses projected out.
 
-        By default by the free parameters and T_c.
+        By default the derivatives are with respect to the free parameters and T_c.
         """
         names = self.plain.names if by is None else by
         own, first = len(self.plain.names) + 1, len(names) + 1
@@ -148,18 +153,18 @@ class GreyBoxWithFriction:
         )
 
     def _offsets(self) -> list[bool]:
-        """Return of which experiments u0 is free."""
+        """Return for each experiment whether u0 is free."""
         return [bipolar(data.u) for data in self.plain.experiments]
 
     def _parts(self, z: Vector) -> list[slice]:
-        """Return where x0 (and u0) of each experiment stand behind the parameters and T_c."""
+        """Return the slice of x0 and u0 of each experiment, after the parameters and T_c."""
         offsets = self._offsets()
         n = (z.size - len(self.plain.names) - 1 - sum(offsets)) // len(offsets)
         edges = np.cumsum([0, *(n + is_free for is_free in offsets)]).tolist()
         return [slice(a, b) for a, b in pairwise(edges)]
 
     def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix, list[tuple[int, int]]]:
-        """Return e (M,), the derivatives by (by, T_c, x0, u0, …), and each experiment's rows."""
+        """Return e (M,), derivatives in (`by`, T_c, x0, u0, …), and the rows of each experiment."""
         plain = self.plain
         own, first = len(plain.names) + 1, len(by) + 1
         values = plain.values(z[: own - 1])

@@ -1,4 +1,4 @@
-"""The physical parameters: names, units, and which of them may be 0."""
+"""Names, units and checks of the physical parameters."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from armrig.data.dataset import Dataset
 
 NAMES = tuple(f.name for f in fields(ArmParameters))
 SIGNED = frozenset({"b_1"})
-"""Parameters that may be 0: estimated as they are, not as logarithms."""
+"""Parameters that may be 0, and are therefore not estimated as logarithms."""
 COULOMB = "T_c"
 """Name of the Coulomb friction of the chassis, in Nm."""
 UNITS = {
@@ -33,7 +33,7 @@ _RECORDED = get_args(OutputName)
 
 
 def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...]:
-    """Return the free parameters, those of the friction last."""
+    """Return the names of the free parameters, those of the friction last."""
     if isinstance(free, str):
         free = (free,)
     if friction not in (None, "viscous", "coulomb", "both"):
@@ -41,7 +41,7 @@ def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...
     for name in free:
         if name not in NAMES:
             msg = f"free={name!r} is none of {', '.join(NAMES)}"
-            msg += "; give several one by one" if "," in name else ""
+            msg += "; give several names as a sequence" if "," in name else ""
             raise InputError(msg)
     names = list(free)
     if friction in ("viscous", "both") and "b_1" not in names:
@@ -54,19 +54,19 @@ def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...
 
 
 def require_output(data: Dataset, output: str) -> None:
-    """Refuse a recording's data of another output than the model's."""
+    """Refuse data of a recorded output that is not the model's output."""
     if data.output in _RECORDED and data.output != output:
         raise InputError(
-            f"the data are {data.output}, the model's output is {output}; take "
+            f"the data contain {data.output}, the model's output is {output}; use "
             f"recording.dataset(output={output!r})"
         )
 
 
 def checked_fixed_std(fixed_std: Mapping[str, float], names: tuple[str, ...]) -> dict[str, float]:
-    """Return the standard deviations of what is held fixed, or refuse a wrong one."""
+    """Return the standard deviations of fixed parameters; refuse a wrong name or number."""
     for name, std in fixed_std.items():
         if name not in NAMES or name in names:
-            msg = f"fixed_std={name!r} is no parameter that is held fixed; these are "
+            msg = f"fixed_std={name!r} is not a fixed parameter; the fixed parameters are "
             msg += ", ".join(x for x in NAMES if x not in names)
             raise InputError(msg)
         if not (np.isfinite(std) and std >= 0):

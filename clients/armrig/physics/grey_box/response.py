@@ -1,13 +1,13 @@
-"""The answer of a sampled physical model and its derivatives, friction of the chassis included.
+"""Response of a sampled physical model with friction of the chassis, and its derivatives.
 
-Coulomb friction T_c acts on the chassis against its motion, and so does, at the motor's terminals,
-the voltage V = T_c R_m / (N K_m). Between a stop and the next reversal the model is linear::
+Coulomb friction T_c acts on the chassis against its motion. It is equivalent to a voltage V = T_c
+R_m / (N K_m) at the motor's terminals. Between a stop and the next reversal the model is linear::
 
     slip    x(k+1) = Phi x + Gamma (u - s V),    s = sign of the speed
     stick   x(k+1) = P (Phi x + Gamma u),        P = I - Gamma e' / (e' Gamma)
 
-with e the speed's unit vector: the friction is then whatever keeps the speed at 0, up to V. Where
-the chassis turns back within a step, s is the mean of both signs, weighted by their time.
+e is the speed's unit vector. During stick a friction of at most V keeps the speed at 0. If the
+chassis turns back within a step, s is the mean of both signs, weighted by their times.
 """
 
 from __future__ import annotations
@@ -27,24 +27,25 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """One experiment as a model at given parameters sees it."""
+    """Response of a model at given parameters in one experiment, with derivatives."""
 
     y: Vector
     """Output (N,)."""
     by_parameters: Matrix
-    """Derivatives by the coordinates, (N, d)."""
+    """Derivatives with respect to the coordinates, (N, d)."""
     by_initial: Matrix
-    """Derivatives by the initial state, (N, n)."""
+    """Derivatives with respect to the initial state, (N, n)."""
     by_friction: Vector
-    """Derivative by the voltage V of the Coulomb friction, (N,)."""
+    """Derivative with respect to the voltage V of the Coulomb friction, (N,)."""
     by_offset: Vector
-    """Derivative by an input offset u0, which is subtracted from u, (N,)."""
+    """Derivative with respect to an input offset u0, (N,); u0 is subtracted from u."""
 
 
 def linear_parts(model: Sampled, u: Vector) -> tuple[Vector, Matrix]:
-    """Return the output (N,) from rest, and what it is linear in, (N, n + 1).
+    """Return the output (N,) from rest, and the responses to initial states and offset, (N, n + 1).
 
-    The columns are the answers to each initial state and to an input offset of 1 (u0, subtracted).
+    Column i is the response to an initial value of 1 of state i. The last column is the response to
+    an offset u0 = 1, which is subtracted from u.
     """
     n, N = model.Phi.shape[0], u.size
     w = np.zeros((N - 1, n + 2, n))
@@ -59,9 +60,9 @@ def linear_parts(model: Sampled, u: Vector) -> tuple[Vector, Matrix]:
 
 
 def sensitivity(model: Sampled, u: Vector, x0: Vector, u0: float) -> Matrix:
-    """Return the derivatives (N, d) of the output by the coordinates, frictionless.
+    """Return the derivatives (N, d) of the output in the coordinates, without friction.
 
-    With v = u - u0 they are outputs of the model itself, driven by dPhi x + dGamma v.
+    With v = u - u0 the derivatives are outputs of the same model, driven by dPhi x + dGamma v.
     """
     v = u - u0
     x = recursion(model.Phi, v[:-1, None] * model.Gamma, x0)
@@ -76,11 +77,11 @@ def sensitivity(model: Sampled, u: Vector, x0: Vector, u0: float) -> Matrix:
 
 
 def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> Response:
-    """Return the answer with Coulomb friction of V volts, and all its derivatives.
+    """Return the response with Coulomb friction of V volts, and all derivatives.
 
-    Stretches of slip and of stick follow each other, each linear, found step by step and then
-    differentiated as a whole; a step in which the chassis turns back is one by itself. While the
-    chassis sticks, P Gamma = 0 and an input offset does nothing.
+    Slip and stick alternate, and each stretch is linear. The stretches are found step by step and
+    then differentiated as a whole. Steps with a reversal are separate stretches. During stick
+    P Gamma = 0, so that an input offset has no effect.
     """
     walk = _walk(model, u, x0, V, speed)
     x, n, d = walk.x, x0.size, len(model.by)
@@ -103,7 +104,7 @@ def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -
         w[:, -1] = -abs(s) * model.Gamma
         S[a : b + 1] = recursion(model.Phi if s else P @ model.Phi, w, S[a])
         if s == 0:
-            S[a + 1 : b + 1, :, speed] = 0.0  # but for rounding it is
+            S[a + 1 : b + 1, :, speed] = 0.0  # it is 0 except for rounding
     y = S @ model.C
     for j, by in enumerate(model.by):
         y[:, j] += x @ by.C + by.D * u
@@ -118,7 +119,7 @@ def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -
 
 
 def _held(model: Sampled, by: Derivative, x: Matrix, u: Vector, speed: int) -> Matrix:
-    """Return what the change of the direction Gamma / (e' Gamma) adds while the chassis sticks."""
+    """Return the contribution of the derivative of Gamma / (e' Gamma) during stick."""
     g = model.Gamma[speed]
     change = by.Gamma / g - model.Gamma * by.Gamma[speed] / g**2
     needed = x @ model.Phi[speed] + u * g
@@ -130,14 +131,14 @@ def _reversed(
 ) -> Matrix:
     """Return the derivatives after a step in which the chassis turns back.
 
-    The friction s V (2 f - 1) goes with the share f = v / (v - v') of the step before the turn,
-    with v' the speed to which the friction of before would have led: f goes with everything.
+    The friction is s V (2 f - 1), with f = v / (v - v') the share of the step before the turn. v'
+    is the final speed for an unchanged friction s V. f depends on all parameters.
     """
     row, gain, v = model.Phi[speed], model.Gamma[speed], x[speed]
     s = np.sign(v)
     ahead = row @ x + gain * (u - s * V)
     by_ahead = S @ row + w[:, speed]
-    # w holds what the parameters do beside the friction; to v' they do it with s V alone.
+    # w contains the effect of the parameters with the mean friction; v' depends on s V instead.
     share = v / (v - ahead)
     for j, by in enumerate(model.by):
         by_ahead[j] += (2 * share - 2) * s * V * by.Gamma[speed]
@@ -151,32 +152,33 @@ def _reversed(
 
 
 REVERSAL = 2
-"""In place of a sign: the chassis turns back within the step."""
+"""Value used instead of a sign for a step in which the chassis turns back."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Walk:
-    """The states of one experiment, and how the chassis moves."""
+    """States of one experiment, and the motion of the chassis."""
 
     x: Matrix
-    """(N, n)."""
+    """States (N, n)."""
     frictions: Vector
-    """Volts of each step, (N - 1,)."""
+    """Friction in volts of each step, (N - 1,)."""
     stretches: list[tuple[int, int, int]]
-    """First step, last + 1, and the sign of the speed; 0 where it sticks, or REVERSAL."""
+    """For each stretch: first step, last step + 1, and the sign of the speed, 0 or REVERSAL."""
 
 
 def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
-    """Return the states, stretch of slip and of stick by stretch.
+    """Return the states and the stretches of slip and stick.
 
-    A chassis that comes to a stop sticks where no more than V pulls at it; the friction of that
-    step is what brings the speed to 0 at its end. Where more pulls it turns back within the step,
-    and the friction is the mean of both ways. A V below 0, which a search may try, never sticks.
+    At standstill a driving voltage acts on the chassis. If its magnitude is at most V, the chassis
+    sticks, and the friction of this step is such that the speed at its end is 0. Otherwise the
+    chassis turns back within the step, and the friction is the mean for both directions. If V is
+    below 0, which a search may try, the chassis never sticks.
     """
     alone = not np.delete(model.Phi[speed], speed).any()
     frictions, steps = (_braked_alone if alone else _braked)(model, u, x0, V, speed)
     signs = np.array(steps, dtype=np.int_)
-    # With the friction known the model is linear, and all of its states come at once.
+    # For known friction the model is linear, and all states are computed at once.
     x = recursion(model.Phi, (u[:-1] - frictions)[:, None] * model.Gamma, x0)
     x[1:][signs == 0, speed] = 0.0
     stretches = [(s.start, s.stop, int(signs[s.start])) for s in constant(signs)]
@@ -184,9 +186,9 @@ def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
 
 
 def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[float, int]:
-    """Return friction and sign of a step from the speed v.
+    """Return the friction in volts and the sign of a step that begins at the speed v.
 
-    `ahead` is the speed to which no friction would lead, `pull` the volts that pull at standstill.
+    `ahead` is the final speed without friction, and `pull` the driving voltage at standstill.
     """
     if v == 0.0:
         if abs(pull) <= V:
@@ -205,7 +207,7 @@ def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[f
 def _braked_alone(
     model: Sampled, u: Vector, x0: Vector, V: float, speed: int
 ) -> tuple[Vector, list[int]]:
-    """Return friction and sign of each step where no other state acts on the speed."""
+    """Return friction and sign of each step, if no other state acts on the speed."""
     pole, gain, v = float(model.Phi[speed, speed]), float(model.Gamma[speed]), float(x0[speed])
     frictions, signs = [], []
     for value in u[:-1].tolist():

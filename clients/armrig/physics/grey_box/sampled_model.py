@@ -1,4 +1,4 @@
-"""A physical model sampled exactly, with its derivatives by the physical parameters."""
+"""An exactly sampled physical model, with its derivatives by the physical parameters."""
 
 from __future__ import annotations
 
@@ -20,47 +20,49 @@ if TYPE_CHECKING:
 Matrix = NDArray[np.float64]
 Model = Callable[[ArmParameters], "control.StateSpace"]
 
-_STEP = 1e-3  # of a logarithm; the fourth-order difference is then good to some 1e-12
+_LOG_STEP = 1e-3  # of a logarithm; the error of the fourth-order difference is about 1e-12
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sampled:
-    """x(k+1) = Phi x(k) + Gamma u(k), y(k) = C x(k) + D u(k), and derivatives by d coordinates."""
+    """Model x(k+1) = Phi x(k) + Gamma u(k), y(k) = C x(k) + D u(k) with derivatives."""
 
     Phi: Matrix
-    """(n, n)."""
+    """Transition matrix (n, n)."""
     Gamma: Matrix
-    """(n,)."""
+    """Input vector (n,)."""
     C: Matrix
-    """(n,)."""
+    """Output vector (n,)."""
     D: float
+    """Direct term."""
     by: tuple[Derivative, ...]
-    """By each coordinate."""
+    """Derivatives with respect to each of the d coordinates."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Derivative:
-    """Of a sampled model by one coordinate."""
+    """Derivatives of the matrices of a sampled model with respect to one coordinate."""
 
     Phi: Matrix
-    """(n, n)."""
+    """Derivative of Phi, (n, n)."""
     Gamma: Matrix
-    """(n,)."""
+    """Derivative of Gamma, (n,)."""
     C: Matrix
-    """(n,)."""
+    """Derivative of C, (n,)."""
     D: float
+    """Derivative of D."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Physics:
-    """A model with some parameters free: what becomes of it at given values."""
+    """A model with fixed and free parameters, which can be sampled for given values."""
 
     model: Model
-    """Parameters -> control.StateSpace, in continuous time."""
+    """Function: parameters -> control.StateSpace, in continuous time."""
     fixed: ArmParameters
-    """Values of all that is not free."""
+    """Values of all parameters that are not free."""
     output: str
-    """Label of the output that was measured."""
+    """Label of the measured output."""
 
     def labels(self) -> tuple[list[str], list[str]]:
         """Return the labels of outputs and of states."""
@@ -68,7 +70,7 @@ class Physics:
         return list(system.output_labels), list(system.state_labels)
 
     def check(self) -> None:
-        """Refuse a model that cannot be sampled here, or that lacks the output."""
+        """Refuse a model that is not continuous with one input, or that lacks the output."""
         if not callable(self.model) or hasattr(self.model, "dt"):
             raise InputTypeError(
                 f"model is a {type(self.model).__name__}: give a function of the parameters, "
@@ -86,17 +88,17 @@ class Physics:
             )
 
     def parameters(self, values: dict[str, float]) -> ArmParameters:
-        """Return all parameters; a friction below 0, which no rig has, as 0."""
+        """Return all parameters; a friction below 0 becomes 0."""
         return replace(
             self.fixed, **{k: max(v, 0.0) if k in SIGNED else v for k, v in values.items()}
         )
 
     def sampled(self, values: dict[str, float], by: Sequence[str], Ts: float) -> Sampled:
-        """Return the model under zero-order hold, exactly, with its derivatives.
+        """Return the exact model under zero-order hold, with its derivatives.
 
-        Phi and Gamma are blocks of exp([A B; 0 0] Ts), their derivatives blocks of its Fréchet
-        derivative in the direction of [dA dB; 0 0] Ts. Coordinates are logarithms, but for those
-        of `SIGNED`.
+        Phi and Gamma are blocks of exp([A B; 0 0] Ts). Their derivatives are blocks of the Fréchet
+        derivative in the direction of [dA dB; 0 0] Ts. The coordinates are logarithms of the
+        parameters, except for `SIGNED` parameters.
 
         References
         ----------
@@ -116,7 +118,7 @@ class Physics:
         )
 
     def _matrices(self, values: dict[str, float]) -> Matrix:
-        """Return [A B; C D] (n + 1, n + 1), continued in a straight line below friction 0."""
+        """Return [A B; C D] (n + 1, n + 1), extrapolated linearly for a friction below 0."""
         p = self.parameters(values)
         M = self._at(p)
         for name in SIGNED & values.keys():
@@ -130,7 +132,7 @@ class Physics:
         return np.block([[system.A, system.B], [system.C[row], system.D[row]]])
 
     def _derivative(self, values: dict[str, float], name: str) -> Matrix:
-        """Return d[A B; C D] by one coordinate."""
+        """Return the derivative of [A B; C D] with respect to one coordinate."""
         p = self.parameters(values)
         if name in SIGNED:
             return self._slope_from(p, name)
@@ -138,12 +140,12 @@ class Physics:
         def at(x: float) -> Matrix:
             return self._at(replace(p, **{name: getattr(p, name) * np.exp(x)}))
 
-        near, far = at(_STEP) - at(-_STEP), at(2 * _STEP) - at(-2 * _STEP)
-        return np.asarray((8 * near - far) / (12 * _STEP))
+        near, far = at(_LOG_STEP) - at(-_LOG_STEP), at(2 * _LOG_STEP) - at(-2 * _LOG_STEP)
+        return np.asarray((8 * near - far) / (12 * _LOG_STEP))
 
     def _slope_from(self, p: ArmParameters, name: str) -> Matrix:
-        """Return the derivative by a parameter that may be 0, from above."""
-        value, step = getattr(p, name), _STEP * p.damping
+        """Return the one-sided derivative, from above, with respect to a `SIGNED` parameter."""
+        value, step = getattr(p, name), _LOG_STEP * p.damping
         m0, m1, m2 = (self._at(replace(p, **{name: value + k * step})) for k in range(3))
         return np.asarray((4 * m1 - 3 * m0 - m2) / (2 * step))
 

@@ -1,21 +1,20 @@
-"""Position, velocity and acceleration from sampled angles, by a zero-phase smoothing kernel.
+"""Velocity and acceleration from sampled angles, by a smoothing kernel without phase lag.
 
-With the bell g(t) = c (1 - (t/T)²)^8, |t| < T, of standard deviation s = T / sqrt(19) the smoothed
-derivatives are those of the kernel::
+The kernel is the bell g(t) = c (1 - (t/T)²)^8, |t| < T, with the standard deviation
+s = T / sqrt(19). Smoothed derivatives are convolutions with derivatives of the kernel::
 
     y_f = g * y,    y_f' = g' * y,    y_f'' = g'' * y,    u_f = g * u  (exact for a held input)
 
-so that whatever linear equation holds between y', y'' and u also holds between the smoothed ones,
-without phase lag and without differences of noisy numbers. The bell ends smoothly, so that sums
-over samples are as good as integrals, and nothing is cut off that would differ between g, g', g''.
+A linear equation between y', y'' and u also holds between the smoothed signals. The smoothing
+causes no phase lag and needs no differences of noisy samples. The bell ends smoothly: g, g' and g''
+are not truncated, and sums over samples are close to the integrals.
 
-Whether residuals are white noise of the output as a smoothing kernel has coloured it.
-
-Smoothed and thinned out, white noise v has the autocorrelation of its kernel h, in steps of m ::
+The module also tests whether residuals are white noise of the output, coloured by the kernel. White
+noise v that is smoothed by a kernel h and decimated by m has the autocorrelation rho ::
 
     e(i) = sum of h(k) v(i m - k),    rho(j) = sum of h(k) h(k + j m) / sum of h(k)²
 
-and the sample autocorrelation of n such values is off by as much as Bartlett's formula says ::
+Bartlett's formula gives the covariance of the sample autocorrelation of n such values ::
 
     n cov(r_j, r_k) = sum over l = 1, 2, … of b_j(l) b_k(l),
     b_j(l) = rho(l + j) + rho(l - j) - 2 rho(j) rho(l)
@@ -41,51 +40,52 @@ from armrig.numerics.whiteness import autocovariance, default_lags, joined, port
 Vector = NDArray[np.float64]
 
 _BELL = Polynomial([1.0, 0.0, -1.0]) ** 8
-_REACH = 19**0.5  # T / s
-LEAST_WIDTH = 1.25
-"""Least s in samples: sums over samples then equal integrals to 1e-6 or so."""
-_LONG = 500  # samples; a longer kernel is applied by FFT, which is faster then
-_ENOUGH = 0.5  # share of the values that have a partner at a lag
-# Share of the largest deviation below which a direction is left out: in those the next term of the
-# expansion that Bartlett's formula begins is as large, and raises 1 % to 2.5.
-_SEEN = 0.2
-_SLOW = 0.05  # share of the effective speed below which its sign is not trusted
-_STOPS = 2.0  # widths of the kernel in which it is taken to stop, at its effective acceleration
+_REACH = 19**0.5  # ratio T / s
+MIN_WIDTH = 1.25
+"""Least s in samples, for which sums over samples equal integrals to about 1e-6."""
+_MIN_FFT_SAMPLES = 500  # length of a kernel from which FFT is faster
+_MIN_PAIR_SHARE = 0.5  # least number of pairs at a lag, as a share of lag 0
+# Directions with a smaller share of the largest deviation are not used. In these directions the
+# second term of the expansion is as large as Bartlett's formula, its first term. A level of 1 %
+# would become 2.5 %.
+_MIN_DEVIATION_SHARE = 0.2
+_MIN_SPEED_SHARE = 0.05  # of the effective speed, below which the sign is not trusted
+_STOP_WIDTHS = 2.0  # time of a stop at the effective acceleration, in widths of the kernel
 
 SMOOTHED_NOISE = "test of smoothed noise"
 
 
 def reach(s: float, Ts: float) -> int:
-    """Return how many samples to either side a kernel of standard deviation s sees."""
+    """Return the number of samples to either side that a kernel of standard deviation s uses."""
     return int(np.ceil(_REACH * s / Ts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Smoothed:
-    """One experiment after the kernel, NaN where its window meets an end or a missing sample."""
+    """Smoothed signals of one experiment; NaN where a window is not full of valid samples."""
 
     velocity: Vector
-    """(N,), in y's unit per s."""
+    """Velocity (N,), in y's unit per s."""
     acceleration: Vector
-    """(N,), in y's unit per s²."""
+    """Acceleration (N,), in y's unit per s²."""
     u: Vector
-    """(N,), in u's unit."""
+    """Input (N,), in u's unit."""
     reach: int
-    """Samples that the kernel sees to either side."""
+    """Number of samples to either side that the kernel uses."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kernels:
-    """What a signal is convolved with, (2 reach + 1,) each."""
+    """Convolution kernels, (2 reach + 1,) each."""
 
     first: Vector
-    """Gives the smoothed velocity."""
+    """Kernel of the velocity."""
     second: Vector
-    """Gives the smoothed acceleration."""
+    """Kernel of the acceleration."""
     held: Vector
-    """Smooths a held input."""
+    """Kernel of a held input."""
     reach: int
-    """Samples to either side."""
+    """Number of samples to either side."""
 
 
 def kernels(s: float, Ts: float) -> Kernels:
@@ -98,7 +98,7 @@ def kernels(s: float, Ts: float) -> Kernels:
     t = T * x[:-1]
     first = _BELL.deriv()(x[:-1]) * Ts / (c * T**2)
     second = _BELL.deriv(2)(x[:-1]) * Ts / (c * T**3)
-    # Exact on constants and lines: a turn is 6 rad, the noise 1 mrad.
+    # The kernels are made exact for constants and lines: a turn is 6 rad, the noise 1 mrad.
     first /= -(first @ t)
     second -= second.mean()
     return Kernels(first=first, second=second, held=held, reach=m)
@@ -117,24 +117,24 @@ def smoothed(data: Dataset, s: float) -> Smoothed:
 
 
 def _through(x: Vector, kernel: Vector) -> Vector:
-    """Return sum_m kernel(m) x(i - m), NaN where the window does not lie inside."""
+    """Return sum_m kernel(m) x(i - m), NaN if the window is not inside the signal."""
     whole = np.full(x.size, np.nan)
     m = kernel.size // 2
     if x.size >= kernel.size:
-        convolve = np.convolve if kernel.size < _LONG else oaconvolve
+        convolve = np.convolve if kernel.size < _MIN_FFT_SAMPLES else oaconvolve
         whole[m : x.size - m] = convolve(x, kernel, mode="valid")
     return whole
 
 
 def near_standstill(part: Dataset, s: float, reach: int) -> NDArray[np.bool_]:
-    """Return where the kernel's window touches an instant at which the chassis may stand still."""
-    # A narrower kernel, or the short stops would be smoothed away.
-    width = max(s / 4, LEAST_WIDTH * part.Ts)
+    """Return a mask of the windows that contain an instant at which the chassis may be at rest."""
+    # A narrower kernel, because the wide kernel would hide short stops.
+    width = max(s / 4, MIN_WIDTH * part.Ts)
     fine = smoothed(part, width)
     v = fine.velocity
-    # It may stop for less than the kernel's width, and turn between two samples.
-    within = _STOPS * width * _effective(smoothed(part, s).acceleration)
-    least = max(_SLOW * _effective(v), within)
+    # The chassis may stop for less than the kernel's width, and turn between two samples.
+    within = _STOP_WIDTHS * width * _effective(smoothed(part, s).acceleration)
+    least = max(_MIN_SPEED_SHARE * _effective(v), within)
     turns = np.append(v[:-1] * v[1:] < 0, False)
     slow = ((np.abs(v) < least) | turns).astype(np.float64)
     window = np.ones(2 * (reach + fine.reach) + 1)
@@ -147,32 +147,40 @@ def _effective(x: Vector) -> float:
 
 
 def smoothed_noise_p_value(residuals: Sequence[Vector], h: Vector, m: int) -> float:
-    """Return the p value of residuals (NaN where there are none) that are such noise.
+    """Return the p value of the hypothesis that residuals are smoothed white noise.
 
-    Lags at which fewer than half of the values have a partner are left out; NaN if all are.
+    The lags end before the first lag with fewer than half as many pairs as lag 0. The result is NaN
+    if no lag is left. The statistic has the mean of chi-squared but a larger variance, because all
+    r_j are divided by the same R(0). The argument of `portmanteau_p_value` is therefore the number
+    of white values whose R(0) is equally uncertain: n / sum of rho(j)² over all j.
 
-    The statistic has the mean of chi-squared, but a larger variance, since all r_j are divided by
-    the same R(0). It is taken as `portmanteau_p_value` takes one of so many white values as have
-    an R(0) as uncertain: n / sum of rho(j)² over all j.
+    Parameters
+    ----------
+    residuals : sequence of ndarray (N_i,)
+        Residuals of each experiment, NaN if they are not known.
+    h : ndarray (n,)
+        Kernel of the noise.
+    m : int
+        Decimation: number of samples per residual.
     """
     L = default_lags(sum(int(np.count_nonzero(np.isfinite(e))) for e in residuals))
     R, pairs = autocovariance(joined(residuals, L), L)
-    # Bartlett's formula is for values in a row: where many lags meet gaps it does not hold.
-    L = int(np.argmax(np.append(pairs < _ENOUGH * pairs[0], True))) - 1
+    # Bartlett's formula is for values without gaps; it does not hold if many pairs are missing.
+    L = int(np.argmax(np.append(pairs < _MIN_PAIR_SHARE * pairs[0], True))) - 1
     if L < 1 or not R[0] > 0:
         return float("nan")
     R, pairs = R[: L + 1], pairs[: L + 1]
     half = np.correlate(h, h, "full")[h.size - 1 :: m] / (h @ h)
     reach = L + half.size
     rho = np.zeros(2 * (reach + L) + 1)
-    at = reach + L  # where lag 0 stands
+    at = reach + L  # index of lag 0
     rho[at : at + half.size] = half
     rho[at - half.size + 1 : at + 1] = half[::-1]
     j, lag = np.arange(1, L + 1)[:, None], np.arange(1, reach + 1)
     b = rho[at + lag + j] + rho[at + lag - j] - 2 * rho[at + j] * rho[at + lag]
     U, deviation, _ = np.linalg.svd(b, full_matrices=False)
     off = np.sqrt(pairs[1:]) * (R[1:] / R[0] - rho[at + 1 : at + L + 1])
-    seen = deviation > _SEEN * deviation[0]
+    seen = deviation > _MIN_DEVIATION_SHARE * deviation[0]
     z = (U.T @ off)[seen] / deviation[seen]
     as_white = pairs[0] / (2 * float(half @ half) - 1)
     return portmanteau_p_value(float(z @ z), int(np.count_nonzero(seen)), as_white)

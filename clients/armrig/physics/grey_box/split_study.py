@@ -1,10 +1,10 @@
-"""The same estimate from the whole of the data, from halves, from quarters (handout 3.6)."""
+"""The same estimate from all data, from halves and from quarters (handout 3.6)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import isfinite, sqrt
+from math import erfc, isfinite, sqrt
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.treatment.wrong_samples import too_quiet
 from armrig.numerics.checks import require_integers, require_several
 from armrig.numerics.quantities import p_relation, plural
 from armrig.physics.grey_box.estimate import greybox
@@ -22,14 +23,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
 Vector = NDArray[np.float64]
-_LEVEL = 0.01  # below this p value the parts are called different
-_OUTSIDE = 0.05  # of the interval of a scatter
+_DIFFERENCE_LEVEL = 0.01  # p value below which the parts differ
+_INTERVAL_OUTSIDE_SHARE = 0.05  # probability outside the interval of a scatter
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Split:
-    """One parameter from the data cut into k parts."""
+    """Estimates of one parameter from the data cut into k parts."""
 
     k: int
     """Number of parts."""
@@ -42,7 +44,7 @@ class Split:
 
     @property
     def scaled_std(self) -> float:
-        """Mean of std sqrt(N): the same for every k where the law 1/sqrt(N) holds."""
+        """Mean of std sqrt(N); equal for every k if the law 1/sqrt(N) holds."""
         return float(np.mean(self.std * np.sqrt(self.N)))
 
     @property
@@ -53,14 +55,14 @@ class Split:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation of the estimates among each other, nan for one part."""
+        """Standard deviation of the estimates about their mean, NaN for one part."""
         return float(np.std(self.values, ddof=1)) if self.k > 1 else float("nan")
 
     @property
     def scatter_interval(self) -> tuple[float, float]:
-        """95 % interval of the deviation that `scatter` estimates, nan for one part.
+        """95 % interval of the standard deviation that `scatter` estimates, NaN for one part.
 
-        scatter² (k - 1) over that variance is chi-squared with k - 1 degrees of freedom.
+        scatter² (k - 1) divided by the true variance is chi-squared with k - 1 degrees of freedom.
         """
         from scipy.special import chdtri
 
@@ -68,7 +70,7 @@ class Split:
             return float("nan"), float("nan")
         low, high = (
             self.scatter * sqrt((self.k - 1) / float(chdtri(self.k - 1, tail)))
-            for tail in (_OUTSIDE / 2, 1 - _OUTSIDE / 2)
+            for tail in (_INTERVAL_OUTSIDE_SHARE / 2, 1 - _INTERVAL_OUTSIDE_SHARE / 2)
         )
         return low, high
 
@@ -79,7 +81,7 @@ class Split:
 
     @property
     def p_value(self) -> float:
-        """Chance of parts that differ as much, were they of one rig; nan for one part."""
+        """Probability of such a large `chi2` if all true values are equal; NaN for one part."""
         from scipy.special import chdtrc
 
         return float(chdtrc(self.k - 1, self.chi2)) if self.k > 1 else float("nan")
@@ -87,18 +89,18 @@ class Split:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SplitStudy:
-    """How an estimate and its standard deviation change with the length of the data."""
+    """Study of an estimate and its standard deviation as functions of the length of the data."""
 
     parameter: str
-    """Which parameter."""
+    """Name of the parameter."""
     splits: tuple[Split, ...]
-    """In the order of `parts`."""
+    """Splits in the order of `parts`."""
     source: str = ""
     """Hash of the recording, or ""."""
 
     @property
     def exponent(self) -> float:
-        """Slope of log std against log N over all parts; -1/2 by the law. nan for one length."""
+        """Slope of log std against log N over all parts; the law is -1/2; NaN for one length."""
         N = np.concatenate([s.N for s in self.splits])
         std = np.concatenate([s.std for s in self.splits])
         if np.ptp(np.log(N)) < 0.1:
@@ -107,28 +109,28 @@ class SplitStudy:
 
     @property
     def std_growth(self) -> float:
-        """Mean standard deviation of the last split over that of the first."""
+        """Mean standard deviation of the last split divided by the mean of the first split."""
         return float(np.mean(self.splits[-1].std) / np.mean(self.splits[0].std))
 
     @property
     def verdict(self) -> str:
-        """Whether the parts agree, and how the standard deviation goes with the length."""
+        """Text on the standard deviation against the length, and on the agreement of the parts."""
         return "\n".join([*self._trend(), *self._agreement()])
 
     def explain(self) -> str:
-        """Say what the trend is, why, and whether the parts agree."""
+        """Return a text on the trend, its reason, and the agreement of the parts."""
         lines = self._trend()
         if lines:
             lines.append(
                 "Each sample adds its share to the information, sum of psi(t)²/lambda, and the "
-                "covariance is its inverse: half the data, half the information, twice the "
-                "variance. What deviates from it is the input, which does not excite each part "
-                "alike, and the initial state, which every part has to estimate anew."
+                "covariance is its inverse: half the data have half the information and twice the "
+                "variance. Deviations have two reasons: the input does not excite all parts "
+                "equally, and each part must estimate an initial state."
             )
         return "\n".join([*lines, *self._agreement(scatter=True), *self._pooled()])
 
     def _trend(self) -> list[str]:
-        """Return how the standard deviation changes with the number of parts."""
+        """Return a sentence on the standard deviation against the number of parts."""
         first, last = self.splits[0], self.splits[-1]
         if len(self.splits) == 1:
             return []
@@ -136,56 +138,57 @@ class SplitStudy:
         expected = sqrt(float(np.mean(first.N) / np.mean(last.N)))
         return [
             f"From {first.k} to {last.k} parts the standard deviation of {self.parameter} "
-            f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}; with 1/N for "
-            f"the variance they would change by {expected:.2f} and {expected**2:.2f}."
+            f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}. With 1/N for "
+            f"the variance the factors would be {expected:.2f} and {expected**2:.2f}."
         ]
 
     def _agreement(self, *, scatter: bool = False) -> list[str]:
-        """Return whether the parts of each split agree."""
+        """Return sentences on the agreement of the parts of each split."""
         lines = []
         for s in self.splits:
             if s.k == 1:
                 continue
-            word = "agree" if s.p_value >= _LEVEL else "DIFFER"
+            word = "agree" if s.p_value >= _DIFFERENCE_LEVEL else "DIFFER"
             line = (
-                f"The {s.k} parts {word} at a level of {100 * _LEVEL:g} % (chi² {s.chi2:.2f} "
-                f"with {plural(s.k - 1, 'degree')} of freedom, p {p_relation(s.p_value)})"
+                f"The {s.k} parts {word} at a level of {100 * _DIFFERENCE_LEVEL:g} % "
+                f"(chi² {s.chi2:.2f} with {plural(s.k - 1, 'degree')} of freedom, "
+                f"p {p_relation(s.p_value)})"
             )
             if scatter:
                 reported = sqrt(float(np.mean(s.std**2)))
                 low, high = s.scatter_interval
                 line += f"; they scatter by {s.scatter:.2g} (95 % interval {low:.2g} to "
-                line += f"{high:.2g}), where {reported:.2g} is reported"
+                line += f"{high:.2g}), and the reported standard deviation is {reported:.2g}"
             lines.append(f"{line}.")
-        if any(s.p_value < _LEVEL for s in self.splits):
+        if any(s.p_value < _DIFFERENCE_LEVEL for s in self.splits):
             lines.append(
-                "Parts that differ by more than their standard deviations allow point to a model "
-                "that leaves something out (friction, drift); the standard "
-                "deviations know of the noise alone."
+                "If parts differ by more than their standard deviations allow, the model probably "
+                "lacks a property of the rig (friction, drift). The standard deviations contain "
+                "only the noise."
             )
         return lines
 
     def _pooled(self) -> list[str]:
-        """Return that the parts together tell as much as the whole."""
+        """Return a sentence that compares the pooled parts with the estimate from all data."""
         last, whole = self.splits[-1], next((s for s in self.splits if s.k == 1), None)
         if whole is None or last.k == 1:
             return []
         value, std = last.pooled
         return [
-            f"Pooled with weights 1/std², the {last.k} parts give {value:.6g} ± {std:.2g}, the "
-            f"whole gives {whole.values[0]:.6g} ± {whole.std[0]:.2g}: cutting loses no "
-            "information but that for the initial states."
+            f"Pooled with weights 1/std², the estimate of the {last.k} parts is {value:.6g} ± "
+            f"{std:.2g}; the estimate from all data is {whole.values[0]:.6g} ± "
+            f"{whole.std[0]:.2g}: cutting loses only the information for the initial states."
         ]
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of the estimates with ±2 deviations and, below, the law 1/sqrt(N)."""
+        """Return a figure of the estimates with ±2 standard deviations and the law 1/sqrt(N)."""
         from armrig.physics.grey_box.figures import plot_split
         from armrig.plots.layout import figure_of
 
         return figure_of(plot_split(self, ax=ax))
 
     def __repr__(self) -> str:
-        """Show the table: a line a part, a line a split."""
+        """Return a table with a line for each part and a line for each split."""
         lines = [f"{'parts':>5} {'N':>7} {self.parameter:>12} {'std':>9} {'std sqrt(N)':>12}"]
         for s in self.splits:
             for N, value, std in zip(s.N, s.values, s.std, strict=True):
@@ -208,28 +211,29 @@ def split_study(
     parameter: str | None = None,
     progress: Callable[[int, int, str], object] | None = None,
 ) -> SplitStudy:
-    """Estimate from the data cut into 1, 2, 4 … parts, and study the standard deviations.
+    """Study estimates and standard deviations from data cut into 1, 2, 4 … parts.
 
     Parameters
     ----------
     data : Dataset
         N samples.
     parts : sequence of int, default (1, 2, 4)
-        Into how many parts of equal length to cut, each an estimate of its own.
+        Numbers of equal parts into which the data are cut. The parameter is estimated from each
+        part.
     estimator : callable, optional
-        Dataset -> fit; `armrig.greybox` with its defaults if left out. A `GreyFit` or a `Fit` of
-        black-box models, whose standard deviations are then those of its noise.
+        Function Dataset -> `GreyFit` or `Fit`; by default `armrig.greybox`. For a `GreyFit` the
+        study uses the standard deviations due to noise only.
     parameter : str, optional
-        Name of the parameter to study; the first by default.
+        Name of the parameter to study; by default the first parameter of the fit.
     progress : callable, optional
-        Called with the number of estimates done, of all, and the name of the next one, "" after
-        the last.
+        Function of the number of finished estimates, the number of all estimates, and the name of
+        the next estimate, "" after the last.
 
     Raises
     ------
     ValueError
-        A number of parts is no integer >= 1, a part is too short, the parameter is unknown, or its
-        standard deviation is not known.
+        A number of parts is not an integer >= 1, a part is too short, the parameter is unknown, or
+        its standard deviation is not known.
     """
     require_several(parts=parts)
     if not parts:
@@ -237,13 +241,13 @@ def split_study(
     for k in parts:
         require_integers(parts=(k, 1))
     estimator = greybox if estimator is None else estimator
-    tell = progress or (lambda done, total, name: None)
+    report = progress or (lambda done, total, name: None)
     splits, done, total = [], 0, sum(parts)
     for k in parts:
         pieces, fits = data.split(k), []
         for i, piece in enumerate(pieces, 1):
             part = f"part {i} of {k}"
-            tell(done, total, part)
+            report(done, total, part)
             fits.append(_estimated(estimator, piece, parameter, part))
             done += 1
         names, values, stds = zip(*fits, strict=True)
@@ -256,14 +260,14 @@ def split_study(
             )
         )
         parameter = names[0]
-    tell(done, total, "")
+    report(done, total, "")
     return SplitStudy(parameter=str(parameter), splits=tuple(splits), source=data.source)
 
 
 def _estimated(
     estimator: Callable[[Dataset], Any], data: Dataset, parameter: str | None, part: str
 ) -> tuple[str, float, float]:
-    """Return name, estimate and standard deviation from one part, or refuse it by its name."""
+    """Return name, estimate and standard deviation from one part; an error names the part."""
     try:
         fit = estimator(data)
         if isinstance(fit, GreyFit):
@@ -289,3 +293,61 @@ def _numbers(fit: Any, parameter: str | None) -> tuple[str, float, float]:
             f"{name} = {value:g} ± {std:g} in a part: there is no standard deviation to study"
         )
     return name, value, std
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Agreement:
+    """Difference of two estimates of one parameter."""
+
+    name: str
+    """Name of the parameter."""
+    difference: float
+    """The other estimate minus the efficient estimate, in the parameter's unit."""
+    std: float
+    """Standard deviation of the difference, if both estimates are consistent."""
+    p_value: float
+    """Probability of a difference at least as large, if both estimates are consistent."""
+    note: str = ""
+    """Reason not to trust the p value, or ""."""
+
+    def __repr__(self) -> str:
+        """Return the difference as one line of text."""
+        z = self.difference / self.std
+        text = (
+            f"{self.name}: {self.difference:+.3g} apart, {z:+.2f} sd, p {p_relation(self.p_value)}"
+        )
+        return f"{text} ({self.note})" if self.note else text
+
+
+def agreement(efficient: GreyFit, other: GreyFit) -> tuple[Agreement, ...]:
+    """Compare another estimate with the efficient estimate, for each common parameter.
+
+    Both estimates are from the same data. An efficient estimate is not correlated with its
+    difference from another consistent estimate. The variance of the difference is therefore the
+    difference of the variances. Their sum would be too large, so that two inconsistent estimates
+    would seem to agree.
+
+    Parameters
+    ----------
+    efficient : GreyFit
+        Estimate of `greybox`.
+    other : GreyFit
+        Estimate of `inverse_dynamics` from the same data.
+
+    References
+    ----------
+    .. [1] J. A. Hausman, Econometrica 46 (1978) 1251-1271.
+    """
+    rows = []
+    note = too_quiet(efficient.quantum, efficient.noise_variance)
+    for name in efficient.names:
+        if name not in other.names:
+            continue
+        variance = other.std_noise[name] ** 2 - efficient.std_noise[name] ** 2
+        std = sqrt(max(variance, (0.1 * other.std_noise[name]) ** 2))
+        difference = other.values[name] - efficient.values[name]
+        p_value = erfc(abs(difference) / std / sqrt(2))
+        rows.append(
+            Agreement(name=name, difference=difference, std=std, p_value=p_value, note=note)
+        )
+    return tuple(rows)

@@ -1,1 +1,1 @@
-"""Numerical integration of x' = A x + B u (handout, chapter 4): methods, exact solution, limits."""
+"""Numerical integration of x' = A x + B u (handout, chapter 4)."""

@@ -1,4 +1,4 @@
-"""Error of a method against the step, for a sinusoidal input."""
+"""Error of an integration method against the step, for a sinusoidal input."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from armrig.physics.integrators.stepping import integrate
 Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
-_COMPARED = 2000  # instants at which a long solution is compared with the exact one
+_MAX_COMPARED_INSTANTS = 2000  # at which a long solution is compared with the exact solution
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Sinusoid:
-    """A linear system under u = amplitude sin(omega t), from x0, over `span` seconds."""
+    """A linear system with u = amplitude sin(omega t), from x0, over `span` seconds."""
 
     A: Matrix
-    """(nx, nx)."""
+    """System matrix (nx, nx), in 1/s."""
     B: Matrix
-    """(nx, 1)."""
+    """Input matrix (nx, 1)."""
     amplitude: float
-    """Of the input, in its unit."""
+    """Amplitude of the input, in its unit."""
     omega: float
-    """In rad/s."""
+    """Angular frequency, in rad/s."""
     x0: Vector
-    """(nx,)."""
+    """Initial state (nx,)."""
     span: float
-    """In s."""
+    """Duration, in s."""
 
     def solve(self, h: float, n: int, method: str) -> tuple[Vector, Matrix]:
-        """Return t (n + 1,) and x (n + 1, nx)."""
+        """Return t (n + 1,) and x (n + 1, nx) of a method in n steps of h."""
         return integrate(
             self.A, self.B, lambda t: self.amplitude * sin(self.omega * t), self.x0, h, n, method
         )
@@ -49,10 +49,10 @@ class Sinusoid:
         return exact(self.A, self.B, self.amplitude, self.omega, self.x0, t)
 
     def error(self, h: float, method: str) -> float:
-        """Return the largest error over the span, each state against its own largest value."""
+        """Return the largest error over the span, relative to the largest value of each state."""
         n = max(1, ceil(self.span / h - 1e-9))
         t, x = self.solve(h, n, method)
-        seen = np.unique(np.linspace(0, n, min(n, _COMPARED) + 1).round().astype(int))
+        seen = np.unique(np.linspace(0, n, min(n, _MAX_COMPARED_INSTANTS) + 1).round().astype(int))
         right = self.truth(t[seen])
         size = np.abs(right).max(axis=0)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -69,12 +69,12 @@ def sinusoid(
     x0: ArrayLike | None = None,
     span: float | None = None,
 ) -> Sinusoid:
-    """Return the problem; by default from rest, over three periods of the input.
+    """Return a problem with checked values; by default x0 = 0 and three periods of the input.
 
     Raises
     ------
     ValueError
-        A shape or a number is impossible.
+        A shape or a number is not allowed.
     """
     A_, B_, x0_ = system(A, B, x0)
     require_positive(omega=omega)
@@ -87,14 +87,14 @@ def sinusoid(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Convergence:
-    """How the error of one method falls with the step."""
+    """Error of one method against the step."""
 
     method: str
-    """As `integrate` takes it."""
+    """Name of the method, as for `integrate`."""
     h: Vector
-    """Steps in s, falling."""
+    """Steps in s, in falling order."""
     error: Vector
-    """Largest error over the span at each step; inf where it grew without bound."""
+    """Largest error over the span at each step; inf if the solution overflowed."""
     limit: float
     """Largest absolutely stable step, in s."""
 
@@ -111,9 +111,10 @@ class Convergence:
 
 
 def convergence(problem: Sinusoid, method: str, h: ArrayLike | None = None) -> Convergence:
-    """Return the error of a method over steps h; by default from twice the limit in ten halvings.
+    """Return the error of a method for steps h.
 
-    Where there is no limit, from a third of the input's period on.
+    By default the largest step is twice the stability limit, or a third of the input's period if
+    there is no limit. Ten halvings follow.
     """
     method_named(method)
     limit = stability_limit(problem.A, method)
@@ -126,10 +127,11 @@ def convergence(problem: Sinusoid, method: str, h: ArrayLike | None = None) -> C
 
 
 def growth(A: ArrayLike, method: str, h: float, *, n: int = 20_000) -> float:
-    """Return how the free motion has grown in the second half of n steps: > 1 is unstable.
+    """Return the growth of the free motion over the second half of n steps; > 1 is unstable.
 
-    All modes are excited alike; those that stand still (eigenvalues at 0) are subtracted, as the
-    largest velocity |x(k+1) - x(k)| is compared, of the last tenth with that of the middle one.
+    The initial state excites all modes equally. The growth is the ratio of the largest |x(k+1) -
+    x(k)| in the last tenth of the steps to the largest in the middle tenth. Differences do not
+    contain constant modes (eigenvalues at 0).
     """
     A_, *_ = system(A, np.zeros(np.shape(A)[0]))
     size = A_.shape[0]
@@ -144,7 +146,7 @@ def growth(A: ArrayLike, method: str, h: float, *, n: int = 20_000) -> float:
 
 
 def all_methods(methods: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the methods asked for, all by default."""
+    """Return the names of the given methods, or of all methods for None."""
     chosen = tuple(METHODS) if methods is None else tuple(methods)
     for name in chosen:
         method_named(name)

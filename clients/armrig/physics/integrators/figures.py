@@ -1,4 +1,4 @@
-"""Figures of numerical integration: stability regions, errors, and what the limit looks like."""
+"""Figures of numerical integration: stability regions, errors and the stability limit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from armrig.plots.layout import BLUE, GREY, INK, MISSING, VERMILION, axes, finis
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_SHORT_OF, _BEYOND = 0.999, 1.001
+_BELOW_BOUND, _ABOVE_BOUND = 0.999, 1.001
 
 
 def plot_stability_regions(
@@ -31,16 +31,16 @@ def plot_stability_regions(
     methods: Sequence[str] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show where in the plane of z = h lambda each method is stable, and the system's h lambda.
+    """Plot the stability regions of the methods in the plane of z = h lambda.
 
     Parameters
     ----------
     A : array_like, shape (nx, nx), optional
-        System whose eigenvalues are drawn.
+        System whose h lambda are plotted.
     h : float, optional
-        Step in s; forward Euler's limit by default.
+        Step in s; by default the limit of forward Euler.
     methods : sequence of str, optional
-        All by default. Methods with the same region share a line.
+        Names of methods; by default all. Methods with the same region share a curve.
     """
     ax = axes(ax)
     x, y = np.meshgrid(np.linspace(-2.4, 0.8, 321), np.linspace(-2.2, 2.2, 441))
@@ -73,10 +73,10 @@ def plot_stability_regions(
 
 
 def plot_convergence(studies: Sequence[Convergence], *, ax: Axes | None = None) -> Axes:
-    """Show the error against the step, both logarithmic, with observed orders and limits.
+    """Plot the error against the step, with the observed orders and the stability limits.
 
-    A dotted line marks each method's stability limit; to its right the error grows with the span,
-    and where it has overflowed there is no point.
+    A dotted line marks the stability limit of each method. At larger steps the error grows with the
+    span. A step at which the solution overflows has no point.
     """
     ax = axes(ax)
     tops = []
@@ -100,9 +100,9 @@ def plot_convergence(studies: Sequence[Convergence], *, ax: Axes | None = None) 
 def plot_stability_edge(
     A: ArrayLike, method: str, *, state: int = -1, n: int = 6000, ax: Axes | None = None
 ) -> Axes:
-    """Show one state of the free motion at 0.999 and, below, at 1.001 of the stability limit.
+    """Plot a state of the free motion at steps of 0.999 and 1.001 times the stability limit.
 
-    The envelope |x| is drawn, from a start that excites all modes alike; with finite limits only.
+    The initial state excites all modes equally. The method must have a finite limit.
 
     Raises
     ------
@@ -113,12 +113,12 @@ def plot_stability_edge(
     limit = stability_limit(A_, method)
     if not 0 < limit < np.inf:
         raise InputError(
-            f"the limit of {method} on this system is {limit}: there is no edge to show"
+            f"the stability limit of {method} on this system is {limit}: no figure is possible"
         )
     ax, below = panels(ax, 0.5)
     x0 = np.real(np.linalg.eig(A_)[1].sum(axis=1))
     rest = np.zeros(A_.shape[0])
-    for panel, share, colour in ((ax, _SHORT_OF, BLUE), (below, _BEYOND, VERMILION)):
+    for panel, share, colour in ((ax, _BELOW_BOUND, BLUE), (below, _ABOVE_BOUND, VERMILION)):
         _, x = integrate(A_, rest, lambda t: 0.0, x0, share * limit, n, method)
         panel.plot(np.arange(n + 1), x[:, state], color=colour, lw=0.5, rasterized=True)
         panel.set_ylabel(f"$x$ at {share:g} limit")
@@ -136,14 +136,14 @@ def plot_solution(
     label: str = "x",
     ax: Axes | None = None,
 ) -> Axes:
-    """Show one state as each method gives it, with the exact one, and below it the errors.
+    """Plot a state by each method, the exact state, and the errors below.
 
     Parameters
     ----------
     h : float or mapping of str to float
-        Step in s, of all methods or by method.
+        Step in s: a number for all methods, or a mapping from the name of a method to its step.
     methods : sequence of str, optional
-        Those of `h` where it is a mapping, else all.
+        Names of methods; by default the keys of `h` if `h` is a mapping, otherwise all methods.
     """
     ax, below = panels(ax, 0.4)
     steps = h if isinstance(h, Mapping) else dict.fromkeys(all_methods(methods), h)

@@ -1,4 +1,4 @@
-"""The linear system that is integrated, checked once for all."""
+"""Checks of a linear system, and its exact solution."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def system(
     Raises
     ------
     ValueError
-        The shapes do not belong together, or a number is not finite.
+        The shapes do not match, or a number is not finite.
     """
     for name, given in (("A", A), ("B", B), ("x0", x0)):
         if given is not None and np.iscomplexobj(np.asarray(given)):
@@ -29,7 +29,7 @@ def system(
             )
     A_ = np.array(A, dtype=np.float64)
     if A_.ndim != 2 or A_.shape[0] != A_.shape[1] or A_.size == 0:
-        raise InputError(f"A has shape {A_.shape}, it must be (n, n)")
+        raise InputError(f"A has shape {A_.shape}, but must be (n, n)")
     n = A_.shape[0]
     B_ = np.array(B, dtype=np.float64)
     if B_.ndim == 1:
@@ -43,12 +43,12 @@ def system(
         raise InputError(f"x0 has shape {x0_.shape}, with A {A_.shape} it must be ({n},)")
     for name, value in (("A", A_), ("B", B_), ("x0", x0_)):
         if not np.isfinite(value).all():
-            raise InputError(f"{name} holds a number that is not finite")
+            raise InputError(f"{name} contains a number that is not finite")
     return A_, B_, x0_
 
 
 def require_positive(**values: float) -> None:
-    """Refuse what is no finite number > 0."""
+    """Refuse a number that is not finite and > 0."""
     for name, value in values.items():
         if not (np.isfinite(value) and value > 0):
             raise InputError(f"{name}={value!r} must be finite and > 0")
@@ -64,8 +64,8 @@ def exact(
 ) -> Matrix:
     """Return the solution (len(t), nx) of x' = A x + B amplitude sin(omega t), x(0) = x0.
 
-    Sine and cosine are states of their own, s' = omega c, c' = -omega s, so that one exponential
-    gives everything, at any A and omega: integrator and resonance need no case of their own ::
+    Sine and cosine are additional states, s' = omega c, c' = -omega s. The solution is then one
+    matrix exponential for any A and omega, including integrators and resonance ::
 
         [x]         [A  B amplitude  0    ]    [x0]
         [s](t) = exp[0  0            omega] t  [0 ]
@@ -76,7 +76,7 @@ def exact(
     A : array_like, shape (nx, nx)
     B : array_like, shape (nx,) or (nx, 1)
     amplitude : float
-        Of the input, in its unit.
+        Amplitude of the input, in its unit.
     omega : float
         Angular frequency in rad/s.
     x0 : array_like, shape (nx,)
@@ -106,6 +106,6 @@ def exact(
     block[:n, :n], block[:n, n] = A_, amplitude * B_[:, 0]
     block[n, n + 1], block[n + 1, n] = omega, -omega
     start = np.concatenate([x0_, [0.0, 1.0]])
-    # A thousand exponentials at a time: a million at once would take 300 MB.
+    # A thousand exponentials at a time, because a million would take 300 MB.
     parts = np.array_split(times, max(1, times.size // 1000))
     return np.concatenate([(expm(block * p[:, None, None]) @ start)[:, :n] for p in parts])

@@ -1,12 +1,12 @@
-"""The integration methods as data: coefficients, order, and what they do to x' = lambda x.
+"""The integration methods as data: coefficients, orders and stability polynomials.
 
-Each method applied to x' = lambda x with the step h is a linear recursion whose solutions are
-zeta^n, with zeta a root of its stability polynomial pi(zeta; z) at z = h lambda::
+A method applied to x' = lambda x with the step h is a linear recursion. Its solutions are zeta^n,
+with zeta a root of the stability polynomial pi(zeta; z) at z = h lambda::
 
     linear multistep   sum alpha_j x(n+j) = h sum beta_j f(n+j):  pi = rho(zeta) - z sigma(zeta)
     Runge-Kutta        x(n+1) = R(z) x(n):                        pi = zeta - R(z)
 
-The method is absolutely stable at z where no root lies outside the unit circle and those on it
+The method is absolutely stable at z if no root is outside the unit circle and roots on the circle
 are simple.
 
 References
@@ -32,23 +32,23 @@ class Multistep:
     """A linear multistep method, sum alpha_j x(n+j) = h sum beta_j f(n+j), j = 0 … k."""
 
     name: str
-    """What a reader calls it."""
+    """Name in texts and figures."""
     alpha: tuple[float, ...]
-    """Coefficients of rho, alpha_k = 1 the last."""
+    """Coefficients of rho; the last one is alpha_k = 1."""
     beta: tuple[float, ...]
-    """Coefficients of sigma; implicit where the last is not 0."""
+    """Coefficients of sigma; the method is implicit if the last one is not 0."""
     order: int
-    """p: the global error falls as h^p."""
+    """Order p: the global error falls as h^p."""
     start: str = ""
-    """Method that makes the first k - 1 steps, "" where there are none."""
+    """Method of the first k - 1 steps, "" for k = 1."""
     work: int
-    """Products with A, or solutions with the factors of I - beta_k h A, that a step takes."""
+    """Number of products with A, or of solutions with the factors of I - beta_k h A, per step."""
     region: str
-    """Where it is absolutely stable, in words."""
+    """Description of the region of absolute stability."""
 
     @property
     def stability_polynomial(self) -> Array:
-        """(k + 1, 2), of pi: entry j, i is the coefficient of zeta^j z^i."""
+        """Coefficients of pi, (k + 1, 2): entry j, i belongs to zeta^j z^i."""
         return np.column_stack([self.alpha, -np.array(self.beta)])
 
 
@@ -60,31 +60,31 @@ class RungeKutta:
     """
 
     name: str
-    """What a reader calls it."""
+    """Name in texts and figures."""
     a: tuple[tuple[float, ...], ...]
     """Tableau, strictly lower triangular."""
     b: tuple[float, ...]
     """Weights of the stages."""
     c: tuple[float, ...]
-    """Where in the step each stage is taken, 0 to 1."""
+    """Times of the stages as shares of the step, 0 to 1."""
     order: int
-    """p: the global error falls as h^p."""
+    """Order p: the global error falls as h^p."""
     region: str
-    """Where it is absolutely stable, in words."""
+    """Description of the region of absolute stability."""
 
     @property
     def work(self) -> int:
-        """Products with A that a step takes: one for each stage."""
+        """Number of products with A per step, one for each stage."""
         return len(self.b)
 
     @property
     def start(self) -> str:
-        """A one-step method starts by itself."""
+        """Empty: a one-step method needs no other method to start."""
         return ""
 
     @property
     def stability_polynomial(self) -> Array:
-        """(2, stages + 1) of pi = zeta - R(z), R(z) = 1 + sum z^(i+1) b^T a^i 1."""
+        """Coefficients of pi = zeta - R(z), R(z) = 1 + sum z^(i+1) b^T a^i 1, (2, stages + 1)."""
         a, v = np.array(self.a), np.ones(len(self.b))
         R = [1.0]
         for _ in self.b:
@@ -114,7 +114,7 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
             order=2,
             start="heun",
             work=1,
-            region="a drop from -1 to 0 on the real axis, half as long as forward Euler's circle",
+            region="a drop shape, -1 to 0 on the real axis, half as long as forward Euler's circle",
         ),
         "trapezoidal": Multistep(
             name="trapezoidal rule",
@@ -122,7 +122,7 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
             beta=(0.5, 0.5),
             order=2,
             work=2,
-            region="the left half plane, all of it and nothing else (A-stable)",
+            region="exactly the left half plane (A-stable)",
         ),
         "heun": RungeKutta(
             name="Heun, RK(2)",
@@ -142,16 +142,16 @@ METHODS: MappingProxyType[str, Method] = MappingProxyType(
         ),
     }
 )
-"""The handout's methods (4.1-4.4) by the names that `integrate` takes."""
+"""The handout's methods (4.1-4.4) by their names for `integrate`."""
 
 
 def method_named(name: str) -> Method:
-    """Return the method, or say which there are.
+    """Return the method with this name.
 
     Raises
     ------
     ValueError
-        There is none of this name.
+        There is no method with this name.
     """
     if name not in METHODS:
         raise InputError(f"method={name!r} is none of {', '.join(METHODS)}")
@@ -159,7 +159,7 @@ def method_named(name: str) -> Method:
 
 
 def amplification(method: Method, z: Array) -> Array:
-    """Return the largest |zeta| at each z (any shape): by how much a step may grow an error."""
+    """Return the largest |zeta| at each z (any shape): the growth factor of an error per step."""
     p = method.stability_polynomial
     at_z = np.stack([np.polyval(row[::-1], z) for row in p], axis=-1)
     if at_z.shape[-1] == 2:

@@ -1,8 +1,9 @@
-"""The largest step at which a method stays absolutely stable on a given system.
+"""The largest step at which a method is absolutely stable on a given system.
 
-For each eigenvalue lambda the stability polynomial pi(zeta; h lambda) must have its roots inside
-the unit circle. Schur and Cohn's reduction turns that into the signs of a few polynomials in h,
-whose first positive root is the limit: no scan, nothing to overlook on the way.
+For each eigenvalue lambda the roots of the stability polynomial pi(zeta; h lambda) must be inside
+the unit circle. The reduction of Schur and Cohn converts this condition into the signs of a few
+polynomials in h. A finite limit other than 0 is one of their roots, so that no scan over h is
+necessary.
 
 References
 ----------
@@ -23,39 +24,38 @@ from armrig.physics.integrators.linear_system import system
 from armrig.physics.integrators.methods import Method, amplification, method_named
 
 _EPS = float(np.finfo(np.float64).eps)
-_ON_CIRCLE = 1e-10  # |zeta| - 1 up to which a root is taken to lie on the circle
+_CIRCLE_TOLERANCE = 1e-10  # largest |zeta| - 1 of a root that counts as on the circle
 
 
 def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
     """Return the largest step h in s at which the method is absolutely stable on x' = A x.
 
-    It is a *largest* step. (The handout, assignment 4.1, asks for the "minimum step size that
-    preserve the absolute stability"; a smaller step is always stable as well.)
+    The limit is a *largest* step. (The handout, assignment 4.1, asks for the "minimum step size
+    that preserve the absolute stability", but every smaller step is stable as well.)
 
-    Which eigenvalues count:
+    Each eigenvalue has a limit, and the smallest is returned:
 
-    - Re < 0: each has its own limit, the smallest is returned.
-    - 0, simple or with as many eigenvectors as it is repeated: does not count, for every method
-      keeps a constant. Repeated with too few eigenvectors (a double integrator): A itself is
-      unstable, 0.0.
-    - on the imaginary axis, not 0: the exact solution oscillates for ever. The explicit methods
-      here let it grow at any step, 0.0; the trapezoidal rule keeps its size, inf. Repeated with
-      too few eigenvectors: unstable, 0.0.
-    - Re > 0: 0.0. The solution grows, and a method that hides it is no better than one that
-      explodes.
+    - Re < 0: the limit of the method for this eigenvalue.
+    - 0, with as many eigenvectors as its multiplicity: no limit, because every method keeps a
+      constant. With fewer eigenvectors (a double integrator) A is unstable: the limit is 0.0.
+    - imaginary: the exact solution is a steady oscillation. With the explicit methods the
+      oscillation grows at any step: the limit is 0.0. With the trapezoidal rule its amplitude is
+      constant: the limit is inf. With fewer eigenvectors than its multiplicity A is unstable: the
+      limit is 0.0.
+    - Re > 0: the exact solution grows, and the limit is 0.0, even if a method hides the growth.
 
-    At the limit itself an error neither grows nor fades.
+    At the limit an error neither grows nor decays.
 
     Parameters
     ----------
     A : array_like, shape (nx, nx)
-        In 1/s.
+        System matrix, in 1/s.
     method : {"forward_euler", "ab2", "trapezoidal", "heun", "midpoint"}
 
     Raises
     ------
     ValueError
-        A is not square or not finite, or there is no such method.
+        A is not square or not finite, or the method is unknown.
     """
     chosen = method_named(method)
     A_, *_ = system(A, np.zeros(np.shape(A)[0] if np.ndim(A) else 1))
@@ -64,10 +64,10 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
 
 
 def counting_eigenvalues(A: Array) -> Array:
-    """Return the eigenvalues that limit a step; real parts that are rounding noise are 0.
+    """Return the eigenvalues that limit a step; real parts within rounding errors are 0.
 
-    Those at 0 are left out where they are harmless; where A has too few eigenvectors at a
-    marginal eigenvalue, 1 (an unstable one) is returned in its place.
+    Eigenvalues at 0 with enough eigenvectors are not returned. If A has too few eigenvectors at a
+    marginal eigenvalue, the function returns 1 (an unstable eigenvalue) instead.
     """
     balanced, _ = matrix_balance(A)
     size = float(np.linalg.norm(balanced))
@@ -77,7 +77,7 @@ def counting_eigenvalues(A: Array) -> Array:
     values[marginal] = 1j * values[marginal].imag
     kept = []
     for z in values:
-        # An m-fold eigenvalue with one eigenvector is computed as m of them, eps^(1/m) apart.
+        # An m-fold eigenvalue with one eigenvector is computed as m values, eps^(1/m) apart.
         near = np.abs(values - z) <= 10 * np.sqrt(_EPS) * size
         count = int(np.count_nonzero(near))
         if z.real == 0 and count > 1 and _eigenvectors(balanced, z, size) < count:
@@ -88,31 +88,31 @@ def counting_eigenvalues(A: Array) -> Array:
 
 
 def _eigenvectors(A: Array, z: complex, size: float) -> int:
-    """Return how many independent eigenvectors A has at z."""
+    """Return the number of independent eigenvectors of A at z."""
     spread = np.linalg.svd(A - z * np.eye(A.shape[0]), compute_uv=False)
     return int(np.count_nonzero(spread <= 100 * np.sqrt(_EPS) * size))
 
 
 def _along_ray(method: Method, eigenvalue: complex) -> float:
-    """Return the largest h that is stable for one eigenvalue, other than 0."""
+    """Return the largest stable h for one eigenvalue that is not 0."""
     if eigenvalue.real > 0:
         return 0.0
     direction = eigenvalue / abs(eigenvalue)
     ends = [0.0, *_boundaries(method.stability_polynomial, direction)]
     for begin, end in zip(ends, [*ends[1:], inf], strict=True):
         inside = (begin + end) / 2 if end < inf else 2 * begin + 1
-        if amplification(method, np.array(inside * direction)) > 1 + _ON_CIRCLE:
+        if amplification(method, np.array(inside * direction)) > 1 + _CIRCLE_TOLERANCE:
             return float(begin / abs(eigenvalue))
     return inf
 
 
 def _boundaries(pi: Array, direction: complex) -> list[float]:
-    """Return, rising, all r > 0 at which a root of pi(zeta; r direction) may lie on the circle.
+    """Return all r > 0, in rising order, at which pi(zeta; r direction) may have a root |zeta| = 1.
 
     A polynomial p of degree k in zeta has all roots inside the circle if and only if
-    |p_k|² - |p_0|² > 0 and the same holds for its reduction of degree k - 1,
-    conj(p_k) p - p_0 p*, with p* the conjugated coefficients in reverse, divided by zeta. The
-    coefficients here are polynomials in r.
+    |p_k|² - |p_0|² > 0 and the same holds for its reduction of degree k - 1. The reduction is
+    conj(p_k) p - p_0 p*, divided by zeta, with p* the conjugated coefficients in reverse order.
+    The coefficients here are polynomials in r.
     """
     p = [np.trim_zeros(row * direction ** np.arange(pi.shape[1]), "b") for row in pi]
     found: list[float] = []
@@ -138,7 +138,7 @@ def _less(p: Array, q: Array) -> Array:
 
 
 def _positive_roots(p: Array) -> list[float]:
-    """Return the roots r > 0 of the real sum p_i r^i."""
+    """Return the roots r > 0 of the real polynomial sum p_i r^i."""
     largest = float(np.abs(p).max(initial=0.0))
     p = np.where(np.abs(p) > 4 * _EPS * largest, p, 0.0)
     used = np.flatnonzero(p)

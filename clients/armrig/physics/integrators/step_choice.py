@@ -1,4 +1,4 @@
-"""Which step to take, what it costs, and why."""
+"""Recommendation of a step for each method, with its cost and reason."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from armrig.physics.integrators.linear_system import require_positive
 from armrig.physics.integrators.methods import METHODS
 from armrig.physics.integrators.stability import stability_limit
 
-_SEARCH_FROM = 0.25  # of the limit, or of the largest step: where the error is already regular
-_AIM = 0.97  # of the tolerance
-_TRIALS = 8
-_MOST_STEPS = 2_000_000  # of a run that verifies a step
+_START_SHARE = 0.25  # ratio of the first to the largest step; the error then follows its order
+_AIMED_SHARE = 0.97  # ratio of the aimed error to the tolerance
+_MAX_TRIALS = 8
+_MAX_STEPS = 2_000_000  # of a solution that verifies a step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Advice:
-    """The step recommended for one method."""
+    """Recommended step of one method."""
 
     method: str
-    """As `integrate` takes it."""
+    """Name of the method, as for `integrate`."""
     h: float
     """Step in s."""
     limit: float
@@ -33,33 +33,33 @@ class Advice:
     error: float
     """Largest error over the span at h, as a share of each state's largest value."""
     verified: bool
-    """The error was measured; False where it is what the order promises (too many steps)."""
+    """True if the error was measured; False if it was estimated from the order of the method."""
     steps: int
-    """Steps for the span."""
+    """Number of steps in the span."""
     work: int
-    """Products with A, or solutions with its factors, for the span."""
+    """Number of products with A, or of solutions with factors, over the span."""
     reason: str
-    """Why this step."""
+    """Text with the reason for this step."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Recommendation:
-    """Steps for several methods that keep to one tolerance."""
+    """Recommended steps of several methods for one tolerance."""
 
     tolerance: float
-    """Largest error allowed, as a share of each state's largest value."""
+    """Largest allowed error, as a share of each state's largest value."""
     span: float
-    """In s."""
+    """Duration, in s."""
     rows: tuple[Advice, ...]
-    """One a method, the cheapest first."""
+    """Advice for each method, the cheapest first."""
 
     def explain(self) -> str:
-        """Say for each method which step to take, and why."""
+        """Return a text with the step of each method and its reason."""
         head = f"For an error of at most {self.tolerance:g} over {self.span:.3g} s:"
         return "\n".join([head, *(f"- {METHODS[r.method].name}: {r.reason}" for r in self.rows)])
 
     def __repr__(self) -> str:
-        """Show the table, cheapest first."""
+        """Return a table of the methods, the cheapest first."""
         head = f"{'method':14} {'h [s]':>10} {'limit [s]':>10} {'h/limit':>8} "
         lines = [head + f"{'error':>9} {'steps':>8} {'work':>8}"]
         for r in self.rows:
@@ -82,9 +82,9 @@ def recommend_step(
     span: float | None = None,
     methods: Sequence[str] | None = None,
 ) -> Recommendation:
-    """Return for each method the largest step that is stable and keeps to the tolerance.
+    """Return for each method the largest stable step with an error within the tolerance.
 
-    The step is found from the order (the error falls as h^p) and verified against the exact
+    The step follows from the order (the error falls as h^p). It is verified against the exact
     solution for u = amplitude sin(omega t).
 
     Parameters
@@ -92,20 +92,21 @@ def recommend_step(
     A, B, amplitude, omega, x0
         As for `armrig.exact`; x0 is rest by default.
     tolerance : float, default 1e-3
-        Largest error over the span, each state against its own largest value; 1e-8 to 0.5.
+        Largest allowed error over the span, relative to the largest value of each state; 1e-8 to
+        0.5.
     span : float, optional
-        In s; three periods of the input by default.
+        Duration in s; by default three periods of the input.
     methods : sequence of str, optional
-        All by default.
+        Names of methods; by default all.
 
     Raises
     ------
     ValueError
-        A number is impossible, or no step of a method is stable.
+        A number is not allowed, or no step of a method is stable.
     """
     require_positive(tolerance=tolerance)
     if not 1e-8 <= tolerance <= 0.5:
-        raise InputError(f"tolerance={tolerance!r} must be from 1e-8 (rounding comes near) to 0.5")
+        raise InputError(f"tolerance={tolerance!r} must be from 1e-8 (near rounding) to 0.5")
     problem = sinusoid(A, B, amplitude=amplitude, omega=omega, x0=x0, span=span)
     rows = sorted(
         (_advice(problem, m, tolerance) for m in all_methods(methods)), key=lambda r: r.work
@@ -117,8 +118,8 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
     limit = stability_limit(problem.A, method)
     if limit == 0:
         raise InputError(
-            f"{method} is stable on this system at no step; "
-            "take another method, or a system whose motion does not grow"
+            f"{method} is not stable on this system at any step; "
+            "use another method, or a system whose motion does not grow"
         )
     largest = min(limit, problem.span / 10)
     h, error, verified = _step_for(problem, method, tolerance, largest)
@@ -132,28 +133,30 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
         steps=steps,
         work=steps * METHODS[method].work,
         reason=_reason(method, h, limit, error, tolerance)
-        + ("" if verified else " The error is what the order promises; it was not run."),
+        + ("" if verified else " The error follows from the order; it was not verified."),
     )
 
 
 def _step_for(
     problem: Sinusoid, method: str, tolerance: float, largest: float
 ) -> tuple[float, float, bool]:
-    """Return the largest step found that meets the tolerance, its error, and if it was measured."""
+    """Return the largest step found within the tolerance, its error, and whether it is measured."""
     order = METHODS[method].order
     best, best_error = 0.0, inf
-    h = _SEARCH_FROM * largest
-    for _ in range(_TRIALS):
-        if problem.span / h > _MOST_STEPS:
-            return h, _AIM * tolerance, False
+    h = _START_SHARE * largest
+    for _ in range(_MAX_TRIALS):
+        if problem.span / h > _MAX_STEPS:
+            return h, _AIMED_SHARE * tolerance, False
         error = problem.error(h, method)
         if best < h and error <= tolerance:
             best, best_error = h, error
         if 0.9 * tolerance <= error <= tolerance:
             break
-        change = 0.25 if error == inf else (_AIM * tolerance / max(error, 1e-300)) ** (1 / order)
+        change = (
+            0.25 if error == inf else (_AIMED_SHARE * tolerance / max(error, 1e-300)) ** (1 / order)
+        )
         h = min(h * change, largest)
-    while best == 0:  # the order's law alone has not met it
+    while best == 0:  # no step of the trials was within the tolerance
         h /= 2
         error = problem.error(h, method)
         if error <= tolerance:
@@ -163,8 +166,8 @@ def _step_for(
 
 def _reason(method: str, h: float, limit: float, error: float, tolerance: float) -> str:
     order = METHODS[method].order
-    halved = f"it is of order {order}: half the step, a {'half' if order == 1 else 'quarter'} "
-    halved += "of the error"
+    halved = f"the method has order {order}, so half the step has "
+    halved += f"a {'half' if order == 1 else 'quarter'} of the error"
     if limit == inf:
         return (
             f"h = {h:.3g} s gives an error of {error:.2g}. No step is unstable, so accuracy alone "
@@ -174,7 +177,7 @@ def _reason(method: str, h: float, limit: float, error: float, tolerance: float)
     if share > 0.9 and error < 0.9 * tolerance:
         return (
             f"h = {h:.3g} s, {100 * share:.0f} % of the limit {limit:.4g} s. Stability decides: "
-            f"the error of {error:.2g} would allow more."
+            f"the error of {error:.2g} would allow a larger step."
         )
     return (
         f"h = {h:.3g} s gives an error of {error:.2g}. Accuracy decides: the step is "

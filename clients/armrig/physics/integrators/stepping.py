@@ -29,24 +29,27 @@ def integrate(
 ) -> tuple[Vector, Matrix]:
     """Return t (n + 1,) and x (n + 1, nx) of x' = A x + B u(t), x(0) = x0, in n steps of h.
 
-    With f = A x + B u ::
+    With f = A x + B u the multistep methods and the Runge-Kutta methods are ::
 
         forward_euler  x(k+1) = x(k) + h f(k)                               order 1
         ab2            x(k+1) = x(k) + h (3 f(k) - f(k-1)) / 2              order 2
         trapezoidal    x(k+1) = x(k) + h (f(k) + f(k+1)) / 2                order 2
+
         heun           x(k+1) = x(k) + h (K1 + K2) / 2                      order 2
                        K1 = f(t, x), K2 = f(t + h, x + h K1)
         midpoint       x(k+1) = x(k) + h f(t + h/2, x + h f(t, x) / 2)      order 2
 
-    AB(2) makes its first step by Heun's method; the trapezoidal rule factors
-    I - h A / 2 once. Where each is stable `armrig.stability_limit` tells.
+    The first step of AB(2) is computed by Heun's method. The trapezoidal rule factors I - h A / 2
+    once. `armrig.stability_limit` returns the largest stable step of a method.
 
     Parameters
     ----------
     A : array_like, shape (nx, nx)
+        System matrix, in 1/s.
     B : array_like, shape (nx,) or (nx, nu)
+        Input matrix.
     u : callable
-        Time in s -> input, a number or (nu,).
+        Function: time in s -> input, a number or (nu,).
     x0 : array_like, shape (nx,)
         State at t = 0.
     h : float
@@ -54,18 +57,19 @@ def integrate(
     n : int
         Number of steps, >= 1.
     method : {"forward_euler", "ab2", "trapezoidal", "heun", "midpoint"}
+        Name of the method.
 
     Returns
     -------
     t : ndarray, shape (n + 1,)
         Time in s.
     x : ndarray, shape (n + 1, nx)
-        States. Beyond the stability limit they grow without bound, in the end to inf and nan.
+        States. Beyond the stability limit they grow without bound, up to inf and NaN.
 
     Raises
     ------
     ValueError
-        A shape, the step, the number of steps or the method is impossible.
+        A shape, the step, the number of steps or the method is not allowed.
 
     References
     ----------
@@ -94,7 +98,7 @@ def _input(u: Callable[[float], Any], t: Vector, m: int) -> Matrix:
     """Return u at each time, (len(t), m)."""
     values = np.array([np.ravel(u(float(x))) for x in t], dtype=np.float64)
     if values.shape[1] != m:
-        raise InputError(f"u(t) gives {values.shape[1]} numbers, B takes {m}")
+        raise InputError(f"u(t) returns {values.shape[1]} numbers, but B takes {m}")
     return values
 
 
@@ -142,7 +146,7 @@ def _runge_kutta(
 
 
 def _companion(method: Multistep, A: Matrix, h: float) -> Matrix:
-    """Return the matrix of the free recursion of k states, one solution with I - h beta_k A."""
+    """Return the matrix of the free recursion of k successive states."""
     size, k = A.shape[0], len(method.alpha) - 1
     factors = lu_factor(np.eye(size) - h * method.beta[-1] * A)
     M = np.eye(k * size, k=size)

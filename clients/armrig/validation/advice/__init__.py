@@ -1,1 +1,1 @@
-"""What a colleague would say of data or of a model, in words."""
+"""Advice on data and on models, in words."""

@@ -1,4 +1,4 @@
-"""The advice itself: each point that was looked at, what was found, and what to do."""
+"""Advice on data or on a model: findings, each with its remedy."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from armrig.validation.advice.model_advice import examine_model
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Advice:
-    """What `advice` found; its repr says it in words."""
+    """Findings of `advice`; its repr prints them."""
 
     of: str
-    """What was looked at."""
+    """Subject of the advice."""
     findings: tuple[Finding, ...]
-    """All points, good ones too."""
+    """All findings, also those of level "good"."""
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What to do something about."""
+        """Texts of the findings that need action."""
         return tuple(f.text for f in self.findings if f.level != "good")
 
     def explain(self) -> str:
-        """Say it, a line a point, those to act on first."""
+        """Return a line for each finding, those that need action first."""
         ranked = sorted(self.findings, key=lambda f: f.level == "good")
         width = max((len(f.about) for f in ranked), default=0)
         return "\n".join(
@@ -35,34 +35,34 @@ class Advice:
         )
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Return a count and the findings."""
         count = len(self.warnings)
         said = f"{count} to act on" if count else "nothing to act on"
         return f"advice on {self.of}: {said}\n{self.explain()}"
 
 
 def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
-    """Look at data, or at a model, as a colleague would before trusting them.
+    """Examine data or a model, and return the findings with their remedies.
 
-    Data: excitation, integrator, missing samples, outliers, drift, feedback, and whether ARX and
-    OE tell the same. A model: search, residuals, poles and zeros that cannot be told apart (an
-    order too high), poles that no sampled rig has (negative real, unstable), an integrator left
-    to chance, a first coefficient that is not there (a delay).
+    Of data: excitation, integrator, missing samples, outliers, drift, feedback, and the agreement
+    of ARX with OE. Of a model: search, residuals, poles and zeros that cancel (an order too high),
+    poles that no sampled rig has (negative real, unstable), and an integrator that is not fixed.
+    Also a first coefficient that may be 0 (a delay).
 
     Parameters
     ----------
     data_or_fit : Dataset, Recording or Fit
-        What to judge.
+        Data or model to examine.
 
     Returns
     -------
     Advice
-        .findings, .warnings, and its repr in words.
+        Its fields are .findings and .warnings; its repr prints them.
 
     Raises
     ------
     TypeError
-        It is neither.
+        The argument is neither data nor a model.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""What data are fit for."""
+"""Advice on data."""
 
 from __future__ import annotations
 
@@ -11,49 +11,45 @@ from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
 from armrig.data.step import LINE, codes_of
 from armrig.data.treatment import INTEGRATING_OUTPUTS, drift, hampel
+from armrig.data.treatment.integrating import Integration, integration
 from armrig.estimation.arx import arx
 from armrig.estimation.data_faults import NO_OPTION, level_without_input
-from armrig.estimation.nonparametric.integrator import Integration, integration
 from armrig.estimation.oe import oe
 from armrig.excitation.input_description import describe_input
 from armrig.models.fit import Fit
 from armrig.numerics.quantities import NBSP, p_relation, percent, plural, times
-from armrig.validation.advice.finding import finding
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
 
 ORDER = 4
-"""Poles of the models that are compared, and coefficients of their numerators: those of the arm."""
-_AGREE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
-_MOST_MISSING = 0.2
-_SURELY = 10.0  # deviations of a pole from 1: where it is right, a few would do
-_CHANCE = 1e-3  # p value from which one open-loop recording in twenty is called closed by chance
+"""Number of poles, and of numerator coefficients, of the compared models: those of the arm."""
+_MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
+_MAX_MISSING_SHARE = 0.2
+_MIN_POLE_SIGMAS = 10.0  # least distance from 1 of a pole that is no integrator; σ may be wrong
+_MIN_CHANCE_P = 1e-3  # one open-loop recording in twenty has a p below the usual 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tested:
-    """What is tested before a model is chosen."""
+    """Tests of the data before a model is chosen."""
 
     integration: Integration
-    """Whether y is taken as integrating."""
+    """Decision whether y is taken as integrating."""
     loop: OpenLoop | None
-    """The test for feedback, None where there are too few samples."""
+    """Test for feedback; None if there are too few samples."""
     late: Delay | str
-    """The test for a delay, or why there is none."""
+    """Test for a delay, or the reason why there is none."""
 
     @property
     def closed(self) -> bool:
-        """There is feedback, beyond what chance makes of one open-loop recording in twenty.
-
-        Not where a direct term looks the same.
-        """
+        """True if feedback is found with a p below 0.1 % and cannot be a direct term of the rig."""
         return self.together and not (self.loop is not None and self.loop.may_be_direct_term)
 
     @property
     def together(self) -> bool:
-        """There is feedback or a direct term, beyond what chance makes."""
-        return self.loop is not None and self.loop.p_value < _CHANCE
+        """True if feedback or a direct term is found with a p below 0.1 %."""
+        return self.loop is not None and self.loop.p_value < _MIN_CHANCE_P
 
 
 def tested(data: Dataset, integrator: bool | None) -> Tested:
@@ -79,7 +75,7 @@ def _late(data: Dataset, *, integrates: bool) -> Delay | str:
 
 
 def examine_data(data: Dataset) -> Iterator[Finding]:
-    """Iterate over the points, in the order in which one would look."""
+    """Yield the findings of the data, the causes before their effects."""
     known = tested(data, None)
     findings = [*examine_experiment(data, known)]
     yield from findings
@@ -88,18 +84,18 @@ def examine_data(data: Dataset) -> Iterator[Finding]:
 
 
 def doubts(data: Dataset, known: Tested) -> list[Finding]:
-    """Return what speaks against the data; of feedback only what chance hardly makes (0.1 %)."""
+    """Return the findings that are not good; feedback only if its p is below 0.1 %."""
     found = [f for f in examine_experiment(data, known) if f.level != "good"]
     return [f for f in found if f.about != "feedback" or known.together]
 
 
 def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
-    """Iterate over what is looked at before any model."""
+    """Yield the findings that need no model."""
     yield _about_input(data)
     yield _about_integrator(known.integration)
     if data.missing:
         yield _about_missing(data)
-    if not known.together:  # where a set point steps, the controller makes y and u jump together
+    if not known.together:  # in closed loop a step of the set point makes y and u jump
         yield _about_outliers(data)
     if not known.integration.integrates:
         yield from _about_level(data)
@@ -110,12 +106,13 @@ def examine_experiment(data: Dataset, known: Tested) -> Iterator[Finding]:
 
 
 def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
-    """Iterate over what speaks against a model of these data: feedback, its nk, its size."""
+    """Yield the findings of the data that concern a model: its size, integrator, nk, feedback."""
     known = tested(data, fit.integrator or None)
     order, needed = _excitation(data), _parameters_from_u(fit)
     if order < needed:
         text = f"u is exciting of order {order} only, and {needed} parameters of the model "
-        text += "answer to u: play a u that switches often (telegraph, PRBS), or lower the orders"
+        text += "describe the response to u: play a u that switches often (telegraph, PRBS), or "
+        text += "lower the orders"
         yield finding("excitation", text, good=False)
     if known.integration.notes and not fit.integrator and not _all_within(fit):
         yield replace(_about_integrator(known.integration), level="warning")
@@ -125,19 +122,21 @@ def examine_fit_of(data: Dataset, fit: Fit) -> Iterator[Finding]:
     if isinstance(late, str):
         yield from _about_delay(known)
     elif not late.interval[0] <= fit.nk <= late.interval[1]:
-        text = f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: nk={late.nk}"
+        text = (
+            f"u acts from lag {late.nk} on, and the model begins at lag {fit.nk}: use nk={late.nk}"
+        )
         yield finding("delay", text, good=False)
 
 
 def _all_within(fit: Fit) -> bool:
-    """Tell whether the model says itself that none of its poles is 1."""
+    """Return whether no pole of the model can be 1."""
     poles = fit.poles()
-    apart = np.abs(poles.values - 1) > _SURELY * np.asarray(poles.std)
+    apart = np.abs(poles.values - 1) > _MIN_POLE_SIGMAS * np.asarray(poles.std)
     return bool(fit.converged and np.all(apart))
 
 
 def _parameters_from_u(fit: Fit) -> int:
-    """Return how many parameters B and F, or B and A, have together."""
+    """Return the number of parameters of B and F, or B and A, together."""
     free = fit.slice_of("b"), fit.slice_of("f"), fit.slice_of("a")
     return sum(s.stop - s.start for s in free)
 
@@ -161,14 +160,14 @@ def _about_integrator(decided: Integration) -> Finding:
     if not decided.integrates:
         return finding("integrator", "none is seen", good=True)
     text = decided.reason or "the output is an angle"
-    text += ": fix its pole, oe(…, integrator=True), and remove no linear trend"
+    text += ": fix its pole (OE with the option integrator), and remove no linear trend"
     return finding("integrator", text, good=True)
 
 
 def _about_missing(data: Dataset) -> Finding:
     share = data.missing / data.N
-    text = f"{percent(100 * share)} of the samples: no estimate uses a value in their place"
-    return finding("missing", text, good=share < _MOST_MISSING)
+    text = f"{percent(100 * share)} of the samples: no estimate replaces them by a value"
+    return finding("missing", text, good=share < _MAX_MISSING_SHARE)
 
 
 def _about_outliers(data: Dataset) -> Finding:
@@ -181,7 +180,7 @@ def _about_outliers(data: Dataset) -> Finding:
         return finding("outliers", "none", good=True)
     where = ", ".join(map(str, np.flatnonzero(data.valid & ~cleaned.valid)[:5]))
     text = f"{plural(found, 'sample')} of {data.output} look wrong (first {where}), and a model "
-    text += "follows them: estimate from armrig.hampel(data), which marks them missing"
+    text += "follows them: mark them missing (hampel)"
     return finding("outliers", text, good=False)
 
 
@@ -204,7 +203,7 @@ def _about_drift(data: Dataset) -> Iterator[Finding]:
 
 def _about_history(data: Dataset) -> Iterator[Finding]:
     if data.output in INTEGRATING_OUTPUTS and LINE in codes_of(data.history):
-        text = "a line was removed from an output that integrates: it was the answer to the mean "
+        text = "a line was removed from an output that integrates: it was the response to the mean "
         yield finding(
             "trend", text + "of u, not a drift; begin again from the recording", good=False
         )
@@ -215,38 +214,38 @@ def _about_feedback(known: Tested) -> Iterator[Finding]:
     if loop is None:
         return
     if loop.feedback is None:
-        yield finding("feedback", f"cannot tell: {'; '.join(loop.remarks)}", good=True)
+        yield finding("feedback", f"not tested: {'; '.join(loop.remarks)}", good=True)
         return
     p = f"p {p_relation(loop.p_value)}"
     if not loop.feedback:
         yield finding("feedback", f"none is found ({p})", good=True)
         return
-    text = f"u answers to {loop.output} ({p}): OE, spectra and correlations are biased; use "
+    text = f"u depends on {loop.output} ({p}): OE, spectra and correlations are biased; use "
     text += "ARMAX or BJ with nk >= 1, or record in open loop"
     if loop.may_be_direct_term:
-        text += ". A rig whose y is read after u is applied looks the same, and has nk=0; else "
+        text += ". A rig whose y is read after u is applied looks the same: then take nk=0, else "
         text += "take nk=1"
-    if loop.p_value >= _CHANCE:
-        text += f". By chance one open-loop recording in {1 / loop.level:.0f} looks so"
+    if loop.p_value >= _MIN_CHANCE_P:
+        text += f". By chance one open-loop recording in {1 / loop.level:.0f} has such a p"
     yield finding("feedback", text, good=False)
 
 
 def _about_delay(known: Tested) -> Iterator[Finding]:
     late = known.late
     if isinstance(late, str):
-        yield finding("delay", f"cannot be told: {late}", good=False)
+        yield finding("delay", f"not found: {late}", good=False)
     elif late.delay > 0:
         late_by = times(late.delay * late.Ts).replace(" ", NBSP)
         text = (
-            f"u acts from lag {late.nk} on, {plural(late.delay, 'sample')} ({late_by}) after the "
+            f"u acts first at lag {late.nk}, {plural(late.delay, 'sample')} ({late_by}) later than "
         )
-        yield finding("delay", text + f"hold's one: estimate with nk={late.nk}", good=True)
+        yield finding("delay", text + f"without a delay: estimate with nk={late.nk}", good=True)
     else:
         yield finding("delay", f"none is seen: estimate with nk={late.nk}", good=True)
 
 
 def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:
-    """Compare ARX and OE, which tell the same where the noise is ARX's, or small."""
+    """Compare ARX with OE; both agree if the noise passes through 1/A, or is small."""
     nk = known.late.nk if isinstance(known.late, Delay) else 1
     integrator = known.integration.integrates
     try:
@@ -261,8 +260,13 @@ def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:
     G = [fit.frequency_response(omega).G for fit in models]
     apart = float(np.median(np.abs(G[0] - G[1]) / np.abs(G[1])))
     text = f"their frequency responses differ by a median of {percent(100 * apart)}"
-    if apart < _AGREE:
+    if apart < _MAX_DIFFERENCE:
         yield finding("ARX and OE", text, good=True)
         return
-    text += ": the noise is added to the output, which ARX does not assume, so its transfer "
-    yield finding("ARX and OE", text + "function is biased; take OE", good=False)
+    text += ": the noise is added to the output, but ARX assumes noise through 1/A, so the ARX "
+    yield finding("ARX and OE", text + "transfer function is biased; take OE", good=False)
+
+
+def finding(about: str, text: str, *, good: bool) -> Finding:
+    """Return a finding; a warning if it is not good."""
+    return Finding(level="good" if good else "warning", about=about, text=text)

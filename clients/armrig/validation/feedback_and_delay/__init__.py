@@ -1,1 +1,1 @@
-"""Whether the rig ran in open loop, and whether it has a pure delay (handout 3.7 and 3.8)."""
+"""Tests for feedback and for a pure delay (handout 3.7 and 3.8)."""

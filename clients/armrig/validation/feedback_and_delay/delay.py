@@ -1,4 +1,4 @@
-"""How many samples pass before the input acts (handout, assignment 3.8)."""
+"""The delay before the input acts, in samples (handout, assignment 3.8)."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
-from armrig.data.quantisation import quantum
+from armrig.data.treatment.integrating import integration
+from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_response
-from armrig.estimation.nonparametric.integrator import integration
 from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.quantities import plural
 from armrig.numerics.regressors import in_blocks
@@ -32,58 +32,59 @@ from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING, possib
 Vector = NDArray[np.float64]
 
 SECOND_ORDER = frozenset({THETA_1, ALPHA})
-"""Outputs whose second derivative is what a step of the voltage changes first."""
-_FEWEST = 50  # samples
-_FAR = 3  # lags past nk to which losses are kept
-_FEW_CHANGES = 10  # of u, up to which an error of quantisation does not average out
+"""Outputs whose second derivative is the first to change after a step of the voltage."""
+_MIN_SAMPLES = 50  # samples
+_LOSS_LAGS = 3  # lags past nk to which losses are kept
+_MAX_FEW_CHANGES = 10  # of u; with more changes the error of quantisation averages out
 Matrix = NDArray[np.float64]
 
-_OWN = 0.005  # share of a lag of u that those before it must leave
-_POOREST = 28  # lags of their own, what a PRBS of period 31 has; few sines have fewer
+_MIN_OWN_SHARE = 0.005  # of a lag of u, which the lags before it leave unexplained
+_MIN_DETERMINED_LAGS = 28  # a PRBS of period 31 has so many, a sum of few sines fewer
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 
 
 @takes_recordings
 def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
-    """Find the first lag at which u acts: the first that a model cannot do without.
+    """Find the first lag at which u acts: the first lag that a model of y needs.
 
-    In an ARX model with lags of u from 0 on, its orders by AIC, the hypothesis that u acts at none
-    of the lags 0 … k is tested for each k (`lag_tests`) ::
+    The model is ARX with lags of u from 0 on; AIC chooses its orders. For each k, `lag_tests` tests
+    the hypothesis that u acts at none of the lags 0 … k ::
 
         H_k: b_0 = … = b_k = 0,      F test, level 0.1 %
 
-    and u acts at the first k that is rejected, at the latest. A coefficient that is not significant
-    may only be too small to see, so an earlier lag is ruled out by its size: a first coefficient is
-    at least 1/(1 + 3 n) of the one n samples later, the slowest onset of a mechanical rig (t²/2
-    under a hold) having 1/(1 + 2 n), or, where the data begin more slowly, as small as an onset
-    (t/Ts)^d makes it whose d is that of their first lags (a plant of relative degree d begins
-    1 : 2^d - 1); the data must exclude so large a one (0.1 %, one-sided).
-    Where that leaves several lags and y is an angle, or integrates, the shape of the onset decides
-    (`smooth_onsets`).
+    The first k for which H_k is rejected is the latest lag at which u can act first. At an earlier
+    lag, a coefficient that is not significant may only be too small to see. Such a lag is ruled out
+    if the data exclude a coefficient as large as a bound (0.1 %, one-sided). The bound is 1/(1 + 3
+    n) of the coefficient n samples later: for the slowest onset of a mechanical rig (t²/2 under a
+    hold) the ratio is 1/(1 + 2 n). If the response begins more slowly, the bound is that of an
+    onset (t/Ts)^d, with d from the first lags. The first two coefficients of a plant of relative
+    degree d have the ratio 1 : 2^d - 1. If several lags remain, and y is an angle or integrates,
+    the shape of the onset decides (`smooth_onsets`).
 
-    nk is the least lag that is not ruled out, so that no delay is claimed that is not shown; a
-    direct term, nk = 0, is claimed only where lag 0 itself is shown. Where `open_loop` finds
-    feedback, lag 0 would show the controller's answer: then the model begins at lag 1, and the
-    interval at 0 where a direct term looks the same.
+    nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
+    nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the
+    coefficient at lag 0 would be due to the controller. The model then begins at lag 1. If a direct
+    term looks the same, the interval begins at 0.
 
     Parameters
     ----------
     data : Dataset
-        N samples of an input that excites, at least 50; missing ones and several experiments are
-        allowed.
+        At least 50 samples with an exciting input. Samples may be missing, and the data may have
+        several experiments.
     integrator : bool, optional
-        Whether y integrates; by default so for theta_1 and another y that behaves so, which the
-        result then says.
+        True if y integrates. The default is True for theta_1, and for any y that a test finds to
+        integrate; `remarks` contains the result of this test.
 
     Returns
     -------
     Delay
-        .nk, .delay = nk - 1, .told, .interval, .p_values, .explain(), .plot().
+        `nk`, `delay` = nk - 1, `told`, `interval`, `p_values`, `explain()`, `plot()`.
 
     Raises
     ------
     ValueError
-        There are too few samples, u does not excite, or it acts at no lag that can be seen.
+        There are too few samples, u does not excite, or no response to u is visible above the
+        noise.
 
     References
     ----------
@@ -95,7 +96,7 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     decided = integration(data, integrator)
     longest = max(part.N for part in data.experiments())
     determined = determined_lags(data, min(MOST_COEFFICIENTS, samples // 3, longest // 2))
-    # A, with 20 coefficients beside the 50 lags, has its share of what u determines.
+    # The lags that u determines are shared in proportion: 20 coefficients of A, 50 lags of B.
     n = min(MOST_LAGS, samples // 10, 5 * determined // 7)
     response = impulse_response(data, n, kernel=None, integrator=decided.integrates)
     tests = lag_tests(data, response, determined)
@@ -105,8 +106,8 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         tests = tests if zero.rig and later.none_shown else later
     if tests.none_shown:
         raise InputError(
-            f"{data.output} shows no answer to u that can be told from noise: record longer, "
-            "or with a larger input"
+            f"{data.output} shows no response to u above the noise: record longer, or with "
+            "a larger input"
         )
     first, shown = tests.first, tests.shown
     onset = _onset(data, tests, integrates=decided.integrates)
@@ -120,7 +121,9 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         p_values={k: float(tests.p_values[k - first]) for k in range(first, shown + 1)},
         before=tests.before(shown - 1) if shown > first else None,
         misfit=onset.misfit,
-        arx_loss={k: float(v) for k, v in enumerate(tests.loss[: shown - first + _FAR + 1], first)},
+        arx_loss={
+            k: float(v) for k, v in enumerate(tests.loss[: shown - first + _LOSS_LAGS + 1], first)
+        },
         response=response,
         integrator=decided.integrates,
         na=tests.na,
@@ -139,14 +142,14 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _LagZero:
-    """What lag 0 shows, where it shows anything: the rig's direct term, or a controller."""
+    """Possible causes of a coefficient at lag 0: the rig's direct term, or a controller."""
 
     rig: bool
-    """It may be the rig's."""
+    """True if the rig may cause the coefficient."""
     controller: bool
-    """It may be the controller's, whose u(t) depends on y(t)."""
+    """True if a controller whose u(t) depends on y(t) may cause the coefficient."""
     remark: str = ""
-    """Which, and why; "" where nothing speaks of feedback."""
+    """Remark on the cause; "" without evidence of feedback."""
 
 
 def _lag_zero(data: Dataset) -> _LagZero:
@@ -158,43 +161,44 @@ def _lag_zero(data: Dataset) -> _LagZero:
         return _LagZero(rig=True, controller=False)
     if loop.exact:
         msg = f"u(t) is a multiple of {data.output}(t) in every sample, as under a P controller "
-        msg += "whose set point rests: such data do not tell when the rig answers; move the set "
+        msg += "with a constant set point: such data do not determine a delay; change the set "
         raise InputError(msg + "point")
     if not loop.may_be_direct_term or data.output in SECOND_ORDER:
         return _LagZero(
             rig=False,
             controller=True,
-            remark=f"there is feedback: u(t) answers to {data.output}(t), which would look as a "
+            remark=f"there is feedback: u(t) depends on {data.output}(t), which looks like a "
             "direct term, so the lags from 1 on were tested",
         )
     return _LagZero(
         rig=True,
         controller=not loop.few_levels,
         remark="feedback looks the same as a direct term: if y was read before u was applied, nk "
-        "is 1 or more, and a controller made u of y",
+        "is 1 or more, and a controller computed u from y",
     )
 
 
 def _enough(data: Dataset) -> int:
-    """Return how many samples came, or refuse too few."""
+    """Return the number of samples with y; refuse too few."""
     samples = data.N - data.missing
-    if samples < _FEWEST:
+    if samples < _MIN_SAMPLES:
         raise InputError(
-            f"{samples} samples came, the test for a delay needs at least {_FEWEST}: record longer"
+            f"the test for a delay needs at least {_MIN_SAMPLES} samples, got {samples}: record "
+            "longer"
         )
     return samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Onset:
-    """Where u acts first, as far as the data tell."""
+    """Range of the first lag at which u acts."""
 
     first: int
-    """The least lag that is not ruled out."""
+    """Least lag that is not ruled out."""
     last: int
-    """The greatest."""
+    """Greatest lag that is not ruled out."""
     misfit: dict[int, float]
-    """By first lag of a smooth onset, where its shape was asked."""
+    """Chi-squared by first lag of a smooth onset; empty if the shape was not tested."""
 
 
 def _onset(data: Dataset, tests: LagTests, *, integrates: bool) -> _Onset:
@@ -211,22 +215,22 @@ def _onset(data: Dataset, tests: LagTests, *, integrates: bool) -> _Onset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Readings:
-    """In which steps y was read, and how long one of them hides the answer to u."""
+    """Quantisation of y, and the time for which a step hides the response to u."""
 
     quantum: float
-    """LSB, in y's unit; 0 where none is seen."""
+    """LSB, in y's unit; 0 if none is found."""
     largest_step: float
     """|Δu|, in u's unit."""
     changes: int
-    """Times that u changes."""
+    """Number of changes of u."""
     acceleration: float
-    """b, what y's second derivative is just after a unit step of u."""
+    """b, the second derivative of y just after a unit step of u."""
     t_q: float | None
-    """sqrt(2 LSB / (b |Δu|)) in s; None where y is not read in steps."""
+    """sqrt(2 LSB / (b |Δu|)) in s; None if y is not quantised."""
 
 
 def _readings(data: Dataset, response: ImpulseResponse, first: int) -> _Readings:
-    """Return b of y = b |Δu| t²/2 from the sample at which that first exceeds LSB."""
+    """Return the quantisation, with b of y = b |Δu| t²/2 at the first sample above 1 LSB."""
     step, moves = quantum(data), np.abs(np.diff(data.u))
     change = float(np.max(moves, initial=0.0))
     rise = np.abs(np.cumsum(response.g[first:])) * change
@@ -244,34 +248,34 @@ def _readings(data: Dataset, response: ImpulseResponse, first: int) -> _Readings
 
 
 def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, list[str]]:
-    """Return the least nk that is not ruled out, and a remark where quantisation makes it less."""
-    if read.t_q is None or read.changes >= _FEW_CHANGES or onset.last <= 1:
+    """Return the least nk that is not ruled out, and a remark if quantisation lowers it."""
+    if read.t_q is None or read.changes >= _MAX_FEW_CHANGES or onset.last <= 1:
         return onset.first, []
     hidden = ceil(read.t_q / Ts)
     return min(onset.first, max(onset.last - hidden, 1)), [
-        f"u changes {plural(read.changes, 'time')} only, which does not excite enough to tell a "
-        f"delay from the first {hidden} samples that quantisation hides"
+        f"u changes {plural(read.changes, 'time')} only, which does not excite enough to separate "
+        f"a delay from the first {hidden} samples that quantisation hides"
     ]
 
 
 def determined_lags(data: Dataset, most: int) -> int:
-    """Return how many successive lags of u each have a share of their own, `most` at most.
+    """Return the number of successive lags of u whose coefficients u determines, at most `most`.
 
-    That of a lag is what those before it leave, sqrt(1 - R²) of its regression on them.
+    A lag is determined if sqrt(1 - R²) of its regression on the lags before it is large enough.
 
     Raises
     ------
     ValueError
-        They are so few that u has power in a narrow band only: it follows from its own past, and
-        what the model lacks far away would look like a coefficient near lag 0.
+        u determines too few lags: it has power in a narrow band only and follows from its own past.
+        The effect of a coefficient beyond the last lag of the model would then appear near lag 0.
     """
     R = triangle(_windows_of_u(data, most), most)
-    own = np.abs(np.diag(R)) > _OWN * column_norms(R)
+    own = np.abs(np.diag(R)) > _MIN_OWN_SHARE * column_norms(R)
     found = int(np.argmin(np.append(own, False)))
-    if found < min(_POOREST, most):
+    if found < min(_MIN_DETERMINED_LAGS, most):
         raise InputError(
-            f"u determines {found} lags only: power in so narrow a band tells no delay; play a "
-            "telegraph or a PRBS"
+            f"u determines {found} lags only: its band is too narrow to find a delay; record with "
+            "a telegraph or a PRBS"
         )
     return found
 

@@ -1,4 +1,4 @@
-"""What is known of the first lag at which the input acts, and how it is said."""
+"""Result of the test for a delay, and its explanation."""
 
 from __future__ import annotations
 
@@ -20,41 +20,40 @@ class Delay:
     """The first lag at which u acts."""
 
     nk: int
-    """First lag at which u acts, the least one that is not ruled out; 1 is a rig without delay
-    under a zero-order hold, and 0 stands only where lag 0 itself is shown."""
+    """First lag at which u acts: the least lag that is not ruled out. For a rig without delay under
+    a zero-order hold nk is 1; nk is 0 only if lag 0 itself is significant."""
     interval: tuple[int, int]
     """Least and greatest nk that the data do not rule out, each test at 0.1 %."""
     may_be_feedback: bool
-    """A controller's u(t) that depends on y(t) would show at lag 0 as the direct term does."""
+    """True if lag 0 may be feedback: a u(t) that depends on y(t) looks like a direct term."""
     p_values: dict[int, float]
-    """By lag k up to the first that is shown: of the hypothesis that u does not act at k, nor
-    before."""
+    """p value by lag k, up to the first significant lag. The hypothesis is that u does not act at
+    lag k or at an earlier lag."""
     before: Before | None
-    """Of the lag before the first that was shown: would u be seen there? None at lag 0."""
+    """Test whether u may act, unseen, just before the first significant lag. None at lag 0."""
     misfit: dict[int, float]
-    """By first lag of a smooth onset: chi-squared, two degrees of freedom; empty where the first
-    coefficients tell enough, or the output has no such onset."""
+    """Chi-squared of a smooth onset by its first lag, two degrees of freedom. It is empty if the
+    first coefficients decide, or if the output has no smooth onset."""
     arx_loss: dict[int, float]
-    """By nk: loss of the model whose lags of u begin there, the last one kept, in y's unit
-    squared."""
+    """Loss of the model by its nk, in y's unit squared; the last lag of u is the same for all."""
     response: ImpulseResponse
     """Plain impulse response, with bands."""
     integrator: bool
-    """y was taken as integrating; `remarks` say so where the data decided it."""
+    """True if y was taken as integrating; `remarks` contains the reason if the data decided."""
     na: int
-    """Order of A in the ARX model, by AIC; 0 where so much is missing that the plain impulse
-    response was tested instead."""
+    """Order of A in the ARX model, by AIC. It is 0 if too many samples are missing; then the plain
+    impulse response was tested."""
     t_q: float | None
-    """Time in s for which a reading of y in steps hides the answer to the largest change of u,
-    sqrt(2 LSB / (b |Δu|)); None where y is not read in steps."""
+    """Time in s for which quantisation hides the response to the largest change of u, sqrt(2 LSB /
+    (b |Δu|)); None if y is not quantised."""
     quantum: float
-    """LSB, the step in which y was read; 0 where none is seen."""
+    """LSB, the quantisation step of y; 0 if none is found."""
     largest_step: float
     """|Δu|, in u's unit."""
     remarks: tuple[str, ...]
-    """What limits the answer."""
+    """Limits of the answer."""
     acceleration: float
-    """b, what y's second derivative is just after a unit step of u."""
+    """b, the second derivative of y just after a unit step of u."""
     output: str
     """Name of y."""
     Ts: float
@@ -68,34 +67,34 @@ class Delay:
 
     @property
     def level(self) -> float:
-        """Of each test, 0.1 %."""
+        """Level of each test, 0.1 %."""
         return LEVEL
 
     @property
     def told(self) -> bool:
-        """Only one nk is possible."""
+        """True if only one nk is possible."""
         return self.interval[0] == self.interval[1]
 
     @property
     def delay(self) -> int:
-        """Samples of delay beyond the hold's own one, nk - 1; -1 is a direct term.
+        """Samples of delay in addition to the sample of the hold, nk - 1; -1 is a direct term.
 
-        No more of them than the data show: where several are possible, the least.
+        If several delays are possible, this is the least.
         """
         return self.nk - 1
 
     def explain(self) -> str:
-        """Say what decides, what stands beside it, and what quantisation has to do with it."""
+        """Return the tests that decide, the other evidence, and the effect of quantisation."""
         g, std = self.response.decaying
         lines = [
             f"{self._answer()}.",
-            "Asked: at which lag does u act first? Without a delay that is lag 1, under a "
-            "zero-order hold: what is applied from one instant on shows at the next. Each test "
-            f"has a level of {100 * self.level:g} %.",
+            "Question: at which lag does u act first? Without a delay this is lag 1: under a "
+            "zero-order hold, a change of the input is visible at the next sample. Each test has a "
+            f"level of {100 * self.level:g} %.",
             *(f"  {line}" for line in self._tests()),
             *([] if self.before is None else [_ASSUMED]),
             *([] if self.told else [self._way_out()]),
-            "Beside it: the impulse response "
+            "Other evidence: the impulse response "
             + (f"of {self.output}'s rate " if self.response.integrator else "")
             + "at lags "
             + ", ".join(
@@ -103,23 +102,23 @@ class Delay:
                 for k in range(min(self.p_values), min(self.nk + 3, g.size))
                 if std[k] > 0
             )
-            + ". A coefficient within its band is not shown to be zero: before "
-            f"{self.output} has moved it is small, not absent.",
+            + ". A coefficient within its band need not be zero: before "
+            f"{self.output} has moved, it is small.",
         ]
         if self.t_q is not None:
             lines.append(
                 f"Quantisation is no delay: {self.output} is read in steps of "
-                f"{_quantity(self.quantum, self.unit)}, and after a step of "
-                f"{self.largest_step:.3g} {self.input_unit} the first is passed after t_q = sqrt(2 "
-                f"LSB / (b Δu)) = {1e3 * self.t_q:.2g} ms, {self.t_q / self.Ts:.2g} samples, "
-                "with the mean acceleration b per unit of input until then, of the impulse "
-                "response. On a step response that looks like dead time; over many steps it "
-                "averages out."
+                f"{_quantity(self.quantum, self.unit)}. After a step of "
+                f"{self.largest_step:.3g} {self.input_unit}, {self.output} crosses the first step "
+                f"at t_q = sqrt(2 LSB / (b Δu)) = {1e3 * self.t_q:.2g} ms, "
+                f"{self.t_q / self.Ts:.2g} samples. Here b is the mean acceleration per unit of "
+                "input until t_q, from the impulse response. On one step response t_q looks like "
+                "dead time; over many steps it averages out."
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
     def brief(self) -> str:
-        """Say the answer, the way out where there are several, and what limits the answer."""
+        """Return the answer, the remedy if several are possible, and the limits of the answer."""
         lines = [f"{self._answer()} (level {100 * self.level:g} %)"]
         lines += [] if self.told else [self._way_out()]
         lines += [f"  note: {r}" for r in self.remarks]
@@ -134,7 +133,7 @@ class Delay:
 
     @property
     def nk_range(self) -> str:
-        """Say which nk, or between which."""
+        """Return nk, or its range, as text."""
         low, high = self.interval
         return f"nk = {low}" if self.told else f"nk between {low} and {high}"
 
@@ -143,15 +142,15 @@ class Delay:
             return f"{self.nk_range}: a direct term, or feedback, which looks the same"
         if self.told:
             return f"{self.nk_range}: {_delay_sentence(self.delay, self.Ts)}"
-        return f"{self.nk_range}: cannot be told at this Ts and noise"
+        return f"{self.nk_range}: not determined at this Ts and noise"
 
     def _way_out(self) -> str:
         if self.may_be_feedback:
             return "Take nk = 1 if y was read before u was applied, and nk = 0 if after."
         return (
-            f"No delay is claimed that is not shown: take nk = {self.nk}, for a coefficient too "
-            "many costs little. To tell, record longer, with more and larger changes of u "
-            f"(telegraph, PRBS), or at a Ts above {times(self.Ts)}, where the first "
+            f"A delay is claimed only if it is shown: take nk = {self.nk}, since one coefficient "
+            "too many does little harm. To determine nk, record longer, with more and larger "
+            f"changes of u (telegraph, PRBS), or at a Ts above {times(self.Ts)}, where the first "
             "coefficient is larger."
         )
 
@@ -163,7 +162,7 @@ class Delay:
         return figure_of(plot_delay(self, ax=ax))
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Return the answer and the tests in a few lines."""
         lines = [f"{self._answer()} (level {100 * self.level:g} %)"]
         lines += [f"  {line}" for line in self._tests()]
         if self.t_q is not None:
@@ -172,9 +171,9 @@ class Delay:
 
 
 _ASSUMED = (
-    "Assumed of a lag that is not shown: its coefficient is at least 1/(1 + 3 n) of that n samples "
-    "later, or, where the data begin more slowly, that of an onset (t/Ts)^d as slow as their first "
-    "lags. An onset that is slower still looks like a delay."
+    "Assumption: the first coefficient is at least 1/(1 + 3 n) of the coefficient n samples later. "
+    "If the response begins more slowly, the bound is that of an onset (t/Ts)^d as slow as the "
+    "first lags. A slower onset looks like a delay."
 )
 
 
@@ -189,15 +188,15 @@ def _lag_sentence(least: int, k: int, p: float) -> str:
 def _overlooked_sentence(b: Before) -> str:
     said = "ruled out" if b.p_value < LEVEL else "not ruled out"
     return (
-        f"lag {b.k} alone is {b.found:.1f}σ, and would be {b.predicted:.1f}σ or more if u acted "
-        f"there first, p {p_relation(b.p_value)}: {said}"
+        f"lag {b.k} alone: its coefficient is {b.found:.1f}σ, and would be {b.predicted:.1f}σ or "
+        f"more if u acted there first, p {p_relation(b.p_value)}: {said}"
     )
 
 
 def _shape_sentence(misfit: dict[int, float]) -> str:
     lags, values = ", ".join(map(str, misfit)), ", ".join(f"{x:.3g}" for x in misfit.values())
     return (
-        f"so near the noise the shape of the onset decides: a smooth one at lag {lags} leaves chi² "
+        f"so near the noise the shape of the onset decides: a smooth onset at lag {lags} has chi² "
         f"{values} ({SURPRISING:g} at 1 %)"
     )
 
@@ -207,7 +206,7 @@ def _delay_sentence(samples: int, Ts: float) -> str:
         return "a direct term, u acts within its own sample"
     if samples == 0:
         return "no input delay"
-    return f"{plural(samples, 'sample')} ({times(samples * Ts)}) beyond the hold's"
+    return f"{plural(samples, 'sample')} ({times(samples * Ts)}) in addition to the hold"
 
 
 def _quantity(x: float, unit: str) -> str:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-# Those of the delay are at the level of its tests, or the figure would contradict the verdict.
+# The bands of the delay have the level of its tests, so that figure and verdict agree.
 _BAND_99_9_PERCENT = 3.29
 _CHI2_99_9_PERCENT = 10.83  # one degree of freedom
 _ABOUT = 15  # lags shown on the causal side
@@ -31,7 +31,8 @@ _BEYOND = 6  # lags shown past nk
 def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
     """Show the coefficients of u in the regression of y(t), and the test that decides.
 
-    Where u came first stems may stand out; where it came later, shaded, none does in open loop.
+    At positive lags u precedes y, and its coefficients may differ from 0. At the other lags, which
+    are shaded, all coefficients are 0 in open loop.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -92,7 +93,7 @@ def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
 
 
 def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> None:
-    """Show the coefficients first … last that die out, with their 99.9 % band about zero."""
+    """Show the decaying coefficients `first` … `last` with their 99.9 % band about zero."""
     g, std = response.decaying
     shown = (response.lags >= first) & (response.lags <= last)
     _stems(ax, response.lags[shown], g[shown], _BAND_99_9_PERCENT * std[shown], "99.9 %")
@@ -104,7 +105,7 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
 
 
 def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, band: Vector, share: str) -> None:
-    """Show coefficients with the band about zero that holds a share of them."""
+    """Show coefficients with the band about zero that contains a share of them."""
     ax.fill_between(
         lags,
         -band,

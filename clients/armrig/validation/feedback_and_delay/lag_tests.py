@@ -1,4 +1,4 @@
-"""Whether u acts at each of the first lags: joint tests of a model's first coefficients."""
+"""Joint tests of a model's first coefficients: the lags at which u acts."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ Matrix = NDArray[np.float64]
 
 LEVEL = 0.001
 MOST_LAGS = 50  # of u, the order of B and the delay together
-_ORDERS = (20, 10, 5)  # most a's; the next where too many rows look back on a hole
+_ORDERS = (20, 10, 5)  # largest na; the next one if too many rows contain a missing sample
 MOST_COEFFICIENTS = MOST_LAGS + _ORDERS[0]
-_WHOLE = 0.5  # least share of the rows that must be left by the holes
+_MIN_WHOLE_SHARE = 0.5  # of the rows, without a missing sample
 _ROWS_PER_ORDER = 20  # samples for each a that is tried
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 # Share of y's norm below which residuals are rounding: data without noise have F = 0/0.
 _ROUNDING = 1e-10
-_GROWTH = 3.0  # a first coefficient is at least 1/(1 + 3 n) of the one n samples later
-_ONSET = 2  # lags after the first that is shown, over which the onset's slope is taken
-_AHEAD = 40  # coefficients after the first
+_GROWTH = 3.0  # a first coefficient is at least 1/(1 + 3 n) of the coefficient n samples later
+_ONSET = 2  # lags after the first significant lag, from which the onset's slope is computed
+_COEFFICIENTS_AFTER_FIRST = 40
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Before:
-    """Whether u would be seen if it acted at the lag before the first that was shown."""
+    """Test of the lag before the first significant lag, at which u may act unseen."""
 
     k: int
     """The lag."""
     found: float
     """Size of its coefficient, in σ."""
     predicted: float
-    """Its least size if u acted there first, in σ, told by the coefficients that follow."""
+    """Least size of its coefficient if u acted there first, in σ, from the later coefficients."""
     p_value: float
-    """Of the hypothesis that u acts there first: one-sided, found against predicted."""
+    """p value of the hypothesis that u acts there first; one-sided."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -50,38 +50,38 @@ class LagTests:
     """Tests that u does not act at the lags `first` … k, for each k; arrays begin at `first`."""
 
     first: int
-    """Least lag of the model: 0, or 1 where feedback hides what lag 0 is."""
+    """Least lag of the model: 0, or 1 if feedback hides lag 0."""
     p_values: Vector
-    """Of H_k: b_first = … = b_k = 0, (n,)."""
+    """p values of H_k: b_first = … = b_k = 0, (n,)."""
     coefficient: Vector
     """b_k of the model that begins at lag k, (n,), in y's unit per u's."""
     std: Vector
-    """Its standard deviation, (n,)."""
+    """Standard deviation of `coefficient`, (n,)."""
     loss: Vector
     """Mean squared error of the model that begins at lag k, (n,)."""
     response: Vector
-    """Answer to a pulse of the model that begins at the first lag shown, from lag 0 on."""
+    """Impulse response of the model that begins at the first significant lag, from lag 0 on."""
     na: int
-    """Order of A; 0 where the model is an impulse response."""
+    """Order of A; 0 if the model is an impulse response."""
     N: int
     """Rows used."""
 
     @property
     def shown(self) -> int:
-        """The first lag at which H_k is rejected; one past the last where none is."""
+        """First lag at which H_k is rejected; one past the last lag if none is."""
         return self.first + _first(self.p_values)
 
     @property
     def none_shown(self) -> bool:
-        """H_k is rejected at no lag."""
+        """True if H_k is rejected at no lag."""
         return _first(self.p_values) == self.p_values.size
 
     def before(self, k: int) -> Before:
-        """Test whether u may act first at lag k, its coefficient being too small to be shown.
+        """Test whether u may act first at lag k with a coefficient that is not significant.
 
-        A first coefficient is at least 1/(1 + 3 n) of any that comes n samples later: the slowest
-        onset of a mechanical rig, t²/2 under a hold, has 1/(1 + 2 n). Where the data begin more
-        slowly than that, it is as small as their own onset, (t/Ts)^d under a hold, makes it.
+        A first coefficient is at least 1/(1 + 3 n) of any coefficient n samples later: for the
+        slowest onset of a mechanical rig, t²/2 under a hold, the ratio is 1/(1 + 2 n). If the
+        response begins more slowly, the bound is that of its own onset, (t/Ts)^d under a hold.
         """
         from scipy.special import ndtr
 
@@ -98,9 +98,10 @@ class LagTests:
         )
 
     def _as_smooth(self, k: int) -> float:
-        """Return the coefficient at lag k of an onset s(j) = c (j - k + 1)^d, from those shown.
+        """Return the coefficient at lag k of an onset s(j) = c (j - k + 1)^d through the response.
 
-        s is the answer to a step; d is the steepest slope of log s over the first lags shown.
+        s is the step response, and d is the steepest slope of log s over the first significant
+        lags.
         """
         s = np.abs(np.cumsum(self.response[self.shown :])[: _ONSET + 1])
         if k == 0 or s.size < 2 or not np.all(s > 0):  # under a hold no smooth onset is at lag 0
@@ -110,7 +111,7 @@ class LagTests:
         return float(s[0] / (self.shown - k + 1) ** max(d, 1.0))
 
     def least(self) -> int:
-        """Return the least lag that is not ruled out, going down from the first that is shown."""
+        """Return the least lag that is not ruled out, searched downwards from `shown`."""
         k = self.shown
         while k > self.first and self.before(k - 1).p_value >= LEVEL:
             k -= 1
@@ -120,18 +121,19 @@ class LagTests:
 def lag_tests(
     data: Dataset, response: ImpulseResponse, determined: int, first: int = 0
 ) -> LagTests:
-    """Test the first lags in an ARX model, or in the impulse response where too much is missing.
+    """Test the first lags in an ARX model, or in the impulse response if too many y are missing.
 
-    ARX with a level of each experiment, its orders by AIC among na <= 20 and the lags of u that
-    `response` has, no more of both than u determines: past outputs could stand in for lags of u
-    otherwise. An ARX model of high order comes as close as the data can tell to any linear system
-    and to any colour of the noise [1]_, so its F test ::
+    The model is ARX with a level of each experiment. AIC chooses na <= 20 and the number of lags of
+    u, at most those of `response`. Together they are at most as many as u determines; otherwise
+    past outputs could replace lags of u. An ARX model of high order approximates any linear system
+    and any colour of the noise [1]_. The F test of the ARX model ::
 
         F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
 
-    (from lag `first` on: where u(t) answers to y(t), b_0 is the controller's) holds its level
-    without a model of the noise; V_k is the sum of squares of the model that begins at lag k. All
-    V_k come from one QR decomposition with the columns u(t - L) … u(t).
+    therefore has the correct level without a separate model of the noise. V_k is the sum of squares
+    of the model that begins at lag k. The tests begin at lag `first`: with feedback, b_0 would be
+    due to the controller. All V_k are computed from one QR decomposition with the columns u(t - L)
+    … u(t).
 
     References
     ----------
@@ -145,13 +147,13 @@ def lag_tests(
         na = max(min(most, samples // _ROWS_PER_ORDER, determined - len(lags)), 0)
         blocks = _rows(data, na, lags)
         N = sum(block.shape[0] for block in blocks)
-        if max(_WHOLE * whole, 2 * (na + len(lags) + len(blocks))) <= N:
+        if max(_MIN_WHOLE_SHARE * whole, 2 * (na + len(lags) + len(blocks))) <= N:
             return _in_arx(blocks, na, lags)
     return _in_response(response, first)
 
 
 def _rows(data: Dataset, na: int, lags: range) -> list[Matrix]:
-    """Return [y lagged, u lagged, y] of each experiment about its means, complete rows only."""
+    """Return the complete rows [y lagged, u lagged, y] of each experiment, about their means."""
     blocks = []
     for part in data.experiments():
         rows = arx_rows(part.u, part.y, na=na, lags=lags)
@@ -189,26 +191,26 @@ def _in_arx(blocks: list[Matrix], most: int, lags: range) -> LagTests:
 
 
 def _first(p_values: Vector) -> int:
-    """Return which is the first p value below the level; how many there are where none is."""
+    """Return the index of the first p value below the level; their number if none is."""
     found = np.flatnonzero(p_values < LEVEL)
     return int(found[0]) if found.size else p_values.size
 
 
 def _response(T: Matrix, scale: Vector, na: int, left_out: int, first: int) -> Vector:
-    """Return the answer to a pulse of the model without the least lags, from lag 0 on."""
+    """Return the impulse response, from lag 0, of the model without its first `left_out` lags."""
     d, k = T.shape[1] - 1 - left_out, first + left_out
     theta = np.linalg.solve(T[:d, :d], T[:d, -1]) * scale[-1] / scale[:d]
     A, B = np.append(1.0, theta[:na]), np.append(np.zeros(k), theta[na:][::-1])
-    return filtered(B, A, np.eye(1, k + _AHEAD)[0])
+    return filtered(B, A, np.eye(1, k + _COEFFICIENTS_AFTER_FIRST)[0])
 
 
 def _triangle_of(R: Matrix, columns: list[int]) -> Matrix:
-    """Return the triangle of these columns of R, the last one's rest below the others in a row."""
+    """Return the triangle of these columns of R; the rest of the last column is its last row."""
     return np.asarray(np.linalg.qr(R[:, columns], mode="r"))
 
 
 def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
-    """Return na and the number of lags of u, from the least on, of least AIC."""
+    """Return na and the number of lags of u, from the least lag on, that have the least AIC."""
     values = np.empty((most + 1, lags))
     for na in range(most + 1):
         T = _triangle_of(R, [*range(na), *range(most, most + lags + 1)])
@@ -222,8 +224,8 @@ def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
 def _in_response(response: ImpulseResponse, first: int) -> LagTests:
     """Return Wald tests of the plain impulse response's first coefficients.
 
-    With the covariance L L^T the components of L^-1 g are independent, and the k-th times L_kk is
-    g(k) of the response that begins at lag k.
+    With the covariance L L^T the components of L^-1 g are independent, and component k times L_kk
+    is g(k) of the response that begins at lag k.
     """
     g, _ = response.decaying
     covariance = response.covariance if response.rate is None else response.rate_covariance
@@ -243,7 +245,7 @@ def _in_response(response: ImpulseResponse, first: int) -> LagTests:
 
 
 def _joint(score: Vector, degrees: int) -> Vector:
-    """Return p of the mean squares of the first 1, 2, … scores: F(k, degrees)."""
+    """Return the p values of the mean squares of the first k = 1, 2, … scores: F(k, degrees)."""
     from scipy.special import fdtrc
 
     k = np.arange(1, score.size + 1)

@@ -1,4 +1,4 @@
-"""Was the input free of the output? (handout, assignment 3.7)."""
+"""Test for feedback from the output to the input (handout, assignment 3.7)."""
 
 from __future__ import annotations
 
@@ -17,31 +17,32 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_SURE = 1e-3  # p value from which on another recording is asked for
-_EXACT = 1e-5  # share of u's deviation that y(t) leaves at most: the digits of a file
-_FEW_LEVELS = 20  # of u: a controller that carries noise into u makes more
-_LARGE = 1e6  # F beyond which its digits say nothing
+_MIN_REPEAT_P = 1e-3  # from which another recording is recommended
+_MAX_EXACT_REST = 1e-5  # share of u's deviation that y(t) leaves: the digits of a file
+_MAX_FEW_LEVELS = 20  # of u; a controller that carries noise into u makes more
+_MAX_SHOWN_F = 1e6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class OpenLoop:
-    """Whether y was fed back to u, at a stated level."""
+    """Result of the test for feedback from y to u."""
 
     feedback: bool | None
-    """p_value < level; None where these data cannot tell."""
+    """True if p_value < level; None if the data do not decide."""
     p_value: float
-    """Of Sims' test: H0 is that no u from t on knows of y(t); NaN where it cannot be told."""
+    """p value of Sims' test; H0: u(t), u(t + 1), … do not depend on y(t). NaN if the data do not
+    decide."""
     level: float
-    """Share of open-loop experiments that are called closed."""
+    """Level of the test: share of open-loop experiments in which it finds feedback."""
     sims: Sims | None
-    """The test in full."""
+    """Numbers of the test; None if the data do not decide."""
     exact: bool
-    """u(t) is a multiple of y(t) and a constant, sample by sample, as under a P controller whose
-    set point rests."""
+    """True if u(t) is a y(t) + b in every sample, as under a P controller with a constant set
+    point."""
     remarks: tuple[str, ...]
-    """What limits the answer, or why there is none."""
+    """Limits of the answer, or the reason why there is none."""
     few_levels: bool
-    """The input has 20 levels at most, so that it carries none of y's noise, but by a relay."""
+    """True if u has at most 20 levels; then only a relay can carry the noise of y into u."""
     output: str
     """Name of y."""
     unit: str
@@ -55,76 +56,76 @@ class OpenLoop:
 
     @property
     def verdict(self) -> str:
-        """The answer in a few words."""
+        """Answer in a few words."""
         if self.feedback is None:
-            return "cannot tell whether there is feedback"
+            return "no decision on feedback"
         return "FEEDBACK" if self.feedback else "open loop: no feedback found"
 
     @property
     def may_be_direct_term(self) -> bool:
-        """Only u(t) tells, none after it: a rig that answers within the sample looks the same."""
+        """True if u(t) depends on y(t), but no later u does: a direct term looks the same."""
         s = self.sims
         return s is not None and not self.exact and s.p_value < self.level <= s.p_later
 
     def explain(self) -> str:
-        """Say what was asked, what came out, and what it can and cannot mean."""
+        """Return the question, the finding, and its meaning and limits."""
         if self.sims is None:
             return "\n".join([f"{self.verdict}.", *(f"{r}." for r in self.remarks)])
         s, y = self.sims, self.output
         lines = [
             f"{self.verdict}.",
-            f"Asked: does the input from t on know of {y}(t) what the past does not? In open loop "
-            f"it does not: u was chosen without looking at {y}.",
+            f"Question: does the input from t on explain {y}(t) beyond the past? In open loop it "
+            f"does not, because u was chosen without {y}.",
             self._found(s),
         ]
         if self.feedback:
             lines += self._so()
         else:
             lines.append(
-                f"So nothing speaks against open loop, at a level of {100 * self.level:g} %. That "
-                "is no proof: feedback shows by the noise that it carries into u, and goes unseen "
-                "where that is little beside the rest of u."
+                f"So the data do not contradict open loop, at a level of {100 * self.level:g} %. "
+                "This is no proof: feedback is visible only by the noise that it carries into u. "
+                "If this noise is small in comparison with u, the test does not find it."
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
     def brief(self) -> str:
-        """Say the answer, what to do where there is feedback, and what limits the answer."""
+        """Return the answer, the remedy if there is feedback, and the limits of the answer."""
         verdict, *notes = repr(self).splitlines()
         return "\n".join([verdict, *(self._so() if self.feedback else []), *notes])
 
     def _found(self, s: Sims) -> str:
         if self.exact:
-            return f"Found: u(t) follows from {self.output}(t) exactly, in all samples."
-        F = f"{s.F:.3g}" if s.F < _LARGE else f"more than {_LARGE:.0e}"
+            return f"Finding: u(t) follows from {self.output}(t) exactly, in all samples."
+        F = f"{s.F:.3g}" if s.F < _MAX_SHOWN_F else f"more than {_MAX_SHOWN_F:.0e}"
         return (
-            f"Found: it explains {percent(100 * max(s.explained, 0.0))} of what the past leaves of "
-            f"{self.output}; F = {F} with {s.q} and {s.degrees} degrees of freedom, p "
-            f"{p_relation(self.p_value)}."
+            f"Finding: it explains {percent(100 * max(s.explained, 0.0))} of the part of "
+            f"{self.output} that the past leaves; F = {F} with {s.q} and {s.degrees} degrees of "
+            f"freedom, p {p_relation(self.p_value)}."
         )
 
     def _so(self) -> list[str]:
-        """Return what follows from feedback."""
+        """Return the consequences of feedback."""
         lines = [
             f"So there is feedback, at a level of {100 * self.level:g} %. A model that assumes an "
             "input free of the noise (OE, spectral analysis, correlation) is then biased: "
             "estimate with a noise model (ARMAX, BJ), or record with the controller off."
         ]
-        if self.p_value >= _SURE:
+        if self.p_value >= _MIN_REPEAT_P:
             lines.append(
                 f"But one open-loop experiment in {1 / self.level:.0f} fails by chance, and p is "
-                "not far below the level: record another one, and see whether it says so again."
+                "not far below the level: record again, and test that recording, too."
             )
         return lines
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of how y regresses on u: see `armrig.plots.plot_open_loop`."""
+        """Return a figure of the regression of y on u: see `armrig.plots.plot_open_loop`."""
         from armrig.plots.layout import figure_of
         from armrig.validation.feedback_and_delay.figures import plot_open_loop
 
         return figure_of(plot_open_loop(self, ax=ax))
 
     def __repr__(self) -> str:
-        """Say it in a line or two."""
+        """Return the answer in a line, and the remarks."""
         how = ""
         if self.sims is not None:
             how = f" (Sims' F-test of {self.output} on future u: p {p_relation(self.p_value)}, "
@@ -133,30 +134,30 @@ class OpenLoop:
 
 
 def require_level(level: float) -> None:
-    """Refuse a level of significance that is none."""
+    """Refuse a level of significance that is not between 0 and 1."""
     if not 0 < level < 1:
         raise InputError(f"level={level!r} must lie between 0 and 1, such as 0.05")
 
 
 @takes_recordings
 def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
-    """Test whether the rig ran in open loop (`sims`): nothing in u from t on knows of y(t).
+    """Test whether the rig ran in open loop: u(t), u(t + 1), … do not depend on y(t).
 
-    Feedback is found by the noise that the controller carries from y into u, and by nothing else:
-    without noise, closed and open loop cannot be told apart.
+    The test (`sims`) finds feedback only by the noise that the controller carries from y into u.
+    Without noise, closed and open loop look the same.
 
     Parameters
     ----------
     data : Dataset
-        u and y as applied and measured; y(t) is read before u(t) is applied. Missing samples cost
-        their own rows, and nothing is carried from one experiment to the next.
+        u and y as applied and measured; y(t) is read before u(t) is applied. A missing sample
+        removes its row, and no row contains samples of two experiments.
     level : float, default 0.05
-        Between 0 and 1.
+        Level of the test, between 0 and 1.
 
     Returns
     -------
     OpenLoop
-        .feedback (None where u follows from its own past, or y has no noise), .p_value,
+        .feedback (None if u follows from its own past, or if y has no noise), .p_value,
         .explain(), .plot().
 
     Raises
@@ -185,7 +186,7 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
         level=level,
         sims=found,
         exact=exact,
-        few_levels=np.unique(data.u).size <= _FEW_LEVELS,
+        few_levels=np.unique(data.u).size <= _MAX_FEW_LEVELS,
         remarks=remarks,
         output=data.output,
         unit=data.unit,
@@ -196,25 +197,25 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
 
 
 def _is_exact(data: Dataset) -> bool:
-    """Tell whether u(t) is a multiple of y(t) and a constant."""
+    """Return whether u(t) is a y(t) + b in every sample."""
     u, y = data.u[data.valid], data.y[data.valid]
     if u.size < 2 or np.ptp(u) == 0 or np.ptp(y) == 0:
         return False
     u, y = u - u.mean(), y - y.mean()
     left = u - (u @ y) / (y @ y) * y
-    return bool(np.linalg.norm(left) < _EXACT * np.linalg.norm(u))
+    return bool(np.linalg.norm(left) < _MAX_EXACT_REST * np.linalg.norm(u))
 
 
 def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
-    """Say where u is made of y(t), or only u(t) tells, which may be the rig's answer as well."""
+    """Return a remark if u is computed from y(t), or if only u(t) depends on y(t)."""
     if exact:
         return (
-            "u(t) is a multiple of y(t) and a constant, as a P controller makes it whose set "
-            "point rests: such data tell the controller, not the rig; move the set point",
+            "u(t) is a y(t) + b in every sample, as under a P controller with a constant set "
+            "point: such data show the controller, not the rig; change the set point",
         )
     if found.p_value < level <= found.p_later:
         return (
-            "only u(t) itself tells, none after it: a rig that answers within the sample (nk = 0, "
-            "y read after u is applied) looks the same",
+            "u(t) depends on y(t), later u does not: a rig that responds within the sample (nk = "
+            "0, y read after u is applied) looks the same",
         )
     return ()

@@ -1,4 +1,4 @@
-"""Sims' test: whether the input still to come tells of the output what the past does not."""
+"""Sims' test for feedback: future input explains the output beyond the past."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ FUTURE = 5
 _LAGS_PER_DECADE = 15  # of N
 _MOST_LAGS = 60
 _LEAST_LAGS = 4
-_SLOW = (0.0, 1 / 3, 1.0)  # the sums of older input forget this share of themselves in p samples
-_ROWS_PER_PARAMETER = 5  # fewer and the F distribution is a wish
-_NOTHING = 1e-10  # share of u's power below which its past says all of it
-_NOISELESS = 1e-20  # share of y's power below which its past says all of it
+_FORGETTING = (0.0, 1 / 3, 1.0)  # share that a sum of older input forgets in p samples
+_ROWS_PER_PARAMETER = 5  # with fewer the F distribution does not hold
+_MIN_U_REST = 1e-10  # share of u's power that its past must leave
+_MIN_Y_REST = 1e-20  # share of y's power that its past must leave
 _BLOCK = 4096  # rows that are held in memory at a time
 
 
 class CannotTellError(InputError):
-    """The data could be recorded with or without feedback."""
+    """The data do not decide between feedback and open loop."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -40,31 +40,31 @@ class Sims:
     """The F-test of y on future u."""
 
     p_value: float
-    """Of the hypothesis that u(t), u(t + 1), … say nothing of y(t) that the past does not."""
+    """p value of the hypothesis that u(t), u(t + 1), … explain nothing of y(t) beyond the past."""
     p_later: float
-    """Of the same for u(t + 1), … alone, u(t) taken for a part of the past."""
+    """p value of the same hypothesis for u(t + 1), … with u(t) as a part of the past."""
     F: float
-    """(RSS_0 - RSS)/q over RSS/(N - d), q future inputs among d regressors."""
+    """Ratio of (RSS_0 - RSS)/q to RSS/(N - d), with q future inputs among d regressors."""
     q: int
-    """Numerator's degrees of freedom."""
+    """Degrees of freedom of the numerator."""
     degrees: int
-    """Denominator's."""
+    """Degrees of freedom of the denominator."""
     p: int
     """Past samples of y and of u in the regression."""
     explained: float
-    """Share of what the past leaves of y that future u explains, 0 to 1."""
+    """Share, 0 to 1, that future u explains of the part of y that the past leaves."""
     lags: NDArray[np.int_]
-    """-(q - 1) … p, of the coefficients; at 0 and below, u comes after y."""
+    """Lags -(q - 1) … p of the coefficients; at 0 and below, u is applied after y is read."""
     coefficients: Vector
-    """Of u(t - lag)."""
+    """Coefficients of u(t - lag)."""
     std: Vector
-    """Their standard deviations."""
+    """Standard deviations of the coefficients."""
     N: int
     """Rows used."""
 
 
 def sims(data: Dataset) -> Sims:
-    """Test whether the input still to come helps to explain y.
+    """Test whether future input helps to explain y.
 
     The regression is ::
 
@@ -73,26 +73,27 @@ def sims(data: Dataset) -> Sims:
                  + f_0 u(t) + … + f_4 u(t+4) + e(t)
         w_j(t) = l_j w_j(t-1) + u(t-1),     l = 1, 1 - 1/(3 p), 1 - 1/p
 
-    with c of each experiment and H0: f = 0. y(t) is read before u(t) is applied, so in open loop
-    no u from t on can know of e(t), whatever u is: the test supposes nothing of how u was made.
-    (Granger's test, of u on past y, supposes that u's own past is modelled; a PRBS or a held or
-    low-pass input then passes for feedback.) In closed loop the noise in y(t) is in u(t).
+    with a c for each experiment and H0: f = 0. y(t) is read before u(t) is applied, so in open loop
+    u(t), u(t + 1), … do not depend on e(t). The test makes no assumption on how u was generated.
+    (Granger's test of u on past y assumes a model of u's own past; a PRBS, or a held or low-pass
+    input, then looks like feedback.) In closed loop u(t) contains the noise of y(t).
 
-    p = 15 lg N, at most 60, and the sums w stand for the input before that: what is cut off of
-    the past is what a future u could tell of in open loop. As y's past has more lags than the
-    plant has poles, the F distribution holds where y integrates, too: see [2] and [3].
+    p = 15 lg N, at most 60. The sums w represent the input more than p samples ago; without them,
+    future u could replace the missing past in open loop. y's past has more lags than the plant has
+    poles, so the F distribution also holds if y integrates: see [2] and [3].
 
-    A missing y(t) costs its own row. In the rows after it a line between its neighbours stands for
-    it, of which the later is y(t) at most: no future u comes in by it. Nothing is carried over an
-    experiment's end, nor over a gap longer than p/2.
+    A missing y(t) removes its own row. In later rows the missing y is interpolated on a line
+    between its neighbours. The later neighbour is y(t) or earlier, so the interpolation contains no
+    effect of future u. No row extends over the end of an experiment or over a gap longer than p/2.
 
-    Time and memory are linear in N, memory beyond u and y constant: R of the QR factorisation is
-    made block by block.
+    Time is linear in N. Memory beyond u and y is constant: the QR factorisation computes R block by
+    block.
 
     Raises
     ------
     CannotTellError
-        u follows from the past (a constant, a sine, a sum of few), or y does (no noise).
+        u follows from its past (a constant, a sine, a sum of a few sines), or y follows from the
+        past (no noise).
     ValueError
         There are too few samples.
 
@@ -105,7 +106,7 @@ def sims(data: Dataset) -> Sims:
     """
     p = _lags(data)
     constants = len(data.starts)
-    d = constants + 2 * p + len(_SLOW)
+    d = constants + 2 * p + len(_FORGETTING)
     R, N = _factor(data, constants, p)
     degrees = N - d - FUTURE
     _require_information(R, constants, d, degrees)
@@ -138,20 +139,20 @@ def _tail(F: float, q: int, degrees: int) -> float:
 
 
 def _lags(data: Dataset) -> int:
-    """Return p = 15 lg N, or fewer where there are not enough rows for so many parameters."""
-    there, fixed = data.N - data.missing, len(data.starts) + len(_SLOW) + FUTURE
+    """Return p = 15 lg N, or fewer if there are too few rows for so many parameters."""
+    there, fixed = data.N - data.missing, len(data.starts) + len(_FORGETTING) + FUTURE
     affordable = (there // _ROWS_PER_PARAMETER - fixed) // 2
     p = min(round(_LAGS_PER_DECADE * log10(max(there, 1))), _MOST_LAGS, affordable)
     if p < _LEAST_LAGS:
         needed = _ROWS_PER_PARAMETER * (2 * _LEAST_LAGS + fixed)
-        msg = f"{there} samples came; the test for feedback needs at least {needed}: "
+        msg = f"the test for feedback needs at least {needed} samples, got {there}: "
         raise InputError(msg + "record longer, or lose fewer")
     return p
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Piece:
-    """Samples of one experiment without a long gap; y has a line where it is missing."""
+    """Samples of one experiment without a long gap; missing y are interpolated."""
 
     u: Vector
     sums: Array
@@ -177,7 +178,7 @@ class _Piece:
 
 
 def _pieces(data: Dataset, p: int) -> Iterator[_Piece]:
-    """Return what lies between long gaps, a line in place of what is missing."""
+    """Yield the samples between long gaps, with missing y interpolated."""
     for i, part in enumerate(data.experiments()):
         near = np.ones(part.N, dtype=bool)
         for gap in stretches(~part.valid):
@@ -195,12 +196,12 @@ def _pieces(data: Dataset, p: int) -> Iterator[_Piece]:
 def _sums(u: Vector, p: int) -> Array:
     """Return w_1(t - p) … (N, 3): sums of the input more than p samples ago, slowly forgotten."""
     before = np.append(np.zeros(p + 1), u - u.mean())[: u.size]
-    return np.column_stack([filtered([1.0], [1.0, slow / p - 1.0], before) for slow in _SLOW])
+    return np.column_stack([filtered([1.0], [1.0, slow / p - 1.0], before) for slow in _FORGETTING])
 
 
 def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
     """Return R of the QR factorisation of all rows, and their number."""
-    D = constants + 2 * p + len(_SLOW) + FUTURE + 1
+    D = constants + 2 * p + len(_FORGETTING) + FUTURE + 1
     R, N = np.zeros((D, D)), 0
     for piece in _pieces(data, p):
         for block in piece.rows(constants):
@@ -210,20 +211,20 @@ def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
 
 
 def _require_information(R: Array, constants: int, d: int, degrees: int) -> None:
-    """Refuse data of which nothing is left to test."""
+    """Refuse data that leave nothing to test."""
     if degrees < d:
         raise InputError(
-            f"{degrees + d + FUTURE} samples have their past beside them; the test for feedback "
-            f"needs {2 * d + FUTURE}: record longer, or lose fewer"
+            f"the test for feedback needs {2 * d + FUTURE} samples with a complete past, got "
+            f"{degrees + d + FUTURE}: record longer, or lose fewer"
         )
     left, power = R[d, d] ** 2, float(np.sum(R[constants:, d] ** 2))
-    if left <= _NOTHING * power:
+    if left <= _MIN_U_REST * power:
         raise CannotTellError(
-            "u follows from its own past (a constant, a sine, a sum of few), so whether y has "
-            "a part in it cannot be told: record with a telegraph, a PRBS or noise"
+            "u follows from its own past (a constant, a sine, few sines), which hides any effect "
+            "of y on u: record with a telegraph, a PRBS or noise"
         )
     left, power = float(np.sum(R[d:, -1] ** 2)), float(np.sum(R[constants:, -1] ** 2))
-    if left <= _NOISELESS * power:
+    if left <= _MIN_Y_REST * power:
         raise CannotTellError(
-            "y follows from the past without any noise, and feedback shows by nothing else"
+            "y follows from the past without noise, but feedback is visible only by noise"
         )

@@ -1,4 +1,4 @@
-"""The onset of an angle, which begins as t²/2: its shape tells where its first sample does not."""
+"""The onset of an angle, t²/2, whose shape shows the first lag if the first sample does not."""
 
 from __future__ import annotations
 
@@ -10,22 +10,23 @@ from armrig.data.dataset import Dataset
 from armrig.estimation.oe import oe
 
 SURPRISING = 9.21  # 99 % point of chi-squared, two degrees of freedom
-_NEAR = 3.0  # times as far from the best lag, in samples, is no neighbour
-_POLES = 4  # the arm's
-_FARTHEST = 4  # lags looked at beyond those that are asked about
+_MAX_DISTANCE_RATIO = 3.0  # of a possible lag to that of the best lag
+_POLES = 4  # of the arm
+_MAX_EXTRA_LAGS = 4  # tested at either end of the range
 
 
 def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> dict[int, float]:
-    """Return by first lag how far the data are from a smooth onset there, as chi-squared.
+    """Return chi-squared of a smooth onset for each first lag.
 
-    OE models whose numerator is 1 + q^-1 times one of three coefficients, so without one of its own
-    for the first sample, are compared over their first lag ::
+    OE models with different first lags are compared. Their numerator is 1 + q^-1 times a polynomial
+    of three coefficients, so the first coefficient is not free ::
 
         chi² = (N - d)(V_k - V_0)/V_0,      two degrees of freedom
 
-    with V_0 the least loss, of a free numerator too. A second-order onset puts a zero at -1 as the
-    sampling time goes to 0 [1]_, and so wherever the first coefficient is too small to be seen.
-    Lags are added at either end until chi² is a surprise there (1 %).
+    V_0 is the least loss, including the loss of a model with a free numerator. The zero of a
+    second-order onset tends to -1 as the sampling time tends to 0 [1]_. If the first coefficient is
+    too small to see, the zero is therefore near -1. The range first … last is extended at each end,
+    by at most four lags, until chi² at that end exceeds its 1 % point.
 
     References
     ----------
@@ -47,9 +48,9 @@ def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> 
     def misfit(k: int) -> float:
         return degrees * (loss(k) / least - 1) if least > 0 else 0.0
 
-    while low > max(first - _FARTHEST, 0) and misfit(low) <= SURPRISING:
+    while low > max(first - _MAX_EXTRA_LAGS, 0) and misfit(low) <= SURPRISING:
         low -= 1
-    while high < last + _FARTHEST and misfit(high) <= SURPRISING:
+    while high < last + _MAX_EXTRA_LAGS and misfit(high) <= SURPRISING:
         high += 1
     return {k: misfit(k) for k in range(low, high + 1)}
 
@@ -57,18 +58,21 @@ def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> 
 def possible(misfit: dict[int, float]) -> tuple[int, int]:
     """Return the least and the greatest lag that the onset may begin at.
 
-    The root of the misfit grows with the distance from the true onset, so these are the lags whose
-    misfit is no surprise, the best, and those less than three times as far as the best: a lag is
-    alone if it is right within a quarter sample.
+    The square root of the misfit grows with the distance from the true onset. The best lag and the
+    lags with a misfit below its 1 % point are possible. Lags less than three times as far from the
+    true onset as the best lag are also possible. If the best lag is within a quarter sample of the
+    true onset, no other lag is possible.
     """
     least = min(misfit.values())
     bound = max(SURPRISING, least)
-    lags = [k for k, chi2 in misfit.items() if chi2 <= bound or chi2 < _NEAR**2 * least]
+    lags = [
+        k for k, chi2 in misfit.items() if chi2 <= bound or chi2 < _MAX_DISTANCE_RATIO**2 * least
+    ]
     return min(lags), max(lags)
 
 
 def _averaged(data: Dataset) -> Dataset:
-    """Return the data with (u(t) + u(t - 1))/2 for u: the factor 1 + q^-1 of a smooth rig."""
+    """Return the data with (u(t) + u(t - 1))/2 for u: the factor 1 + q^-1 of a smooth onset."""
     before = np.concatenate([data.u[:1], data.u[:-1]])
     starts = list(data.starts)
     before[starts] = data.u[starts]
