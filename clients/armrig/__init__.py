@@ -20,7 +20,7 @@ def __getattr__(name: str) -> Any:
     return public(__name__, name)
 
 
-_OF_MATLAB = {
+_NAME_OF_MATLAB = {
     "iddata": "Dataset",
     "resid": "residuals",
     "ssest": "n4sid",
@@ -34,12 +34,12 @@ _OF_MATLAB = {
     "impulseest": "impulse_response",
     "cra": "correlation",
 }
-"""Functions of the System Identification Toolbox, and what stands for them."""
+"""Names of the System Identification Toolbox, and the corresponding names of armrig."""
 
 
 def _no_attribute(name: str) -> str:
-    if name in _OF_MATLAB:
-        return f"armrig has no {name}; what stands for it is armrig.{_OF_MATLAB[name]}"
+    if name in _NAME_OF_MATLAB:
+        return f"armrig has no {name}; use armrig.{_NAME_OF_MATLAB[name]}"
     near = [known for known in __all__ if known.casefold() == name.casefold()]
     meant = f"; did you mean armrig.{near[0]}?" if near else ""
     return f"module {__name__!r} has no attribute {name!r}{meant}"

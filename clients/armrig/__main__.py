@@ -1,4 +1,4 @@
-"""The command `armrig`, and `python -m armrig`: Ctrl-C while it loads ends it in a line, too."""
+"""The command `armrig`, also `python -m armrig`; Ctrl-C ends it with one line of output."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def main() -> int:
         print("armrig: interrupted", file=sys.stderr)
         return 130
     finally:
-        # Python ends itself by SIGINT, whatever the exit code, after a KeyboardInterrupt in a text
-        # that is executed, as that of a dataclass. The next such text has it forget that.
+        # If a KeyboardInterrupt occurs inside `exec`, as dataclasses use it, Python later ends
+        # itself by SIGINT and ignores the exit code. The next `exec` resets this state.
         exec("")
 
 

@@ -1,4 +1,4 @@
-"""The command `armrig`: what a person types. Everything heavy is imported where it is needed."""
+"""The command `armrig`. Heavy modules are imported only by the commands that need them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import Annotated, Any
 
 import typer
 import typer.core
-from armrig_core.errors import ArmrigError
+from armrig_core.errors import ArmrigError, ParameterError
 from armrig_core.loading import is_interrupt
 
 from armrig.cli import (
@@ -57,7 +57,7 @@ _ORDER: list[str] = []
 
 
 class _InOrder(typer.core.TyperGroup):
-    """Lists a command that has others below it in its place, and not behind all that have none."""
+    """Group that lists its commands in the order of `_ORDER`, groups of commands included."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the commands."""
@@ -71,7 +71,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 # In the order in which `armrig --help` lists them: a rig, its data, and the path of the handout.
-# Each has an example of its arguments; one that has others below it, its name.
+# Each has an example of its arguments; a group of commands has its name.
 for _command, _example in (
     (lab.lab, ""),
     (rig.status, ""),
@@ -124,12 +124,12 @@ for _command, _example in (
         app.command(epilog=_line, context_settings=_HELP)(_command)
         _ORDER.append(_command.__name__)
 
-# What talks to a rig, or measures the host of one; Windows has none of it.
+# Commands that connect to a rig, or measure the host of a rig; they do not exist on Windows.
 _WITH_A_RIG = ("fcntl", "grp", "pty", "pwd", "resource", "termios", "tty", "zenoh")
 _DEBUG = "--debug"
-_SIGPIPE = 13  # Windows has no such signal, and its name is not there
+_SIGPIPE = 13  # the module `signal` of Windows does not define this name
 
-# typer brings a click of its own, and does not give this class another name.
+# typer contains a copy of click, and does not export this class under another name.
 _UsageError: Any = typer.BadParameter.__base__
 
 
@@ -144,24 +144,24 @@ def _options(
     print_version: Annotated[
         bool,
         typer.Option(
-            "--version", is_eager=True, callback=_print_version, help="Say the version, and exit."
+            "--version", is_eager=True, callback=_print_version, help="Show the version and exit."
         ),
     ] = False,
     debug: Annotated[
         bool, typer.Option(_DEBUG, help="Print the traceback of an internal error.")
     ] = False,
 ) -> None:
-    """Take the options before the command; `_internal` reads `debug` from what was given."""
+    """Define the options that precede the command; `_internal` reads `debug` from the arguments."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0 only when it did what was asked.
+    """Run the command line and return its exit code; 0 is success.
 
-    SIGTERM and SIGHUP (a closed terminal) end it as Ctrl-C does, which stops a rig that is running
-    for us; the exit code is then 128 and the signal's number.
+    SIGTERM and SIGHUP (a closed terminal) end the command as Ctrl-C does: a run that the command
+    began is stopped. The exit code is then 128 plus the number of the signal.
     """
-    # Before numpy comes. The threads of OpenBLAS wait for each other by spinning, and cost more
-    # than they gain: our matrices are small, and the machine has a loop and an emulator to run.
+    # Before the import of numpy. The threads of OpenBLAS wait by spinning and cost more than they
+    # gain: the matrices are small, and the machine also runs a loop and an emulator.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with _signals() as received:
         code = _run(arguments)
@@ -172,7 +172,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _signals() -> Iterator[list[signal.Signals]]:
-    """Raise KeyboardInterrupt at the first of SIGTERM and SIGHUP; give the signals received."""
+    """Raise KeyboardInterrupt at the first SIGTERM or SIGHUP; yield the received signals."""
     received: list[signal.Signals] = []
 
     def interrupt(number: int, _: object) -> None:
@@ -201,7 +201,7 @@ def _signals() -> Iterator[list[signal.Signals]]:
 
 @cache
 def _command_line() -> Any:
-    """Return all commands with their options; to make them takes 25 ms."""
+    """Return all commands with their options; making them takes 25 ms."""
     return typer.main.get_command(app)
 
 
@@ -211,7 +211,7 @@ def _run(arguments: Sequence[str] | None) -> int:
         command = _command_line()
         if "_ARMRIG_COMPLETE" in os.environ:  # the shell asks, by the script of --show-completion
             command.main([], prog_name="armrig")
-        # Not command.main(): that has exit codes of its own for Ctrl-C and for a broken pipe.
+        # Not command.main(), which has other exit codes for Ctrl-C and for a broken pipe.
         with command.make_context("armrig", [*given] or ["--help"]) as context:
             command.invoke(context)
     except typer.Exit as err:
@@ -224,12 +224,14 @@ def _run(arguments: Sequence[str] | None) -> int:
     except (typer.Abort, KeyboardInterrupt) as err:
         return _failed(str(err) or "interrupted", 130)
     except BrokenPipeError:  # `armrig info F | head`
-        # Nobody reads any more: what is buffered must raise nothing when the interpreter ends.
+        # Nobody reads the output: the buffer must not raise when the interpreter ends.
         with suppress(OSError, ValueError), Path(os.devnull).open("wb") as nothing:
             os.dup2(nothing.fileno(), sys.stdout.fileno())
         return 128 + _SIGPIPE
     except OSError as err:
         return _failed(_of_file(err), 1)
+    except ParameterError as err:
+        return _failed(err.named(f"--{err.parameter.replace('_', '-')}"), 1)
     except ArmrigError as err:
         return _failed(str(err), 1)
     except Exception as err:
@@ -237,13 +239,13 @@ def _run(arguments: Sequence[str] | None) -> int:
             return _failed("interrupted", 130)
         if isinstance(err, ModuleNotFoundError) and err.name in _WITH_A_RIG:
             what = f"armrig {' '.join(given[:1])}"
-            return _failed(f"{what} needs Linux, where the rig is driven: no {err.name} here", 1)
+            return _failed(f"{what} needs Linux, which drives the rig: no {err.name} here", 1)
         return _internal(err, given)
     return 0
 
 
 def _internal(err: Exception, given: Sequence[str]) -> int:
-    """Report a fault of armrig's own, and write its traceback to a file of this user's."""
+    """Report an internal error, write its traceback to a temporary file, and return 1."""
     text = "".join(format_exception(err))
     if _DEBUG in given:
         typer.echo(text, err=True, nl=False)
@@ -259,7 +261,7 @@ def _internal(err: Exception, given: Sequence[str]) -> int:
         ) as file:
             file.write(head + text)
         where = file.name
-    except OSError:  # a full disk: the screen is left
+    except OSError:  # such as a full disk: the person can still print the traceback
         where = f"what `armrig {_DEBUG} …` prints"
     what = " ".join(f"{type(err).__name__}: {err}".split())
     return _failed(f"internal error, please report it with {where}: {what}", 1)
@@ -271,17 +273,17 @@ def _failed(message: str, code: int) -> int:
 
 
 def _of_file(err: OSError) -> str:
-    """Return which file it is, what the system says of it, and what to do."""
+    """Return a message with the file, the error of the system and what to do."""
     if not (err.filename and err.strerror):
         return str(err)
     name = Path(os.fsdecode(err.filename))
     way_out = {
-        IsADirectoryError: "give a file in it",
-        PermissionError: "ask its owner, or take a folder of yours",
+        IsADirectoryError: "give a file in the folder",
+        PermissionError: "ask its owner, or use a folder of yours",
     }.get(type(err), "")
     if isinstance(err, FileNotFoundError):
         way_out = {
-            ".mcap": "`armrig ls` lists the recordings, each taken as @NAME",
+            ".mcap": "`armrig ls` lists the recordings, each with its @NAME",
             ".json": "`armrig identify F --structure oe --save MODEL.json` writes a model",
         }.get(name.suffix.lower(), "")
     return f"{name}: {err.strerror}" + (f"; {way_out}" if way_out else "")

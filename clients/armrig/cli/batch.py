@@ -1,4 +1,4 @@
-"""The command `armrig batch`: one task for all recordings of a folder, and one table of it."""
+"""The command `armrig batch`: one task for all recordings of a folder, and its table."""
 
 from __future__ import annotations
 
@@ -27,38 +27,48 @@ def _example(given: str) -> str:
 
 
 app = typer.Typer(
-    help="Do one task for all recordings of a folder: a table (Parquet) with a row for each.",
+    help="Process all recordings of a folder; write a table (Parquet) with a row for each.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
-Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="Where the recordings are.")]
+Folder = Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the recordings.")]
 Table = Annotated[
     Path,
-    typer.Option("-o", "--output", metavar="PARQUET", help="Table to write, or to go on with."),
+    typer.Option(
+        "-o", "--output", metavar="PARQUET", help="Table to write; an existing table is continued."
+    ),
 ]
 Workers = Annotated[
     int | None,
-    typer.Option("--workers", min=1, help="Processes here.", show_default="one for each core"),
+    typer.Option(
+        "--workers",
+        min=1,
+        help="Number of processes on this machine.",
+        show_default="one for each core",
+    ),
 ]
 Scheduler = Annotated[
     str | None,
     typer.Option(
-        "--scheduler", metavar="ADDRESS", help="Dask scheduler, whose workers do it instead."
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Address of a Dask scheduler whose workers do the work.",
     ),
 ]
 Rigs = Annotated[
-    list[str] | None, typer.Option("--rig", help="Only this rig; repeatable.", show_default="all")
+    list[str] | None,
+    typer.Option("--rig", help="Id of a rig to include; repeatable.", show_default="all"),
 ]
 Kinds = Annotated[
     list[str] | None,
-    typer.Option("--kind", help="Only this kind of experiment; repeatable.", show_default="all"),
+    typer.Option("--kind", help="Kind of experiment to include; repeatable.", show_default="all"),
 ]
 Force = Annotated[
-    bool, typer.Option("--force", help="Begin anew, and replace the table in the end.")
+    bool, typer.Option("--force", help="Process all recordings again and replace the table.")
 ]
-_AHEAD = 2  # for each worker one that waits
-_AT_ONCE = 256  # of a cluster, which may grow
-_NAMED = 3
+_TASKS_PER_WORKER = 2  # one runs, one waits
+_CLUSTER_TASKS = 256  # a cluster may grow
+_MAX_NAMES = 3  # recordings in a message
 
 
 @app.command(
@@ -70,7 +80,7 @@ def identify(
     folder: Folder,
     output: Table,
     given: Given,
-    signal: Annotated[OutputName, typer.Option("--signal", help="The output.")] = THETA_1,
+    signal: Annotated[OutputName, typer.Option("--signal", help="Output of the model.")] = THETA_1,
     detrend: Detrend = False,
     rig: Rigs = None,
     kind: Kinds = None,
@@ -79,7 +89,7 @@ def identify(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Estimate a model from each recording: parameters, deviations, fit, and the model itself."""
+    """Estimate a model from each recording: parameters, standard deviations, fit and model."""
     from armrig.report.batch.tasks import Identify
 
     task = Identify(**asdict(requested(given)), signal=signal, detrend=detrend)
@@ -94,7 +104,7 @@ def validate(
     folder: Folder,
     model: Annotated[
         Path,
-        typer.Option("--model", metavar="JSON", help="Model that identify --save has written."),
+        typer.Option("--model", metavar="JSON", help="Model file written by identify --save."),
     ],
     output: Table,
     detrend: Detrend = False,
@@ -105,7 +115,7 @@ def validate(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Judge one model by each recording: how it simulates it, and what its residuals still hold."""
+    """Validate one model on each recording: its simulation and the tests of its residuals."""
     from armrig.models.model_file import load_fit
     from armrig.models.model_writing import model_text
     from armrig.report.batch.tasks import Validate
@@ -125,7 +135,7 @@ def verify(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Check that each recording is what its run was. Exit code 1 where a check fails."""
+    """Check each recording against its run. The exit code is 1 if a check fails."""
     from armrig.report.batch.tasks import Verify
 
     _do(Verify(), folder, output, rig, kind, workers, scheduler, force=force, json=json)
@@ -139,7 +149,7 @@ def report(
     folder: Folder,
     output: Table,
     reports: Annotated[
-        Path, typer.Option("--reports", metavar="FOLDER", help="Where the PDFs go.")
+        Path, typer.Option("--reports", metavar="FOLDER", help="Folder for the PDFs.")
     ] = Path("reports"),
     na: Na = 4,
     nb: Nb = 4,
@@ -152,7 +162,7 @@ def report(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a report of each recording, with the one that validates it where there is one."""
+    """Write a report on each recording, with its validation recording if there is one."""
     from armrig.report.batch.tasks import Report
 
     task = Report(folder=str(reports.resolve()), na=na, nb=nb, nf=nf, nk=nk)
@@ -171,7 +181,7 @@ def _do(
     force: bool,
     json: bool,
 ) -> None:
-    """Do it, and say what came of it; exit code 1 where some gave nothing or failed a check."""
+    """Run the task and print the result; exit with 1 after a problem or a failed check."""
     from functools import partial
 
     from armrig.cli.spinner import spinner
@@ -179,13 +189,15 @@ def _do(
     from armrig.report.batch.workers import cluster, processes
 
     if output.suffix != ".parquet":
-        raise InputError(f"-o {output}: a table's name ends in .parquet")
+        raise InputError(f"-o {output}: the name of a table ends in .parquet")
     if not output.absolute().parent.is_dir():
-        raise InputError(f"-o {output}: there is no directory {output.parent}; make it first")
+        raise InputError(f"-o {output}: there is no directory {output.parent}; create it first")
     if scheduler is not None and workers is not None:
-        raise typer.BadParameter("--workers goes with processes here; a Dask cluster has its own")
+        raise typer.BadParameter(
+            "--workers applies to processes on this machine; a Dask cluster has its own workers"
+        )
     many = workers or os.cpu_count() or 1
-    with spinner("at work on") as count:
+    with spinner("processing") as count:
         done = batch(
             folder.resolve(),
             task,
@@ -193,7 +205,7 @@ def _do(
             open_executor=partial(processes, many)
             if scheduler is None
             else partial(cluster, scheduler),
-            at_once=_AHEAD * many if scheduler is None else _AT_ONCE,
+            at_once=_TASKS_PER_WORKER * many if scheduler is None else _CLUSTER_TASKS,
             rigs=tuple(rigs or ()),
             kinds=tuple(kinds or ()),
             anew=force,
@@ -206,7 +218,7 @@ def _say(done: Batch, *, json: bool) -> None:
     problems = done.problems
     failed = {row["recording"]: _failed(row) for row in done.rows if row.get("passed") is False}
     damaged = {
-        row["recording"]: f"the result is of what is whole: {row['damage']}"
+        row["recording"]: f"the result covers the undamaged part: {row['damage']}"
         for row in done.rows
         if row["damage"] and not row["problem"] and row["recording"] not in failed
     }
@@ -221,33 +233,33 @@ def _say(done: Batch, *, json: bool) -> None:
         }
         print_json(facts)
     else:
-        before = f", {done.done_before} of them done before" if done.done_before else ""
+        before = f", {done.done_before} of them processed before" if done.done_before else ""
         echo(f"{done.table}: {len(done.rows)} recordings{before}; {len(problems)} without a result")
-        _list({row["recording"]: row["problem"] for row in problems}, "column problem says")
-        _list(damaged, "column damage says")
-        _list(failed, "columns of the checks say")
+        _list({row["recording"]: row["problem"] for row in problems}, "column problem contains")
+        _list(damaged, "column damage contains")
+        _list(failed, "columns of the checks contain")
     if failed:
-        tell(f"{len(failed)} failed a check: {_some([*failed])}; the table says which")
+        tell(f"{len(failed)} failed a check: {_some([*failed])}; the table contains the checks")
     if problems or failed:
         raise typer.Exit(1)
 
 
 def _failed(row: dict[str, Any]) -> str:
-    """Return which checks a recording failed, and what was found."""
+    """Return the failed checks of a recording and their results."""
     from armrig.report.batch.rows import CHECKS
 
     failed = (about for about in CHECKS if row[f"{about}_result"] == "failed")
     return "; ".join(f"{about} failed: {row[f'{about}_found']}" for about in failed)
 
 
-def _list(found: dict[str, str], who_says: str) -> None:
-    """Print the first lines of what was found of recordings, and where the others are."""
-    for name, text in [*found.items()][:_NAMED]:
+def _list(found: dict[str, str], columns: str) -> None:
+    """Print the first findings about recordings, and which columns contain all findings."""
+    for name, text in [*found.items()][:_MAX_NAMES]:
         echo(f"  {name}: {text}")
-    if len(found) > _NAMED:
-        echo(f"  and {len(found) - _NAMED} more; the {who_says} why")
+    if len(found) > _MAX_NAMES:
+        echo(f"  and {len(found) - _MAX_NAMES} more; the {columns} all reasons")
 
 
 def _some(names: list[str]) -> str:
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(names[:_NAMED]) + more
+    more = f" and {len(names) - _MAX_NAMES} more" if len(names) > _MAX_NAMES else ""
+    return ", ".join(names[:_MAX_NAMES]) + more

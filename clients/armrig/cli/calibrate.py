@@ -1,4 +1,4 @@
-"""The command that calibrates a rig: a rest, a few slow turns, and readings of a meter."""
+"""The command that calibrates a rig from a rest, slow turns and readings of a meter."""
 
 from __future__ import annotations
 
@@ -31,62 +31,71 @@ Save = Annotated[
     typer.Option(
         "--save",
         metavar="TOML",
-        help="File to write the calibration to.",
+        help="Calibration file to write.",
         show_default="calibration-<rig>.toml in ~/.config/armrig",
     ),
 ]
 Volts = Annotated[
     list[float] | None,
-    typer.Option("--volts", help="Voltage to turn at; several times for several. 1, 2 and 3."),
+    typer.Option("--volts", help="Voltage to apply, in V; repeatable.", show_default="1, 2 and 3"),
 ]
 LevelSeconds = Annotated[
-    float, typer.Option("--level-seconds", help="How long each voltage is held.")
+    float, typer.Option("--level-seconds", help="Time for which each voltage is held, in s.")
 ]
 RestSeconds = Annotated[
-    float, typer.Option("--rest-seconds", help="Length of the rest, and of a hand's deflection.")
+    float,
+    typer.Option(
+        "--rest-seconds", help="Length of the recordings at rest and with the arm deflected, in s."
+    ),
 ]
 Meter = Annotated[
     list[str] | None,
     typer.Option(
         "--meter",
         metavar="CODE=VOLTS",
-        help="What a meter shows at the motor for a code of 1 to 65535; several times.",
+        help="Voltmeter's reading at the motor for a code of 1 to 65535; repeatable.",
     ),
 ]
 MeterStd = Annotated[
-    float, typer.Option("--meter-std", help="Standard deviation of such a reading in V.")
+    float, typer.Option("--meter-std", help="Standard deviation of a meter's reading, in V.")
 ]
 ByHand = Annotated[
-    bool, typer.Option("--by-hand", help="No motor: the arm's sign from a deflection by hand.")
+    bool,
+    typer.Option(
+        "--by-hand", help="Leave the motor off; find the arm's sign from a deflection by hand."
+    ),
 ]
 RestFile = Annotated[
     Path | None,
     typer.Option(
-        "--rest", metavar="F", parser=recording_path, help="A recording of a rest made before."
+        "--rest", metavar="F", parser=recording_path, help="Earlier recording of the rig at rest."
     ),
 ]
 TurnsFile = Annotated[
     Path | None,
     typer.Option(
-        "--turns", metavar="F", parser=recording_path, help="A recording of turns made before."
+        "--turns", metavar="F", parser=recording_path, help="Earlier recording of the turns."
     ),
 ]
 SamplingTime = Annotated[
-    float | None, typer.Option("--Ts", help="Sampling time in s; the daemon's by default.")
+    float | None, typer.Option("--Ts", help="Sampling time, in s.", show_default="the daemon's")
 ]
 Yes = Annotated[
-    bool, typer.Option("--yes", help="Ask nothing: there is no meter, and the daemon takes it.")
+    bool,
+    typer.Option(
+        "--yes", help="Ask no questions: use no meter, and load the calibration into the daemon."
+    ),
 ]
 Use = Annotated[
     bool | None,
     typer.Option(
         "--use/--no-use",
-        help="Whether the running daemon takes it, until it ends.",
+        help="Load the calibration into the running daemon until the daemon ends.",
         show_default="asked",
     ),
 ]
 
-_LEVELS_V = (1.0, 2.0, 3.0)
+_DEFAULT_LEVELS_V = (1.0, 2.0, 3.0)
 
 
 def calibrate(
@@ -107,13 +116,13 @@ def calibrate(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Calibrate potentiometers and motor, guided.
+    """Calibrate the potentiometers and the motor, step by step.
 
-    Each figure comes with its standard deviation.
+    Each number is printed with its standard deviation.
     """
     wanted = _Wanted(
         readings=[meter_reading(text) for text in meter or []],
-        levels=volts or list(_LEVELS_V),
+        levels=volts or list(_DEFAULT_LEVELS_V),
         level_seconds=level_seconds,
         rest_seconds=rest_seconds,
         by_hand=by_hand,
@@ -141,16 +150,16 @@ def calibrate(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Wanted:
-    """What to measure, and what was measured before."""
+    """Measurements to make, and earlier measurements."""
 
     readings: list[tuple[int, float]]
-    """Codes, and what a meter showed for each, in V."""
+    """Codes, each with the reading of a meter in V."""
     levels: list[float]
-    """Voltages to turn at, in V."""
+    """Voltages of the turns, in V."""
     level_seconds: float
     rest_seconds: float
     by_hand: bool
-    """The arm is deflected by a person, and the motor is left alone."""
+    """True if a person deflects the arm and the motor stays off."""
     rest_file: Path | None
     turns_file: Path | None
 
@@ -165,13 +174,13 @@ class _Measured:
     readings: list[tuple[int, float]]
 
     def recordings(self) -> dict[str, Recording]:
-        """Return those that there are, by name."""
+        """Return the existing recordings by name."""
         named = {"rest": self.rest, "turns": self.turns, "deflected": self.deflected}
         return {name: recording for name, recording in named.items() if recording is not None}
 
 
 def _measured(wanted: _Wanted, ask: Dialogue, play: Player) -> _Measured:
-    """Lead the person and the rig through what was not measured before."""
+    """Guide the person and the rig through the missing measurements."""
     rest, turns = _loaded(wanted.rest_file), _loaded(wanted.turns_file)
     deflected, readings = None, wanted.readings
     if rest is None:
@@ -179,15 +188,15 @@ def _measured(wanted: _Wanted, ask: Dialogue, play: Player) -> _Measured:
         rest = play.rest("calibrate-rest", wanted.rest_seconds)
     if wanted.by_hand:
         ask.ready(
-            "Deflect the arm the way that the chassis turns with a voltage, hold it, and go on "
-            f"holding it for {wanted.rest_seconds:g} s."
+            "Deflect the arm in the direction in which a voltage turns the chassis, and hold it "
+            f"for {wanted.rest_seconds:g} s."
         )
         deflected = play.rest("calibrate-hand", wanted.rest_seconds)
     elif turns is None:
         text = ", ".join(f"{v:g} V" for v in wanted.levels)
         seconds = wanted.level_seconds
         with_meter = not readings and ask.has_meter()
-        ask.ready(f"The chassis will turn at {text}, {seconds:g} s each: keep clear of it.")
+        ask.ready(f"The chassis will turn at {text}, {seconds:g} s each: keep your hands away.")
         turns = play.turns(wanted.levels, seconds)
         if with_meter:
             readings = ask.meter(wanted.levels)
@@ -208,12 +217,12 @@ def _estimated(measured: _Measured, meter_std_v: float, base: Calibration) -> Es
 
 
 def _check_figure(plot: Path | None, wanted: _Wanted) -> None:
-    """Refuse, before any work, a figure that cannot be written or has nothing to show."""
+    """Refuse, before any work, a figure that cannot be written or would be empty."""
     if plot is not None and plot.suffix == ".toml":
-        raise InputError(f"-o {plot}: a figure goes there; the calibration's file is --save {plot}")
+        raise InputError(f"-o {plot}: -o writes a figure; --save {plot} writes the calibration")
     if plot is not None and wanted.by_hand and wanted.turns_file is None:
         raise InputError(
-            f"-o {plot}: the figure shows turns, and --by-hand makes none; leave one of them out"
+            f"-o {plot}: the figure shows turns, but --by-hand makes none; leave out one of the two"
         )
     check_plot(plot, [file for file in (wanted.rest_file, wanted.turns_file) if file])
 
@@ -229,35 +238,37 @@ def _checked(path: Path) -> Path:
     from armrig_core.calibration_file import LostSamplesError, read_calibration
 
     if path.suffix != ".toml":
-        raise InputError(f"--save {path}: a calibration is a TOML; give a name that ends in .toml")
+        raise InputError(
+            f"--save {path}: a calibration is a TOML file; give a name that ends in .toml"
+        )
     if path.exists():
         try:
             made = read_calibration(path).made
         except LostSamplesError:
-            pass  # a calibration all the same, which may be replaced
+            pass  # a calibration without its samples may be replaced, too
         except FileError as err:
             raise InputError(
-                f"--save {path}: is there already, and no calibration; give another name"
+                f"--save {path}: exists and is not a calibration; give another name"
             ) from err
         else:
             if made is None:
                 raise InputError(
-                    f"--save {path}: is there already, and was not made by `armrig calibrate`"
+                    f"--save {path}: exists, not made by `armrig calibrate`; give another name"
                 )
     return path
 
 
 def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
-    """Refuse to begin where there are questions and nobody to answer them."""
+    """Refuse to begin if there are questions but no terminal."""
     asks = wanted.by_hand or wanted.rest_file is None or wanted.turns_file is None
     if asks and not yes and not sys.stdin.isatty():
         raise InputError(
-            "there is no terminal to ask at: give --yes when the rig is ready, see --help"
+            "there is no terminal for questions: give --yes when the rig is ready, see --help"
         )
 
 
 def _applied(code: int, rest: Recording) -> float:
-    """Return the voltage that the device makes of a code; its duty has only so many steps."""
+    """Return the voltage that the device makes of a code, with the resolution of its PWM."""
     from armrig_core.volts import applied_code, volts_of
 
     bits = rest.manifest.device.get("pwm_bits")
@@ -271,7 +282,7 @@ def _loaded(path: Path | None) -> Recording | None:
 
 
 def _base(rest: Recording) -> Calibration:
-    """Return the calibration in force at the rest, which stands for all that is not measured."""
+    """Return the calibration of the recording at rest; it supplies the values not measured."""
     from armrig_core.calibration import Calibration
     from msgspec.structs import replace
 
@@ -281,7 +292,7 @@ def _base(rest: Recording) -> Calibration:
 def _write(
     path: Path, found: Estimate, base: Calibration, recordings: Mapping[str, Recording]
 ) -> None:
-    """Write the calibration and its samples, each whole or not at all."""
+    """Write the calibration and its samples, each file completely or not at all."""
     import hashlib
     from importlib.metadata import version
 
@@ -294,7 +305,7 @@ def _write(
     uids = {str(r.manifest.device.get("uid", "")) for r in recordings.values()}
     if len(uids) > 1 or len({r.manifest.rig for r in recordings.values()}) > 1:
         raise InputError(
-            f"the recordings are of several devices or rigs: {', '.join(sorted(uids))}"
+            f"the recordings come from several devices or rigs: {', '.join(sorted(uids))}"
         )
     raw = compressed(recordings)
     made = Made(

@@ -1,4 +1,4 @@
-"""What a calibration asks of the person and of the rig: questions, a rest, and slow turns."""
+"""Questions to the person, and runs of the rig, of a calibration: a rest and slow turns."""
 
 from __future__ import annotations
 
@@ -23,36 +23,36 @@ if TYPE_CHECKING:
 
 _OWNER = "armrig calibrate"
 _DEAD_MAN_S = 1.0
-_LONGEST_LEVEL_S = 600.0
-_START_S = 0.5  # at 0 V, for the arm's reading before it is set in motion
-_QUESTION = "Use it now? The running daemon takes it"
+_MAX_LEVEL_S = 600.0
+_START_S = 0.5  # time at 0 V before the turns, to read the arm at rest
+_QUESTION = "Load the calibration into the running daemon now?"
 
 
 class Dialogue:
-    """Asks the person at the terminal, or nobody."""
+    """Questions to the person at the terminal, or none."""
 
     def __init__(self, *, yes: bool) -> None:
         self._quiet = yes
 
     def ready(self, text: str) -> None:
-        """Say what to do, and wait until it is done."""
+        """Print an instruction, and wait until the person confirms it."""
         if not self._quiet:
             typer.prompt(
                 question(f"{text} Then press Enter"), default="", show_default=False, err=True
             )
 
     def has_meter(self) -> bool:
-        """Return whether a meter is at the motor's terminals; asked before the motor turns."""
-        text = "Is a meter at the motor's terminals? Then note what it shows at each voltage"
+        """Ask, before the motor turns, whether a meter is at its terminals."""
+        text = "Is a voltmeter at the motor's terminals? Then note its reading at each voltage"
         return not self._quiet and typer.confirm(question(text), default=False, err=True)
 
     def meter(self, levels: Sequence[float]) -> list[tuple[int, float]]:
-        """Return what a meter showed at the motor's terminals."""
+        """Ask for the readings of the meter; return them with their codes."""
         from armrig_core.volts import code_of
 
         readings: list[tuple[int, float]] = []
         for u in levels:
-            text = f"What did the meter show for {u:g} V, in V (Enter: nothing)"
+            text = f"Reading of the meter at {u:g} V, in V (Enter: none)"
             shown = typer.prompt(question(text), default="", show_default=False, err=True)
             if shown:
                 readings.append(meter_reading(f"{code_of(u)}={shown}"))
@@ -60,7 +60,7 @@ class Dialogue:
 
 
 class Player:
-    """Plays the runs of a calibration, and gives their recordings."""
+    """Runs of a calibration and their recordings."""
 
     def __init__(self, *, Ts: float | None, rig: str, connect: str | None) -> None:
         self._Ts, self._rig, self._connect = Ts, rig, connect
@@ -109,7 +109,7 @@ class Player:
 
 
 def check_turns(levels: Sequence[float], level_seconds: float) -> None:
-    """Refuse voltages that the rig does not stand, and times too short for a speed to settle."""
+    """Refuse voltages outside the rig's range, and times too short for a steady speed."""
     from armrig_core.volts import U_MAX_V
 
     from armrig.recordings.calibration.rotation import LEAST_S, SETTLE_S
@@ -117,10 +117,10 @@ def check_turns(levels: Sequence[float], level_seconds: float) -> None:
     for u in levels:
         if not 0 < u <= U_MAX_V:
             raise InputError(f"--volts {u:g}: must be more than 0 and at most {U_MAX_V:g} V")
-    if not SETTLE_S + LEAST_S < level_seconds <= _LONGEST_LEVEL_S:
+    if not SETTLE_S + LEAST_S < level_seconds <= _MAX_LEVEL_S:
         raise InputError(
-            f"--level-seconds {level_seconds:g}: must be more than {SETTLE_S + LEAST_S:g} s, "
-            f"of which the first {SETTLE_S:g} s are not used, and at most {_LONGEST_LEVEL_S:g}"
+            f"--level-seconds {level_seconds:g}: must be more than {SETTLE_S + LEAST_S:g} s and at "
+            f"most {_MAX_LEVEL_S:g} s; the first {SETTLE_S:g} s are not used"
         )
 
 
@@ -135,8 +135,8 @@ def meter_reading(text: str) -> tuple[int, float]:
         reading = 0, 0.0
     if not 0 < reading[0] <= CODE_FULL_SCALE or not 0 < reading[1] <= 10:
         raise InputError(
-            f"--meter {text}: must be CODE=VOLTS, a code of 1 to {CODE_FULL_SCALE} and what the "
-            "meter shows, such as 32768=2.49"
+            f"--meter {text}: must be CODE=VOLTS, a code of 1 to {CODE_FULL_SCALE} and a reading, "
+            "such as 32768=2.49"
         )
     return reading
 
@@ -144,19 +144,19 @@ def meter_reading(text: str) -> tuple[int, float]:
 def take_into_use(
     path: Path, *, wanted: bool | None, asks: bool, rig: str, connect: str | None
 ) -> bool:
-    """Return whether the running daemon uses the calibration in `path`; say how it stays in use.
+    """Load a calibration into the running daemon if wanted; return True if it was loaded.
 
     Parameters
     ----------
     wanted : bool, optional
-        Whether the daemon is to take it. None asks the person, where there is a daemon.
+        True loads the calibration. None asks the person, if a daemon runs.
     asks : bool
-        Whether the person may be asked; else the answer is yes.
+        True if the person may be asked; otherwise the answer is yes.
 
     Raises
     ------
     RigError
-        The daemon refuses it, or does not answer where `wanted` is true.
+        The daemon refuses the calibration, or does not answer although `wanted` is True.
     """
     from armrig.rig.client import Rig
     from armrig.rig.collection import refusal_sentence, reset_command
@@ -185,9 +185,9 @@ def take_into_use(
 
 
 def _is_wanted(wanted: bool | None, *, asks: bool) -> bool:
-    """Return whether the running daemon is to take it; say so where it is not."""
+    """Return True if the daemon must load the calibration; print if it is not in use."""
     if wanted is None and asks and not sys.stdin.isatty():
-        tell("not in use: --use has the running daemon take it")
+        tell("not in use: --use loads it into the running daemon")
         return False
     if wanted is None:
         wanted = not asks or typer.confirm(_QUESTION, default=True, err=True)
@@ -197,18 +197,21 @@ def _is_wanted(wanted: bool | None, *, asks: bool) -> bool:
 
 
 def _say_how_it_stays(path: Path, named: str) -> None:
-    """Say how the daemon uses it from its next start on; `named` is what it reads then by now."""
+    """Print how a daemon uses a calibration from its next start on.
+
+    `named` is the calibration file in the configuration of the running daemon.
+    """
     path = path.absolute()
     if named == str(path):
-        tell("armrigd reads this very file at its next start, too")
+        tell("armrigd reads this file at its next start, too")
         return
     if named:
         pairs = [(path, Path(named)), (raw_path(path), raw_path(Path(named)))]
         copies = [f"cp {quote(str(a))} {quote(str(b))}" for a, b in pairs]
-        tell(f"armrigd reads {named} at its next start; to have it read this one:")
+        tell(f"armrigd reads {named} at its next start; to replace that file:")
         say_to_copy(" && ".join(copies))
         return
     configuration = Path(platformdirs.user_config_dir("armrig")) / "armrig.toml"
     name = path.name if path.parent == configuration.parent else str(path)
-    tell(f"to have armrigd use it from its next start on, add to {configuration}:")
+    tell(f"to use the calibration from the next start of armrigd on, add to {configuration}:")
     say_to_copy(f"[calibration]\nfile = {json.dumps(name, ensure_ascii=False)}")

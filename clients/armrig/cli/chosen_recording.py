@@ -1,4 +1,4 @@
-"""Which recording is meant: a path, `@last`, `@NAME` or `@NAME/validation`."""
+"""Names of recordings on the command line: a path, `@last`, `@NAME` or `@NAME/validation`."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 LAST = "last"
 VALIDATION = "/validation"
-_MOST_READ = 100
-"""Recordings whose names are compared with one that is not there."""
-_LISTED = 4
-"""How many are named where several answer to a name."""
+_MAX_SEARCHED = 100
+"""Number of the newest recordings whose names are compared with an unknown name."""
+_MAX_LISTED = 4
+"""Number of recordings in the message about an ambiguous name."""
 
 
 class NoSuchRecordingError(OperationError):
-    """A name that no recording answers to, or several; says which there are."""
+    """A name means no recording, or several; the message lists the several recordings."""
 
 
 _NAMES = "@last or @NAME"
@@ -38,29 +38,29 @@ def recording_folder() -> Path:
 
     try:
         return directory_to_look_in(installed(), os.environ)
-    except ValueError as err:  # of a parser of options it would become a sentence of typer's
+    except ValueError as err:  # raised in a parser of options, typer would replace its message
         raise NoSuchRecordingError(str(err)) from err
 
 
 def recording_path(text: str) -> Path:
-    """Return the file that is meant, and tell which one a name stands for.
+    """Return the file of a name, and print the recording that the name means.
 
     Raises
     ------
     NoSuchRecordingError
-        No recording answers to the name, or several do.
+        No recording has the name, or several have it.
     """
     if not text.startswith("@"):
         _check_bare_name(Path(text))
         return Path(text)
     found = chosen(text, recording_folder())
-    about = described(found).removeprefix(f"{text}, ")  # an id says nothing of itself
+    about = described(found).removeprefix(f"{text}, ")  # an id is not repeated
     tell(f"{text} is {about}")
     return found.path
 
 
 def _check_bare_name(path: Path) -> None:
-    """Refuse a word that is no file: a name without its @, or a file without its suffix."""
+    """Refuse a word that is not a file: a name without @, or a file without its suffix."""
     if path.suffix or path.parent != Path() or path.exists():
         return
     beside = path.with_suffix(RECORDING)
@@ -70,16 +70,16 @@ def _check_bare_name(path: Path) -> None:
 
 
 def chosen(text: str, folder: Path) -> RecordingSummary:
-    """Return the whole recording in a folder that `@last`, `@NAME` or `@NAME/validation` means.
+    """Return the finished recording in a folder that `@last`, `@NAME` or `@NAME/validation` means.
 
-    Of all others it reads the names, and of those that may be meant the metadata.
+    The function reads the names of all files, and the metadata of matching files only.
 
     Raises
     ------
     NoSuchRecordingError
-        No recording answers to the name, or several do.
+        No recording has the name, or several have it.
     """
-    from armrig.recordings.folder import newest_first, summaries
+    from armrig.recordings.catalogue import newest_first, summaries
 
     paths = newest_first(folder)
     if text == f"@{LAST}":
@@ -89,27 +89,27 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
     if not found:
         raise NoSuchRecordingError(_none(text, folder))
     if len(found) > 1:
-        listed = "; ".join(described(s) for s in found[:_LISTED])
-        rest = f"; and {len(found) - _LISTED} older ones" if len(found) > _LISTED else ""
+        listed = "; ".join(described(s) for s in found[:_MAX_LISTED])
+        rest = f"; and {len(found) - _MAX_LISTED} older ones" if len(found) > _MAX_LISTED else ""
         raise NoSuchRecordingError(
-            f"{text} may be any of {len(found)} recordings, newest first: {listed}{rest}; take "
-            "one of these, and give the next a --name of its own"
+            f"{text} may be any of {len(found)} recordings, newest first: {listed}{rest}; use "
+            "one of these, and give the next recording its own --name"
         )
     return found[0]
 
 
 def preferred(found: Sequence[RecordingSummary]) -> Sequence[RecordingSummary]:
-    """Return those of recordings of one name that may be meant: of complete runs, if there are any.
+    """Return the complete recordings of one name, or all if none is complete.
 
-    Who repeats a run that ended early gives the same command once more.
+    A run that ended early is usually repeated by the same command, and so with the same name.
     """
     complete = [s for s in found if s.is_complete]
     return complete or found
 
 
 def matching(text: str, paths: Sequence[Path]) -> Sequence[RecordingSummary]:
-    """Return the whole recordings of these files that `@NAME` or `@NAME/validation` may mean."""
-    from armrig.recordings.folder import may_answer_to, summaries
+    """Return the finished recordings among files that `@NAME` or `@NAME/validation` may mean."""
+    from armrig.recordings.catalogue import may_answer_to, summaries
 
     validation = text.endswith(VALIDATION)
     name = text.removeprefix("@").removesuffix(VALIDATION)
@@ -118,11 +118,11 @@ def matching(text: str, paths: Sequence[Path]) -> Sequence[RecordingSummary]:
 
 
 Answering = Callable[[str], Sequence["RecordingSummary"]]
-"""Recordings that may be meant by `@NAME` or `@NAME/validation`."""
+"""Function of `@NAME` or `@NAME/validation` that returns the recordings it may mean."""
 
 
 def answering_among(known: Iterable[RecordingSummary]) -> Answering:
-    """Return which of these recordings may be meant by a name, looked up and not sought in each."""
+    """Return a function that looks up in an index which of the recordings a name may mean."""
     by_name: dict[str, list[RecordingSummary]] = {}
     for summary in known:
         for validation, behind in ((False, ""), (True, VALIDATION)):
@@ -133,7 +133,7 @@ def answering_among(known: Iterable[RecordingSummary]) -> Answering:
 
 
 def short_name(summary: RecordingSummary, answering: Answering) -> str:
-    """Return the shortest way to say which recording is meant: `@NAME` where no other is."""
+    """Return the shortest unambiguous name of a recording: `@NAME`, its id or its path."""
     names = [f"@{summary.run_id}", f"@{Path(summary.file).stem}"]
     if summary.is_validation and (of := summary.name or summary.validation_of):
         names.insert(0, f"@{of}{VALIDATION}")
@@ -147,7 +147,7 @@ def short_name(summary: RecordingSummary, answering: Answering) -> str:
 
 
 def described(summary: RecordingSummary) -> str:
-    """Return which recording it is, for a person: what it is of, how long, when, and its id."""
+    """Return id, kind, length and start of a recording, for a person."""
     name = f" {summary.name}" if summary.name else ""
     what = f"{summary.kind}{name}{' (validation)' if summary.is_validation else ''}"
     when = summary.started[:19].replace("T", " ")
@@ -155,13 +155,13 @@ def described(summary: RecordingSummary) -> str:
 
 
 def _near(text: str, folder: Path) -> str:
-    """Return the name that may be meant, as a question; "" without any."""
+    """Return the question whether the most similar name was meant; "" if no name is similar."""
     from difflib import get_close_matches
     from itertools import islice
 
-    from armrig.recordings.folder import newest_first, summaries
+    from armrig.recordings.catalogue import newest_first, summaries
 
-    newest = islice(summaries(newest_first(folder)), _MOST_READ)
+    newest = islice(summaries(newest_first(folder)), _MAX_SEARCHED)
     wanted = text.removeprefix("@").removesuffix(VALIDATION)
     near = get_close_matches(wanted, sorted({s.name for s in newest if s.name}), n=1)
     return f": did you mean @{near[0]}?" if near else ""
@@ -183,7 +183,7 @@ OtherFile = Annotated[
     typer.Argument(
         metavar="F2",
         parser=recording_path,
-        help="Recording to validate with.",
+        help="Recording for validation.",
         show_default=False,
     ),
 ]

@@ -13,49 +13,56 @@ from armrig.cli.collect_runs import SECONDS, CollectedRun, Played, chosen_inputs
 from armrig.cli.options import Connect, Json, RigId
 
 app = typer.Typer(
-    help="Play an input and record what the rig does.\n\n"
-    "Prints the recording's path and what the data are good for; exit code 0 where they can be "
-    "used.",
+    help="Play an input and record the response of the rig.\n\n"
+    "The command prints the path of the recording and whether its data can be used. "
+    "The exit code is 0 if they can.",
     rich_markup_mode=None,
 )
 
 SamplingTime = Annotated[
-    float | None, typer.Option("--Ts", help="Sampling time in s; the daemon's by default.")
+    float | None, typer.Option("--Ts", help="Sampling time, in s.", show_default="the daemon's")
 ]
 Seconds = Annotated[
-    float, typer.Option("--seconds", help="Length; at most 4 000 000 samples are played.")
+    float, typer.Option("--seconds", help="Length, in s; at most 4 000 000 samples.")
 ]
 InputSeconds = Annotated[
-    float | None, typer.Option("--seconds", help="Length, 30 s by default; a file has its own.")
+    float | None,
+    typer.Option("--seconds", help="Length, in s; a file has its own length.", show_default="30"),
 ]
-Low = Annotated[float, typer.Option("--low", help="Lower level in V.")]
-High = Annotated[float, typer.Option("--high", help="Upper level in V.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, max=2**53, help="Of what is random.")]
+Low = Annotated[float, typer.Option("--low", help="Lower level, in V.")]
+High = Annotated[float, typer.Option("--high", help="Upper level, in V.")]
+Seed = Annotated[int, typer.Option("--seed", min=0, max=2**53, help="Seed of the random numbers.")]
 Input = Annotated[
     Literal["telegraph", "prbs", "white", "multisine", "chirp", "csv"] | None,
-    typer.Option("--input", help="What to play; a telegraph by default."),
+    typer.Option("--input", help="Input signal.", show_default="telegraph"),
 ]
 InputFile = Annotated[
     Path | None,
-    typer.Option("--file", metavar="CSV", help="Input of your own: a row u, or t and u, a sample."),
+    typer.Option(
+        "--file",
+        metavar="CSV",
+        help="File with your own input: a row with u, or t and u, for each sample.",
+    ),
 ]
 SwitchProbability = Annotated[
     float, typer.Option("--a", help="Probability of a switch at each sample (telegraph, prbs).")
 ]
 Validation = Annotated[
-    bool, typer.Option("--validation", help="Record twice: the second with the next seed.")
+    bool,
+    typer.Option("--validation", help="Record a second run for validation, with the next seed."),
 ]
-Name = Annotated[
-    str, typer.Option("--name", help="Part of the recording's name, of a-z, 0-9 and -.")
-]
+Name = Annotated[str, typer.Option("--name", help="Name of the recording: a-z, 0-9 and -.")]
 Pacing = Annotated[
     Literal["scheduled", "exchange"],
-    typer.Option("--pacing", help="Who makes the samples: the device's timer, or the host."),
+    typer.Option(
+        "--pacing",
+        help="Clock of the samples: the device's timer (scheduled) or the host (exchange).",
+    ),
 ]
 Owner = Annotated[
     str | None,
     typer.Option(
-        "--owner", help="Who takes the rig, for others to read.", show_default="this user"
+        "--owner", help="Name of the rig's owner, shown to other users.", show_default="this user"
     ),
 ]
 
@@ -64,13 +71,14 @@ DeadMan = Annotated[
     typer.Option(
         "--dead-man",
         metavar="SECONDS",
-        help="The daemon stops the run so long after this program was killed, frozen or cut off; "
-        "0 plays on.",
+        help="Time in s after which the daemon stops the run if this program is "
+        "killed, frozen or disconnected; with 0 the run is played to its "
+        "end.",
     ),
 ]
-PERIOD_S = 5.0
+DEFAULT_PERIOD_S = 5.0
 DEAD_MAN_S = 1.0
-"""Whoever closes the terminal, or loses the connection, expects the motor to stop."""
+"""Default dead-man, in s: a closed terminal or a lost connection stops the motor."""
 
 
 @app.command(epilog="Example: armrig collect blackbox --seconds 30 --validation")
@@ -92,7 +100,7 @@ def blackbox(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play a random input, or one of your own, to the whole rig."""
+    """Play a random input, or your own input, to the complete rig."""
     run = CollectedRun(Ts, name, pacing, owner, dead_man, rig, connect, json)
     collect_each(
         chosen_inputs(
@@ -130,9 +138,9 @@ def greybox(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play a random input, or your own, to the chassis alone.
+    """Play a random input, or your own input, to the chassis alone.
 
-    The rotating part is taken off.
+    Remove the rotating part first.
     """
     run = CollectedRun(Ts, name, pacing, owner, dead_man, rig, connect, json)
     plan = chosen_inputs(
@@ -153,7 +161,7 @@ def greybox(
 @app.command(epilog="Example: armrig collect step --Ts 0.002")
 def step(
     seconds: Seconds = 5.0,
-    at: Annotated[float, typer.Option("--at", help="When it steps, in s.")] = 1.0,
+    at: Annotated[float, typer.Option("--at", help="Time of the step, in s.")] = 1.0,
     low: Low = 0.5,
     high: High = 4.5,
     Ts: SamplingTime = None,
@@ -167,7 +175,7 @@ def step(
 ) -> None:
     """Play a step: time constant, delay, gain.
 
-    From the lower to the upper level.
+    The input steps from the lower to the upper level.
     """
     from armrig.excitation.named_signals import check_step_time, step_at
 
@@ -182,7 +190,7 @@ def step(
 @app.command(epilog="Example: armrig collect staircase --levels 6")
 def staircase(
     seconds: Seconds = SECONDS,
-    levels: Annotated[int, typer.Option("--levels", min=2, help="How many levels.")] = 6,
+    levels: Annotated[int, typer.Option("--levels", min=2, help="Number of levels.")] = 6,
     low: Low = 0.5,
     high: High = 4.5,
     Ts: SamplingTime = None,
@@ -211,15 +219,18 @@ def staircase(
 def bla(
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", help="Length of each recording, in place of --period."),
+        typer.Option("--seconds", help="Length of each recording, in s, in place of --period."),
     ] = None,
     period: Annotated[
         float | None,
-        typer.Option("--period", help="Length of a period in s.", show_default="5"),
+        typer.Option("--period", help="Length of a period, in s.", show_default="5"),
     ] = None,
-    periods: Annotated[int, typer.Option("--periods", min=2, help="Periods in a row.")] = 5,
+    periods: Annotated[
+        int, typer.Option("--periods", min=2, help="Number of periods in each recording.")
+    ] = 5,
     count: Annotated[
-        int, typer.Option("--realisations", min=1, help="Recordings, each with other phases.")
+        int,
+        typer.Option("--realisations", min=1, help="Number of recordings, each with other phases."),
     ] = 4,
     low: Low = 0.5,
     high: High = 4.5,
@@ -233,9 +244,9 @@ def bla(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play multisines, for `armrig.bla`.
+    """Play multisines for `armrig.bla`, the best linear approximation.
 
-    A recording for each draw of the phases.
+    Each recording has other random phases.
     """
     from armrig.excitation.named_signals import realisations
 
@@ -243,12 +254,12 @@ def bla(
     if seconds is not None and period is not None:
         raise InputError(
             f"--seconds {seconds:g} with --period {period:g}: a recording is {periods} periods "
-            "long (--periods); give one of the two"
+            "long (--periods); give only one of the two"
         )
     if period is not None and not period > 0:  # NaN neither
         raise InputError(f"--period {period:g}: must be a number of seconds, more than 0")
     if seconds is None:
-        seconds = periods * (PERIOD_S if period is None else period)
+        seconds = periods * (DEFAULT_PERIOD_S if period is None else period)
     details = {"input": "multisine", "low": low, "high": high, "periods": periods}
     details |= {"realisations": count, "seed": seed}
 

@@ -1,4 +1,4 @@
-"""The recordings that `armrig collect` makes: what each plays, and what is printed of it."""
+"""Recordings of `armrig collect`: their inputs and their printed results."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from armrig.cli.next_step import naming, say_next, step_again, typed
 from armrig.cli.options import echo, print_json, tell
 
 SECONDS = 30.0
-_LONGEST_NAME = 40  # of a kind of experiment, as the daemon takes it
+_MAX_NAME_LENGTH = 40  # characters of a kind of experiment that the daemon accepts
 
 
 class CollectedRun(NamedTuple):
-    """The options that all kinds of experiment have."""
+    """Options common to all kinds of experiment."""
 
     Ts: float | None
     name: str
@@ -40,7 +40,7 @@ class Played(NamedTuple):
     details: dict[str, Any]
     seconds: float | None
     is_validation: bool = False
-    """Whether it is to validate what the one before gives."""
+    """True if the recording validates the models of the previous recording."""
 
 
 def chosen_inputs(
@@ -56,23 +56,23 @@ def chosen_inputs(
     validation: bool,
     Ts: float | None,
 ) -> list[Played]:
-    """Return what to play; refuses what is not allowed before a rig is asked for."""
+    """Return the runs to play; refuse wrong options before any contact with a rig."""
     from armrig.excitation.named_signals import SEEDED, details_of, named_signal
 
     name = input or ("telegraph" if file is None else "csv")
     if (name == "csv") != (file is not None):
         msg = f"--input {name} with --file {file}: " if file else f"--input {name}: "
-        msg += "a file is played with --file CSV, and with no other --input than csv"
+        msg += "--file CSV plays a file; leave out --input, or give --input csv"
         raise InputError(msg)
     if validation and name not in SEEDED:
         raise InputError(
-            f"--validation: {name} would be the same again; take an input with a seed "
+            f"--validation: {name} would repeat the same input; choose an input with a seed "
             f"({', '.join(SEEDED)}), or collect twice"
         )
     if file is not None:
         return [_from_file(experiment, file, seconds, Ts)]
     figures = {"a": a, "low": low, "high": high}
-    # Refuses here what it would refuse at the rig.
+    # A wrong value is refused here, before the rig is armed.
     named_signal(name, 3, 0.01, seed=seed, **figures)
 
     def played(kind: str, seed: int) -> Played:
@@ -92,8 +92,8 @@ def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | N
     from armrig.excitation import from_csv
 
     if seconds is not None:
-        raise InputError(f"--seconds {seconds:g}: a file has its own length; leave it out")
-    file.stat()  # a file that is not there is told here
+        raise InputError(f"--seconds {seconds:g}: a file has its own length; leave out --seconds")
+    file.stat()  # a missing file is refused here
     if Ts is not None:
         from_csv(file, Ts)
     details = {"input": "csv", "file": file.name}
@@ -101,25 +101,25 @@ def _from_file(experiment: str, file: Path, seconds: float | None, Ts: float | N
 
 
 def _experiment_name(experiment: str, name: str) -> str:
-    """Return the kind of experiment, with the name that the student has added."""
+    """Return the kind of experiment, with the name that the user added."""
     whole = f"{experiment}-{name}" if name else experiment
-    if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _LONGEST_NAME:
-        most = _LONGEST_NAME - len(experiment) - 1
+    if not re.fullmatch(r"[a-z0-9-]*", name) or len(whole) > _MAX_NAME_LENGTH:
+        most = _MAX_NAME_LENGTH - len(experiment) - 1
         raise InputError(f"--name {name}: at most {most} of a-z, 0-9 and - are allowed")
     if name == "last" or re.match(r"validation\b", name):
-        meant = "@last is the newest recording" if name == "last" else "--validation adds that"
+        meant = "@last is the newest recording" if name == "last" else "--validation adds this name"
         raise InputError(f"--name {name}: {meant}; give another name")
     return whole
 
 
 def _check_name_is_free(name: str) -> None:
-    """Refuse the name of a complete recording: it would mean two, and every command refuse it."""
+    """Refuse the name of a complete recording, because a name of two recordings is ambiguous."""
     from armrig.cli.chosen_recording import (
         NoSuchRecordingError,
         matching,
         recording_folder,
     )
-    from armrig.recordings.folder import newest_first
+    from armrig.recordings.catalogue import newest_first
 
     if not name:
         return
@@ -133,14 +133,14 @@ def _check_name_is_free(name: str) -> None:
 
     if is_used(f"@{name}"):
         free = next(f"{name}-{n}" for n in count(2) if not is_used(f"@{name}-{n}"))
-        msg = f"--name {name}: @{name} is a complete recording already, and a name means one; give "
-        raise InputError(f"{msg}another, such as --name {free}")
+        msg = f"--name {name}: @{name} is already a complete recording; give another name, "
+        raise InputError(f"{msg}such as --name {free}")
 
 
 def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bool = False) -> None:
-    """Record one after the other and print each; end where the data cannot be used.
+    """Record each run and print its result; stop if the data cannot be used.
 
-    `without_arm` is an experiment with the chassis alone: a rig that has its arm is refused.
+    `without_arm` is True for an experiment with the chassis alone; a rig with its arm is refused.
     """
     from dataclasses import replace
 
@@ -164,7 +164,7 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
         for p in each
     ]
     _check_name_is_free(run.name)
-    estimation, first = "", None  # id of the run before; path of the first that is here to read
+    estimation, first = "", None  # id of the previous run; path of the first readable recording
     for p, plan in zip(each, plans, strict=True):
         details = {**plan.details, VALIDATION_OF: estimation} if p.is_validation else plan.details
         done = collect(replace(plan, details=details), rig=run.rig, connect=run.connect, tell=tell)
@@ -179,8 +179,8 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
             echo(str(done.path))
         kept = f"{done.synced} samples are on the disk; " if done.synced else ""
         if verdict is None:
-            where = "the recording is on the daemon's machine: `armrig info` there says what it"
-            tell(f"{kept}{where} holds")
+            where = "the recording is on the daemon's machine; `armrig info` there shows its"
+            tell(f"{kept}{where} contents")
         elif not verdict.usable:
             raise OperationError(verdict.summary)
         else:
@@ -190,12 +190,12 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
 
 
 def _say_next(kind: str, first: Path, rig: str) -> None:
-    """Say what comes after a collection: a step whose rise is hidden is made again."""
+    """Print the next command: the step again if the dead band hides its rise."""
     from armrig.recordings.loading import load
 
     again = ""
     if kind == "step":
-        with suppress(FileError, OSError):  # the verdict is out: this is a hint
+        with suppress(FileError, OSError):  # the verdict is printed already: this is only a hint
             again = step_again(load(first))
     if again:
         say_next("step hidden", again=f"{rig}{again}")

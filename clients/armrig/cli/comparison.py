@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from armrig.cli.chosen_recording import File, OtherFile
-from armrig.cli.comparison_rows import row_facts, row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
@@ -43,17 +42,22 @@ if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.models.model import Model
     from armrig.recordings.recording import Recording
-    from armrig.validation.comparison import ComparisonTable
+    from armrig.validation.comparison import Comparison, ComparisonTable
 
-_ALIKE = 1e-6
+
+_SAME_RTOL = 1e-6
 
 Models = Annotated[
     list[Path] | None,
-    typer.Option("--model", metavar="JSON", help="Model that identify --save has written."),
+    typer.Option(
+        "--model", metavar="JSON", help="Model file written by identify --save; repeatable."
+    ),
 ]
 Horizon = Annotated[
     int | None,
-    typer.Option("--horizon", min=1, help="Samples ahead.", show_default="simulation"),
+    typer.Option(
+        "--horizon", min=1, help="Prediction horizon, in samples.", show_default="simulation"
+    ),
 ]
 
 
@@ -74,11 +78,11 @@ def compare(
     json: Json = False,
     verbose: Verbose = False,
 ) -> None:
-    """Compare models on a recording that they never saw.
+    """Compare models on a recording that they were not estimated from.
 
-    Identify ARX and OE from F and compare them, the physics and those of --model on F2; without
-    F2 compare those of --model on F. With --set the physics of these parameters stands beside the
-    handout's.
+    With F2 the command estimates ARX and OE from F; it compares them, the physical model and the
+    models of --model on F2. Without F2 it compares the models of --model on F. --set adds a
+    physical model with the parameters given.
     """
     changed = physics_beside(given) if given else {}
     if other is None and not model:
@@ -97,7 +101,7 @@ def compare(
         from armrig.physics.systems import HANDOUT
 
         compared = _studied(recordings, saved, na=na, nb=nb, nf=nf, nk=nk)
-        changed.pop(HANDOUT, None)  # the physics is there already
+        changed.pop(HANDOUT, None)  # the handout's model is in the comparison already
     compared = _with_physics(compared, changed)
     table = _table(compared, horizon)
     _plot_comparison(compared, table, plot)
@@ -105,7 +109,7 @@ def compare(
         rows = [row_facts(row) for row in table.rows]
         print_json({"validation": compared.data.source, "models": rows})
     else:
-        from armrig.recordings.doubts import emulation
+        from armrig.recordings.usability import emulation
 
         _print_comparison(compared, table, verbose=verbose)
         for text in emulation(recordings):
@@ -116,13 +120,13 @@ def compare(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Compared:
-    """Models, and the data that they are compared on."""
+    """Models and the data of their comparison."""
 
     models: list[tuple[str, Model]]
-    """Each with its name, which several may share."""
+    """Models with their names; names may repeat."""
     data: Dataset
     where: str
-    """What a person calls the data."""
+    """Name of the data, for a person."""
 
     @property
     def names(self) -> list[str]:
@@ -131,7 +135,7 @@ class _Compared:
 
     @property
     def fits(self) -> list[Model]:
-        """The models themselves."""
+        """Models without their names."""
         return [fit for _, fit in self.models]
 
 
@@ -150,7 +154,7 @@ def _studied(
     nf: int,
     nk: int,
 ) -> _Compared:
-    """Return ARX, OE and the physics, and the saved models, on the second recording."""
+    """Estimate ARX and OE; return them, the physical model and the saved models, with the data."""
     from armrig.cli.spinner import estimating
     from armrig.report.study import Orders, study
 
@@ -158,7 +162,7 @@ def _studied(
         done = study(recordings, orders=Orders(na=na, nb=nb, nf=nf, nk=nk))
     where = str(done.recording_of(done.validation.source).path)
     if done.halves:
-        where += ", its second half, the first one estimates"
+        where += ", its second half (the models are estimated from its first half)"
     models = [(assessed.name, assessed.model) for assessed in done.models]
     more = []
     for name, fit in saved:
@@ -166,22 +170,22 @@ def _studied(
         if same is None:
             more.append((name, fit))
         else:
-            tell(f"the model {name} is the {same} that is estimated here: it is shown once")
+            tell(f"the model {name} equals the {same} model estimated here; it is shown once")
     return _Compared(models=models + more, data=done.validation, where=where)
 
 
 def _same(a: Model, b: Model) -> bool:
-    """Tell whether two models have the same polynomials, to what an estimation leaves open."""
+    """Return True if two models have the same polynomials, within 1e-6."""
     import numpy as np
 
     pairs = [(getattr(a, letter), getattr(b, letter)) for letter in "ABCDF"]
     return a.Ts == b.Ts and all(
-        x.size == y.size and np.allclose(x, y, rtol=_ALIKE, atol=0) for x, y in pairs
+        x.size == y.size and np.allclose(x, y, rtol=_SAME_RTOL, atol=0) for x, y in pairs
     )
 
 
 def _with_physics(compared: _Compared, changed: dict[str, ArmParameters]) -> _Compared:
-    """Return what is compared with physical models behind it."""
+    """Return the comparison with physical models added at its end."""
     from armrig.physics.physical_model import physical_model
 
     more = [(name, physical_model(p, compared.data)) for name, p in changed.items()]
@@ -227,3 +231,31 @@ def _print_comparison(compared: _Compared, table: ComparisonTable, *, verbose: b
     echo(table.table(brief=not verbose))
     if differences:
         say("\n".join(differences))
+
+
+def row_line(name: str, row: Comparison, unit: str) -> str:
+    """Return the row of a model as a line of text."""
+    velocity = row.velocity_fit_percent
+    line = f"  {name} fit {row.fit_percent:7.2f} %  rms {row.rms_error:.4g} {unit}".rstrip()
+    if velocity is not None:
+        line += f"  velocity fit {velocity:7.2f} %"
+    if row.on_estimation_data:
+        line += "  (estimation data)"
+    return line
+
+
+def row_facts(row: Comparison) -> dict[str, Any]:
+    """Return the row of a model and its characteristic numbers as JSON fields."""
+    t = row.characteristics
+    figures = {name: {"value": getattr(t, name), "std": std} for name, std in t.std.items()}
+    poles = [[z.real, z.imag] for z in t.poles.tolist()]
+    return {
+        "model": row.name,
+        "fit_percent": row.fit_percent,
+        "rms_error": row.rms_error,
+        "velocity_fit_percent": row.velocity_fit_percent,
+        "on_estimation_data": row.on_estimation_data,
+        "of_rate": t.integrating,
+        "figures": figures,
+        "poles": poles,
+    }

@@ -18,17 +18,17 @@ Port = Annotated[
         "--port",
         min=1,
         max=65_535,
-        help="Port on this machine.",
+        help="TCP port on this machine.",
         show_default="8807, or a free one",
     ),
 ]
-Browser = Annotated[bool, typer.Option("--open", help="Open it in the browser.")]
+Browser = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 Share = Annotated[
     bool,
-    typer.Option("--share", help="Let visitors on this network watch and stop, by TLS."),
+    typer.Option("--share", help="Let visitors on this network watch and stop the rig, over TLS."),
 ]
 Foxglove = Annotated[
-    bool, typer.Option("--foxglove", help="Serve the streams to Foxglove on this machine, too.")
+    bool, typer.Option("--foxglove", help="Also serve the streams to Foxglove on this machine.")
 ]
 
 
@@ -41,11 +41,12 @@ def dashboard(
     for_foxglove: Foxglove = False,
     json: Json = False,
 ) -> None:
-    """Show a rig live in a browser, and drive it there, until Ctrl-C.
+    """Serve a page that shows and drives a rig, until Ctrl-C.
 
-    Who has the address that it prints may command the rig. That of --share may watch and stop.
+    Anybody who has the printed address may command the rig. With the address of --share, visitors
+    may watch and stop the rig.
 
-    With --json it prints {"url": …, "shared_url": …, "foxglove": …, "layouts": …}.
+    With --json the command prints {"url": …, "shared_url": …, "foxglove": …, "layouts": …}.
     """
     with until_signal() as ended:
         _serve(
@@ -97,15 +98,15 @@ def _serve(
 
 
 def _say(rig: str, served: Served, streams: str, layouts: str) -> None:
-    """Say where the page is, and what may be done there."""
+    """Print the addresses of the page and the rights that they give."""
     echo(f"rig {rig}: {served.url}")
-    echo("who has this address may command the rig; Ctrl-C ends it")
+    echo("anybody with this address may command the rig; Ctrl-C ends the dashboard")
     if served.shared_url:
         from armrig.dashboard.share import qr_code
 
         echo(f"to watch and stop: {served.shared_url}")
         echo(qr_code(served.shared_url))
-        echo("the browser warns of the certificate, which this machine has made; its SHA-256 is")
+        echo("the browser warns about the certificate, which this machine made; its SHA-256 is")
         echo(served.fingerprint)
     if streams:
         echo(f"for Foxglove, to watch: {streams}")

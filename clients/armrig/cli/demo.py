@@ -22,18 +22,18 @@ if TYPE_CHECKING:
 
 
 _EMULATED = (
-    "The emulated plant obeys the same equations as the physical model below, read "
-    "through a 10-bit converter with noise and a dead band. That the two agree says that the chain "
-    "from the converter to the model is right, and nothing of a real arm."
+    "The emulated plant obeys the same equations as the physical model below. Its angles are read "
+    "through a 10-bit converter with noise and a dead band. The agreement of plant and model shows "
+    "that the chain from the converter to the model is right; it shows nothing about a real arm."
 )
 _VIRTUAL = (
-    "{which} made in virtual time: loop, device and recorder are the same programs, but nobody "
-    "waited. The dates and times of day are made up of a seed, and the timing says nothing of this "
-    "machine."
+    "{which} made in virtual time: loop, device and recorder are the same programs, but do not "
+    "wait. The dates and times of day are computed from a seed, and the timing shows nothing about "
+    "this machine."
 )
 
 _FIRMWARE = (
-    "The device was the firmware of an Arduino Uno, the very bytes that are flashed, in a "
+    "The device was the firmware of an Arduino Uno, the same bytes as in a board, in a "
     "simulator of its processor; the voltage was measured at the simulated pin."
 )
 
@@ -49,16 +49,16 @@ def demo(
 ) -> dict[str, Any]:
     """Record an emulated rig, identify and validate it, and write a report into `directory`.
 
-    Returns what was found and where it lies, by name.
+    Returns the results and the paths of the files, by name.
 
-    In virtual time the same seed gives the same bytes. In real time a machine that stalls too often
-    has the rest recorded in virtual time, which the report says. The firmware of an Uno, which runs
-    in a simulator of its processor, is for virtual time.
+    In virtual time the same seed gives the same bytes. If the machine stalls too often in real
+    time, the remaining experiments are recorded in virtual time, and the report states this. The
+    firmware of an Uno, in a simulator of its processor, needs virtual time.
 
     Raises
     ------
     OperationError
-        Nothing can be recorded, in virtual time either.
+        The experiments cannot be recorded, not even in virtual time.
     """
     console = console or Console()
     directory.mkdir(parents=True, exist_ok=True)
@@ -78,7 +78,7 @@ def demo(
                 config,
                 seed=seed,
                 firmware=firmware,
-                meanwhile=_load_what_draws,
+                meanwhile=_load_drawing_modules,
             )
     remarks = _remarks(len(paths), n_real, why) + ([_FIRMWARE] if firmware else [])
     with console.status("identifying and typesetting"):
@@ -98,7 +98,7 @@ def demo(
 
 
 def _record(plan: list[Experiment], config: Path, console: Console, done: list[Path]) -> str:
-    """Put recordings made in real time into `done`; return why they are not all, or nothing."""
+    """Append recordings made in real time to `done`; return why some are missing, "" if none is."""
     if sys.platform != "linux":
         return "an emulated rig in real time is for Linux"
     from armrig_core.errors import InputError
@@ -108,19 +108,19 @@ def _record(plan: list[Experiment], config: Path, console: Console, done: list[P
 
     try:
         record_in_real_time(plan, config, console, done)
-    except (RigError, InputError) as err:  # InputError: no place for the daemon's socket
+    except (RigError, InputError) as err:  # InputError: no folder for the daemon's socket
         return str(err)
     return ""
 
 
-def _load_what_draws() -> None:
-    """Import what takes a second, while another processor plays."""
+def _load_drawing_modules() -> None:
+    """Import slow modules while another processor plays."""
     from armrig.recordings import loading  # noqa: F401
     from armrig.report import document  # noqa: F401
 
 
 def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[Study, Path]:
-    """Return the study of the recordings, and its report, which makes these remarks."""
+    """Return the study of the recordings, and the path of its report with these remarks."""
     from armrig.recordings.loading import load
     from armrig.report.document import report
     from armrig.report.study import study
@@ -137,13 +137,13 @@ def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[S
 
 
 def _remarks(n: int, n_real: int, why: str) -> list[str]:
-    """Return what a reader must know of `n` recordings, the first `n_real` made in real time."""
+    """Return the report's remarks on `n` recordings, the first `n_real` of them in real time."""
     if n_real == n:
         return [_EMULATED]
     which = f"The last {n - n_real} of the recordings were" if n_real else "All recordings were"
     virtual = _VIRTUAL.format(which=which)
     if why:
-        virtual += f" This machine did not let the rig be emulated in real time: {why}."
+        virtual += f" This machine could not emulate the rig in real time: {why}."
     return [_EMULATED, virtual]
 
 
@@ -162,7 +162,7 @@ def _print_results(
             "" if velocity is None else f"{velocity:.2f} %",
         )
     console.print(models)
-    where = Table(title="where everything lies", title_justify="left", show_header=False)
+    where = Table(title="files", title_justify="left", show_header=False)
     for recording, name in zip(done.recordings, names, strict=True):
         missing = f", {recording.missing} missing" if recording.missing else ""
         samples = f"{recording.samples.size} samples{missing}, sha256 {recording.short_hash}"
@@ -174,7 +174,7 @@ def _print_results(
 
 
 def _row(model: Assessed) -> dict[str, Any]:
-    """Return how a model simulates the validation recording, the angle in rad."""
+    """Return the fit of a model to the validation recording, the angle in rad."""
     row = model.comparison
     return {
         "model": row.name,
@@ -185,7 +185,7 @@ def _row(model: Assessed) -> dict[str, Any]:
 
 
 def from_here(path: Path) -> Path:
-    """Return a path as short as it may be typed here."""
+    """Return the shortest path from the current folder."""
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path
 
@@ -206,22 +206,22 @@ def record_in_virtual_time(
     config : Path
         Configuration of the rig.
     seed : int
-        Of the emulated rig, and of the names and times of its recordings.
+        Seed of the emulated rig, and of the names and times of its recordings.
     firmware : bool, default False
-        The device is the Uno's firmware in simavr.
+        If True, the device is the Uno's firmware in simavr.
     meanwhile : callable
-        What is done while another processor plays.
+        Function to call while another processor plays.
 
     Raises
     ------
     OperationError
-        They could not be recorded.
+        The experiments could not be recorded.
     """
-    # Where a pipe is not of UTF-8 by itself, the name of a folder would not come through.
+    # UTF-8 for the pipes on any host: names of folders pass through them.
     program = [sys.executable, "-X", "utf8", "-m", "armrig_daemon", "virtual"]
     program += ["--config", str(config), "--directory", str(directory), "--seed", str(seed)]
     program += ["--firmware"] if firmware else []
-    # In a file: a pipe would have to be fed while we do something else.
+    # In a file: a pipe would block while `meanwhile` runs.
     with tempfile.TemporaryFile() as asked:
         for one in plan:
             asked.write(json.dumps({"u": one.u.tolist(), **one.request}).encode() + b"\n")

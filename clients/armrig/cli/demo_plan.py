@@ -1,4 +1,4 @@
-"""What the demonstration records: the rig, and three experiments on it."""
+"""Plan of the demonstration: its rig and three experiments."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Ts = 0.01
 LOW, HIGH, SWITCH = 0.5, 4.5, 0.05
 _STEP_S, _STEP_AT_S = 3.0, 0.5
 _CONFIG = """\
-# The demonstration's: an emulated rig, sampled at 100 Hz.
+# Configuration of the demonstration: an emulated rig, sampled at 100 Hz.
 [rig]
 id = "{rig}"
 
@@ -40,16 +40,16 @@ class Experiment(NamedTuple):
     u: NDArray[np.float64]
     """Motor voltage at each sample, in V."""
     request: dict[str, Any]
-    """What is asked of the daemon beside it: kind and details."""
+    """Other fields of the request to the daemon: kind and details."""
 
     @property
     def seconds(self) -> float:
-        """How long it is."""
+        """Length, in s."""
         return Ts * self.u.size
 
 
 def experiments(seconds: float, seed: int) -> list[Experiment]:
-    """Return a step and two telegraphs of `seconds` each, the second to validate on."""
+    """Return a step and two telegraph signals of `seconds` each; the second is for validation."""
     N = round(seconds / Ts)
     levels = {"low": LOW, "high": HIGH}
     up = step(round(_STEP_S / Ts), **levels, at=round(_STEP_AT_S / Ts))

@@ -20,12 +20,15 @@ from armrig.rig.replies import BusyError, RefusedError, RunEndedError
 from armrig.rig.session import RigError
 from armrig.rig.status_rows import scheduling_sentences
 
-MOST_ENDED = 3
-"""Runs that a busy machine may end, before the demonstration goes on in virtual time."""
-LATEST_S = 150.0
-"""When it does so at the latest, in s, where the experiments take `_USUAL_S`."""
+MAX_ENDED_RUNS = 3
+"""Number of runs ended by stalls, after which the demonstration continues in virtual time."""
+MAX_REAL_TIME_S = 150.0
+"""Time after which the demonstration changes to virtual time, in s.
+
+The value is for experiments that take `_USUAL_S` together; longer experiments have more time.
+"""
 _USUAL_S = 63.0
-_SAFE_S = 30.0
+_SAFE_TIMEOUT_S = 30.0
 
 
 class TooBusyError(RigError):
@@ -33,32 +36,34 @@ class TooBusyError(RigError):
 
 
 class Patience:
-    """How long a demonstration is tried in real time, and how often."""
+    """Limits on the time and the repetitions of a demonstration in real time."""
 
     def __init__(self, plan: Sequence[Experiment]) -> None:
-        """Begin now."""
+        """Start the clock."""
         self._left_s = sum(experiment.seconds for experiment in plan)
-        self._until_s = time.monotonic() + max(LATEST_S, LATEST_S - _USUAL_S + self._left_s)
+        self._until_s = time.monotonic() + max(
+            MAX_REAL_TIME_S, MAX_REAL_TIME_S - _USUAL_S + self._left_s
+        )
         self._ended = 0
 
     def recorded(self, experiment: Experiment) -> None:
-        """Note that an experiment is done."""
+        """Subtract a recorded experiment from the remaining time."""
         self._left_s -= experiment.seconds
 
     def run_ended(self) -> None:
-        """Note that a run was ended."""
+        """Count a run that a stall ended."""
         self._ended += 1
 
     @property
     def is_over(self) -> bool:
-        """Whether it is not to be tried once more: what is left would not be done in time."""
-        return self._ended >= MOST_ENDED or time.monotonic() + self._left_s > self._until_s
+        """True if another attempt would exceed a limit."""
+        return self._ended >= MAX_ENDED_RUNS or time.monotonic() + self._left_s > self._until_s
 
 
 def record_in_real_time(
     plan: Sequence[Experiment], config: Path, console: Console, done: list[Path]
 ) -> None:
-    """Play experiments on an emulated rig; put the recordings into `done`, one after the other.
+    """Play experiments on an emulated rig; append the recordings to `done`.
 
     Raises
     ------
@@ -85,7 +90,7 @@ def record_in_real_time(
 
 
 def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patience) -> Path:
-    """Arm and run; where a busy machine has held up the emulator, say so and run once more."""
+    """Arm and run an experiment; if a stall of the emulator ends the run, print this and repeat."""
     while True:
         wait_until_safe(rig)
         try:
@@ -105,19 +110,19 @@ def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patie
             why = err.why if isinstance(err, RunEndedError) else str(err)
             if patience.is_over:
                 raise TooBusyError(why) from err
-            again = f"  {experiment.name} once more: {why.removesuffix(TRY_AGAIN)}"
+            again = f"  {experiment.name} again: {why.removesuffix(TRY_AGAIN)}"
             console.print(again, highlight=False, markup=False, soft_wrap=True)
             if not has_tripped:
-                rig.stop()  # gives back a rig that is still armed
+                rig.stop()  # releases a rig that is still armed
 
 
 def wait_until_safe(rig: Rig) -> None:
-    """Wait until the rig can be armed; leave a fault, which may come behind a refusal, too."""
-    until = time.monotonic() + _SAFE_S
+    """Wait until the rig can be armed; clear a fault, which may also follow a refusal."""
+    until = time.monotonic() + _SAFE_TIMEOUT_S
     while (status := rig.status()).phase != "safe":
         if time.monotonic() > until:
             why = status.reason or status.line or status.phase
-            raise RigError(f"the emulated rig is not ready after {_SAFE_S:g} s: {why}")
+            raise RigError(f"the emulated rig is not ready after {_SAFE_TIMEOUT_S:g} s: {why}")
         if status.phase == "fault":
             rig.reset()
         time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""The commands verify and export: is a recording what its run was, and its data for others."""
+"""The commands verify and export: checks of a recording, and its data for other programs."""
 
 from __future__ import annotations
 
@@ -24,24 +24,26 @@ from armrig.cli.options import (
 )
 
 Out = Annotated[Path, typer.Argument(metavar="OUT", help="File to write.")]
-Csv = Annotated[bool, typer.Option("--csv", help="Text, for any program.")]
+Csv = Annotated[bool, typer.Option("--csv", help="CSV, for any program.")]
 Mat = Annotated[
-    bool, typer.Option("--mat", help="For MATLAB and Octave: u, y, Ts and all columns.")
+    bool, typer.Option("--mat", help="MAT-file for MATLAB and Octave: u, y, Ts and all columns.")
 ]
-Parquet = Annotated[bool, typer.Option("--parquet", help="For pandas, polars and others.")]
+Parquet = Annotated[bool, typer.Option("--parquet", help="Parquet, for pandas, polars and others.")]
 Transforms = Annotated[
     bool,
-    typer.Option("--transforms", help="Chassis and arm for Foxglove's 3D panel, as MCAP."),
+    typer.Option("--transforms", help="MCAP with chassis and arm for Foxglove's 3D panel."),
 ]
-Raw = Annotated[bool, typer.Option("--raw", help="The readings and times as recorded, too.")]
-OutputOfMat = Annotated[ChannelName, typer.Option("--signal", help="What is y in the MAT-file.")]
+Raw = Annotated[bool, typer.Option("--raw", help="Include the readings and times as recorded.")]
+OutputOfMat = Annotated[
+    ChannelName, typer.Option("--signal", help="Signal that becomes y in the MAT-file.")
+]
 
 
 def verify(file: File, json: Json = False) -> None:
-    """Check that a recording is what its run was.
+    """Check a recording against its run.
 
-    Samples or their gap records, voltages, input, times, hashes, clocks. Exit code 1 where one
-    fails; what could be read can be loaded and exported all the same.
+    The checks cover samples and gap records, voltages, input, times, hashes and clocks. The exit
+    code is 1 if a check fails; the readable data can still be loaded and exported.
     """
     from armrig.cli.spinner import spinner
     from armrig.recordings.findings import TOO_FEW
@@ -59,9 +61,9 @@ def verify(file: File, json: Json = False) -> None:
     if not found.passed:
         failed = ", ".join(c.about for c in found.checks if c.result == "failed")
         n = found.samples
-        use = f"its {n} samples can be used, with care" if n else "it has no sample to use"
+        use = f"its {n} samples can be used, with care" if n else "it has no usable sample"
         if 0 < n < TOO_FEW:
-            use = f"{n} of the {TOO_FEW} samples that are needed at least are left"
+            use = f"{n} samples are left, at least {TOO_FEW} are needed"
         tell(f"{found.path}: failed: {failed}; {use}")
         raise typer.Exit(1)
 
@@ -80,9 +82,9 @@ def export(
     calibration: CalibrationFile = None,
     json: Json = False,
 ) -> None:
-    """Write a recording's data for another program.
+    """Write the data of a recording for another program.
 
-    Which kind the ending of OUT says (.csv, .mat, .parquet), or the option.
+    The suffix of OUT (.csv, .mat, .parquet) or an option chooses the format.
     """
     from armrig.cli.figures import check_output
     from armrig.cli.spinner import spinner
@@ -112,14 +114,14 @@ def export(
 
 @contextmanager
 def _whole(out: Path) -> Iterator[None]:
-    """Leave no file that ends early and looks like a whole one, whatever keeps it from its end."""
+    """Delete the output file if an error interrupts its writing."""
     try:
         yield
     except BaseException as err:
         if out.is_file():
             with suppress(OSError):
                 out.unlink()
-        if isinstance(err, OSError) and not err.filename:  # of a write the system names no file
+        if isinstance(err, OSError) and not err.filename:  # the error of a write names no file
             raise OSError(err.errno, err.strerror or str(err), str(out)) from err
         raise
 

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 _CHASSIS = (
-    "handout 3.5 and 3.6 are of the chassis alone, which no complete recording shows: take the arm "
-    "off, write chassis.toml with [arm] removed = true (docs/tutorial.md, part 9), end `armrig lab`"
+    "handout 3.5 and 3.6 need a complete recording of the chassis alone: remove the arm, write "
+    "chassis.toml with [arm] removed = true (docs/tutorial.md, part 9), and end `armrig lab`"
 )
 
 
@@ -55,7 +55,9 @@ def check(
     detrend: Detrend = False,
     hampel: Hampel = False,
     output: NoOutput = None,
-    level: Annotated[float, typer.Option("--level", help="Of the test for feedback.")] = 0.05,
+    level: Annotated[
+        float, typer.Option("--level", help="Significance level of the test for feedback.")
+    ] = 0.05,
     calibration: CalibrationFile = None,
     start: From = None,
     stop: To = None,
@@ -63,7 +65,7 @@ def check(
     verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
-    """Test for open loop and for a delay (handout 3.7, 3.8)."""
+    """Test the data for feedback and for a delay (handout 3.7, 3.8)."""
     from armrig.cli.spinner import spinner
     from armrig.validation.feedback_and_delay.delay import delay
     from armrig.validation.feedback_and_delay.open_loop import open_loop, require_level
@@ -83,7 +85,7 @@ def check(
     )
     data = signals.of(file)
     with spinner("testing"):
-        loop, late = _told(partial(open_loop, level=level), data), _told(delay, data)
+        loop, late = _tested(partial(open_loop, level=level), data), _tested(delay, data)
     if isinstance(loop, str) and isinstance(late, str):
         raise InputError(loop)
     drawn = {"open_loop": loop, "delay": late}
@@ -98,7 +100,7 @@ def check(
     for which, number, found in (("open loop", "3.7", loop), ("delay", "3.8", late)):
         where = f"{which} (handout {number})" if of_rig else which
         if isinstance(found, str):
-            say(f"{where}: cannot be told: {found}")
+            say(f"{where}: not known: {found}")
             continue
         first, *more = (found.explain() if verbose else found.brief()).splitlines()
         verdict = first.removeprefix("open loop: ")
@@ -107,7 +109,7 @@ def check(
 
 
 def _say_next(file: Path, signals: Signals, *, of_rig: bool) -> None:
-    """Say what comes next: of a rig its chassis alone (handout 3.5, 3.6), which may be recorded."""
+    """Print the next command; for a rig it concerns the chassis alone (handout 3.5, 3.6)."""
     if not of_rig:
         say_next("check other", file=typed(file), given=signals.options())
     elif kind_of(file) == "greybox":
@@ -119,8 +121,8 @@ def _say_next(file: Path, signals: Signals, *, of_rig: bool) -> None:
         say_next("check")
 
 
-def _told(test: Callable[[Dataset], T], data: Dataset) -> T | str:
-    """Return what a test finds, or why it cannot tell: the other one may."""
+def _tested(test: Callable[[Dataset], T], data: Dataset) -> T | str:
+    """Return the result of a test, or the reason why it has none."""
     try:
         return test(data)
     except ValueError as err:

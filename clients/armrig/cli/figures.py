@@ -1,4 +1,4 @@
-"""Figures that commands write: one with all axes, or in a folder a file for each subject."""
+"""Figures of commands: one file with all axes, or a folder with a file for each subject."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
 
 
 Draw = Callable[..., Any]
-"""Draws into `ax`."""
-_EACH = "*"  # for the subject, in the name of the files in a folder
+"""Function that draws into its argument `ax`."""
+_EACH = "*"  # in place of the subject, in the name of files in a folder
 _WIDTH, _HEIGHT = 6.3, 8.0  # in inches: the text of an A4 page, and a screen
 _DPI = 200
 _RUNS: dict[str, str] = {}
-"""Run of each recording that the command has read, by the recording's hash."""
+"""Run ids of the recordings that the command read, by the hash of the recording."""
 _ESTIMATION: dict[Path, str] = {}
-"""Files that these recordings validate models of, which a saved model names by hash; their runs."""
+"""Run ids of the estimation recordings that belong to validation recordings, by file."""
 _MCAP = b"\x89MCAP0\r\n"
 
 
 def name_runs(*recordings: Recording) -> None:
-    """Sign the command's figures with the ids of these runs, as `armrig ls` shows them.
+    """Note the run ids of recordings; figures of the command name them, as `armrig ls` does.
 
-    The run that a recording validates models of has its id, too, if it is in the same folder.
+    The estimation run of a validation recording is included if its file is in the same folder.
     """
     for r in recordings:
         _RUNS[r.sha256] = r.manifest.run_id
@@ -44,7 +44,7 @@ def name_runs(*recordings: Recording) -> None:
 
 
 def _runs() -> dict[str, str]:
-    """Return the run of each recording that a figure may be of, by the recording's hash."""
+    """Return the run ids that figures name, by the hash of the recording."""
     from hashlib import file_digest
 
     runs = dict(_RUNS)
@@ -55,7 +55,7 @@ def _runs() -> dict[str, str]:
 
 
 def figure_path(text: str | Path) -> Path:
-    """Return the path of a figure; of a folder, or of what ends with "/", FOLDER/*.png."""
+    """Return the path of a figure: for a folder, or a text that ends with "/", FOLDER/*.png."""
     path = Path(text)
     return path / f"{_EACH}.png" if str(text).endswith("/") or path.is_dir() else path
 
@@ -67,7 +67,7 @@ Plot = Annotated[
         "--plot",
         metavar="FIGURE",
         parser=figure_path,
-        help="Figure, or FOLDER/ for a file each.",
+        help="Figure to write; FOLDER/ gets a file for each subject.",
     ),
 ]
 
@@ -80,34 +80,35 @@ def check_plot(path: Path | None, inputs: Sequence[Path] = ()) -> None:
     if path.stem != _EACH:
         check_output(path, inputs)
     elif folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}/: is a file; give a folder, or leave the / out")
+        raise InputError(f"{folder}/: is a file; give a folder, or leave out the /")
     elif not folder.is_dir():
         check_output(folder, ())
     check_figure(path)
 
 
 def check_figure(path: Path) -> None:
-    """Raise ValueError where no figure of that kind can be written."""
+    """Refuse a suffix that is not a format of figures."""
     from matplotlib.figure import Figure
 
     kinds = Figure().canvas.get_supported_filetypes()
     if path.suffix.lower().removeprefix(".") not in kinds:
-        raise InputError(f"{path}: a figure's name ends in one of {', '.join(sorted(kinds))}")
+        raise InputError(f"{path}: the name of a figure ends in one of {', '.join(sorted(kinds))}")
 
 
 def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[Path]:
-    """Write a figure with axes for each subject, say where it is, and return the files.
+    """Write a figure with axes for each subject, print its path, and return the files.
 
-    A figure is made again by the same line, so one that is there is replaced, and said.
+    An existing figure is replaced, and the replacement is printed.
 
     Parameters
     ----------
     path : Path, optional
-        Of one figure, or of a folder, by `figure_path`: then each subject has a file of its name.
+        Path of a figure or a folder, as returned by `figure_path`; a folder gets a file for each
+        subject.
     height : float
-        Of the axes of one subject, in inches.
+        Height of the axes of one subject, in inches.
     **draw
-        Subject -> what draws it into `ax`.
+        Subject -> function that draws the subject into `ax`.
     """
     if path is None:
         return []
@@ -134,7 +135,7 @@ def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[
 
 
 def _drawn(subjects: Sequence[Draw], height: float) -> Figure:
-    """Return a figure of all subjects, in as many columns as keep it on a screen."""
+    """Return a figure of all subjects, with enough columns to fit on a screen."""
     from matplotlib.figure import Figure
 
     columns = ceil(len(subjects) * height / (1.1 * _HEIGHT))
@@ -150,15 +151,13 @@ def _drawn(subjects: Sequence[Draw], height: float) -> Figure:
 
 
 def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
-    """Refuse, before any work, a file that cannot be written, or must not: a recording is kept."""
+    """Refuse, before any work, a file that cannot be written, or an input or recording."""
     name = f"-o {path}" if suffix else str(path)
     if path.is_dir():
         example = path / ("report.pdf" if suffix else "timing.png")
         raise InputError(f"{name}: is a directory; give a file, such as {example}")
     if path.exists() and any(f.exists() and path.samefile(f) for f in inputs):
-        raise InputError(
-            f"{name}: is one of the files to read, which would be lost; give another name"
-        )
+        raise InputError(f"{name}: is an input file, which would be lost; give another name")
     if path.is_file():
         with path.open("rb") as file:
             if file.read(len(_MCAP)) == _MCAP:
@@ -167,7 +166,7 @@ def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
         raise InputError(f"{name}: a report is a PDF; give a name that ends in {suffix}")
     if not path.absolute().parent.is_dir():
         if path.parent.exists():
-            msg = f"{name}: {path.parent} is a file; give a directory that is there"
+            msg = f"{name}: {path.parent} is a file; give an existing directory"
         else:
-            msg = f"{name}: there is no directory {path.parent}; make it first"
+            msg = f"{name}: there is no directory {path.parent}; create it first"
         raise InputError(msg)

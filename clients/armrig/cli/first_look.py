@@ -36,7 +36,9 @@ if TYPE_CHECKING:
 
 Drawing = Annotated[
     Path,
-    typer.Option("-o", "--plot", metavar="FIGURE", parser=figure_path, help="Figure, or FOLDER/."),
+    typer.Option(
+        "-o", "--plot", metavar="FIGURE", parser=figure_path, help="Figure to write, or FOLDER/."
+    ),
 ]
 
 
@@ -48,10 +50,10 @@ def plot(
     figure: Drawing = Path("plot.png"),
     json: Json = False,
 ) -> None:
-    """Draw a recording, and say what is wrong (handout 3.1.4).
+    """Plot a recording and report faults of its data (handout 3.1.4).
 
-    u, theta_1, its rate and alpha. Shaded is what is missing or in the dead band,
-    ringed are outliers; a drift is told.
+    The figure shows u, theta_1, its rate and alpha. Missing samples and the dead band are shaded,
+    outliers are ringed. A drift is reported in the text.
     """
     from armrig.cli.spinner import spinner
     from armrig.recordings.overview import overview
@@ -84,7 +86,7 @@ def sampling(
 ) -> None:
     """Recommend a sampling time (handout 3.1).
 
-    From a step, or from other data, by the handout's rules: 20 times the bandwidth, and 7 to 10
+    The handout's rules apply to a step or to other data: 20 times the bandwidth, and 7 to 10
     samples in the transient.
     """
     from armrig.cli.spinner import spinner
@@ -105,7 +107,7 @@ def sampling(
     with spinner("estimating the response"):
         choice = sampling_time(data)
         steps = _steps(data) if choice.from_step else None
-    if steps is not None:  # what the choice says of them is said once
+    if steps is not None:  # a warning that the choice repeats is printed only once
         said = set(choice.notes)
         steps = replace(steps, warnings=tuple(w for w in steps.warnings if w not in said))
     shown = {"sampling": choice} if steps is None else {"step": steps, "sampling": choice}
@@ -123,7 +125,7 @@ def sampling(
 
 
 def _steps(data: Dataset) -> StepAnalysis | None:
-    """Return the analysis of the steps; None where they are not held for long enough."""
+    """Return the analysis of the steps; None if the levels are not held long enough."""
     from armrig.estimation.nonparametric.step_analysis import step_analysis
 
     try:
@@ -158,7 +160,7 @@ def _sampling_facts(choice: SamplingTime) -> dict[str, Any]:
 
 
 def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
-    """Return what the analysis of steps says, where there is one."""
+    """Return the analysis of the steps for a program; empty without an analysis."""
     if steps is None:
         return {}
     of = ("gain", "tau", "equivalent_time", "settling", "overshoot")
@@ -180,12 +182,11 @@ def hints(
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Say which structure the data motivate (handout 3.2).
+    """Find which model structure the data suggest (handout 3.2).
 
-    Integrator, order and nk from impulse response, spectra and the Hankel matrix, which assume no
-    structure.
+    Integrator, order and nk follow from the impulse response, the spectra and the Hankel matrix,
+    which assume no structure.
     """
-    from armrig.cli.model_output import in_symbols
     from armrig.cli.spinner import spinner
     from armrig.validation.structure_hints import structure_hints
 
@@ -208,7 +209,7 @@ def hints(
     if json:
         print_json(source_facts(data) | _hint_facts(found) | {"doubts": [d.text for d in doubts]})
         return
-    say("\n".join([repr(found), *(in_symbols(f"! {d.about}: {d.text}") for d in doubts)]))
+    say("\n".join([repr(found), *(f"! {d.about}: {d.text}" for d in doubts)]))
     if any(d.about == "feedback" for d in doubts):
         say_next("identify check", file=typed(file), given=signals.options())
         return
@@ -219,7 +220,7 @@ def hints(
 
 
 def _doubts(data: Dataset, found: StructureHints) -> list[Finding]:
-    """Return what makes all of these estimates doubtful: feedback, or an input that is too poor."""
+    """Return the findings that make all these estimates doubtful: feedback, or a poor input."""
     from armrig.validation.advice import data_advice
 
     known = data_advice.tested(data, found.integrator)
@@ -228,7 +229,7 @@ def _doubts(data: Dataset, found: StructureHints) -> list[Finding]:
 
 
 def _options(found: StructureHints) -> str:
-    """Return the options of `armrig identify` that the hints motivate."""
+    """Return the options of `armrig identify` that the hints suggest."""
     integrator = " --integrator" if found.integrator else ""
     return f"--structure oe --nb {found.nb} --nf {found.nf} --nk {found.nk}{integrator}"
 

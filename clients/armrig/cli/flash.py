@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from armrig_core.firmware_image import FirmwareImage
     from armrig_protocol.messages import HelloReply
 
-    from armrig.lab.flash.boards import Board
+    from armrig.lab.flash.avrdude import Board
 
 Port = Annotated[
     str | None,
@@ -28,29 +28,35 @@ Port = Annotated[
 ]
 Image = Annotated[
     Path | None,
-    typer.Option("--hex", metavar="FILE", help="Firmware to write.", show_default="armrig's own"),
+    typer.Option(
+        "--hex", metavar="FILE", help="Firmware file to write.", show_default="armrig's own"
+    ),
 ]
-Baud = Annotated[int, typer.Option("--baud", help="Speed of the firmware's line, [device] baud.")]
+Baud = Annotated[
+    int, typer.Option("--baud", help="Speed of the firmware's line, in bit/s ([device] baud).")
+]
 DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="Show what would be done; the port is not even opened.")
+    bool, typer.Option("--dry-run", help="Show the plan only, without opening the port.")
 ]
-Yes = Annotated[bool, typer.Option("--yes", help="The motor is unplugged: do not ask.")]
+Yes = Annotated[
+    bool, typer.Option("--yes", help="Confirm that the motor is unplugged; do not ask.")
+]
 Fuse = Annotated[
     str | None,
     typer.Option(
         "--fuse",
         metavar="PROGRAMMER",
-        help="Write nothing; read the brown-out fuse by an ISP programmer, such as usbasp.",
+        help="Only read the brown-out fuse, by this ISP programmer, such as usbasp.",
     ),
 ]
 BROWN_OUT = (
     "The brown-out fuse is not known: Optiboot does not read fuses. As shipped it is 2.7 V, too "
-    "low for 16 MHz; docs/hardware.md says how to read and set it."
+    "low for 16 MHz; docs/hardware.md explains how to read and set it."
 )
 MOTOR = (
-    "While a board is written its pins are inputs: D9 and D7 float, and D13 blinks. What holds the "
-    "motor at 0 V is the pull-downs of the wiring alone (docs/hardware.md). A program that is "
-    "written in part may do anything, so unplug the motor."
+    "While a board is written, its pins are inputs: D9 and D7 float, and D13 blinks. Only the "
+    "pull-downs of the wiring hold the motor at 0 V (docs/hardware.md). A partly written program "
+    "may do anything, so unplug the motor."
 )
 _DEFAULT_BAUD = 500_000  # of the firmware that is shipped
 
@@ -64,16 +70,16 @@ def flash(
     fuse: Fuse = None,
     json: Json = False,
 ) -> None:
-    """Write the firmware to an Uno, and ask it what it runs.
+    """Write the firmware to an Uno, and check which firmware it runs.
 
-    By avrdude and the board's own boot loader, Optiboot; what was written is read back. It is
-    refused while a daemon has the port, and of a board with another boot loader.
+    The command uses avrdude and the board's boot loader, Optiboot, and reads back what it wrote. It
+    refuses a port that a daemon uses, and a board with another boot loader.
     """
     from armrig_core.firmware_image import read_image, shipped_image
 
     from armrig.cli.spinner import spinner
     from armrig.lab.flash import avrdude
-    from armrig.lab.flash.boards import chosen, held, plugged_in
+    from armrig.lab.flash.avrdude import chosen, held, plugged_in
 
     if fuse is not None:
         _say_fuse(fuse, port, json=json)
@@ -91,7 +97,7 @@ def flash(
         if not json:
             _say_plan(facts, json=False)
             say(MOTOR)
-        agree("Is the motor unplugged, and shall the board be written?", yes=yes)
+        agree("Is the motor unplugged? Write the board?", yes=yes)
         with spinner("asking the boot loader"):
             facts["loader"] = f"Optiboot {avrdude.loader(program, board.port)}"
         if not json:
@@ -116,7 +122,7 @@ def _program() -> str:
 
 
 def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
-    """Say the brown-out level, and how another is set."""
+    """Print the brown-out level, and how to correct it."""
     from armrig.lab.flash import avrdude
 
     value = avrdude.fuse(_program(), programmer, port)
@@ -128,7 +134,7 @@ def _say_fuse(programmer: str, port: str | None, *, json: bool) -> None:
     if value & 7 != avrdude.WANTED_FUSE & 7:
         at = "" if port is None else f" -P {shlex.quote(port)}"
         say(
-            "16 MHz want 3.8 V at least, so that the level has to be 4.3 V; it is set by "
+            "16 MHz needs at least 3.8 V, so the level must be 4.3 V; set it with "
             f"avrdude -p {avrdude.CHIP.lower()} -c {shlex.quote(programmer)}{at} "
             f"-U efuse:w:0x{avrdude.WANTED_FUSE:02x}:m"
         )
@@ -139,7 +145,7 @@ def _check_size(firmware: FirmwareImage) -> None:
 
     size = len(firmware.data)
     if size > FLASH_BYTES:
-        raise InputError(f"{firmware.path}: {size} B, and an {CHIP} has room for {FLASH_BYTES}")
+        raise InputError(f"{firmware.path}: {size} B, but an {CHIP} has room for {FLASH_BYTES}")
 
 
 def _facts(board: Board, firmware: FirmwareImage, call: list[str]) -> dict[str, Any]:
@@ -170,12 +176,12 @@ def _say_plan(facts: dict[str, Any], *, json: bool) -> None:
 def _written(
     call: list[str], board: Board, firmware: FirmwareImage, baud: int, *, json: bool
 ) -> dict[str, Any]:
-    """Write the firmware; return what the board then says of itself."""
+    """Write the firmware; return the identity that the board then reports."""
     from armrig_protocol.messages import State
 
     from armrig.cli.spinner import spinner
     from armrig.lab.flash import avrdude
-    from armrig.lab.flash.boards import greeting
+    from armrig.lab.flash.avrdude import greeting
 
     with spinner("flash:") as moved:
         avrdude.write(call, moved)
@@ -185,14 +191,14 @@ def _written(
         device = greeting(board.port, baud)
     if device is None:
         raise OperationError(
-            f"{board.port}: the firmware was written, and does not answer at {baud} baud; was it "
-            "built for another speed (--baud), or is another board there?"
+            f"{board.port}: the firmware was written, but does not answer at {baud} baud; was it "
+            "built for another speed (--baud), or is this another board?"
         )
     _check_firmware(device, firmware)
     volts = "it drives the motor" if device.state == State.RUN else "0 V"
     if not json:
         say(
-            f"the board says: firmware {device.firmware:08x}, protocol {device.version}, "
+            f"the board reports: firmware {device.firmware:08x}, protocol {device.version}, "
             f"uid {device.uid:x}, {State(device.state).name}, {volts}"
         )
     return {
@@ -207,6 +213,6 @@ def _check_firmware(device: HelloReply, firmware: FirmwareImage) -> None:
 
     if device.firmware != firmware.crc:
         raise OperationError(
-            f"the board says that it runs the firmware {device.firmware:08x}, and not "
-            f"{firmware.crc:08x}, which was written; flash it again"
+            f"the board reports the firmware {device.firmware:08x}, but {firmware.crc:08x} was "
+            "written; flash the board again"
         )

@@ -1,4 +1,4 @@
-"""Many rigs at once, recorded from afar: what `record --all` does."""
+"""Remote recording of many rigs: `record --all`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def default_name(rig: str) -> str:
-    """Return the name of a rig's file that begins now."""
+    """Return the name of a new file of a rig."""
     return f"{rig}-remote-{time.strftime('%Y%m%dT%H%M%S')}.mcap"
 
 
@@ -30,19 +30,19 @@ def record_many(
     *,
     json: bool,
 ) -> None:
-    """Record the rigs at an endpoint, into files in the folder `out`; None are all of them."""
+    """Record rigs at an endpoint into files in the folder `out`; None records all rigs."""
     from armrig.lab.fleet_recorder import FleetRecorder
     from armrig.rig.session import configured_connect, open_endpoint
 
     where = source or configured_connect()
     if not where:
         raise InputError(
-            "--from is missing: where are the rigs? Give a router, such as tls/lab.local:7447"
+            "--from is missing: give the endpoint of a router, such as tls/lab.local:7447"
         )
     folder = out or Path()
     folder.mkdir(parents=True, exist_ok=True)
     with open_endpoint(where).session as session:
-        if ended.is_set():  # while it was loaded and connected
+        if ended.is_set():  # during loading and connecting
             raise KeyboardInterrupt
         recorder = FleetRecorder(
             session, where, lambda rig: folder / default_name(rig), tell, tell_error
@@ -53,7 +53,7 @@ def record_many(
     _say(recorded, where, json=json)
     silent = [one.rig for one in recorded if not one.files and not one.why]
     for rig in silent:
-        tell(f"rig {rig}: no sample came, so nothing of it is recorded")
+        tell(f"rig {rig}: no sample arrived, so it has no recording")
     if rigs is not None and silent:
         raise typer.Exit(1)
 
@@ -83,8 +83,8 @@ def _say(recorded: list[RigRecorded], where: str, *, json: bool) -> None:
     if failed:
         names = ", ".join(one.rig for one in failed)
         raise OperationError(
-            f"of {len(recorded)} rigs the recording of {names} ended early; see above"
+            f"the recording of {names} ended early, of {len(recorded)} rigs; see above"
         )
     if not files:
         msg = f"no rig at {where} published a sample: there is nothing to record; "
-        raise OperationError(msg + "`armrig ls --live` shows which rigs are there")
+        raise OperationError(msg + "`armrig ls --live` lists the rigs")

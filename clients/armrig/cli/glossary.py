@@ -16,8 +16,8 @@ Term = Annotated[
     typer.Argument(metavar="TERM", help="Term to explain.", show_default="a list of all terms"),
 ]
 _ENTRY = re.compile(r"^- \*\*(?P<term>[^*]+)\*\*(?: \((?P<long>[^)]+)\))?: (?P<text>.+)$", re.M)
-_MOST_NEAR = 3
-"""Terms that are offered in place of an unknown one."""
+_MAX_OFFERED = 3
+"""Terms offered in place of an unknown term."""
 
 
 def glossary(term: Term = None, json: Json = False) -> None:
@@ -33,7 +33,7 @@ def glossary(term: Term = None, json: Json = False) -> None:
 
 
 def read_terms(page: str) -> dict[str, str]:
-    """Return each term of the page with its sentence, by the name under which it is looked up."""
+    """Return the terms of the page with their sentences."""
     return {
         entry["term"]: (f"{entry['long']}. " if entry["long"] else "") + entry["text"]
         for entry in _ENTRY.finditer(page)
@@ -41,7 +41,7 @@ def read_terms(page: str) -> dict[str, str]:
 
 
 def _page() -> Path:
-    """Return the page: in the wheel, or of the checkout."""
+    """Return the path of the page, in the wheel or in the checkout."""
     packaged = Path(__file__).parents[1] / "glossary.md"
     return packaged if packaged.is_file() else Path(__file__).parents[3] / "docs" / "glossary.md"
 
@@ -55,7 +55,7 @@ def _found(term: str, terms: dict[str, str]) -> str:
     if wanted in names:
         return names[wanted]
     containing = [name for name in names if wanted and wanted in name]
-    near = list(dict.fromkeys([*containing, *get_close_matches(wanted, names)]))[:_MOST_NEAR]
+    near = list(dict.fromkeys([*containing, *get_close_matches(wanted, names)]))[:_MAX_OFFERED]
     offered = ", ".join(names[name] for name in near)
     way_out = f"nearest: {offered}" if near else "`armrig glossary` lists all terms"
     raise InputError(f"{term}: not in the glossary; {way_out}")

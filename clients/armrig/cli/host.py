@@ -1,4 +1,4 @@
-"""The commands about this host and what is plugged into it: demo, doctor, conformance."""
+"""The commands about this host and its devices: demo, doctor, conformance."""
 
 from __future__ import annotations
 
@@ -13,29 +13,35 @@ from armrig_core.errors import InputError
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import Connect, Json, RigId, print_json, say
 
-_LONGEST_DEMO_S = 600.0
+_MAX_DEMO_S = 600.0
 
 
 def demo(
-    directory: Annotated[Path, typer.Option(help="Where everything goes.")] = Path("demo"),
-    seconds: Annotated[float, typer.Option(min=5, help="Length of each telegraph.")] = 30.0,
+    directory: Annotated[Path, typer.Option(help="Folder for all files.")] = Path("demo"),
+    seconds: Annotated[
+        float, typer.Option(min=5, help="Length of each telegraph signal, in s.")
+    ] = 30.0,
     seed: Annotated[
-        int, typer.Option(min=0, max=2**63 - 2, help="Of the inputs and of the rig's noise.")
+        int, typer.Option(min=0, max=2**63 - 2, help="Seed of the inputs and of the rig's noise.")
     ] = 1,
     virtual: Annotated[
         bool,
-        typer.Option("--virtual", help="In virtual time: at once, the same bytes for each seed."),
+        typer.Option(
+            "--virtual",
+            help="Run in virtual time, without waiting; the same seed gives the same bytes.",
+        ),
     ] = False,
     firmware: Annotated[
-        bool, typer.Option("--firmware", help="The Uno's firmware in simavr, in virtual time.")
+        bool, typer.Option("--firmware", help="Run the Uno's firmware in simavr, in virtual time.")
     ] = False,
     json: Json = False,
 ) -> None:
-    """Emulate a rig, record it, identify it, write a report.
+    """Emulate a rig, record it, identify models and write a report.
 
-    Two minutes, no hardware; with --virtual 20 s, on any system with Python.
+    The demo needs no hardware. It takes two minutes; with --virtual it takes 20 s, on any system
+    with Python.
 
-    With --json where everything lies, and each model's fit, are a line of JSON at the end.
+    With --json the last line contains the paths of all files and the fit of each model.
     """
     from rich.console import Console
 
@@ -43,11 +49,9 @@ def demo(
     from armrig.cli.demo import from_here
 
     if directory.exists() and not directory.is_dir():
-        raise InputError(
-            f"--directory {directory}: is a file; give a directory, which is made where none is"
-        )
-    if not seconds <= _LONGEST_DEMO_S:  # NaN neither
-        raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {_LONGEST_DEMO_S:g} s")
+        raise InputError(f"--directory {directory}: is a file; give a directory, which may be new")
+    if not seconds <= _MAX_DEMO_S:  # NaN neither
+        raise typer.BadParameter(f"--seconds {seconds:g}: 5 to {_MAX_DEMO_S:g} s")
     console = Console(stderr=json)
     how = {"virtual": virtual or firmware, "firmware": firmware}
     done = run_demo(directory, seconds=seconds, seed=seed, console=console, **how)
@@ -58,13 +62,12 @@ def demo(
 
 
 def doctor(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
-    """Say what on this host costs timing, and how to mend it.
+    """Show what degrades the timing on this host, and how to correct it.
 
-    If a daemon of this machine answers, it is judged, and not the user who calls.
+    If a daemon answers on this machine, the checks apply to the daemon, otherwise to the user who
+    calls. The exit code is 1 if a check fails.
 
-    Exit code 1 if anything costs timing.
-
-    What cannot be told or mended here is a note, and does not count.
+    A note is a fact that cannot be checked or corrected here; it does not change the exit code.
     """
     from armrig.lab.doctor import doctor as examine_this_host
     from armrig.lab.doctor import is_well
@@ -79,19 +82,25 @@ def doctor(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
 
 
 def conformance(
-    device: Annotated[str, typer.Option("--device", metavar="PORT", help="Serial port.")],
+    device: Annotated[
+        str, typer.Option("--device", metavar="PORT", help="Serial port of the device.")
+    ],
     baud: Annotated[int, typer.Option("--baud", help="Speed of the line, in bit/s.")] = 500_000,
     motor_unplugged: Annotated[
-        bool, typer.Option("--motor-unplugged", help="Do not ask: the motor is unplugged.")
+        bool,
+        typer.Option("--motor-unplugged", help="Confirm that the motor is unplugged; do not ask."),
     ] = False,
     json: Json = False,
 ) -> None:
-    """Try a device on every rule of the wire, the motor unplugged; it takes a minute.
+    """Test a device against each rule of PROTOCOL.md, with the motor unplugged.
 
-    One line for each rule of PROTOCOL.md. Exit code 0 only where no rule is broken.
+    The test takes a minute and prints a line for each rule. The exit code is 0 only if no rule is
+    broken.
 
-    The device is left at 0 V.
+    The device ends at 0 V.
     """
     program = [sys.executable, "-m", "armrig_daemon", "conformance", "--device", device]
     program += ["--baud", str(baud), *["--motor-unplugged"] * motor_unplugged, *["--json"] * json]
-    os.execv(program[0], program)  # in our place: a signal must reach who holds the device
+    os.execv(
+        program[0], program
+    )  # in place of this process: a signal must reach the process that holds the device

@@ -52,24 +52,24 @@ if TYPE_CHECKING:
 
 Search = Annotated[
     bool,
-    typer.Option("--search", help="Try several structures, or the one given, with several orders."),
+    typer.Option(
+        "--search", help="Search several structures, or the given one, with several orders."
+    ),
 ]
 MaxOrder = Annotated[
     int, typer.Option("--max-order", min=1, help="Highest order that --search tries.")
 ]
-Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Processes that --search estimates in.")]
+Jobs = Annotated[int, typer.Option("--jobs", min=1, help="Number of processes that --search uses.")]
 ValidationFile = Annotated[
     Path | None,
     typer.Option(
         "--validate",
         metavar="F2",
         parser=recording_path,
-        help="Recording, or other data, to validate with.",
+        help="Recording, or other data, for validation.",
     ),
 ]
-Save = Annotated[
-    Path | None, typer.Option("--save", metavar="JSON", help="File to write the model to.")
-]
+Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model file to write.")]
 
 
 @estimation_options(without_nk="1; --search takes what the data show")
@@ -97,7 +97,7 @@ def identify(
 ) -> None:
     """Estimate a model from a recording or other data, or search for one.
 
-    Says how sure each parameter is.
+    Each parameter is printed with its standard deviation.
     """
     wanted: _Search | Request
     if search:
@@ -117,13 +117,13 @@ def identify(
         start=start,
         stop=stop,
     )
-    from armrig.recordings.doubts import doubts_of_estimation
+    from armrig.recordings.usability import doubts_of_estimation
 
     data = signals.of(file)
     for recording in signals.read:
         for text in doubts_of_estimation(recording):
             tell(text)
-    # Before the minutes that an estimation may take.
+    # Read first: an estimation may take minutes.
     other = None if validate is None else signals.of(validate)
     if given["integrator"]:
         _warn_of_integrator(data)
@@ -141,19 +141,19 @@ def identify(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Search:
-    """What to search through."""
+    """Range of a search."""
 
     fixed: dict[str, Any]
-    """Arguments of the search; what is not among them the search itself chooses."""
+    """Fixed arguments of the search; the search chooses all others."""
     most: int
-    """Highest order that is tried."""
+    """Highest order to try."""
     jobs: int
-    """Processes that estimate."""
+    """Number of processes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Validation:
-    """What other data say of the model."""
+    """Results of the model on other data."""
 
     data: Dataset
     table: ComparisonTable
@@ -162,19 +162,19 @@ class _Validation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Found:
-    """The model, and how it was come by."""
+    """Model, and its estimation or search."""
 
     fit: Fit
     request: Request
-    """What estimates it again."""
+    """Request with which the model can be estimated again."""
     search: SearchResult | None
     validation: _Validation | None
     doubts: tuple[Finding, ...]
-    """What speaks against the data."""
+    """Findings that make the data doubtful."""
 
 
 def _warn_of_integrator(data: Dataset) -> None:
-    """Warn where the rig has no root at 1; of what is not the rig's nothing is known."""
+    """Warn if the rig has no root at 1 for this output; other data are not judged."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
     if from_recording(data) and data.output not in INTEGRATING_OUTPUTS:
@@ -195,7 +195,7 @@ def _check_files(
 
 
 def _found(wanted: _Search | Request, data: Dataset, other: Dataset | None) -> _Found:
-    """Estimate the model, or search for it, and validate it where there are other data."""
+    """Estimate or search the model, and validate it if there are other data."""
     searched = None
     if isinstance(wanted, _Search):
         searched = _searched(wanted, data, other)
@@ -271,7 +271,7 @@ def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None
 
 
 def _print_short(found: _Found) -> None:
-    """Print parameters, roots (of a search why it was chosen), and what to act on."""
+    """Print parameters, roots or the reasons of the search, and the findings to act on."""
     from armrig.cli import model_output
 
     searched = found.search is not None
@@ -282,7 +282,7 @@ def _print_short(found: _Found) -> None:
 
 
 def _print_all(found: _Found, validate: Path | None) -> None:
-    """Print all that there is to say."""
+    """Print all details."""
     from armrig.cli import model_output
     from armrig.validation.advice.advice import advice
 
@@ -290,7 +290,7 @@ def _print_all(found: _Found, validate: Path | None) -> None:
         say("\n".join(model_output.search_lines(found.search)))
     say("\n".join(model_output.model_lines(found.fit)))
     said = [f"! {f.about}: {f.text}" for f in found.doubts if found.search is None]
-    say(model_output.in_symbols("\n".join([*said, repr(advice(found.fit))])))
+    say("\n".join([*said, repr(advice(found.fit))]))
     if found.validation is not None:
         say(f"validation on {validate}\n{found.validation.table!r}")
         say("\n".join(model_output.residual_lines(found.validation.tests)))
@@ -316,9 +316,9 @@ def _print_json(found: _Found, data: Dataset) -> None:
 def _say_next(
     found: _Found, file: Path, validate: Path | None, save: Path | None, signals: Signals
 ) -> None:
-    """Say what comes after the model: what is asked for above, or keep it, then validate it."""
+    """Print the next command: act on the findings, save the model, or validate it."""
     from armrig.cli import model_output
-    from armrig.cli.next_model import CHECK, options_after, options_of
+    from armrig.cli.next_step import CHECK, options_after, options_of
 
     fit, given = found.fit, signals.options()
     about = model_output.to_act_on(fit, found.doubts) - ({"outliers"} if signals.hampel else set())
@@ -334,7 +334,7 @@ def _say_next(
     values["model"] = quote(str(save or "model.json"))
     values["options"] = options + given + (f" --validate {validation}" if validation else "")
     if fit.offset and not signals.detrend:
-        given += " --detrend"  # the tests of the data estimate no level
+        given += " --detrend"  # the tests of the data do not estimate a level
     if options == CHECK:
         say_next("identify check", **(values | {"given": given}))
     elif save is None or options != options_of(found.request):
@@ -350,7 +350,7 @@ def _plot_model(found: _Found, plot: Path | None) -> None:
     if plot is None:
         return
     from armrig.plots import plot_bode, plot_poles_zeros, plot_step
-    from armrig.validation.search_figure import plot_search
+    from armrig.validation.figures import plot_search
 
     fit, searched = found.fit, found.search
     write_plot(

@@ -24,20 +24,25 @@ Methods = Annotated[
     list[str] | None,
     typer.Option(
         "--method",
-        help="forward_euler, ab2, trapezoidal, heun, midpoint; repeatable; all by default.",
+        help="Method: forward_euler, ab2, trapezoidal, heun or midpoint; repeatable.",
+        show_default="all",
     ),
 ]
 Steps = Annotated[
     list[float] | None,
-    typer.Option("--h", metavar="S", help="Step; may be repeated. By default one is recommended."),
+    typer.Option(
+        "--h", metavar="S", help="Step size, in s; repeatable.", show_default="a recommended step"
+    ),
 ]
 Span = Annotated[
     float | None,
-    typer.Option("--span", metavar="S", help="Length.", show_default="three periods"),
+    typer.Option(
+        "--span", metavar="S", help="Length of the solution, in s.", show_default="three periods"
+    ),
 ]
 
-_MOST_STEPS = 2_000_000
-_STATE = 2  # the speed, which shows more than an angle that runs away
+_MAX_STEPS = 2_000_000
+_STATE = 2  # the speed, which stays bounded while the angle grows
 
 
 def integrate(
@@ -47,14 +52,14 @@ def integrate(
     amplitude: Amplitude = AMPLITUDE_V,
     span: Span = None,
     tolerance: Annotated[
-        float, typer.Option("--tolerance", help="Largest error of a recommended step.")
+        float, typer.Option("--tolerance", help="Largest relative error of a recommended step.")
     ] = 1e-3,
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Solve the arm for a sinusoid by each method (handout 4).
+    """Solve the arm's equations for a sinusoid by each method (handout 4).
 
-    u = A sin(ωt), against the exact solution.
+    The input is u = A sin(ωt). Each solution is compared with the exact solution.
     """
     check_plot(plot)
     problem = _problem(amplitude=amplitude, omega=omega, span=span)
@@ -70,7 +75,7 @@ def integrate(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Row:
-    """One method at one step."""
+    """Result of one method at one step."""
 
     method: str
     h: float
@@ -78,7 +83,7 @@ class _Row:
     """Largest stable step, in s."""
     stable: bool
     error: float
-    """Largest over the span, each state against its own largest value; may be infinite."""
+    """Largest error over the span, relative to the largest value of each state; may be infinite."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,12 +93,7 @@ class _Solved:
     problem: Sinusoid
     rows: list[_Row]
     advice: Recommendation | None
-    """Where the steps were recommended."""
-
-    @property
-    def methods(self) -> tuple[str, ...]:
-        """Each method once, in the order of the rows."""
-        return tuple(dict.fromkeys(row.method for row in self.rows))
+    """Recommendation of the steps; None for given steps."""
 
 
 def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
@@ -108,7 +108,7 @@ def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
 def _solved(
     problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
 ) -> _Solved:
-    """Solve by the methods, all where none is given, at the steps, or at a recommended one."""
+    """Solve by the methods (all if none is given) at the steps, or at a recommended step."""
     from armrig.cli.spinner import spinner
     from armrig.physics.integrators.accuracy import all_methods
     from armrig.physics.integrators.stability import stability_limit
@@ -146,15 +146,15 @@ def _recommended(problem: Sinusoid, methods: Sequence[str], tolerance: float) ->
 
 
 def _check_step(h: float, problem: Sinusoid) -> None:
-    """Refuse a step that is not positive, longer than the span, or that would take for ever."""
+    """Refuse a step that is not positive, longer than the span, or far too short."""
     if not (isfinite(h) and 0 < h <= problem.span):
         raise typer.BadParameter(
             f"--h {h:g}: a step is > 0 and at most the span, {problem.span:.4g} s"
         )
-    if problem.span / h > _MOST_STEPS:
+    if problem.span / h > _MAX_STEPS:
         raise typer.BadParameter(
-            f"--h {h:g}: {problem.span / h:.0f} steps; at most {_MOST_STEPS}: "
-            "take a larger step, or a shorter --span"
+            f"--h {h:g}: {problem.span / h:.0f} steps; at most {_MAX_STEPS}: "
+            "give a larger step, or a shorter --span"
         )
 
 
@@ -190,7 +190,7 @@ def _print_table(solved: _Solved, given: str) -> None:
     problem = solved.problem
     say(
         f"x' = A x + B u, the handout's arm, u = {problem.amplitude:g} sin({problem.omega:g} t) V, "
-        f"{problem.span:.4g} s from rest; error: largest, each state against its own largest value"
+        f"{problem.span:.4g} s from rest; error: largest, relative to each state's largest value"
     )
     say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10}  {'at h':8} {'error':>10}")
     for row in solved.rows:
@@ -201,8 +201,8 @@ def _print_table(solved: _Solved, given: str) -> None:
     if solved.advice is not None:
         say(solved.advice.explain())
     say(
-        "The limit is the largest absolutely stable step (the handout calls it the minimum): at a "
-        "larger one h λ leaves the method's region of stability for an eigenvalue λ of A."
+        "The limit is the largest absolutely stable step (the handout calls it the minimum). At a "
+        "larger step h, h λ is outside the method's region of stability for an eigenvalue λ of A."
     )
     values = {"files": for_the_report(), "answers": answers_here(), "report": free_name()}
     say_next("integrate", **values, sinusoid=given)

@@ -1,4 +1,4 @@
-"""The command that starts a rig with all that it needs: lab."""
+"""The command lab, which starts a rig with its daemon."""
 
 from __future__ import annotations
 
@@ -26,28 +26,32 @@ if TYPE_CHECKING:
 
 Port = Annotated[
     str | None,
-    typer.Option("--port", metavar="DEVICE", help="Serial port of a rig; without it, emulated."),
+    typer.Option(
+        "--port", metavar="DEVICE", help="Serial port of the rig.", show_default="an emulated rig"
+    ),
 ]
 Config = Annotated[
     Path | None,
-    typer.Option("--config", metavar="TOML", help="Configuration, in place of the installed ones."),
+    typer.Option(
+        "--config", metavar="TOML", help="Configuration file, in place of the installed files."
+    ),
 ]
 Page = Annotated[
-    bool, typer.Option("--dashboard/--no-dashboard", help="Show it in a browser, too.")
+    bool, typer.Option("--dashboard/--no-dashboard", help="Also show the rig in a browser.")
 ]
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
-_STATUS_S = 0.5
-_VIEW_S = 0.1
+_STATUS_INTERVAL_S = 0.5
+_VIEW_INTERVAL_S = 0.1
 _BLANK = "–"
 
 
 class _Lab(NamedTuple):
-    """What a lab is of."""
+    """Rig and page of a lab."""
 
     rig: str
-    """Where the rig is, or that it is emulated."""
+    """Port of the rig, or "an emulated rig"."""
     url: str
-    """Of the dashboard, "" where there is none."""
+    """URL of the dashboard; "" without one."""
 
 
 def lab(
@@ -57,12 +61,13 @@ def lab(
     page: Page = True,
     json: Json = False,
 ) -> None:
-    """Start a rig with its daemon, and show it live until Ctrl-C, in a browser, too.
+    """Start a rig with its daemon, and show the rig live until Ctrl-C.
 
-    Without --port the rig is an emulated one. All other commands find it, in a second terminal.
-    The motor ends at 0 V.
+    Without --port the rig is emulated. In a second terminal, all other commands use this rig. At
+    the end the motor is at 0 V.
 
-    With --json each change of its phase is a line, as of `armrig status --json`: "safe" is ready.
+    With --json the command prints a line at each change of the phase, with the fields of
+    `armrig status --json`. In phase "safe" the rig is ready.
     """
     import platformdirs
 
@@ -88,7 +93,7 @@ def lab(
 
 @contextmanager
 def _page(rig: str) -> Iterator[str]:
-    """Serve the dashboard, and open it where there is somebody to see it."""
+    """Serve the dashboard, and open it in a browser if there is a screen."""
     import webbrowser
 
     from armrig.dashboard.serving import Settings, dashboard
@@ -100,18 +105,18 @@ def _page(rig: str) -> Iterator[str]:
 
 
 def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, json: bool) -> None:
-    """Say when the rig is ready, and show what it does; on a terminal in place."""
+    """Print when the rig is ready, and show its newest sample, on a terminal in place."""
     from armrig.rig.local_daemon import require_running
 
     shown = told = ""
     status, asked_s = rig.status(), time.monotonic()
-    # Once: what is recorded from here on changes it, and each command says its own.
+    # Once: later recordings would change the line, and each command prints its own.
     after = next_line("lab chassis" if status.arm_removed else "lab", rig=naming(status.rig))
     with rig.arrivals("sample") as newest, _view(json=json) as (say, draw):
         sample = None
         while True:
             require_running(daemon, log)
-            if time.monotonic() - asked_s >= _STATUS_S:
+            if time.monotonic() - asked_s >= _STATUS_INTERVAL_S:
                 status, asked_s = rig.status(), time.monotonic()
             sample = (newest() or [sample])[-1]
             how = f"{status.phase} {status.reason} {status.line}"
@@ -122,16 +127,16 @@ def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, js
             if (view := _lines(status, sample)) != shown:
                 draw(view)
                 shown = view
-            time.sleep(_VIEW_S)
+            time.sleep(_VIEW_INTERVAL_S)
 
 
 def _sentence(status: StatusReport, lab: _Lab, after: str) -> str:
-    """Return that the rig is ready, or what it waits for; "" for what passes by itself."""
+    """Return the message that the rig is ready, or its problem; "" if it will soon be ready."""
     if status.phase == "safe":
-        alone = "; its arm is taken off, says [arm] removed" if status.arm_removed else ""
+        alone = "; the arm is removed ([arm] removed)" if status.arm_removed else ""
         page = f"in a browser: {lab.url}\n" if lab.url else ""
         return (
-            f"rig ready, 0 V: {lab.rig}, rig {status.rig}; Ctrl-C ends it\n{page}"
+            f"rig ready, 0 V: {lab.rig}, rig {status.rig}; Ctrl-C ends the lab\n{page}"
             f"recordings go to {status.recordings}{alone}\n"
             f"in a second terminal:\n{after}"
         )
@@ -139,12 +144,12 @@ def _sentence(status: StatusReport, lab: _Lab, after: str) -> str:
         from armrig.rig.collection import reset_command
 
         return f"{status.reason}; {status.remedy}, then {reset_command(status.rig, None)}"
-    return f"not ready: {status.line}; Ctrl-C ends it" if status.line else ""
+    return f"not ready: {status.line}; Ctrl-C ends the lab" if status.line else ""
 
 
 def _lines(status: StatusReport, sample: Any) -> str:
-    """Return what is shown live: how the rig is, its newest sample, and its run."""
-    who = f"{status.owner} has it" if status.owner else "nobody has it"
+    """Return the live view: phase and owner, newest sample, and run."""
+    who = f"owner {status.owner}" if status.owner else "no owner"
     lines = [f"rig {status.rig}: {status.phase}, {who}"]
     if sample is not None:
         lines.append(
@@ -163,7 +168,7 @@ def _angle(x: float) -> str:
 
 
 def _between_words(text: str, columns: int) -> str:
-    """Return the text in lines of the terminal's width; a line to copy stays whole."""
+    """Return the text folded to the width of the terminal; a line to copy is not folded."""
     lines = printable(text, keep="\n").splitlines()
     return "\n".join(
         x if x.startswith(("next: ", "in a browser: ")) else folded(x, columns) for x in lines
@@ -172,7 +177,7 @@ def _between_words(text: str, columns: int) -> str:
 
 @contextmanager
 def _view(*, json: bool) -> Iterator[tuple[Callable[[Any], None], Callable[[str], None]]]:
-    """Give what says a line for good, and what draws the live view below, on a terminal only."""
+    """Yield two functions: print a line, and draw the live view on a terminal."""
     if json or not sys.stdout.isatty():
         yield print_json if json else echo, lambda _: None
         return

@@ -1,4 +1,4 @@
-"""The command that lists the recordings, and the rigs that are there: ls."""
+"""The command ls, which lists recordings and rigs."""
 
 from __future__ import annotations
 
@@ -27,44 +27,48 @@ if TYPE_CHECKING:
     from armrig.recordings.catalogue import Catalogue
     from armrig.recordings.recording_summary import RecordingSummary
 
-Count = Annotated[int, typer.Option("--count", min=1, help="How many of the newest.")]
-All = Annotated[bool, typer.Option("--all", help="All of them.")]
-Live = Annotated[bool, typer.Option("--live", help="The rigs that are there now.")]
+Count = Annotated[
+    int, typer.Option("--count", min=1, help="Number of the newest recordings to list.")
+]
+All = Annotated[bool, typer.Option("--all", help="List all recordings.")]
+Live = Annotated[bool, typer.Option("--live", help="List the rigs that are alive.")]
 Folder = Annotated[
     Path | None,
     typer.Argument(
         metavar="FOLDER",
-        help="Where they are.",
+        help="Folder of the recordings.",
         show_default="the folder of the recordings",
     ),
 ]
 Naming = Callable[["RecordingSummary"], str]
-_COUNT = 20
-_NAMED = 3
-_WIDEST = 60  # characters of a column
+_DEFAULT_COUNT = 20
+_MAX_NAMES = 3
+_MAX_WIDTH = 60  # characters of a column
 _HEADINGS = ("recording", "kind", "length", "Ts", "missing", "started", "outcome", "validates")
-_OPTIONAL = 2  # of them, the last
+_OPTIONAL = 2  # number of optional columns, the last ones
 
 
 def ls(
     where: Folder = None,
-    count: Count = _COUNT,
+    count: Count = _DEFAULT_COUNT,
     every: All = False,
     live: Live = False,
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """List the recordings, newest first; with --live the rigs that are there now.
+    """List the recordings, newest first, or with --live the rigs that are alive.
 
-    With the names that other commands take for files, such as @last; of another folder than that
-    of the recordings the files themselves. The rigs are those at an endpoint, of a router or a
-    daemon; without one all of this machine.
+    The names, such as @last, can be given to other commands as files. For a FOLDER of your own, the
+    list contains file names instead. With --connect, --live lists the rigs of that router or
+    daemon; without --connect, it lists the rigs of this machine.
     """
     if live and (where is not None or every):
-        raise InputError("--live lists rigs: a folder or --all of recordings does not go with it")
+        raise InputError(
+            "--live lists rigs: leave out the folder and --all, which are for recordings"
+        )
     if connect and not live:
         raise InputError(
-            f"--connect {connect}: recordings lie on a disk; --live lists the rigs there"
+            f"--connect {connect}: recordings are files; --live lists the rigs at an endpoint"
         )
     if live:
         _list_rigs(connect, json=json)
@@ -95,12 +99,12 @@ def ls(
     answering = answering_among(whole)
 
     def name_of(summary: RecordingSummary) -> str:
-        # A name such as @last is looked up in the folder of the recordings.
+        # A name such as @last means a recording in the default folder.
         return str(summary.path) if where else short_name(summary, answering)
 
     if shown:
         rows = [_row(s, name_of, answering) for s in shown]
-        # Most are complete, most names say what a recording validates, and 80 columns are few.
+        # A column is left out if it is empty or all are complete: a terminal may have 80 columns.
         kept = [True] * (len(_HEADINGS) - _OPTIONAL)
         kept += [not {row[i] for row in rows} <= {"", COMPLETE.text} for i in range(-_OPTIONAL, 0)]
         echo(_table([tuple(compress(row, kept)) for row in (_HEADINGS, *rows)]))
@@ -111,7 +115,7 @@ def ls(
 
 
 def _list_rigs(connect: str | None, *, json: bool) -> None:
-    """List the rigs that are there now."""
+    """List the rigs that are alive."""
     from armrig.rig.live_rigs import live_rigs
 
     where, found = live_rigs(connect)
@@ -123,8 +127,8 @@ def _list_rigs(connect: str | None, *, json: bool) -> None:
         return
     if not found:
         tell(
-            f"no rig is alive at {where}: start one with `armrig lab` or `armrigd run`; one of "
-            "another machine is found at its router: --connect tls/HOST:PORT"
+            f"no rig is alive at {where}: start one with `armrig lab` or `armrigd run`; for a rig "
+            "of another machine give its router, --connect tls/HOST:PORT"
         )
         return
     rows = [
@@ -133,11 +137,7 @@ def _list_rigs(connect: str | None, *, json: bool) -> None:
         else (r.rig, "", "", "", r.why)
         for r in found
     ]
-    echo(
-        _table(
-            [("rig", "phase", "Ts", "who has it", ""), *(tuple(map(printable, r)) for r in rows)]
-        )
-    )
+    echo(_table([("rig", "phase", "Ts", "owner", ""), *(tuple(map(printable, r)) for r in rows)]))
 
 
 def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tuple[str, ...]:
@@ -156,20 +156,20 @@ def _row(summary: RecordingSummary, name_of: Naming, answering: Answering) -> tu
 
 
 def _clipped(text: str) -> str:
-    return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 1]}…"
+    return text if len(text) <= _MAX_WIDTH else f"{text[: _MAX_WIDTH - 1]}…"
 
 
 def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
-    """Return which recording one validates, by its short name; "" where its own name says so."""
+    """Return the name of the estimation recording of a validation; "" if its own name shows it."""
     if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
         return ""
     estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []
-    return name_of(estimations[0]) if estimations else "not said"
+    return name_of(estimations[0]) if estimations else "not known"
 
 
 def _table(rows: list[tuple[str, ...]]) -> str:
-    # A name stays whole, to be typed; one longer than any of ours does not make all rows wide.
-    widths = [min(max(map(len, column)), _WIDEST) for column in zip(*rows, strict=True)]
+    # A name is never cut, because a person types it; a longer name does not widen the other rows.
+    widths = [min(max(map(len, column)), _MAX_WIDTH) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(f"{cell:{width}}" for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in rows
@@ -177,19 +177,19 @@ def _table(rows: list[tuple[str, ...]]) -> str:
 
 
 def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
-    """Return what is not in the table: the older ones, and what is not whole."""
+    """Return a line about recordings not in the table: the older, damaged and unfinished."""
     from armrig.recordings.recording_summary import shown_path
 
     if found is None or not (found.recordings or found.left_out or found.unfinished):
         return f"there are no recordings in {folder}; make one with `armrig collect`"
-    told = [f"in {folder}"]
+    parts = [f"in {folder}"]
     if older := len(found) - shown:
-        told.append(f"{older} older ones: --all")
+        parts.append(f"{older} older recordings: --all")
     if found.left_out:
-        named = [shown_path(Path(left.path.name)) for left in found.left_out[:_NAMED]]
+        named = [shown_path(Path(left.path.name)) for left in found.left_out[:_MAX_NAMES]]
         more = len(found.left_out) - len(named)
-        told.append(f"not whole: {', '.join(named)}" + (f" and {more} more" if more else ""))
-        told[-1] += "; `armrig info FILE` says why"
+        parts.append(f"damaged: {', '.join(named)}" + (f" and {more} more" if more else ""))
+        parts[-1] += "; `armrig info FILE` shows the damage"
     if unfinished := len(found.unfinished):
-        told.append(f"{unfinished} being written, or left by a daemon that died: `armrig recover`")
-    return "; ".join(told)
+        parts.append(f"{unfinished} being written, or left by a dead daemon: `armrig recover`")
+    return "; ".join(parts)

@@ -1,4 +1,4 @@
-"""A model and its tests as a table and a few lines, for a person at the terminal."""
+"""Tables and lines about a model and its tests, for a person at the terminal."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from armrig.models.responses import Roots
     from armrig.validation.search_result import SearchResult
 
-_MOST_DECIMALS = 9
-_BEST = 5  # models of a search that are shown without --verbose
-_REASONS = 3  # and reasons, the first of which the table tells
+_MAX_DECIMALS = 9
+_MAX_SHOWN_MODELS = 5  # models of a search without --verbose
+_MAX_REASONS = 3  # reasons without --verbose; the table shows the first
 
 
 def answer(
     fit: Fit, validation: ComparisonTable | None, tests: ResidualTest | None, *, doubted: bool
 ) -> str:
-    """Return the model's fit and what its residuals are, in a sentence or two.
+    """Return the fit and the residuals of a model in a sentence or two.
 
-    Where the data are doubted, they are to be seen to before the orders.
+    If the data are doubtful, the sentence advises to correct the data before the orders.
     """
     said = (
         f"{fit.heading} fits {fit.output} to {fit.fit_percent:.2f} % one step ahead; "
@@ -54,16 +54,16 @@ def answer(
 
 
 def simulated_to(row: Comparison, unit: str) -> str:
-    """Return how well a model simulates: 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
+    """Return the fit of a simulation, such as 99.9 % (rms 0.0035 rad, velocity 83.6 %)."""
     velocity = row.velocity_fit_percent
     said = f"{row.fit_percent:.2f} % (rms {row.rms_error:.4g} {unit}".rstrip()
     return said + (f", velocity {velocity:.2f} %)" if velocity is not None else ")")
 
 
 def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
-    """Return equation and signals, a line for each polynomial's coefficients, poles and zeros.
+    """Return equation, signals, the coefficients of each polynomial, poles and zeros.
 
-    Each with the standard deviation that is to be trusted.
+    Each number has the standard deviation that holds for the residuals.
     """
     std, which = (fit.std_robust, "σ robust") if fit.trusts_robust else (fit.std, "σ")
     texts: dict[str, list[str]] = {}
@@ -77,14 +77,14 @@ def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
 
 
 def _roots(found: Roots) -> str:
-    """Return roots with their deviations, a pair as one, those of both its parts in brackets."""
-    with np.errstate(invalid="ignore"):  # a variance that rounding made negative is not known
+    """Return roots with their deviations; a pair is one text with both deviations in brackets."""
+    with np.errstate(invalid="ignore"):  # rounding may make a variance negative
         stds = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
     texts = []
     for z, (real, imag) in zip(found.values.tolist(), stds.tolist(), strict=True):
         if z.imag > 0:
             least = min((s for s in (real, imag) if s > 0), default=0.0)
-            decimals = min(places(least), _MOST_DECIMALS)
+            decimals = min(places(least), _MAX_DECIMALS)
             pair = f"{z.real:.{decimals}f} ± {z.imag:.{decimals}f}i"
             texts.append(f"{pair} (σ {real:.2g}, {imag:.2g})")
         elif z.imag == 0:
@@ -93,12 +93,12 @@ def _roots(found: Roots) -> str:
 
 
 def _listed(numbers: Sequence[str]) -> str:
-    """Return numbers with commas, none of which is broken at the end of a line."""
+    """Return numbers with commas; no number is broken at the end of a line."""
     return ", ".join(number.replace(" ", NBSP) for number in numbers)
 
 
 def model_lines(fit: Fit) -> list[str]:
-    """Return the model: equation, coefficients with both standard deviations, and verdict."""
+    """Return equation, coefficients with both standard deviations, and the tests of a model."""
     squared = _squared(fit.unit)
     lines = [
         heading(fit),
@@ -110,37 +110,37 @@ def model_lines(fit: Fit) -> list[str]:
         f"  {whiteness_sentence(fit, 'σ', 'σ robust')}",
     ]
     if fit.starts:
-        how = "agree" if fit.agreed else "DISAGREE, the best was taken"
+        how = "agree" if fit.agreed else "DISAGREE, the best one was used"
         ends = ", ".join(f"{s.name} {s.loss:.6g}" for s in fit.starts)
         lines.append(f"  starts {how}: {ends}{squared}" + ("" if fit.converged else _UNFINISHED))
     if isinstance(fit, SubspaceFit):
         lines += [f"  {line}" for line in fit.explain().splitlines()]
-    return [*lines, *(f"  warning: {in_symbols(w)}" for w in fit.warnings)]
+    return [*lines, *(f"  warning: {w}" for w in fit.warnings)]
 
 
 def doubted(fit: Fit, doubts: Sequence[Finding]) -> bool:
-    """Tell whether something is wrong with the data, by their own tests or the estimate's."""
+    """Return True if a test of the data or of the estimate doubts the data."""
     return bool(doubts) or any(f.about in _OF_DATA for f in fit.findings)
 
 
 def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
-    """Return what to act on: of the data, what the estimation warns of, what the advice adds."""
+    """Return the lines to act on: doubts about the data, warnings of the estimation, advice."""
     about = {f.about for f in doubts}
-    # The answer has said what the residuals are.
+    # The first sentence of the output has already reported the residuals.
     advised = [f for f in advice(fit).findings if f.level != "good"]
     advised = [f for f in advised if f.about not in {"residuals", *about}]
     if "integrator" in about or any(f.about == "level" for f in fit.findings):
-        # Then what a pole and a zero at 1 stand for is known.
+        # The finding named here then explains the pole and the zero at 1.
         advised = [f for f in advised if f.about != "level"]
     said = about | {f.about for f in advised}
     warnings = [f.text for f in fit.findings if not said & _SAID_BY.get(f.about, set())]
     lines = [f"! {f.about}: {f.text}" for f in doubts]
     lines += [f"! {w}" for w in warnings] + [f"! {f.about}: {f.text}" for f in advised]
-    return [in_symbols(line) for line in lines] or ["nothing to act on"]
+    return lines or ["nothing to act on"]
 
 
 def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
-    """Return what there is to act on, by the names of the findings."""
+    """Return the names of the findings to act on."""
     found = {f.about for f in (*doubts, *advice(fit).findings) if f.level != "good"}
     asked = {f.about if f.about in _OF_DATA else f.asks for f in fit.findings}
     return found | (asked - {""})
@@ -148,65 +148,44 @@ def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
 
 def short_search_lines(found: SearchResult) -> list[str]:
     """Return the best five models of a search and why the one was chosen."""
-    return [found.table(_BEST), *(f"- {r}" for r in found.reasons[1:_REASONS])]
+    return [found.table(_MAX_SHOWN_MODELS), *(f"- {r}" for r in found.reasons[1:_MAX_REASONS])]
 
 
 def search_lines(found: SearchResult) -> list[str]:
     """Return the table and the reasons of a search, without the warnings of the model chosen."""
     lines = repr(found).splitlines()
-    return [in_symbols(line) for line in lines if line.removeprefix("- ") not in found.fit.warnings]
+    return [line for line in lines if line.removeprefix("- ") not in found.fit.warnings]
 
 
-def in_symbols(text: str) -> str:
-    """Return a sentence of Python's in the words of the command line and of its tables."""
-    for python, ours in _OURS.items():
-        text = text.replace(python, ours)
-    return text
-
-
-_OURS = {
-    "integrator=True": "--integrator",
-    "std_robust": "σ robust",
-    "trust std": "trust σ",
-    ", not std": ", not σ",
-    "offset=True": "--offset",
-    "stable=True": "--stable",
-    "armrig.detrend(data)": "--detrend",
-    "armrig.delay(data) decides": "`armrig check` decides",
-    "take an estimator with --offset": "take --structure oe with --offset",
-    "take --offset": "give --offset",
-    "estimate from armrig.hampel(data), which marks": "--hampel marks",
-}
-
-_DATA_FIRST = "see to the data first, as said below"
+_DATA_FIRST = "correct the data first, see below"
 _OF_DATA = frozenset({"outliers", "level"})
-"""Findings of an estimate that are about its data, by the names that the advice has for them."""
+"""Findings of an estimate about its data; the advice uses the same names."""
 _SAID_BY = {
     **{name: {name} for name in _OF_DATA},
     "unstable": {"integrator", "unstable"},
     "poorer_minimum": {"search"},
     "not_converged": {"search"},
 }
-"""Findings of the advice that say what one of an estimate says."""
+"""Findings of the advice that repeat a finding of an estimate, by the estimate's finding."""
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"
 _LEVEL = f"a p below {WHITE_LEVEL:g} rejects"
 _MORE_TESTS = f"{_LEVEL.capitalize()}; --validate F2 tests the residuals against the input, too."
-_UNTESTED = "too few samples, or no residual, to test"
+_UNTESTED = "too few samples or residuals for the test"
 _UNFINISHED = " (NOT CONVERGED)"
 
 
 def coefficients(fit: Fit) -> list[str]:
     """Return the table of the parameters."""
     lines = [f"  {'coefficient':12} {'estimate':>14} {'σ':>10} {'σ robust':>10}"]
-    with np.errstate(invalid="ignore"):  # a variance that rounding made negative is not known
+    with np.errstate(invalid="ignore"):  # rounding may make a variance negative
         stds = fit.std, fit.std_robust
     rows = zip(fit.names, fit.theta, *stds, strict=True)
     for name, value, std, robust in rows:
         power = int(name[1:]) - 1 + (fit.nk if name[0] == "b" else 1)
         finite = [s for s in (std, robust) if np.isfinite(s) and s > 0]
-        decimals = min(places(min(finite, default=0.0)), _MOST_DECIMALS)
+        decimals = min(places(min(finite, default=0.0)), _MAX_DECIMALS)
         lines.append(
             f"  {f'{name} q^-{power}':12} {value:>14.{decimals}f} {_std(std)} {_std(robust)}"
         )
@@ -214,7 +193,7 @@ def coefficients(fit: Fit) -> list[str]:
 
 
 def root_lines(fit: Fit) -> list[str]:
-    """Return poles and zeros in the z plane with their standard deviations, a pair as one."""
+    """Return poles and zeros in the z plane with their standard deviations; a pair is one row."""
     lines = [f"  {'root of z':12} {'value':>22} {'σ':>10} {'σ of the imaginary part':>24}"]
     for name, found in (("pole", fit.poles()), ("zero", fit.zeros())):
         with np.errstate(invalid="ignore"):  # as above
@@ -231,23 +210,23 @@ def root_lines(fit: Fit) -> list[str]:
 
 
 def tests_sentence(tests: ResidualTest) -> str:
-    """Return whether the residuals pass their tests, each with its p value, and the level."""
+    """Return the result of the tests of the residuals, with p values and the level."""
     failed, passed = [], []
     if tests.white.coloured:
         failed.append(f"they are {tests.white}: {_NOISE}")
     else:
         passed.append(str(tests.white))
-    # What is missing shows at the lags of feedback, too, where u is not white.
+    # If u is not white, missing dynamics also show at the lags of feedback.
     feedback = f"there is feedback ({{}}): {_FEEDBACK}"
     if tests.missing_dynamics < WHITE_LEVEL:
-        feedback = "until they are modelled, the test of feedback ({}) is void"
+        feedback = "until the dynamics are modelled, the test of feedback ({}) is not valid"
     for p, bad, good in (
         (
             tests.missing_dynamics,
             f"dynamics are missing ({{}}): {_DYNAMICS}",
             "no dynamics missing",
         ),
-        (tests.feedback, feedback, "no feedback seen in them"),
+        (tests.feedback, feedback, "no feedback seen"),
     ):
         said = f"p {p_relation(p)}"
         if p < WHITE_LEVEL:
@@ -258,27 +237,27 @@ def tests_sentence(tests: ResidualTest) -> str:
         rest = [f"passed: {', '.join(passed)}"] if passed else []
         return f"its residuals do not pass: {'; '.join([*failed, *rest, _LEVEL])}"
     if tests.powerless:
-        return f"its residuals tell nothing: {in_symbols(tests.powerless)}"
+        return f"the tests of its residuals have no power: {tests.powerless}"
     if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
         return f"residuals {tests.white}; {_UNTESTED}"
     return f"its residuals pass: {', '.join(passed)}; {_LEVEL}"
 
 
 def residual_lines(tests: ResidualTest) -> list[str]:
-    """Return the tests of the residuals, each with the hypothesis that its p value is of."""
+    """Return the tests of the residuals, each with its hypothesis and p value."""
     where = "estimation" if tests.on_estimation_data else "validation"
     look = f": {_NOISE}" if tests.white.coloured else ""
     return [
         f"residuals on {where} data, {np.count_nonzero(np.isfinite(tests.e))} samples; {_LEVEL}",
         f"  residuals {tests.white}{look}",
         f"  no dynamics missing: {_p(tests.missing_dynamics, _DYNAMICS)}",
-        f"  no feedback seen in them: {_p(tests.feedback, _FEEDBACK)}",
-        *([f"  no power: {in_symbols(tests.powerless)}"] if tests.powerless else []),
+        f"  no feedback seen: {_p(tests.feedback, _FEEDBACK)}",
+        *([f"  no power: {tests.powerless}"] if tests.powerless else []),
     ]
 
 
 def lags_outside(tests: ResidualTest) -> str:
-    """Say why lags may lie outside their bands while the joint test accepts; "" if none does."""
+    """Return why lags may be outside their bands although the joint test accepts; "" if none is."""
     beyond = np.abs(tests.cross_correlation) > BAND_99_PERCENT * tests.cross_std
     lags = [
         outside
@@ -294,13 +273,13 @@ def lags_outside(tests: ResidualTest) -> str:
         return ""
     return (
         f"{n} of {N} lags {'is' if n == 1 else 'are'} outside the 99 % band although their joint "
-        "test accepts. The test decides, whose p is for all lags together. The band is for a "
-        "single lag: one in a hundred leaves it by chance, often together with its neighbours."
+        "test accepts. The joint test decides: its p is for all lags together. The band is for a "
+        "single lag: one lag in a hundred is outside by chance, often together with its neighbours."
     )
 
 
 def model_facts(fit: Fit) -> dict[str, Any]:
-    """Return the model for a program."""
+    """Return the results of the estimation as JSON fields."""
     rows = zip(fit.names, fit.theta, fit.std, fit.std_robust, strict=True)
     facts = {
         "structure": fit.structure,
@@ -331,7 +310,7 @@ def model_facts(fit: Fit) -> dict[str, Any]:
 
 
 def residual_facts(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[str, Any]:
-    """Return the verdict of validation data for a program."""
+    """Return the results on validation data as JSON fields."""
     return source_facts(data) | {
         "on_estimation_data": row.on_estimation_data,
         "fit_percent": row.fit_percent,
@@ -346,7 +325,7 @@ def residual_facts(data: Dataset, row: Comparison, tests: ResidualTest) -> dict[
 
 
 def hint(fit: Fit) -> str:
-    """Return what to try next, or nothing."""
+    """Return a suggestion for the next model; "" if there is none."""
     integrates = fit.output in INTEGRATING_OUTPUTS
     if fit.structure == "oe" and integrates and not fit.integrator:
         return f"the angle {fit.output} integrates: try --integrator"

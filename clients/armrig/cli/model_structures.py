@@ -1,4 +1,4 @@
-"""The options that say what to estimate, the request that they make, and the model of it."""
+"""Options of an estimation, the request that they make, and the estimated model."""
 
 from __future__ import annotations
 
@@ -9,8 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from armrig.estimation.request import DEFAULTS, OPTIONS, Request
-from armrig.models.structure_table import COUNTED, FAMILIES, OFFERED, Family, users, with_article
+from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag
+from armrig.models.structure_table import (
+    COUNTED,
+    OFFERED,
+    OFFERED_NAMES,
+    OfferedName,
+    users,
+    with_article,
+)
 from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
@@ -18,28 +25,28 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
 
 Given = dict[str, Any]
-"""Values of the options below by name, None or False of those that were not given."""
+"""Values of the options below by name; None or False for options that were not given."""
 _SEARCHED = ("structure", "nk", "integrator", "offset")
 _NOT_SEARCHED = {"stable": "whose models always are"}
 _WAY_OUT = {
     "integrator": "{model} finds its own",
-    "offset": "take the means off, --detrend",
+    "offset": "subtract the means, --detrend",
     **dict.fromkeys(COUNTED, "{model} has {orders}"),
 }
-"""What to do instead, where a structure does not take an option."""
+"""Advice if a structure does not have an option, by option."""
 
 
 def estimation_options(
-    *, structure: Family | None = None, nk: int | None = None, without_nk: str = ""
+    *, structure: OfferedName | None = None, nk: int | None = None, without_nk: str = ""
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that puts the options of an estimation in place of the argument `given`.
+    """Return a decorator that replaces the argument `given` by the options of an estimation.
 
     Parameters
     ----------
     structure, nk : optional
-        What they are by default.
+        Defaults of the options.
     without_nk : str
-        What nk is if it is not given, for the help.
+        Default of nk, for the help.
     """
     options = _options(structure, nk, without_nk)
 
@@ -63,15 +70,17 @@ def estimation_options(
     return decorated
 
 
-def _options(structure: Family | None, nk: int | None, without_nk: str) -> list[inspect.Parameter]:
-    which = typer.Option("--structure", help="Which model.", show_default=structure is not None)
-    late = _option("nk", "Samples before u reaches y", without_nk)
+def _options(
+    structure: OfferedName | None, nk: int | None, without_nk: str
+) -> list[inspect.Parameter]:
+    which = typer.Option("--structure", help="Model structure.", show_default=structure is not None)
+    late = _option("nk", "Delay from u to y, in samples", without_nk)
     others = [
         _parameter(name, kind, _option(name, option.help, option.default), DEFAULTS[name])
         for name, (kind, option) in OPTIONS.items()
     ]
     return [
-        _parameter("structure", Family if structure else Family | None, which, structure),
+        _parameter("structure", OfferedName if structure else OfferedName | None, which, structure),
         *(_parameter(name, int | None, _order(name)) for name in COUNTED),
         _parameter("nk", int | None if nk is None else int, late, nk),
         *others,
@@ -94,15 +103,15 @@ def _order(name: str) -> Any:
 
 
 def _option(name: str, what: str, default: str = "") -> Any:
-    """Return an option, and say which structures have it unless all do."""
+    """Return an option whose help names its structures, unless all structures have it."""
     titles = ", ".join(OFFERED[user].title for user in users(name))
-    which = "" if len(users(name)) == len(FAMILIES) else f" ({titles})"
-    return typer.Option(f"--{name}", help=f"{what}{which}.", show_default=default or True)
+    which = "" if len(users(name)) == len(OFFERED_NAMES) else f" ({titles})"
+    return typer.Option(flag(name), help=f"{what}{which}.", show_default=default or True)
 
 
 def requested(given: Given) -> Request:
-    """Return what the options ask for; refuse those that would do nothing with the structure."""
-    structure: Family | None = given["structure"]
+    """Return the request of the options; refuse options that the structure does not have."""
+    structure: OfferedName | None = given["structure"]
     if structure is None:
         raise typer.BadParameter(
             "give --structure, such as --structure oe --integrator, or --search"
@@ -116,7 +125,7 @@ def requested(given: Given) -> Request:
 
 
 def searched_for(given: Given) -> dict[str, Any]:
-    """Return what of a search the options fix; refuse those that it would do nothing with."""
+    """Return the arguments that the options fix in a search; refuse options without effect."""
     asked = _asked(given)
     for name, value in asked.items():
         if name not in _SEARCHED:
@@ -133,14 +142,14 @@ def _asked(given: Given) -> Given:
 
 
 def _typed(name: str, value: Any) -> str:
-    return f"--{name}" if value is True else f"--{name} {value}"
+    return flag(name) if value is True else f"{flag(name)} {value}"
 
 
-def _check_taken(structure: Family, given: Given) -> None:
-    """Refuse options of other structures, without effect here."""
+def _check_taken(structure: OfferedName, given: Given) -> None:
+    """Refuse options that the structure does not have."""
     kind = OFFERED[structure]
     for name, value in _asked(given).items():
-        able = FAMILIES if name == "structure" else users(name)
+        able = OFFERED_NAMES if name == "structure" else users(name)
         if structure not in able:
             way_out = _WAY_OUT.get(name, "").format(
                 model=f"{with_article(kind.title)} model", orders=listed([*kind.orders, "nk"])
@@ -152,7 +161,7 @@ def _check_taken(structure: Family, given: Given) -> None:
 
 
 def estimated(data: Dataset, request: Request) -> Fit:
-    """Return the model; orders that are too high for the data are refused."""
+    """Return the estimated model; refuse orders that are too high for the data."""
     import numpy as np
 
     from armrig.cli.spinner import estimating, too_high

@@ -1,10 +1,10 @@
-"""The path of the handout: what a person types next, ready to copy."""
+"""Next commands along the handout, ready to copy."""
 
 from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from itertools import count, islice
 from math import isfinite
@@ -12,17 +12,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from armrig_core.printable import printable
+from msgspec.structs import replace
+
+from armrig.estimation.request import OPTIONS, Request, flag
+from armrig.models.structure_table import STRUCTURES
 
 if TYPE_CHECKING:
+    from armrig.models.fit import Fit
     from armrig.recordings.recording import Recording
     from armrig.recordings.recording_summary import RecordingSummary
 
-_LONGEST = 28
-"""Letters of a name that another word is put behind."""
+
+_MAX_NAME_LENGTH = 28
+"""Number of letters of a name that are kept before `_AGAIN`."""
 _AGAIN = "-again"
-"""Ending of the name of a step that is made again."""
-_MOST_READ = 100
-"""Recordings of a kind that are looked at."""
+"""Suffix of the name of a repeated step."""
+_MAX_SEARCHED = 100
+"""Number of the newest recordings of a kind to search."""
 
 AFTER: Mapping[str, str] = {
     "lab": "armrig collect step{rig} --Ts 0.002 --seconds 10 --name first",
@@ -71,29 +77,33 @@ AFTER: Mapping[str, str] = {
     "report": "{opener} {file}",
     "report --source": "armrig report --from {source} -o {report}",
 }
-"""The line after each command, with what stands in braces filled in."""
+"""Next command after each command; names in braces are replaced by values."""
+CHECK = ""
+"""Value in place of options if `armrig check` must test the data first."""
+_LOWER = {"order", "poles"}
+_CHECKED = {"feedback", "delay", "unstable"}
 
 
 def say_next(after: str, **values: str | float) -> None:
-    """Print the line after a command, beside what was asked for."""
+    """Print the next line of a command, on standard error."""
     say_to_copy(next_line(after, **values))
 
 
 def say_to_copy(text: str) -> None:
-    """Print what a person may copy, beside what was asked for: its lines are not folded."""
+    """Print lines to copy on standard error, without folding."""
     with suppress(OSError):  # the terminal may be closed
         print(printable(text, keep="\n"), file=sys.stderr)
 
 
 def next_line(after: str, **values: str | float) -> str:
-    """Return the line after a command."""
+    """Return the next line of a command."""
     return f"next: {printable(_goes_on(AFTER[after].format(**values)))}"
 
 
 def _goes_on(line: str) -> str:
-    """Return the line, or what comes after it where there is a whole recording of its name.
+    """Return the line, or the next line if a complete recording already has the line's --name.
 
-    A second one of the name would leave nobody able to say which of them is meant.
+    A second recording of the same name would make the name ambiguous.
     """
     words = shlex.split(line)
     if words[1] != "collect" or words[-2] != "--name":
@@ -103,13 +113,13 @@ def _goes_on(line: str) -> str:
         matching,
         recording_folder,
     )
-    from armrig.recordings.folder import newest_first
+    from armrig.recordings.catalogue import newest_first
 
     try:
         paths = newest_first(recording_folder())
     except (NoSuchRecordingError, OSError):
         return line
-    names = (f"@{words[-1]}{_AGAIN}", f"@{words[-1]}")  # what was made again replaces the first
+    names = (f"@{words[-1]}{_AGAIN}", f"@{words[-1]}")  # a repeated run precedes the first run
     found = [s for name in names for s in matching(name, paths) if s.is_complete]
     if not found:
         return line
@@ -118,9 +128,10 @@ def _goes_on(line: str) -> str:
 
 
 def step_again(recording: Recording) -> str:
-    """Return the options of the step that shows what a dead band has hidden; "" where it has not.
+    """Return the options that repeat a step whose rise a dead band hid; "" if nothing to repeat.
 
-    Where the chassis rests before the step, no time is better than another: it is to be turned.
+    If the chassis rests before the step, no other time of the step shows the rise: the chassis must
+    be turned by hand.
     """
     from armrig.recordings.findings import hidden_step
 
@@ -129,7 +140,7 @@ def step_again(recording: Recording) -> str:
     hidden = hidden_step(recording) if kind == "step" else None
     if hidden is None or not isfinite(hidden.at_s):
         return ""
-    named = f" --name {shlex.quote(f'{name[:_LONGEST]}{_AGAIN}')}" if name else ""
+    named = f" --name {shlex.quote(f'{name[:_MAX_NAME_LENGTH]}{_AGAIN}')}" if name else ""
     when = f" --at {hidden.at_s:g} --seconds {hidden.seconds:g}"
     return f" --Ts {manifest.Ts:g}{when}{named}"
 
@@ -140,13 +151,13 @@ def opener() -> str:
 
 
 def naming(rig: str, connect: str | None = None) -> str:
-    """Return the options that name a rig, as typed behind a command; "" for the usual one."""
+    """Return the options that name a rig and its endpoint; "" for the defaults."""
     named = "" if rig == "1" else f" --rig {rig}"
     return f"{named} --connect {shlex.quote(connect)}" if connect else named
 
 
 def typed(path: Path) -> str:
-    """Return a recording as a person would type it: its @name where it has one, or its path."""
+    """Return the @name of a recording, or its quoted path, as a user types it."""
     from armrig_core.recording_file.budget import DamageError
 
     from armrig.cli.chosen_recording import (
@@ -155,7 +166,7 @@ def typed(path: Path) -> str:
         recording_folder,
         short_name,
     )
-    from armrig.recordings.folder import newest_first
+    from armrig.recordings.catalogue import newest_first
     from armrig.recordings.recording_summary import summary_of
 
     try:
@@ -169,7 +180,7 @@ def typed(path: Path) -> str:
 
 
 def estimation_of(path: Path) -> str:
-    """Return the recording that one validates, as typed; "" where it does not say."""
+    """Return the @name of the estimation recording of a validation recording; "" if unknown."""
     name = typed(path)
     if not name.startswith("@"):
         return ""
@@ -180,7 +191,7 @@ def estimation_of(path: Path) -> str:
 
 
 def _named(text: str) -> str:
-    """Return the short name of the recording that an id means; the id where it is not there."""
+    """Return the short name of the recording with an id, or the id if no recording has it."""
     from armrig.cli.chosen_recording import NoSuchRecordingError, chosen, recording_folder
 
     try:
@@ -190,7 +201,7 @@ def _named(text: str) -> str:
 
 
 def kind_of(path: Path) -> str:
-    """Return the kind of experiment of a recording; "" where it does not say."""
+    """Return the kind of experiment of a recording; "" if the file cannot be read."""
     from armrig_core.recording_file.budget import DamageError
 
     from armrig.recordings.recording_summary import summary_of
@@ -202,19 +213,20 @@ def kind_of(path: Path) -> str:
 
 
 def free_name() -> str:
-    """Return the first of report.pdf, report-2.pdf … that no file here has."""
+    """Return the first of the names report.pdf, report-2.pdf … that no file has."""
     free = (n for n in count(2) if not Path(f"report-{n}.pdf").exists())
     return f"report-{next(free)}.pdf" if Path("report.pdf").exists() else "report.pdf"
 
 
 def for_the_report() -> str:
-    """Return the recordings of the handout's report, as typed: step, pair and chassis.
+    """Return the names of the recordings for the handout's report: step, pair and chassis.
 
-    They are complete and of one calibration, the one that most of the four have; of each kind the
-    newest one with a name, else the newest. With a blank before each; "" if there is none.
+    All recordings are complete and have the same calibration: the calibration that most of the four
+    have. Each is the newest recording of its kind that has a name, or the newest of its kind. A
+    blank precedes each name; the result is "" if there is no recording.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
-    from armrig.recordings.folder import newest_first
+    from armrig.recordings.catalogue import newest_first
 
     try:
         paths = newest_first(recording_folder())
@@ -228,7 +240,7 @@ def for_the_report() -> str:
 
 
 def _of_calibration(hash_: str, every: Sequence[RecordingSummary]) -> list[RecordingSummary]:
-    """Return step, pair and chassis of a calibration, as far as there are any."""
+    """Return the existing step, pair and chassis recordings of a calibration."""
     known = [s for s in every if s.calibration_sha256 == hash_]
     step, chassis = (_newest(s for s in known if s.kind == kind) for kind in ("step", "greybox"))
     pairs = (s for s in known if s.kind == "blackbox" and s.is_validation)
@@ -238,14 +250,14 @@ def _of_calibration(hash_: str, every: Sequence[RecordingSummary]) -> list[Recor
 
 
 def answers_here() -> str:
-    """Return the option with the answers that the pages have one write, "" without the file."""
+    """Return the option --answers with reasons.toml; "" without this file."""
     return " --answers reasons.toml" if Path("reasons.toml").exists() else ""
 
 
 def chassis() -> str:
-    """Return the newest complete recording of the chassis alone, as typed; "" if there is none."""
+    """Return the name of the newest complete recording of the chassis alone; "" if none exists."""
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
-    from armrig.recordings.folder import newest_first
+    from armrig.recordings.catalogue import newest_first
 
     try:
         every = _complete(newest_first(recording_folder()), "greybox")
@@ -256,15 +268,15 @@ def chassis() -> str:
 
 
 def _complete(paths: Sequence[Path], part: str) -> Iterator[RecordingSummary]:
-    """Give the newest complete recordings whose file names contain a text."""
-    from armrig.recordings.folder import summaries
+    """Yield the newest complete recordings whose file names contain a text."""
+    from armrig.recordings.catalogue import summaries
 
-    found = islice((path for path in paths if part in path.name), _MOST_READ)
+    found = islice((path for path in paths if part in path.name), _MAX_SEARCHED)
     return (s for path in found for s in summaries([path]) if s.is_complete)
 
 
 def _newest(found: Iterator[RecordingSummary]) -> RecordingSummary | None:
-    """Return the first recording that a person named, else the first of all."""
+    """Return the first recording with a name, or the first recording if none has a name."""
     first = None
     for summary in found:
         if summary.name:
@@ -274,9 +286,9 @@ def _newest(found: Iterator[RecordingSummary]) -> RecordingSummary | None:
 
 
 def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
-    """Return the complete recording that one was made to validate.
+    """Return the complete estimation recording of a validation recording.
 
-    None where its sampling time or its calibration is another.
+    None if the sampling time or the calibration differs.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, chosen
 
@@ -289,7 +301,7 @@ def _estimation(validation: RecordingSummary) -> RecordingSummary | None:
 
 
 def validation_beside(path: Path) -> str:
-    """Return the recording that validates what one gives, as typed; "" where there is none."""
+    """Return the name of the validation recording of an estimation recording; "" if none exists."""
     from armrig.cli.chosen_recording import (
         VALIDATION,
         NoSuchRecordingError,
@@ -305,3 +317,75 @@ def validation_beside(path: Path) -> str:
     except NoSuchRecordingError:
         return ""
     return f"{name}{VALIDATION}"
+
+
+def options_of(request: Request) -> str:
+    """Return the options of `armrig identify` for a request."""
+    orders = {**request.orders, "nk": request.nk}
+    asked = {name: x for name, x in request.asked.items() if name in OPTIONS}
+    values = {name: x for name, x in (orders | asked).items() if x is not None}
+    typed = [flag(name) if x is True else f"{flag(name)} {x}" for name, x in values.items()]
+    return " ".join([f"--structure {request.structure}", *typed])
+
+
+def options_after(
+    fit: Fit, request: Request, about: Set[str], *, searched: bool, detrended: bool
+) -> str:
+    """Return the options of `armrig identify` that follow the findings about a model.
+
+    Parameters
+    ----------
+    fit : Fit
+        The model.
+    request : Request
+        Request with which the model can be estimated again.
+    about : set of str
+        Names of the findings to act on.
+    searched : bool
+        True if a search chose the model; another search would not improve its residuals.
+    detrended : bool
+        True if the means of the data were subtracted.
+
+    Returns
+    -------
+    str
+        The options of the next estimation. If there is nothing to act on, they are `options_of` the
+        request. If the data must be tested first, the result is `CHECK`.
+    """
+    kind = STRUCTURES[fit.structure]
+    orders = fit.orders
+    if "structure" in about:
+        oe = request.of_structure("oe", {"nb": orders["nb"], "nf": orders[kind.poles]})
+        return options_of(replace(oe, integrator=True, offset=False))
+    # A level that is not caused by u looks like an integrator; an angle is not tested for one.
+    level = "level" in about and not fit.integrator
+    asked = "integrator" in about and not level
+    integrator = fit.integrator or (asked and "integrator" in kind.takes)
+    offset = (fit.offset or level) and "offset" in kind.takes and not integrator
+    detrend = level and not (offset or detrended)
+    # If a level is still found after its removal or estimation, the order is too high.
+    seen = level and not detrend and offset == fit.offset
+    after = replace(request, integrator=integrator, offset=offset)
+    if about & _LOWER or seen or not fit.converged:
+        after = replace(after, orders=_lower(fit, integrator=integrator))
+    options = options_of(after) + " --detrend" * detrend + " --hampel" * ("outliers" in about)
+    if options != options_of(request):
+        return options
+    if about & _CHECKED:
+        return CHECK
+    if "residuals" in about and not searched and fit.structure != "pem":
+        return f"--structure {fit.structure} --search"
+    return options
+
+
+def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
+    """Return the orders less the cancelling poles and zeros; the noise model keeps its orders."""
+    from armrig.validation.advice.model_advice import cancelling
+
+    many = sum(2 if pole.imag else 1 for pole, _, _ in cancelling(fit)) or 1
+    least = {"nb": 1, STRUCTURES[fit.structure].poles: 1 + integrator}
+    return {
+        name: max(n - many, min(n, least[name])) if name in least else n
+        for name, n in fit.orders.items()
+        if name != "nk"
+    }

@@ -1,4 +1,4 @@
-"""What the commands share: the options that several take, and how they print."""
+"""Options of several commands, and functions that print."""
 
 from __future__ import annotations
 
@@ -16,16 +16,22 @@ from armrig_core.printable import brief, json_printable, printable
 
 RigId = Annotated[str, typer.Option("--rig", help="Id of the rig.")]
 Connect = Annotated[
-    str | None, typer.Option("--connect", metavar="ENDPOINT", help="zenoh endpoint of the daemon.")
+    str | None,
+    typer.Option(
+        "--connect",
+        metavar="ENDPOINT",
+        help="zenoh endpoint of the daemon.",
+        show_default="the daemon on this machine",
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
-Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say all that there is to say.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Print all details.")]
 CalibrationFile = Annotated[
     Path | None,
     typer.Option(
         "--calibration",
         metavar="TOML",
-        help="Read the recordings with this calibration instead of the one attached.",
+        help="Calibration to use in place of the calibration attached to a recording.",
     ),
 ]
 From = Annotated[
@@ -33,14 +39,17 @@ From = Annotated[
     typer.Option(
         "--from",
         metavar="S",
-        help="Take samples from this time on, in s, of each file.",
+        help="Start of the samples to use, in s from the first sample of a file.",
         show_default="its start",
     ),
 ]
 To = Annotated[
     float | None,
     typer.Option(
-        "--to", metavar="S", help="Take samples before this time.", show_default="its end"
+        "--to",
+        metavar="S",
+        help="End of the samples to use, in s; a sample at this time is left out.",
+        show_default="its end",
     ),
 ]
 Signal = Annotated[
@@ -48,7 +57,7 @@ Signal = Annotated[
     typer.Option(
         "--signal",
         metavar="NAME",
-        help="The output: theta_1, alpha or velocity; of other data a column's name or number.",
+        help="Output: theta_1, alpha or velocity; in other data a column's name or number.",
         show_default="theta_1; y of other data",
     ),
 ]
@@ -57,7 +66,7 @@ Input = Annotated[
     typer.Option(
         "--input",
         metavar="NAME",
-        help="The input's column in other data: name or number, from 1.",
+        help="Column of the input in other data: its name, or its number from 1.",
         show_default="u",
     ),
 ]
@@ -66,112 +75,112 @@ TimeColumn = Annotated[
     typer.Option(
         "--time",
         metavar="NAME",
-        help="The column of times in other data.",
+        help="Column of the times in other data.",
         show_default="t or time, if there is one",
     ),
 ]
 DataTs = Annotated[
     float | None,
-    typer.Option("--Ts", help="Sampling time in s of other data.", show_default="by the times"),
+    typer.Option("--Ts", help="Sampling time of other data, in s.", show_default="by the times"),
 ]
 
 Detrend = Annotated[
-    bool, typer.Option("--detrend", help="Take the means off first, off each file its own.")
+    bool, typer.Option("--detrend", help="Subtract the mean of each signal of each file.")
 ]
 Hampel = Annotated[
-    bool, typer.Option("--hampel", help="Mark single wrong samples of the output missing first.")
+    bool, typer.Option("--hampel", help="Mark single outliers of the output as missing.")
 ]
 
 
 def _refuse_output(given: str | None) -> None:
     if given is not None:
         raise typer.BadParameter(
-            f"the signal is chosen by --signal {given}; a figure's file is -o, a model's --save"
+            f"--signal {given} chooses the signal; -o names a figure, --save a model"
         )
 
 
 NoOutput = Annotated[str | None, typer.Option("--output", hidden=True, callback=_refuse_output)]
-"""What chose the signal in 0.1."""
+"""Option that chose the signal in 0.1."""
 Na = Annotated[int, typer.Option("--na", help="Number of a's (ARX).")]
 Nb = Annotated[int, typer.Option("--nb", help="Number of b's.")]
 Nf = Annotated[int, typer.Option("--nf", help="Number of f's (OE), the integrator's included.")]
-Nk = Annotated[int, typer.Option("--nk", help="Samples before u reaches y.")]
+Nk = Annotated[int, typer.Option("--nk", help="Delay from u to y, in samples.")]
 
-_ANSWER = 16  # characters for a default and an answer behind a question
+_ANSWER_WIDTH = 16  # characters for the default and the answer after a question
 _NO_BREAK_SPACE = "\u00a0"
 
 SAME_DATA = (
-    "the models are judged on the very data that they were estimated from, which flatters them: "
-    "validate on data that they have not seen"
+    "the models are judged on their own estimation data, which gives too good results: "
+    "validate on other data"
 )
 
 
 def tell(message: str) -> None:
-    """Print a line for the person, beside what was asked for."""
+    """Print a line for the person, on standard error."""
     with suppress(OSError):  # the terminal may be closed
         line = _for_terminal(f"armrig: {brief(' '.join(message.split()))}")
         print(folded(line, _columns(sys.stderr)), file=sys.stderr)
 
 
 def tell_error(message: str) -> None:
-    """Print a line as `tell` does; the journal of systemd gets it with the priority of an error."""
+    """Print an error as `tell` does; in the journal of systemd it has the priority of an error."""
     with suppress(OSError):
         print(log_prefix("error") or "", end="", file=sys.stderr)
     tell(message)
 
 
 def say(text: str) -> None:
-    """Print what was asked for; on a terminal its long lines are broken between words."""
+    """Print text on standard output; on a terminal, lines are folded between words."""
     echo(folded(text, _columns(sys.stdout)))
 
 
 def echo(text: str) -> None:
-    """Print what was asked for; a character that does not print is escaped.
+    """Print text on standard output with unprintable characters escaped.
 
-    All output goes this way, or through the two that are named `print`: a name or a reason may come
-    from another user, or from a file of unknown origin.
+    All output uses this function, `print_json` or `print_table`: a name or a reason may come from
+    another user, or from a file of unknown origin.
     """
     typer.echo(_for_terminal(text, keep="\n"))
 
 
 def _for_terminal(text: str, keep: str = "") -> str:
-    """Return the text for a terminal; a number's blank before its unit becomes an ordinary one."""
+    """Return the text for a terminal, with ordinary blanks between numbers and units."""
     return printable(text.replace(_NO_BREAK_SPACE, " "), keep)
 
 
 def question(text: str) -> str:
-    """Return what a person is asked, in lines that leave room for the answer."""
+    """Return a question folded so that its last line leaves room for the answer."""
     columns = _columns(sys.stderr)
-    return folded(text, columns - _ANSWER, indent=0) if columns > 2 * _ANSWER else text
+    return folded(text, columns - _ANSWER_WIDTH, indent=0) if columns > 2 * _ANSWER_WIDTH else text
 
 
 def agree(text: str, *, yes: bool) -> None:
-    """Ask a person, unless `yes`; return where it is agreed to.
+    """Ask a person for agreement, unless `yes`.
 
     Raises
     ------
     RuntimeError
-        It is not, or nobody is there to ask.
+        The person does not agree, or there is no terminal.
     """
     if yes:
         return
     if not sys.stdin.isatty():
         raise OperationError(
-            "nobody is there to agree to this: --yes does it, --dry-run only shows it"
+            "there is no terminal for the question: --yes agrees, --dry-run only shows the plan"
         )
     if not typer.confirm(question(text), err=True):
         raise OperationError("nothing was done")
 
 
 def folded(text: str, columns: int, indent: int | None = None) -> str:
-    """Return the text with no line longer than `columns` where there are blanks to break it at.
+    """Return the text with lines of at most `columns` characters, broken at blanks.
 
     Parameters
     ----------
     columns : int
         Width of the terminal; 0 leaves the text as it is.
     indent : int, optional
-        Of what is folded of a line; two more than the line's own by default.
+        Indent of continuation lines; by default two more than the line's own indent.
     """
     if not columns:
         return text
@@ -190,7 +199,7 @@ def folded(text: str, columns: int, indent: int | None = None) -> str:
 
 
 def _columns(stream: TextIO) -> int:
-    """Return the width of the terminal; 0 where the stream is not a terminal."""
+    """Return the width of the terminal; 0 if the stream is not a terminal."""
     try:
         return os.get_terminal_size(stream.fileno()).columns if stream.isatty() else 0
     except (OSError, ValueError):
@@ -203,13 +212,13 @@ def print_json(value: Any) -> None:
 
     try:
         text = msgspec.json.encode(value)
-    except UnicodeEncodeError:  # the name of a file, whose bytes need be no text
+    except UnicodeEncodeError:  # the name of a file need not be valid text
         text = msgspec.json.encode(_as_text(msgspec.to_builtins(value)))
     typer.echo(json_printable(text.decode()))
 
 
 def _as_text(value: Any) -> Any:
-    """Return a value in which bytes that are no text are escaped."""
+    """Return a value whose invalid text is escaped."""
     match value:
         case str():
             return value.encode("utf-8", "backslashreplace").decode()
@@ -221,7 +230,7 @@ def _as_text(value: Any) -> Any:
 
 
 def print_table(*rows: tuple[str, str]) -> None:
-    """Print the values one below the other, their names before them."""
+    """Print a line for each value, with its name in front."""
     width = max(len(name) for name, _ in rows)
     columns = _columns(sys.stdout)
     for name, value in rows:
@@ -230,9 +239,9 @@ def print_table(*rows: tuple[str, str]) -> None:
 
 
 def warned(recording: Any) -> Any:
-    """Return the recording, and tell its damage."""
+    """Return the recording, and print its damage."""
     if recording.truncated:
         unfinished = recording.path.suffix == ".active"
-        why = "is still being recorded, or the daemon was killed; " if unfinished else ""
+        why = "still being recorded, or the daemon was killed; " if unfinished else ""
         tell(f"{recording.path}: {why}{recording.damage}")
     return recording

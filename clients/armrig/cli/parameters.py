@@ -1,4 +1,4 @@
-"""The options that change what is simulated: --set, --amplitude and --omega."""
+"""Options of simulations: --set, --amplitude and --omega."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ if TYPE_CHECKING:
 
 
 def _doubted(given: list[str] | None) -> list[str] | None:
-    """Return the parameters as given, and tell which can hardly be in SI units."""
+    """Return the parameters as given, and print which are probably not in SI units."""
     from armrig_core.arm import ArmParameters
 
     for name, value in _values(given).items():
         handout = getattr(ArmParameters(), name)
-        if handout and value > 0 and not 1 / _FAR <= value / handout <= _FAR:
+        if handout and value > 0 and not 1 / _MAX_RATIO <= value / handout <= _MAX_RATIO:
             tell(
-                f"--set {name}={value:g}: that is {value / handout:.2g} times the handout's "
-                f"{handout:g}; is it in SI units?"
+                f"--set {name}={value:g}: this is {value / handout:.2g} times the value of the "
+                f"handout, {handout:g}; is it in SI units?"
             )
     return given
 
 
 def _explained_amplitude(volts: float) -> float:
-    """Return the amplitude as given, and tell that one beyond the rig's input is simulated only."""
+    """Return the amplitude as given, and print a note if it exceeds the input of the rig."""
     if not abs(volts) <= AMPLITUDE_V:
         tell(
-            f"--amplitude {volts:g}: the sinusoid is simulated, never played; the rig takes 0 to "
-            f"5 V, an amplitude of {AMPLITUDE_V:g} V at most"
+            f"--amplitude {volts:g}: the sinusoid is only simulated, never played; the rig takes "
+            f"0 to 5 V, an amplitude of at most {AMPLITUDE_V:g} V"
         )
     return volts
 
@@ -42,7 +42,7 @@ Given = Annotated[
     typer.Option(
         "--set",
         metavar="NAME=VALUE",
-        help="A parameter of the rig in SI units; may be repeated.",
+        help="Parameter of the rig, in SI units; repeatable.",
         callback=_doubted,
     ),
 ]
@@ -58,12 +58,12 @@ Amplitude = Annotated[
 ]
 Omega = Annotated[float, typer.Option("--omega", help="Frequency of the sinusoid, in rad/s.")]
 _WITH_UNIT = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)? ?[^\d,.\s]")
-_FAR = 100.0
-"""Times that a parameter differs from the handout's before it is doubted."""
+_MAX_RATIO = 100.0
+"""Largest ratio of a parameter to the handout's value, or the inverse, without a note."""
 
 
 def parameters(given: list[str] | None) -> ArmParameters:
-    """Return the handout's parameters with those given in their place."""
+    """Return the parameters of the handout with the given changes."""
     from dataclasses import replace
 
     from armrig_core.arm import ArmParameters
@@ -72,14 +72,14 @@ def parameters(given: list[str] | None) -> ArmParameters:
 
 
 def cases(given: list[str] | None) -> dict[str, ArmParameters]:
-    """Return what is compared in 2.3: the handout's, each change alone, and all of them."""
+    """Return the cases of 2.3: the handout's parameters, each change alone, and all changes."""
     from armrig.physics.systems import beside_the_handout
 
     return beside_the_handout(parameters(given))
 
 
 def physics_beside(given: list[str] | None) -> dict[str, ArmParameters]:
-    """Return the physical models that stand beside others: the changed one with the handout's."""
+    """Return the physical models to compare: the handout's, and the changed model if any."""
     from armrig.physics.systems import HANDOUT
 
     handout = parameters(None)
@@ -87,7 +87,7 @@ def physics_beside(given: list[str] | None) -> dict[str, ArmParameters]:
 
 
 def changes(given: list[str] | None) -> str:
-    """Return what was changed, as a label; "" where nothing was."""
+    """Return the changes as a label; "" without a change."""
     return ", ".join(f"{name}={value:g}" for name, value in _values(given).items())
 
 

@@ -1,4 +1,4 @@
-"""The command of the model by physics: model (handout 2.1 to 2.3)."""
+"""The command model: the physical model (handout 2.1 to 2.3)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
     from armrig.physics.step_response import Characteristics
 
-_SECONDS = 2.0  # after which the speed is steady to five digits
+_SECONDS = 2.0  # the speed is then steady to five digits
 _STEPS = 200_000
-_AT_ONCE = 1e-8  # s in which the slope has not changed in the digits shown
+_SLOPE_S = 1e-8  # the slope does not change in the shown digits
 _STATES = (THETA_1, ALPHA, f"{THETA_1}'", f"{ALPHA}'")
 _PRIME = "'"
 _TOGETHER = {"both": "both changes", "all": "all changes"}
@@ -39,10 +39,10 @@ def model(
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Say what physics predicts (handout 2.1 to 2.3).
+    """Show what the physical model predicts (handout 2.1 to 2.3).
 
-    A, B, poles, zeros, and the step: steady speed and initial slope. With --set the handout's own
-    parameters, each change alone and all together stand beside each other.
+    The command prints A, B, poles, zeros, steady speed and initial slope. With --set it compares
+    the parameters of the handout, each change alone, and all changes together.
     """
     check_plot(plot)
     found = {name: _answer(p) for name, p in cases(given).items()}
@@ -55,8 +55,8 @@ def model(
     echo(f"{_state_space(last.parameters)}\n\n{_table(found)}\n")
     say(
         f"A step of 1 V, simulated{_of(given)}: the speed begins to rise by {last.slope:.2f} "
-        f"rad/s² and is {last.speed:.4f} rad/s after {_SECONDS:g} s. At t = 0 the chassis stands, "
-        "so there is no back-EMF, and the spring is not wound: the torque accelerates J_1 alone."
+        f"rad/s² and is {last.speed:.4f} rad/s after {_SECONDS:g} s. At t = 0 the chassis rests, "
+        "so there is no back-EMF, and the spring has no tension: the torque accelerates J_1."
     )
     _say_later_rises(found, given)
     if verbose:
@@ -66,13 +66,13 @@ def model(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Answer:
-    """What a set of parameters predicts, and what its simulated step shows."""
+    """Predictions of a set of parameters, and its simulated step."""
 
     predicted: Characteristics
     slope: float
-    """Of the simulated speed at t = 0, in rad/s²."""
+    """Slope of the simulated speed at t = 0, in rad/s²."""
     speed: float
-    """Simulated, at the end, in rad/s."""
+    """Simulated speed at the end, in rad/s."""
 
     @property
     def parameters(self) -> ArmParameters:
@@ -85,12 +85,12 @@ def _answer(p: ArmParameters) -> _Answer:
     from armrig.physics.step_response import characteristics, step_response
 
     speed = step_response(p, np.linspace(0.0, _SECONDS, _STEPS + 1))
-    slope = float(step_response(p, [0.0, _AT_ONCE])[-1]) / _AT_ONCE
+    slope = float(step_response(p, [0.0, _SLOPE_S])[-1]) / _SLOPE_S
     return _Answer(predicted=characteristics(p), slope=slope, speed=float(speed[-1]))
 
 
 def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None:
-    """Say of which models another rise than the first crosses 63 %."""
+    """Print the models whose speed crosses 63 % in a later rise than the first."""
     import numpy as np
 
     from armrig.physics.step_response import step_response
@@ -104,12 +104,12 @@ def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None
 
 
 def _of(given: list[str] | None) -> str:
-    """Return which parameters a sentence is of, where they are not the handout's."""
+    """Return the changed parameters for a sentence; "" for those of the handout."""
     return f" with {changes(given)}" if given else ""
 
 
 def _state_space(p: ArmParameters) -> str:
-    """Return x' = A x + B u, the derivative of a state a line."""
+    """Return x' = A x + B u, with a line for each state."""
     from armrig_core.arm import arm_matrices
 
     A, B, _ = arm_matrices(p)
@@ -121,7 +121,7 @@ def _state_space(p: ArmParameters) -> str:
 
 
 def _table(found: dict[str, _Answer]) -> str:
-    """Return the figures by which the models differ, a model a column; five fit 80 characters."""
+    """Return the numbers of the models, a column for each; five columns fit 80 characters."""
     columns = [["", "steady [rad/s/V]", "slope [rad/s²/V]", *_TIMES.values()]]
     columns[0] += ["poles [1/s]", "", "", "zeros [1/s]"]
     for name, answer in found.items():
@@ -140,7 +140,7 @@ def _table(found: dict[str, _Answer]) -> str:
 
 
 def _roots(roots: Any) -> list[str]:
-    """Return roots as text, a pair as one."""
+    """Return roots as texts; a pair is one text."""
     texts = []
     for z in roots.tolist():
         real = f"{z.real:.2f}" if z.real else "0"

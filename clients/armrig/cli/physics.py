@@ -1,4 +1,4 @@
-"""The commands that hold a recording against the physics: greybox, split, simulate."""
+"""The commands that compare a recording with the physics: greybox, split, simulate."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1, ChannelName
 
 from armrig.cli.chosen_recording import File, recording_path
-from armrig.cli.comparison_rows import row_facts
+from armrig.cli.comparison import row_facts
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import say_next, typed
 from armrig.cli.options import (
@@ -36,23 +36,24 @@ if TYPE_CHECKING:
     from armrig.physics.grey_box.split_study import SplitStudy
     from armrig.recordings.recording import Recording
 
-GreySignal = Annotated[ChannelName, typer.Option("--signal", help="Which output.")]
+GreySignal = Annotated[ChannelName, typer.Option("--signal", help="Output to fit.")]
 Free = Annotated[
     list[str] | None,
     typer.Option(
-        "--free", metavar="NAME", help="Parameter to estimate; may be repeated.", show_default="J_1"
+        "--free", metavar="NAME", help="Parameter to estimate; repeatable.", show_default="J_1"
     ),
 ]
 Rig = Annotated[
     Literal["chassis", "arm"] | None,
     typer.Option(
         "--model",
-        help="The rig without its rotating part, or the whole; by default what alpha tells.",
+        help="Rig without its rotating part (chassis) or complete rig (arm).",
+        show_default="from alpha",
     ),
 ]
 Friction = Annotated[
     Literal["viscous", "coulomb", "both"] | None,
-    typer.Option("--friction", help="Estimate friction too; the handout neglects it."),
+    typer.Option("--friction", help="Friction to estimate, too; the handout neglects friction."),
 ]
 
 
@@ -74,7 +75,7 @@ def greybox(
     """Estimate physical parameters: J_1, or more (handout 3.5)."""
     from armrig.cli.spinner import spinner
     from armrig.physics.grey_box.estimate import greybox as estimate
-    from armrig.recordings.doubts import emulation
+    from armrig.recordings.usability import emulation
 
     check_plot(plot, [file])
     fixed = parameters(given)
@@ -130,7 +131,8 @@ def _grey_facts(fit: GreyFit) -> dict[str, Any]:
 def split(
     file: File,
     parts: Annotated[
-        str, typer.Option("--parts", metavar="K,…", help="Into how many parts to cut.")
+        str,
+        typer.Option("--parts", metavar="K,…", help="Numbers of parts to cut the recording into."),
     ] = "1,2,4",
     model: Rig = None,
     free: Free = None,
@@ -144,9 +146,9 @@ def split(
     verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
-    """Estimate from the parts of a recording (handout 3.6).
+    """Estimate a parameter from parts of a recording (handout 3.6).
 
-    From halves and quarters, and study the deviations.
+    The command compares the estimates from halves and quarters with their standard deviations.
     """
     from armrig.cli.spinner import spinner
     from armrig.physics.grey_box.estimate import greybox
@@ -194,14 +196,12 @@ def simulate(
     file: Annotated[
         Path | None,
         typer.Argument(
-            metavar="F", parser=recording_path, help="Recording whose input to simulate with."
+            metavar="F", parser=recording_path, help="Recording whose input is simulated."
         ),
     ] = None,
     model: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--model", metavar="JSON", help="Model saved by fit.save() too; may be repeated."
-        ),
+        typer.Option("--model", metavar="JSON", help="Model file to simulate, too; repeatable."),
     ] = None,
     given: Given = None,
     calibration: CalibrationFile = None,
@@ -210,10 +210,10 @@ def simulate(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Simulate the physics and saved models (handout 3.4).
+    """Simulate the physical model and saved models (handout 3.4).
 
-    With a recording's input; without a recording, what the physics answers to a step of one volt
-    (handout 2.2).
+    The input is that of a recording. Without a recording, the command shows the response of the
+    physical model to a step of 1 V (handout 2.2).
     """
     physics = physics_beside(given)
     check_plot(plot, [f for f in (file, *(model or ())) if f is not None])
@@ -222,7 +222,7 @@ def simulate(
         given_for_file |= {"--from": start, "--to": stop}
         for option in (name for name, value in given_for_file.items() if value not in (None, [])):
             raise typer.BadParameter(
-                f"{option} needs a recording, whose input is simulated with: armrig simulate F"
+                f"{option} needs a recording, whose input is simulated: armrig simulate F"
             )
         _step(cases(given), json=json, plot=plot)
         return
@@ -272,7 +272,7 @@ def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) 
 def _rig(
     recording: Recording, model: Literal["chassis", "arm"] | None
 ) -> Literal["chassis", "arm"]:
-    """Return which rig was recorded; refuse another one than was given."""
+    """Return "arm" or "chassis", by the recorded alpha; refuse a --model that contradicts it."""
     from armrig.recordings.findings import alpha_moves
 
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"
@@ -296,5 +296,5 @@ def _cuts(text: str) -> tuple[int, ...]:
         return tuple(int(k) for k in text.split(","))
     except ValueError as err:
         raise typer.BadParameter(
-            f"--parts {text!r}: whole numbers with commas are wanted, such as 1,2,4"
+            f"--parts {text!r}: give whole numbers with commas, such as 1,2,4"
         ) from err

@@ -1,4 +1,4 @@
-"""The command `armrig pki`: certificates for a rig on the network and those who use it."""
+"""The command `armrig pki`: certificates for rigs on a network and for their users."""
 
 from __future__ import annotations
 
@@ -15,16 +15,18 @@ if TYPE_CHECKING:
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
-    help="Make certificates for rigs, and for who may drive or watch them over the network.",
+    help="Make certificates for rigs, and for people who drive or watch them over a network.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 Directory = Annotated[
-    Path, typer.Option("--directory", help="Folder of the authority; its key must stay private.")
+    Path, typer.Option("--directory", help="Folder of the authority, whose key must stay private.")
 ]
-Days = Annotated[int, typer.Option("--days", min=1, max=36500, help="How long it counts.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace the one that is there.")]
-Name = Annotated[str, typer.Argument(help="Of a-z, 0-9 and -; the rig names whoever drives it so.")]
+Days = Annotated[int, typer.Option("--days", min=1, max=36500, help="Validity, in days.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
+Name = Annotated[
+    str, typer.Argument(help="Name of a person: a-z, 0-9 and -; the rig shows it as the owner.")
+]
 _PKI = Path("pki")
 
 
@@ -32,15 +34,17 @@ _PKI = Path("pki")
 def ca(
     directory: Directory = _PKI, days: Days = 3650, force: Force = False, json: Json = False
 ) -> None:
-    """Make an authority, which signs all others, and an empty access list."""
+    """Make a certificate authority, which signs all certificates, and an empty access list."""
     from armrig.lab.pki import ACCESS_LIST, make_authority
 
     path = make_authority(directory, days=days, force=force)
     if json:
         print_json({"path": str(path)})
         return
-    echo(f"{path}: made; whoever has {path.with_suffix('.key')} can make operators: keep it")
-    echo(f"{directory / ACCESS_LIST}: who may do what, empty yet")
+    echo(
+        f"{path}: made; keep {path.with_suffix('.key')} private: with it anybody can make operators"
+    )
+    echo(f"{directory / ACCESS_LIST}: the access list, still empty")
 
 
 @app.command(context_settings=_HELP)
@@ -50,7 +54,7 @@ def rig(
         list[str] | None,
         typer.Option(
             "--host",
-            help="Name or address under which clients reach it.",
+            help="Host name or address that clients use; repeatable.",
             show_default="none, only through a router",
         ),
     ] = None,
@@ -59,7 +63,7 @@ def rig(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Make the certificate that a rig's daemon shows, to clients and to a router."""
+    """Make the certificate of a rig's daemon, for clients and for a router."""
     from armrig.lab.pki import issue_to_rig
 
     issued = issue_to_rig(directory, name, host or (), days=days, force=force)
@@ -70,14 +74,14 @@ def rig(
 def router(
     host: Annotated[
         list[str],
-        typer.Option("--host", help="Name or address under which rigs and people reach it."),
+        typer.Option("--host", help="Host name or address that rigs and people use; repeatable."),
     ],
     directory: Directory = _PKI,
     days: Days = 365,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Make the certificate that a lab's router shows."""
+    """Make the certificate of a lab's router."""
     from armrig.lab.pki import issue_to_router
 
     _say(issue_to_router(directory, host, days=days, force=force), "armrig router's", json)
@@ -91,7 +95,7 @@ def operator(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Make the certificate of somebody who may drive the rigs, and watch."""
+    """Make the certificate of a person who may drive and watch the rigs."""
     from armrig.lab.pki import issue_to_person
 
     issued = issue_to_person(directory, name, "operators", days=days, force=force)
@@ -106,7 +110,7 @@ def observer(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Make the certificate of somebody who may watch the rigs."""
+    """Make the certificate of a person who may watch the rigs."""
     from armrig.lab.pki import issue_to_person
 
     issued = issue_to_person(directory, name, "observers", days=days, force=force)
@@ -115,12 +119,12 @@ def observer(
 
 @app.command(context_settings=_HELP)
 def renew(
-    name: Annotated[str, typer.Argument(help="As `armrig pki list` names it, such as rig-1.")],
+    name: Annotated[str, typer.Argument(help="Name as in `armrig pki list`, such as rig-1.")],
     directory: Directory = _PKI,
     days: Days = 365,
     json: Json = False,
 ) -> None:
-    """Make a new key and certificate for a rig, router or person before the old one expires."""
+    """Renew the key and the certificate of a rig, a router or a person."""
     from armrig.lab.pki import renew as renewed
 
     issued = renewed(directory, name, days=days)
@@ -130,7 +134,7 @@ def renew(
 
 @app.command(context_settings=_HELP)
 def revoke(name: Name, directory: Directory = _PKI, json: Json = False) -> None:
-    """Take all rights from a name, for good."""
+    """Revoke all rights of a name permanently."""
     from armrig.lab.pki import ACCESS_LIST
     from armrig.lab.pki import revoke as revoked
 
@@ -139,14 +143,14 @@ def revoke(name: Name, directory: Directory = _PKI, json: Json = False) -> None:
         print_json({"name": name, "revoked": True})
         return
     echo(
-        f"{name}: revoked in {directory / ACCESS_LIST}; it counts once that file is where the "
-        "rigs' daemons read it, and they are started anew"
+        f"{name}: revoked in {directory / ACCESS_LIST}; this takes effect when the daemons of the "
+        "rigs have this file and are restarted"
     )
 
 
 @app.command("list", context_settings=_HELP)
 def list_issued(directory: Directory = _PKI, json: Json = False) -> None:
-    """Show who has a certificate, what for, and until when."""
+    """List the certificates with name, purpose and expiry date."""
     from armrig.lab.pki import issued
 
     found = issued(directory)
@@ -156,7 +160,7 @@ def list_issued(directory: Directory = _PKI, json: Json = False) -> None:
     for one in found:
         echo(f"{one.name:40} {one.role:10} until {_day(one.expires)}")
     if not found:
-        echo(f"{directory}: nobody has a certificate yet")
+        echo(f"{directory}: no certificates yet")
 
 
 def _say(issued: Issued, key: str, json: bool) -> None:
@@ -164,8 +168,8 @@ def _say(issued: Issued, key: str, json: bool) -> None:
         print_json({**issued._asdict(), "path": str(issued.path)})
         return
     echo(f"{issued.path}: {issued.name}, {issued.role}, until {_day(issued.expires)}")
-    named = f"name it as {key}" if key.startswith("[") else f"give it as {key} --certificate"
-    echo(f"it holds the key: only its owner may read it; {named}")
+    named = f"set it as {key}" if key.startswith("[") else f"give it as {key} --certificate"
+    echo(f"the file contains the key: only its owner may read it; {named}")
 
 
 def _day(when: datetime) -> str:

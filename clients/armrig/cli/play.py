@@ -1,4 +1,4 @@
-"""The command play: a recording published again, for subscribers and dashboards."""
+"""The command play, which publishes a recording again for subscribers and dashboards."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from armrig.recordings.published import PublishedRun
 
 Speed = Annotated[
-    float, typer.Option("--speed", metavar="X", help="How many times as fast as it was recorded.")
+    float, typer.Option("--speed", metavar="X", help="Factor on the speed of the recording.")
 ]
-Loop = Annotated[bool, typer.Option("--loop", help="Begin again at the end, until Ctrl-C.")]
-Wait = Annotated[bool, typer.Option("--wait", help="Begin when somebody listens.")]
+Loop = Annotated[bool, typer.Option("--loop", help="Repeat the recording until Ctrl-C.")]
+Wait = Annotated[bool, typer.Option("--wait", help="Begin when the first listener connects.")]
 Listen = Annotated[
     str | None,
     typer.Option(
         "--listen",
         metavar="ENDPOINT",
-        help="zenoh endpoint to be heard at.",
+        help="zenoh endpoint to publish at.",
         show_default="a socket of this user's",
     ),
 ]
@@ -43,29 +43,29 @@ def play(
 ) -> None:
     """Publish a recording again, as its daemon published it, until its end or Ctrl-C.
 
-    It has the same messages under keys of its own, rig/played-1/sample for a recording of rig 1.
-    No rig has such an id, and no command is answered there.
+    The messages have keys such as rig/played-1/sample for a recording of rig 1. No rig has such an
+    id, and commands get no answer.
 
-    With --json a line says where it is heard, and one at the end how much was published.
+    With --json the first line contains the endpoint, and the last line the number of messages.
     """
     from math import inf
 
     from armrig_core.topics import check_rig_id, played_id
 
     from armrig.recordings.published import published
-    from armrig.rig.play import play as played
-    from armrig.rig.play import rest, staged
+    from armrig.rig.collection import play as played
+    from armrig.rig.collection import rest, staged
     from armrig.rig.session import own_endpoint
 
     if not 0 < speed < inf:
-        raise InputError(f"--speed {speed:g}: a number above 0 is needed, such as 1 or 10")
+        raise InputError(f"--speed {speed:g}: must be more than 0, such as 1 or 10")
     run = published(file, start, stop)
     rig = played_id(check_rig_id(run.manifest.rig))
     if run.damage:
-        tell(f"{file}: {run.damage}; what is whole is played")
+        tell(f"{file}: {run.damage}; the undamaged part is played")
     where = listen or own_endpoint(rig)
     count = 0
-    with staged(where, rig) as stage, suppress(KeyboardInterrupt):  # Ctrl-C is a way to end it
+    with staged(where, rig) as stage, suppress(KeyboardInterrupt):  # Ctrl-C is a normal end
         _announce(run, rig, where, speed, named=listen, json=json)
         while True:
             if wait:
@@ -85,7 +85,7 @@ def play(
 def _announce(
     run: PublishedRun, rig: str, where: str, speed: float, *, named: str | None, json: bool
 ) -> None:
-    """Say what is played and where it is heard."""
+    """Print the recording and its endpoint."""
     from armrig.cli.next_step import naming
 
     if json:

@@ -1,4 +1,4 @@
-"""The command record: a rig recorded from afar."""
+"""The command record, which records a rig over a connection to its daemon."""
 
 from __future__ import annotations
 
@@ -33,15 +33,21 @@ Out = Annotated[
     typer.Option(
         "-o",
         metavar="FILE",
-        help="File to write; of several rigs the folder.",
+        help="File to write; for several rigs the folder.",
         show_default="RIG-remote-TIME.mcap, here",
     ),
 ]
-Rigs = Annotated[list[str] | None, typer.Option("--rig", help="Id of the rig.", show_default="1")]
-Every = Annotated[bool, typer.Option("--all", help="Every rig that is there, and that comes.")]
+Rigs = Annotated[
+    list[str] | None, typer.Option("--rig", help="Id of a rig; repeatable.", show_default="1")
+]
+Every = Annotated[
+    bool, typer.Option("--all", help="Record every rig, including rigs that start later.")
+]
 Seconds = Annotated[
     float | None,
-    typer.Option("--seconds", metavar="S", help="End after so long.", show_default="Ctrl-C"),
+    typer.Option(
+        "--seconds", metavar="S", help="Length of the recording, in s.", show_default="Ctrl-C"
+    ),
 ]
 
 
@@ -53,26 +59,24 @@ def record(
     seconds: Seconds = None,
     json: Json = False,
 ) -> None:
-    """Record all that a rig publishes, from anywhere that reaches its daemon, until Ctrl-C.
+    """Record all that a rig publishes, over any connection to its daemon, until Ctrl-C.
 
-    With --all, or --rig several times, that of many rigs, each into files of its own: those that
-    come later are taken in, and what becomes of one does not touch the others.
+    With --all or several --rig the command records many rigs, each into its own files. Rigs that
+    start later are included. A failure of one rig does not affect the other rigs.
 
-    It begins with what the daemon keeps, the last 24 s at 1 kHz, and loses nothing while the way
-    is interrupted for less than that; what is lost beyond is a gap in the file. A daemon that is
-    started anew, another sampling time, or a break of more than 200 000 samples begins a file of
-    its own.
+    The recording begins with the samples that the daemon keeps, the last 24 s at 1 kHz. A shorter
+    interruption of the connection loses no sample; a longer one leaves a gap in the file. A new
+    file begins if the daemon restarts, if the sampling time changes, or after a break of more than
+    200 000 samples.
     """
     from armrig_core.topics import check_own_id
 
     if seconds is not None and not seconds > 0:
-        raise InputError(f"--seconds {seconds:g}: a number above 0 is needed")
+        raise InputError(f"--seconds {seconds:g}: must be more than 0")
     for name in rigs or ():
         check_own_id(name)
     if every and rigs:
-        raise InputError(
-            f"--all and --rig {rigs[0]}: one of both; --all takes every rig that is there"
-        )
+        raise InputError(f"--all with --rig {rigs[0]}: give only one; --all records every rig")
     with until_signal() as ended:
         if every or len(rigs or ()) > 1:
             record_many(source, rigs, out, seconds, ended, json=json)
@@ -89,8 +93,7 @@ def _record_one(
     *,
     json: bool,
 ) -> None:
-    from armrig.rig.remote_recorder import RemoteRecorder
-    from armrig.rig.remote_recording import RemoteRecording, recorder_ended
+    from armrig.rig.remote_recording import RemoteRecorder, RemoteRecording, recorder_ended
     from armrig.rig.session import no_reply, open_connection
 
     path = _checked(out or Path(default_name(rig)))
@@ -99,7 +102,7 @@ def _record_one(
     recording = RemoteRecording(path=path, rig=rig, endpoint=where, tell=tell)
     how = COMPLETE
     with connection.session as session:
-        if ended.is_set():  # while it was loaded and connected
+        if ended.is_set():  # during loading and connecting
             raise KeyboardInterrupt
         recorder = RemoteRecorder(session, recording)
         try:
@@ -113,9 +116,7 @@ def _record_one(
         finally:
             _finish(recording, how)
     if not recording.done:
-        raise OperationError(
-            f"rig {rig} at {where} published no sample: there is nothing to record"
-        )
+        raise OperationError(f"rig {rig} at {where} published no sample, so there is no recording")
     _say(recording, json=json)
 
 
@@ -123,22 +124,22 @@ def _finish(recording: RemoteRecording, ended: Ending) -> None:
     try:
         recording.finish(ended)
     except KeyboardInterrupt:
-        tell("not complete: what was recorded is in *.mcap.active; `armrig recover` completes it")
+        tell("not complete: the samples are in *.mcap.active; `armrig recover` completes the file")
         raise
     finally:
         if recording.done and ended.code != OutcomeCode.COMPLETE:
             more = f", the last of {len(recording.done)} files" if len(recording.done) > 1 else ""
-            tell(f"recorded until then: {recording.done[-1].path}{more}")
+            tell(f"recorded up to the error: {recording.done[-1].path}{more}")
 
 
 def _checked(path: Path) -> Path:
     from armrig_core.recording_file.part_names import ACTIVE
 
     if path.suffix != ".mcap":
-        raise InputError(f"-o {path}: a recording's name ends in .mcap")
+        raise InputError(f"-o {path}: the name of a recording ends in .mcap")
     for taken in (path, path.with_name(f"{path.name}{ACTIVE}")):
         if os.path.lexists(taken):
-            raise InputError(f"-o {path}: {taken.name} is there already; give another name")
+            raise InputError(f"-o {path}: {taken.name} exists; give another name")
     return path
 
 

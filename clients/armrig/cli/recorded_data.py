@@ -1,4 +1,4 @@
-"""The data that commands read from recordings and other files, and what is told of them."""
+"""Data that commands read from recordings and other files, with notes about them."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 
 _UNNAMED = ("", "y")  # outputs of models that may be any signal
-_ENOUGH = 20
-"""Samples that a mean says something of."""
+_MIN_SAMPLES = 20
+"""Smallest number of samples for a statement about their mean."""
 
 
 def loaded(
@@ -38,15 +38,15 @@ def loaded(
     *,
     one_plant: bool = True,
 ) -> list[Recording]:
-    """Return the recordings, and tell their damage, and what speaks against using them together."""
+    """Return the recordings, and print their damage and reasons against their common use."""
     from armrig.cli.spinner import spinner
-    from armrig.recordings.doubts import all_doubts, early_ends
     from armrig.recordings.loading import load
+    from armrig.recordings.usability import all_doubts, early_ends
 
     with spinner("reading"):
         recordings = [load(file, calibration, start=start, stop=stop) for file in files]
     name_runs(*recordings)
-    # Of a file that is cut off `warned` says more; a part that was asked for has no early end.
+    # `warned` reports a file that is cut off. The end of a requested part is not an early end.
     whole = [r for r in recordings if not r.truncated and (start, stop) == (None, None)]
     early = [text.removesuffix(".") for text in early_ends(whole)]
     for text in (*early, *all_doubts(recordings, one_plant=one_plant)):
@@ -56,36 +56,36 @@ def loaded(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signals:
-    """What to take from files: recordings, or data of any other origin."""
+    """Signals to read from files: recordings, or other data."""
 
     signal: str | None
-    """The output; None is theta_1 of a recording, and y of other data."""
+    """Output; None means theta_1 of a recording, and y of other data."""
     input: str | None = None
-    """Column of u; None is u. It goes with other data only, as do `time` and `Ts`."""
+    """Column of u in other data; None means u."""
     time: str | None = None
-    """Column of the times."""
+    """Column of the times in other data."""
     Ts: float | None = None
-    """Sampling time, in s."""
+    """Sampling time of other data, in s."""
     detrend: bool = False
-    """Take the means off each file."""
+    """Subtract the mean of each signal of each file."""
     offset: bool | None = None
-    """A level of y is estimated along; None where the command cannot."""
+    """True if a level of y is estimated, too; None if the command cannot estimate it."""
     hampel: bool = False
-    """Mark single wrong samples of the output missing, before the means are taken off."""
+    """Mark single outliers of the output as missing, before the means are subtracted."""
     calibration: Path | None = None
-    """To read recordings with."""
+    """Calibration file for recordings."""
     start: float | None = None
-    """Only what is due from this time on, in s from the first sample."""
+    """Start of the samples to use, in s from the first sample."""
     stop: float | None = None
-    """Only what is due before this time."""
+    """End of the samples to use, in s."""
     read: list[Recording] = field(default_factory=list)
-    """Recordings so far, the one that estimates first."""
+    """Recordings read so far; the first one is for estimation."""
 
     def options(self, data: Dataset | None = None) -> str:
-        """Return the options by which another command takes the same, as typed; "" for none.
+        """Return the options with which another command reads the same data; "" for none.
 
-        Of data that are given the signal is named where it is not the one by default, as it is not
-        where a model has said which it is.
+        If `data` is given and its output is not the default, the options name the output; a model
+        may have chosen it.
         """
         signal = self.signal
         if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):
@@ -103,7 +103,7 @@ class Signals:
         return "".join(typed) + " --detrend" * self.detrend + " --hampel" * self.hampel
 
     def of(self, file: Path, model: Model | None = None) -> Dataset:
-        """Return the data of a file, and tell what it lacks; of a model's output by default."""
+        """Return the data of a file, and print its defects; a model sets the default output."""
         from armrig.data.treatment import detrend, hampel
 
         if self._is_other(file):
@@ -112,7 +112,9 @@ class Signals:
         else:
             data = self._recorded(file, model)
         if _without_means(model) and not self.detrend:
-            tell("the model is of data without their means: validate it with --detrend")
+            tell(
+                "the model was estimated from data without their means: validate it with --detrend"
+            )
         if self.hampel:
             data = hampel(data)
             tell(f"{file}: {data.history[-1]}")
@@ -121,7 +123,7 @@ class Signals:
     def _other(self, file: Path, model: Model | None) -> Dataset:
         if self.calibration is not None:
             raise typer.BadParameter(
-                f"--calibration goes with recordings; {file} has no readings of the rig's sensors"
+                f"--calibration applies to recordings; {file} has no readings of the rig's sensors"
             )
         from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_data
@@ -134,7 +136,9 @@ class Signals:
         with spinner("reading"):
             data = load_data(file, **columns, time=self.time, Ts=self.Ts)
         if model is not None and self.signal is not None and model.output not in _UNNAMED:
-            data = data.replaced(step=None, output=model.output)  # the person says it is the same
+            data = data.replaced(
+                step=None, output=model.output
+            )  # by naming the column, the person states that it is the model's signal
         _tell_of(file, data, columns)
         for finding in swapped(data):
             tell(f"{file}: {finding.text} (--input, --signal)")
@@ -144,7 +148,7 @@ class Signals:
         return data
 
     def _is_other(self, file: Path) -> bool:
-        """Return whether a file is no recording: by its name, or where columns are asked for."""
+        """Return True if a file is not a recording: by its name, or if columns are given."""
         suffix = file.suffix.lower()
         asked = (self.input, self.time, self.Ts) != (None, None, None)
         return suffix in DATA or (asked and suffix != RECORDING)
@@ -154,7 +158,7 @@ class Signals:
         for name, value in given.items():
             if value is not None:
                 raise typer.BadParameter(
-                    f"{name} {value} goes with {OTHER_DATA}; the recording {file} says it itself"
+                    f"{name} {value} applies to {OTHER_DATA}; the recording {file} has its own"
                 )
         recording = loaded([file], self.calibration, self.start, self.stop)[0]
         self._tell_of_pair(recording)
@@ -170,7 +174,7 @@ class Signals:
         )
 
     def _tell_of_pair(self, recording: Recording) -> None:
-        from armrig.recordings.doubts import doubts_of_pair
+        from armrig.recordings.usability import doubts_of_pair
 
         for text in doubts_of_pair(self.read[0], recording) if self.read else ():
             tell(text)
@@ -180,23 +184,23 @@ class Signals:
 def options_of(
     data: Dataset, calibration: Path | None, start: float | None, stop: float | None
 ) -> str:
-    """Return the options by which another command takes the same of a recording, as typed."""
+    """Return the options with which another command reads the same part of a recording."""
     signals = Signals(signal=None, calibration=calibration, start=start, stop=stop)
     return signals.options(data)
 
 
 def _check_varies(file: Path, data: Dataset) -> None:
-    """Refuse an output that is the same throughout: there is nothing to explain."""
+    """Refuse a constant output, because it contains no response to the input."""
     import numpy as np
 
     y = data.y[data.valid]
     if y.size > 1 and np.ptp(y) == 0:
-        msg = f"{file}: {data.output} is {y[0]:.4g} throughout, so it answers to nothing; give the "
-        raise InputError(msg + "column that varies (--signal), or record again")
+        msg = f"{file}: {data.output} is constant, {y[0]:.4g}, so it responds to no input; give "
+        raise InputError(msg + "a column that varies (--signal), or record again")
 
 
 def between(data: Dataset, start: float | None, stop: float | None) -> Dataset:
-    """Return the samples at start <= t < stop, in s from the first."""
+    """Return the samples with start <= t < stop, in s from the first sample."""
     if start is None and stop is None:
         return data
     first, end = (
@@ -210,12 +214,12 @@ def between(data: Dataset, start: float | None, stop: float | None) -> Dataset:
 
 
 def from_recording(data: Dataset) -> bool:
-    """Return whether data are a rig's, and no other file's."""
+    """Return True if data come from a recording of a rig."""
     return ":" not in data.source
 
 
 def source_facts(data: Dataset) -> dict[str, str]:
-    """Return the hash of the file that data are from, for a program."""
+    """Return the hash of the source file of data, for a program."""
     kind, _, digest = data.source.rpartition(":")
     return {kind or "recording": digest}
 
@@ -231,23 +235,23 @@ def _with_level(model: Model | None) -> bool:
 
 
 def _hint_at_means(data: Dataset, *, may_offset: bool) -> None:
-    """Tell what to do where u or y hardly come near 0, as about a point of operation."""
+    """Print what to do if the mean of u or y is far from 0, as at an operating point."""
     import numpy as np
 
     u, y = data.u, data.y[data.valid]
-    # Of a constant nothing would be left.
-    if y.size < _ENOUGH or not (np.ptp(u) and np.ptp(y)):
+    # Subtracting the mean of a constant signal would leave 0.
+    if y.size < _MIN_SAMPLES or not (np.ptp(u) and np.ptp(y)):
         return
     if any(abs(x.mean()) > 2 * x.std() for x in (u, y)):
-        along = "estimate a level along with --offset, or " if may_offset else ""
+        along = "estimate a level with --offset, or " if may_offset else ""
         tell(
-            f"on average {data.output} is {y.mean():.4g} and u {u.mean():.4g}; if u = 0 does not "
-            f"give 0, {along}take the means off with --detrend"
+            f"the mean of {data.output} is {y.mean():.4g}, that of u {u.mean():.4g}; if "
+            f"{data.output} is not 0 at u = 0, {along}subtract the means with --detrend"
         )
 
 
 def _tell_of(file: Path, data: Dataset, columns: Mapping[str, str]) -> None:
-    """Tell what was taken from a file of data."""
+    """Print the columns that were read from a file of data."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
     parts = [f"{file}: {data.N} samples, {data.Ts:g} s apart"]
@@ -256,19 +260,19 @@ def _tell_of(file: Path, data: Dataset, columns: Mapping[str, str]) -> None:
     tell("; ".join([*parts, *data.history]))
     if data.output in INTEGRATING_OUTPUTS:
         tell(
-            f"{data.output} is taken for the rig's angle, which integrates its input; name the "
-            "column otherwise if it does not"
+            f"{data.output} is assumed to be the rig's angle, which integrates its input; rename "
+            "the column if it does not integrate"
         )
 
 
 def warn_of_estimation_data(table: ComparisonTable) -> None:
-    """Say it where a model is judged on the very data that it was estimated from."""
+    """Print a warning if a model is judged on its own estimation data."""
     if any(row.on_estimation_data for row in table.rows):
         tell(SAME_DATA)
 
 
 def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
-    """Return the frequency response that the data show without a model; empty where they do not."""
+    """Return the frequency response of the data without a model; empty after a failure."""
     from armrig.cli.spinner import spinner
     from armrig.estimation.nonparametric.spectral import spectral_reference
 
@@ -276,16 +280,16 @@ def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
         with spinner("estimating the spectrum"):
             return [spectral_reference(data)]
     except ValueError as err:
-        tell(f"no spectral analysis beside the model: {err}")
+        tell(f"the figure has no spectral analysis: {err}")
         return []
 
 
 def dataset_of(recording: Recording, model: Model) -> Dataset:
-    """Return the data of the output that the model is of."""
+    """Return the data of a recording for the output of a model."""
     for output in get_args(OutputName):
         if output == model.output:
             return recording.dataset(output)
     raise InputError(
-        f"the model is of {model.output!r}, a recording has {', '.join(get_args(OutputName))}; "
-        "validate it on data of what it is of"
+        f"the output of the model is {model.output!r}, a recording has "
+        f"{', '.join(get_args(OutputName))}; validate the model on data with its output"
     )

@@ -1,4 +1,4 @@
-"""The commands that say what one recording holds: info and replay."""
+"""The commands about one recording: info and replay."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from armrig.cli.replay import Replay
     from armrig.recordings.recording import Recording
 
-_GAPS, _NOTES = 3, 10  # lines of them without --verbose
-_MOST_TOLD = 1000  # characters
+_MAX_GAPS, _MAX_NOTES = 3, 10  # lines without --verbose
+_MAX_TEXT = 1000  # characters
 
 
 def info(
@@ -40,7 +40,7 @@ def info(
     verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
-    """Say what a recording holds and how well it was sampled."""
+    """Show what a recording contains and how well it was sampled."""
     from armrig.recordings.loading import load
 
     check_plot(plot, [file])
@@ -56,7 +56,7 @@ def info(
 
 
 def _recording_facts(rec: Recording) -> dict[str, Any]:
-    """Return what a recording holds, for a program."""
+    """Return the contents of a recording as JSON fields."""
     from armrig.recordings.calibration.staleness import remarks
     from armrig.recordings.jitter import disturbances, sampling_statistics
     from armrig.recordings.usability import data_verdict
@@ -84,7 +84,7 @@ def _recording_facts(rec: Recording) -> dict[str, Any]:
 
 
 def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str]]:
-    """Give what a recording holds, for a person: names and values."""
+    """Yield the rows of `armrig info`: the name of a quantity and its value as text."""
     from armrig.recordings.calibration.staleness import calibrated, remarks
     from armrig.recordings.daemon_reports import gap_lines
     from armrig.recordings.jitter import disturbances, sampling_statistics
@@ -119,14 +119,14 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
     if verbose and (found := disturbances(rec).texts()):
         yield "disturbances", "; ".join(f"{name}: {text}" for name, text in found.items())
     gaps = gap_lines(rec.gaps)
-    for text in gaps if verbose else gaps[:_GAPS]:
+    for text in gaps if verbose else gaps[:_MAX_GAPS]:
         yield "gap", text
-    if len(gaps) > _GAPS and not verbose:
-        yield "gap", f"{len(gaps) - _GAPS} more lines; --verbose shows them"
-    for note in rec.notes if verbose else rec.notes[:_NOTES]:
+    if len(gaps) > _MAX_GAPS and not verbose:
+        yield "gap", f"{len(gaps) - _MAX_GAPS} more lines; --verbose shows them"
+    for note in rec.notes if verbose else rec.notes[:_MAX_NOTES]:
         yield "note", _clipped(f"at {note.t:.2f} s, {note.owner}: {note.text}")
-    if len(rec.notes) > _NOTES and not verbose:
-        yield "note", f"{len(rec.notes) - _NOTES} more; --verbose shows them"
+    if len(rec.notes) > _MAX_NOTES and not verbose:
+        yield "note", f"{len(rec.notes) - _MAX_NOTES} more; --verbose shows them"
     if rec.truncated:
         yield "damage", rec.damage
     for finding in verdict.findings if verbose else ():
@@ -134,12 +134,12 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
 
 
 def _clipped(text: str) -> str:
-    """Return a text that anybody may have written, as long as one of ours may be."""
-    return text if len(text) <= _MOST_TOLD else f"{text[:_MOST_TOLD]}…; --json shows all of it"
+    """Return a text of any author, cut to `_MAX_TEXT` characters."""
+    return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
 
 
 def _sample_count(rec: Recording) -> str:
-    """Return how many samples there are, how many are missing, and up to when they go."""
+    """Return the counts of samples and missing samples, and the end of a truncated file."""
     text = (
         f"{rec.samples.size} at {rec.Ts:g} s, {rec.missing} missing, {rec.hidden} without "
         "an angle (dead band, and the sample after)"
@@ -150,21 +150,21 @@ def _sample_count(rec: Recording) -> str:
 
 
 def _recovered(how: Recovered) -> str:
-    cut_off = f", {how.cut_off_bytes} B behind them cut off" if how.cut_off_bytes else ""
+    cut_off = f", {how.cut_off_bytes} B after them cut off" if how.cut_off_bytes else ""
     cut_off += f"; {how.damage}" if how.damage else ""
     when = how.when[:19].replace("T", " ")
     return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were whole{cut_off}"
 
 
 def _outcome(rec: Recording) -> str:
-    """Return how the run ended, and whether the file ends before that."""
+    """Return the outcome of the run, and whether the file is cut off or damaged."""
     if not rec.truncated:
-        return rec.outcome.outcome if rec.outcome else "not known: the file does not say"
+        return rec.outcome.outcome if rec.outcome else "not known: the file does not contain it"
     what = "is cut off" if rec.cut_off else "is damaged"
     writing = ", or is still being written" if rec.path.suffix == ".active" else ""
     if rec.outcome:
         return f"of the run: {rec.outcome.outcome}; but the file {what}"
-    return f"not known: the file {what} before it says{writing}"
+    return f"not known: the file {what} before the outcome{writing}"
 
 
 def _microseconds(spread: Any, decimals: int) -> str:
@@ -176,7 +176,9 @@ def _microseconds(spread: Any, decimals: int) -> str:
 
 def _jitter(spread: Any) -> str:
     text = _microseconds(spread, 0)
-    return text if spread.n == 0 else f"{text}; of the sampling interval, by the device's clock"
+    return (
+        text if spread.n == 0 else f"{text}; spread of the sampling interval, by the device's clock"
+    )
 
 
 def _lateness(spread: Any, pacing: str) -> str:
@@ -184,8 +186,8 @@ def _lateness(spread: Any, pacing: str) -> str:
     if spread.n == 0:
         return text
     if pacing == "scheduled":
-        return f"{text}; of the samples' arrival at the host, which changes nothing in them"
-    return f"{text}; of the host's request for each sample"
+        return f"{text}; arrival of the samples at the host, which does not affect them"
+    return f"{text}; lateness of the host's request for each sample"
 
 
 def _plot_timing(recording: Any, path: Path | None) -> None:
@@ -202,9 +204,9 @@ def _plot_timing(recording: Any, path: Path | None) -> None:
 
 
 def replay(file: File, json: Json = False) -> None:
-    """Have the daemon's core decide a recorded run once more.
+    """Repeat the decisions of the daemon's core for a recorded run.
 
-    Exit code 1 where it differs.
+    The exit code is 1 if a decision differs.
     """
     from armrig.cli.replay import replay as decided_again
 
@@ -226,6 +228,7 @@ def replay(file: File, json: Json = False) -> None:
 def _replay_verdict(found: Replay) -> str:
     if found.difference:
         return f"DIFFERS: {found.difference}"
+    same = "replay made the same decisions, to the last bit"
     if found.until:
-        return f"decided the same, to the last bit, as far as both go: {found.until}"
-    return "decided the same, to the last bit"
+        return f"{same}, up to the end of the file: {found.until}"
+    return same

@@ -1,4 +1,4 @@
-"""The command recover: what a daemon left unfinished is completed."""
+"""The command recover, which completes unfinished recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Where = Annotated[
     list[Path] | None,
     typer.Argument(
         metavar="FILE|FOLDER…",
-        help="Unfinished recordings (*.mcap.active), or folders with such.",
+        help="Unfinished recordings (*.mcap.active), or folders that contain them.",
         show_default="the folder of the recordings",
     ),
 ]
@@ -28,9 +28,9 @@ Where = Annotated[
 def recover(where: Where = None, json: Json = False) -> None:
     """Complete recordings that a daemon left unfinished when it died.
 
-    A daemon does so by itself when it starts again; this is for files that were copied elsewhere.
-    What is whole is kept, and the file named *.mcap. Exit code 1 where one cannot be recovered,
-    which then stays as it is.
+    A daemon completes its own recordings when it starts again; this command is for copied files.
+    Each file keeps its undamaged part and gets a name that ends in .mcap. If a file cannot be
+    recovered, it stays unchanged, and the exit code is 1.
     """
     from armrig_core.recording_file.recovery import sentence
     from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
@@ -60,7 +60,7 @@ def recover(where: Where = None, json: Json = False) -> None:
 
 
 def _files(where: list[Path]) -> Iterator[tuple[Path, bool]]:
-    """Give the files that are meant, and whether each was named by itself."""
+    """Yield each unfinished file, and True if the user named the file and not its folder."""
     from armrig_core.recording_file.unfinished import unfinished
 
     for path in where:

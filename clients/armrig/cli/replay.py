@@ -1,4 +1,4 @@
-"""The replay of a recorded run: the daemon's own function decides it once more."""
+"""Replay of a recorded run: the core of the daemon decides the run again."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from armrig.recordings.loading import files_of, run_content
 from armrig.recordings.sample_rows import SAMPLE_DTYPE
 from armrig.recordings.verification import recorded_input
 
-MOST_CHUNK = 4096
-"""Bytes of steps in one chunk; with so few there cannot be many."""
-_COMPARED = 4096  # samples that are compared at once
+MAX_CHUNK_BYTES = 4096
+"""Largest size of a chunk of steps, which bounds the number of steps."""
+_COMPARED_SAMPLES = 4096  # samples compared in one step
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,44 +38,43 @@ class CoreMessage:
     """A warning or an error of the core in the replay."""
 
     t: float
-    """When, in s from the first step."""
+    """Time of the message, in s from the first step."""
     level: str
-    """debug, info, warning or error."""
+    """Level: debug, info, warning or error."""
     message: str
-    """Its text."""
+    """Text of the message."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
-    """The decisions of a recorded run, made once more and compared."""
+    """Decisions of a recorded run, made again and compared."""
 
     steps: int
-    """Calls of the core."""
+    """Number of calls of the core."""
     frames: int
-    """Frames to the device that were decided as recorded."""
+    """Number of frames to the device that equal the recorded frames."""
     samples: int
-    """Samples that came out as recorded, to the last bit."""
+    """Number of samples that equal the recorded samples to the last bit."""
     seconds: float
-    """From the first step to the last, in s."""
+    """Time from the first step to the last, in s."""
     difference: str
-    """Where the replay first differs from the recording; empty where it does not."""
+    """First difference from the recording; empty without a difference."""
     until: str
-    """What is wrong with the file where the replay ends before the run; empty for a whole file."""
+    """Damage of the file at which the replay ends; empty for a complete file."""
     said: tuple[CoreMessage, ...]
     """Warnings and errors of the core during the replay, trips among them."""
 
 
 def replay(path: str | Path) -> Replay:
-    """Run the core through a recorded run and compare what it decides with what was decided.
+    """Run the core through a recorded run and compare its decisions with the recorded ones.
 
-    The run is that in a file, or by its name that in all its parts.
-
-    Compared are all frames to the device, and all samples in the file.
+    `path` is a file. To replay all parts of a run, give the name of the run. The replay compares
+    all frames to the device and all samples in the file.
 
     Raises
     ------
     FileError
-        The file is no recording of armrig, holds no steps, or those of another release.
+        The file is not a recording of armrig, has no steps, or has steps of another release.
     OSError
         The file cannot be read.
     """
@@ -86,16 +85,16 @@ def replay(path: str | Path) -> Replay:
     except DamageError as err:
         raise FileError(f"{path}: {err}") from err
     if content is None:
-        raise FileError(f"{path}: is no MCAP file; replay reads what armrigd has recorded (*.mcap)")
+        raise FileError(f"{path}: not an MCAP file; replay reads recordings of armrigd (*.mcap)")
     first = next(_chunks_of(paths), None)
     if first is None or not first.state:
-        why = "recorded before replay was built?"
+        why = "it may be older than replay"
         if content.damage:
-            why = f"{content.damage}, and they would stand behind it"
-        raise FileError(f"{path}: holds no steps of the daemon's core: {why}")
+            why = f"{content.damage}; no steps precede the damage"
+        raise FileError(f"{path}: no steps of the daemon's core: {why}")
     try:
         return _replayed(paths, content, first)
-    except Exception as err:  # the core runs on what somebody wrote there: anything may be raised
+    except Exception as err:  # the steps in the file may be anything, so any exception may occur
         by = content.metadata.get(RUN, {}).get("armrig", "another release")
         raise FileError(
             f"{path}: its steps are not of this release's core (recorded by {by}): {err}"
@@ -103,7 +102,7 @@ def replay(path: str | Path) -> Replay:
 
 
 def _chunks_of(paths: Sequence[Path]) -> Iterator[Any]:
-    """Give the chunks of steps in the files of a run."""
+    """Yield the chunks of steps in the files of a run."""
     return chain.from_iterable(streamed(path, "trace") for path in paths)
 
 
@@ -113,7 +112,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     state = trace.restored(begin.state, codes, _version(begin))
     # Samples read together with the answer to START belong to the step before the first.
     k = content.samples["k"]
-    compared = _Compared(content.samples[k > state.told], manifest)
+    compared = _Compared(content.samples[k > state.last_reported_k], manifest)
     chunks = _Chunks(_chunks_of(paths))
     difference, frames, said = "", 0, []
     first = now_ns = None
@@ -134,7 +133,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     if not difference and (holes := chunks.holes()):  # then samples are missing, too
         verb = "is" if holes == 1 else "are"
         difference = f"{plural(holes, 'chunk')} of steps {verb} missing from the file"
-    # In a file that is cut off, the samples may reach further than the steps, or less far.
+    # In a file that is cut off, the last sample may be later or earlier than the last step.
     reach = (min if content.cut_off else max)(compared.ours, compared.theirs.size)
     if not difference and compared.same != reach:
         difference = f"the file has {compared.theirs.size} samples, the replay {compared.ours}; "
@@ -151,26 +150,26 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
 
 
 class _Compared:
-    """The samples of a replay against those of the file, as they come: an hour has 3.6 million."""
+    """Comparison of replayed samples with those of the file, in parts: an hour has 3.6 million."""
 
     def __init__(self, theirs: NDArray[np.void], manifest: Manifest) -> None:
-        """Compare with the file's, (n,) of `SAMPLE_DTYPE`."""
+        """Take the samples of the file, (n,) of `SAMPLE_DTYPE`."""
         self.theirs = theirs
         self.ours = 0
-        """Samples of the replay that belong to the run."""
+        """Number of replayed samples of the run."""
         self.same = 0
-        """Samples from the first on that are the same to the last bit."""
+        """Number of equal samples before the first difference."""
         self._first, self._end = manifest.k_first, manifest.k_first + manifest.samples
         self._pending: list[tuple[Any, ...]] = []
 
     def add(self, samples: Iterable[Sample]) -> None:
-        """Compare more of them."""
+        """Add replayed samples."""
         self._pending += [tuple(s) for s in samples if self._first <= s.k < self._end]
-        if len(self._pending) >= _COMPARED:
+        if len(self._pending) >= _COMPARED_SAMPLES:
             self.settle()
 
     def settle(self) -> None:
-        """Compare what has come up to now."""
+        """Compare the pending samples."""
         ours = np.array(self._pending, dtype=SAMPLE_DTYPE)
         self._pending = []
         if self.same == self.ours:
@@ -179,26 +178,26 @@ class _Compared:
 
 
 class _Chunks:
-    """The chunks of steps in a file, one after the other."""
+    """Chunks of steps in a file, in order."""
 
     def __init__(self, chunks: Iterator[Any]) -> None:
         self._chunks = chunks
         self._count, self._last = 0, -1
 
     def steps(self) -> Iterator[trace.Step]:
-        """Give the steps up to the first hole."""
+        """Yield the steps up to the first missing chunk."""
         for chunk in self._next():
             if chunk.number != self._count - 1:
                 return
-            if len(chunk.steps) > MOST_CHUNK:
+            if len(chunk.steps) > MAX_CHUNK_BYTES:
                 raise InputError(
                     f"a chunk of steps has {len(chunk.steps)} B; "
-                    f"the daemon writes {MOST_CHUNK} at most"
+                    f"the daemon writes at most {MAX_CHUNK_BYTES} B"
                 )
             yield from trace.steps_of(chunk.steps, _version(chunk))
 
     def holes(self) -> int:
-        """Return how many chunks are missing, up to the last one that is there."""
+        """Return the number of missing chunks before the last existing chunk."""
         for _ in self._next():
             pass
         return self._last + 1 - self._count
@@ -210,7 +209,7 @@ class _Chunks:
 
 
 def _same_rows(ours: Any, theirs: Any) -> int:
-    """Return how many samples from the first on are the same to the last bit."""
+    """Return the number of samples before the first difference, compared to the last bit."""
     n = min(ours.size, theirs.size)
     if not n:
         return 0
@@ -220,12 +219,12 @@ def _same_rows(ours: Any, theirs: Any) -> int:
 
 
 def _version(chunk: Any) -> int:
-    """Return the version of a trace; the first one was not written down."""
+    """Return the version of a trace; traces of version 1 do not contain their version."""
     return 1 if chunk.version == ABSENT["fixed64"] else int(chunk.version)
 
 
 def _codes(path: Path, content: Content, manifest: Manifest) -> bytes:
-    """Return the codes of the attached input, as the daemon made them of it."""
+    """Return the codes of the attached input, computed as the daemon computed them."""
     if content.input is None:
         raise InputError("no input is attached")
     u = recorded_input(path, content.input, manifest.samples)

@@ -1,4 +1,4 @@
-"""The command that writes a report of recordings: report."""
+"""The command report, which typesets a report of recordings."""
 
 from __future__ import annotations
 
@@ -38,51 +38,58 @@ Source = Annotated[
     typer.Option(
         "--source",
         metavar="FOLDER",
-        help="New folder for the Typst source and its figures; --from compiles it again.",
+        help="New folder for the Typst source and its figures; --from typesets it.",
     ),
 ]
 Edited = Annotated[
     Path | None,
     typer.Option(
-        "--from", metavar="FOLDER", help="Typeset the source in this folder; takes no recordings."
+        "--from", metavar="FOLDER", help="Folder with a source to typeset, in place of recordings."
+    ),
+]
+Files = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        metavar="F…", parser=recording_path, help="Recordings (*.mcap) or their @names."
+    ),
+]
+Pdf = Annotated[Path, typer.Option("-o", "--output", metavar="PDF", help="PDF to write.")]
+Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing PDF.")]
+Handout = Annotated[
+    bool,
+    typer.Option(
+        "--handout",
+        help="Write a section for each assignment, at most ten pages; all F… are optional.",
     ),
 ]
 Questions = Annotated[
     Path | None,
     typer.Option(
-        "--questions", metavar="TOML", help="Write the handout's questions to a new file, and end."
+        "--questions",
+        metavar="TOML",
+        help="New file for the handout's questions; no report is written.",
     ),
 ]
 AnswersFile = Annotated[
     Path | None,
     typer.Option(
-        "--answers", metavar="TOML", help="Names, registration numbers and reasons (--handout)."
+        "--answers",
+        metavar="TOML",
+        help="File with names, registration numbers and reasons (--handout).",
     ),
 ]
 
 
 def report(
-    files: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="F…", parser=recording_path, help="Recordings (*.mcap), or their @names."
-        ),
-    ] = None,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="PDF", help="PDF to write.")
-    ] = Path("report.pdf"),
+    files: Files = None,
+    output: Pdf = Path("report.pdf"),
     na: Na = 4,
     nb: Nb = 4,
     nf: Nf = 4,
     nk: Nk = 1,
     calibration: CalibrationFile = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite a PDF that is there.")] = False,
-    handout: Annotated[
-        bool,
-        typer.Option(
-            "--handout", help="A section for each assignment, at most ten pages; F… as there are."
-        ),
-    ] = False,
+    force: Force = False,
+    handout: Handout = False,
     questions: Questions = None,
     answers: AnswersFile = None,
     given: Given = None,
@@ -92,10 +99,10 @@ def report(
     edited: Edited = None,
     json: Json = False,
 ) -> None:
-    """Typeset a report.
+    """Typeset a report as a PDF.
 
-    The first recording that is no step estimates, the next validates. Runs are
-    reported whole: --from is no start in s, it names a folder that --source wrote.
+    The first recording that is not a step is used for estimation, the next one for validation. A
+    report covers whole runs: --from is not a start time, it names a folder that --source wrote.
     """
     files = files or []
     if questions is not None:
@@ -106,9 +113,7 @@ def report(
     )
     check_output(output, files, suffix=".pdf")
     if output.exists() and not force:
-        raise InputError(
-            f"-o {output}: is there already; --force overwrites it, or give another name"
-        )
+        raise InputError(f"-o {output}: exists; --force overwrites it, or give another name")
     recordings: list[Recording] = []
     if edited is not None:
         _typeset_source(edited, output)
@@ -145,12 +150,12 @@ def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object
     edited = given["edited"]
     if edited and (files or handout or any(given[x] for x in ("source", "answers", "set"))):
         raise typer.BadParameter(
-            f"--from {edited}: takes no recordings and no option but -o and --force; the folder "
-            f"contains all that the report is made of, the answers in {edited}/data.json"
+            f"--from {edited}: give no recordings, and no option but -o and --force; the folder "
+            f"contains all data of the report, the answers in {edited}/data.json"
         )
     for name in ("answers", "set"):
         if given[name] and not handout:
-            raise typer.BadParameter(f"--{name} is for the handout's report: add --handout")
+            raise typer.BadParameter(f"--{name} applies to the handout's report: add --handout")
     if not (files or handout or given["edited"]):
         raise typer.BadParameter(
             "give recordings to report on, such as those of `armrig collect blackbox "
@@ -168,7 +173,7 @@ def _write_questions(path: Path) -> None:
             file.write(text)
     except FileExistsError:
         raise InputError(
-            f"--questions {path}: is there already, and may contain answers; give another name"
+            f"--questions {path}: exists and may contain answers; give another name"
         ) from None
     echo(str(path))
 
@@ -182,7 +187,7 @@ def _typeset_source(folder: Path, output: Path) -> None:
     sources = sorted(folder.glob("*.typ"))
     if len(sources) != 1:
         raise InputError(
-            f"--from {folder}: has {len(sources)} files *.typ: give a folder that `armrig report "
+            f"--from {folder}: has {len(sources)} files *.typ; give a folder that `armrig report "
             "--source FOLDER` wrote"
         )
     with spinner("typesetting"):
@@ -206,7 +211,7 @@ def _report_study(
     from armrig.report.study import study
 
     recordings = loaded(files, calibration)
-    _tell_of_ignored(recordings)
+    _report_ignored(recordings)
     with estimating("na, nb and nf"):
         done = study(recordings, orders=orders)
     remarks = []
@@ -226,10 +231,10 @@ def _report_handout(
     source: Path | None,
     **problem: Any,
 ) -> list[Recording]:
-    """Typeset the handout's report from whatever there is."""
+    """Typeset the handout's report from the given recordings."""
     from armrig.cli.recorded_data import loaded
     from armrig.cli.spinner import estimating, spinner
-    from armrig.recordings.doubts import different_calibrations
+    from armrig.recordings.usability import different_calibrations
     from armrig.report.answers import Answers, read_answers
     from armrig.report.handout import handout_report
     from armrig.report.handout_study import handout_study
@@ -245,14 +250,14 @@ def _report_handout(
     return recordings
 
 
-def _tell_of_ignored(recordings: Sequence[Recording]) -> None:
-    """Tell which recordings no model of the report is estimated from or judged by."""
-    from armrig.recordings.doubts import NO_MODEL
+def _report_ignored(recordings: Sequence[Recording]) -> None:
+    """Print the recordings that the models of the report do not use."""
+    from armrig.recordings.usability import NO_MODEL
 
     kinds = [r.manifest.experiment.partition("-")[0] for r in recordings]
     excited = [r for r, kind in zip(recordings, kinds, strict=True) if kind not in NO_MODEL]
     for r in excited[2:]:
         tell(
-            f"{r.path.name} is listed in the report, and no model is estimated from it or judged "
-            f"by it: {excited[0].path.name} estimates, {excited[1].path.name} validates"
+            f"{r.path.name} is only listed in the report: the models are estimated from "
+            f"{excited[0].path.name} and validated on {excited[1].path.name}"
         )

@@ -15,13 +15,13 @@ from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_tab
 By = Annotated[
     str,
     typer.Option(
-        "--owner", help="Who stops it, for the recording to say.", show_default="this user"
+        "--owner", help="Name that the recording shows for the stop.", show_default="this user"
     ),
 ]
 
 
 def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
-    """Say how the daemon and its rig are."""
+    """Show the state of the daemon and the rig."""
     from armrig.rig.status_rows import status_rows
 
     with _opened(rig, connect) as opened:
@@ -38,12 +38,15 @@ def status(rig: RigId = "1", connect: Connect = None, json: Json = False) -> Non
 def watch(
     rig: RigId = "1",
     connect: Connect = None,
-    count: Annotated[int | None, typer.Option("--count", min=1, help="End after so many.")] = None,
+    count: Annotated[
+        int | None,
+        typer.Option("--count", min=1, help="Number of samples after which the command ends."),
+    ] = None,
     json: Json = False,
 ) -> None:
-    """Show the live samples until Ctrl-C, and where some are missing.
+    """Show the live samples and the gaps until Ctrl-C.
 
-    With --json a line has the fields of a sample, or of a gap: k_first, count, reason and more.
+    With --json each line has the fields of a sample, or of a gap: k_first, count, reason and more.
     """
     from itertools import islice
 
@@ -51,7 +54,7 @@ def watch(
 
     with _opened(rig, connect) as opened:
         samples = islice(opened.stream("sample"), count)
-        with suppress(KeyboardInterrupt):  # Ctrl-C is the way to end it
+        with suppress(KeyboardInterrupt):  # Ctrl-C is the normal end
             if json:
                 for sample in samples:
                     print_json(sample if isinstance(sample, LiveGap) else sample._asdict())
@@ -62,23 +65,25 @@ def watch(
 
 
 def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = False) -> None:
-    """Bring the rig to 0 V, whoever has it.
+    """Stop the rig at 0 V, with any owner.
 
-    With --json it prints {"rig": "1", "stopped": true}, and where nothing answers exits with 1.
+    With --json the command prints {"rig": "1", "stopped": true}. If no daemon answers, the exit
+    code is 1.
     """
     with _opened(rig, connect) as opened:
         opened.stop(by)
     if json:
         print_json({"rig": rig, "stopped": True})
         return
-    echo(f"rig {rig} was told to stop")
+    echo(f"rig {rig}: stop sent")
     say_next("stop", rig=naming(rig, connect))
 
 
 def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
-    """Leave a latched fault; the rig is then at 0 V and nobody's.
+    """Clear a latched fault; the rig is then at 0 V and has no owner.
 
-    With --json it prints {"rig": "1", "was_latched": true}, or false where nothing was latched.
+    With --json the command prints {"rig": "1", "was_latched": true}, or false if no fault was
+    latched.
     """
     with _opened(rig, connect) as opened:
         was_latched = opened.reset()
@@ -88,7 +93,7 @@ def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None
     if was_latched:
         echo(f"rig {rig} was reset")
     else:
-        echo(f"rig {rig}: nothing is latched, so there is nothing to reset")
+        echo(f"rig {rig}: no fault is latched")
     say_next("reset", rig=naming(rig, connect))
 
 
@@ -96,7 +101,7 @@ def note(
     text: Annotated[
         str,
         typer.Argument(
-            metavar="TEXT", help="What happened, in 1 to 500 characters.", show_default=False
+            metavar="TEXT", help="Text of the note, 1 to 500 characters.", show_default=False
         ),
     ],
     rig: RigId = "1",
@@ -107,9 +112,10 @@ def note(
     ] = "",
     json: Json = False,
 ) -> None:
-    """Write a note into the recording while it runs; info, report and page show it.
+    """Write a note into the current recording; info, report and page show the note.
 
-    With --json it prints {"rig": "1", "recorded": true}, or false if no run is being recorded.
+    With --json the command prints {"rig": "1", "recorded": true}, or false if no run is being
+    recorded.
     """
     with _opened(rig, connect) as opened:
         is_recorded = opened.note(text, owner)
@@ -118,12 +124,12 @@ def note(
     elif is_recorded:
         echo(f"rig {rig}: the note is in the recording")
     else:
-        echo(f"rig {rig}: no run is being recorded, so the note is in no recording of the daemon")
+        echo(f"rig {rig}: no run is being recorded, so the note is not in a recording")
 
 
 @contextmanager
 def _opened(rig: str, connect: str | None) -> Iterator[Any]:
-    """Give the rig; a refusal of its daemon names the whole command that helps."""
+    """Yield the rig; if its daemon refuses, raise an error with the complete command to type."""
     from armrig.rig.client import Rig
     from armrig.rig.collection import refusal_sentence, reset_command
     from armrig.rig.replies import RefusedError
@@ -148,7 +154,7 @@ def _watch(samples: Any) -> None:
 
 
 def _watch_in_lines(samples: Any) -> None:
-    """Print a line for each sample as it comes, for a program that reads them."""
+    """Print a line for each sample, for a program."""
     echo(_WATCH_HEADING)
     for sample in samples:
         echo(_sample_line(sample))

@@ -1,4 +1,4 @@
-"""The command router: the way to all rigs of a lab."""
+"""The command router, which connects clients to the rigs of a lab."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from armrig_core.signal_pipe import until_signal
 from armrig.cli.options import tell
 
 Listen = Annotated[
-    str, typer.Option("--listen", metavar="ENDPOINT", help="Where rigs and people reach it.")
+    str, typer.Option("--listen", metavar="ENDPOINT", help="Endpoint for rigs and clients.")
 ]
 Certificate = Annotated[
-    Path, typer.Option("--certificate", help="Its credential, by `armrig pki router`.")
+    Path,
+    typer.Option("--certificate", help="Certificate file of the router, by `armrig pki router`."),
 ]
-Names = Annotated[Path, typer.Option("--names", help="The access list, by `armrig pki`.")]
+Names = Annotated[Path, typer.Option("--names", help="Access list, by `armrig pki`.")]
 
 
 def router(
@@ -24,11 +25,11 @@ def router(
     certificate: Certificate = Path("router.pem"),
     names: Names = Path("access.toml"),
 ) -> None:
-    """Be the router of a lab, through which its rigs are reached, until Ctrl-C.
+    """Run the router of a lab, through which clients reach the rigs, until Ctrl-C.
 
-    A rig connects to it by [access] router of its configuration, people by --connect; who may do
-    what says the access list. It keeps nothing, and may be started anew at any time: rigs, clients
-    and recorders connect again by themselves.
+    A rig connects by [access] router of its configuration, a client by --connect. The access list
+    contains the rights of each name. The router keeps no state and may be restarted at any time:
+    rigs, clients and recorders connect again by themselves.
     """
     with until_signal() as ended:
         from armrig.lab.router import open_router
@@ -37,6 +38,6 @@ def router(
         with session:
             tell(
                 f"router at {listen}: {len(people.rigs)} rigs, {len(people.operators)} may drive "
-                f"and {len(people.observers)} may watch; Ctrl-C ends it"
+                f"and {len(people.observers)} may watch; Ctrl-C ends the router"
             )
             ended.wait()

@@ -1,4 +1,4 @@
-"""The command `armrig service`: the daemon as a service of systemd, installed and taken away."""
+"""The command `armrig service`: installation and removal of the systemd services."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
 
 _HELP = {"help_option_names": ["-h", "--help"]}
 app = typer.Typer(
-    help="Have systemd run the daemon of each rig: install that, take it away, or say how it is.",
+    help="Install, remove or show the systemd service that runs the daemon of each rig.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 Root = Annotated[
-    Path, typer.Option("--root", metavar="DIR", help="A system's root that is not running.")
+    Path, typer.Option("--root", metavar="DIR", help="Root folder of a system that is not running.")
 ]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Show what would be done, and do nothing.")]
-Yes = Annotated[bool, typer.Option("--yes", help="Do it without asking.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Show the plan only.")]
+Yes = Annotated[bool, typer.Option("--yes", help="Do not ask.")]
 _SYSTEM = Path("/")
 _NEXT: dict[Part, str] = {
     "rig": (
         "each rig needs its file, such as /etc/armrig/1.toml with [device] port, then\n"
         "  systemctl enable --now armrigd@1\n"
-        "and who is to operate it joins the group: adduser NAME armrig"
+        "and each operator must join the group: adduser NAME armrig"
     ),
     "router": (
         "the router needs router.pem and access.toml in /etc/armrig, then\n"
@@ -42,7 +42,7 @@ _NEXT: dict[Part, str] = {
         "  systemctl enable --now armrig-recorder"
     ),
 }
-"""What an administrator does after the installation of a part."""
+"""Steps of the administrator after the installation of a part."""
 _NOT_STARTED: dict[Part, str] = {
     "rig": "no rig is served: systemctl enable --now armrigd@1",
     "router": "no router runs: systemctl enable --now armrig-router",
@@ -60,10 +60,10 @@ def install(
     dry_run: DryRun = False,
     yes: Yes = False,
 ) -> None:
-    """Install the service of the rigs; with --router or --recorder, that of these.
+    """Install the service of the rigs, or of the router (--router) or recorder (--recorder).
 
-    The command shows the content of each new file, and of each file that changes the difference,
-    before it does anything. It also renews what is installed already.
+    Before any change the command shows each new file, and the differences of each changed file. An
+    existing installation is updated.
     """
     from armrig.lab.installation import installing
 
@@ -75,7 +75,7 @@ def install(
 
 @app.command(context_settings=_HELP, epilog="Example: armrig service uninstall --dry-run")
 def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -> None:
-    """Stop all rigs at 0 V and take the service away, with router and recorder.
+    """Stop all rigs at 0 V and remove the service, the router and the recorder.
 
     Configurations, recordings, drop-ins and users stay.
     """
@@ -87,12 +87,12 @@ def uninstall(root: Root = _SYSTEM, dry_run: DryRun = False, yes: Yes = False) -
         return
     if _carry_out(plan, root, dry_run=dry_run, yes=yes):
         left = ["/etc/armrig", "the recordings in /var/lib", *map(str, plan.kept)]
-        echo(f"taken away; {', '.join(left)} and the users are left")
+        echo(f"removed; {', '.join(left)} and the users stay")
 
 
 @app.command(context_settings=_HELP, epilog="Example: armrig service status")
 def status(root: Root = _SYSTEM, json: Json = False) -> None:
-    """Say which files are installed, and how each rig, the router and the recorder are."""
+    """Show the installed files, and the state of each rig, the router and the recorder."""
     from armrig.lab.installation import files, parts_of, units_of
 
     parts = parts_of(root.absolute()) or {"rig"}
@@ -114,7 +114,7 @@ def status(root: Root = _SYSTEM, json: Json = False) -> None:
 
 
 def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
-    """Show a plan and, where it is agreed to, carry it out; return whether it was."""
+    """Show a plan and carry it out if the person agrees; return True if it was carried out."""
     from armrig.lab.installation import run_command
 
     echo("\n".join(plan.lines()))
@@ -122,7 +122,7 @@ def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
         return False
     if root == _SYSTEM and os.geteuid() != 0:
         raise OperationError(
-            "only root may do this: the same with sudo, and the whole path of armrig"
+            "only root may do this: repeat it with sudo and the full path of armrig"
         )
     agree("Do this?", yes=yes)
     plan.carry_out(run_command)

@@ -1,4 +1,4 @@
-"""What a person sees while waiting: a spinner, and a bar where it is known how much remains."""
+"""Spinner for a wait, and a bar if the remaining work is known."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from armrig_core.printable import printable
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
 
-AFTER_S = 1.0
-"""A wait that is shorter shows nothing, in s."""
+MIN_WAIT_S = 1.0
+"""Shortest wait that shows a spinner, in s."""
 
 Count = Callable[[int, int, str], None]
-"""Takes how many are done, how many there are, and the name of what is done next."""
+"""Function of the finished count, the total count and the name of the next item."""
 
 _WAITING = SpinnerColumn(), TextColumn("{task.description} …", markup=False)
 _COUNTING = *_WAITING, BarColumn(30), TextColumn("{task.fields[left]}", markup=False)
@@ -31,7 +31,7 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
     Parameters
     ----------
     orders : str
-        Names those that may be too high.
+        Names of the orders that may be too high.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
         np.errstate(all="ignore"),
         warnings.catch_warnings(),
     ):
-        # The search sees overflows on its way, and its verdict tells them.
+        # The search itself judges overflows.
         warnings.simplefilter("ignore", RuntimeWarning)
         try:
             yield count
@@ -52,10 +52,12 @@ def estimating(orders: str, console: Console | None = None) -> Iterator[Count]:
 
 
 @contextmanager
-def spinner(what: str, console: Console | None = None, after_s: float = AFTER_S) -> Iterator[Count]:
-    """Show a spinner on standard error, where that is a terminal, after a while.
+def spinner(
+    what: str, console: Console | None = None, after_s: float = MIN_WAIT_S
+) -> Iterator[Count]:
+    """Show a spinner after `after_s` if standard error is a terminal.
 
-    The function that it gives makes it a bar: what is done now, how many remain, the time left.
+    The yielded function turns the spinner into a bar with the item, its count and the time left.
     """
     console = console or Console(stderr=True)
     if not console.is_terminal:
@@ -79,12 +81,12 @@ def spinner(what: str, console: Console | None = None, after_s: float = AFTER_S)
     finally:
         timer.cancel()
         timer.join()
-        if shown.live.is_started:  # or a dumb terminal gets an empty line
+        if shown.live.is_started:  # otherwise a dumb terminal would print an empty line
             shown.stop()
 
 
 def remaining(done: int, total: int, elapsed_s: float) -> str:
-    """Return how many remain, and for how long: 12 of 40 remain, about 8 s."""
+    """Return the remaining count and time, such as: 12 of 40 remain, about 8 s."""
     told = f"{total - done} of {total} remain"
     if not 0 < done < total:
         return told
@@ -93,5 +95,5 @@ def remaining(done: int, total: int, elapsed_s: float) -> str:
 
 
 def too_high(orders: str) -> InputError:
-    """Return what says that these orders are too high."""
+    """Return the error for orders that are too high."""
     return InputError(f"the orders are too high for these data: lower {orders}")

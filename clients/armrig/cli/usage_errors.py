@@ -1,4 +1,4 @@
-"""What typer refuses on the command line, in our words: what came, what is allowed, the way out."""
+"""Messages for wrong command lines: the value, what is allowed, and the way out."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from typing import Any
 from armrig_core.recording_file.part_names import PART, part_number
 
 from armrig.data.files.suffixes import DATA, RECORDING
-from armrig.models.structure_table import FAMILIES
+from armrig.models.structure_table import OFFERED_NAMES
 
 _ACTING = frozenset({"demo", "stop", "reset", "calibrate", "collect", "lab", "flash"})
-"""Commands that nobody is led to by a typing error."""
+"""Commands that act on a rig, which are never offered for a typing error."""
 _ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",
-    "version": "`armrig --version` says it",
-    **{name: f"`armrig identify F --structure {name}` estimates one" for name in FAMILIES},
+    "version": "`armrig --version` shows it",
+    **{name: f"`armrig identify F --structure {name}` estimates one" for name in OFFERED_NAMES},
 }
-"""What stands for a command that there is not."""
+"""Ways out for words that are not commands."""
 _TO_WRITE = frozenset(
     f"--{name}" for name in ("out", "output", "outfile", "figure", "fig", "image", "png", "save")
 )
-"""What a file to write is called elsewhere."""
+"""Options for an output file in other programs."""
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "µ": 1e-6, "k": 1e3}
-_ALIKE = 0.6
-"""Share of their letters that two names have in common, from which one may be meant."""
+_MIN_SIMILARITY = 0.6
+"""Smallest similarity of an option to the given name, 0 to 1, for an offer."""
 _FILES = (RECORDING, ".active", *DATA, ".json", ".pdf")
 
 
 def usage_error(err: Any, given: Sequence[str]) -> str:
-    """Return what is wrong with the arguments given, and where the help is."""
+    """Return a message with the error in the given arguments and the command of the help."""
     where = err.ctx.command_path if err.ctx else " ".join(["armrig", *given[:1]])
     kind = type(err).__name__
     if kind == "MissingParameter" and err.param is not None:
@@ -56,7 +56,7 @@ def usage_error(err: Any, given: Sequence[str]) -> str:
 
 
 def _missing(parameter: Any) -> str:
-    """Return which parameter is missing and what it is."""
+    """Return a message with the missing parameter and its meaning."""
     name = parameter.metavar
     if parameter.param_type_name == "option":
         name = " ".join(filter(None, (max(parameter.opts, key=len), name)))
@@ -72,13 +72,13 @@ def _example(ctx: Any) -> str:
 
 
 def _too_many(extra: str, ctx: Any) -> str:
-    """Return that arguments came that the command does not take, and which it takes."""
+    """Return a message with the superfluous arguments and the arguments of the command."""
     arguments = [p for p in ctx.command.params if p.param_type_name == "argument"]
     if part_number(Path(extra)):
         run = f"{extra.partition(PART)[0]}{RECORDING}"
-        return f"{extra}: one file is taken; all parts of a run are read by its name, {run}"
+        return f"{extra}: the command takes one file; the name {run} means all parts of the run"
     takes = " ".join(p.metavar if p.required else f"[{p.metavar}]" for p in arguments)
-    return f"{extra}: too much; `{ctx.command_path}` takes {takes or 'no file'}" + (
+    return f"{extra}: superfluous; `{ctx.command_path}` takes {takes or 'no file'}" + (
         f" and options of one value each, `{ctx.command_path} {takes} --OPTION VALUE`"
         if takes
         else ", options only"
@@ -86,24 +86,24 @@ def _too_many(extra: str, ctx: Any) -> str:
 
 
 def _no_option(err: Any, given: Sequence[str]) -> str:
-    """Return which option there is not, and what may be meant."""
+    """Return a message that an option does not exist, with the most similar options."""
     name = err.option_name
     whole = next((text for text in given if text.startswith(name)), name)
     if not name.startswith("--") and len(whole) > 2:
         return f"no such option: {whole}; a name of several letters has two dashes, -{whole}"
     if err.ctx is not None and err.ctx.parent is None:
-        return f"no such option: {name}; options stand behind the command, armrig COMMAND {name}"
+        return f"no such option: {name}; options follow the command, armrig COMMAND {name}"
     near = _near(name, err)
     return f"no such option: {name}" + (f": did you mean {' or '.join(near)}?" if near else "")
 
 
 def _near(name: str, err: Any) -> list[str]:
-    """Return the options that may be meant by one that there is not."""
+    """Return the options that a wrong name may mean."""
     if name in _TO_WRITE:
         written = [p for p in err.ctx.command.params if "-o" in p.opts]
         return [f"-o {p.metavar or 'FILE'}" for p in written]
     letters = name.lstrip("-")
-    return [x for x in err.possibilities or () if _alike(letters, x.lstrip("-")) > _ALIKE]
+    return [x for x in err.possibilities or () if _alike(letters, x.lstrip("-")) > _MIN_SIMILARITY]
 
 
 def _alike(a: str, b: str) -> float:
@@ -111,19 +111,19 @@ def _alike(a: str, b: str) -> float:
 
 
 def _no_command(name: str, message: str) -> str:
-    """Return which command there is not, and what does what may be wanted."""
+    """Return a message that a command does not exist, with the most similar commands."""
     if name in _ELSEWHERE:
         return f"no such command '{name}'; {_ELSEWHERE[name]}"
     if PurePath(name).suffix in _FILES or name.startswith("@"):
-        return f"no such command '{name}'; the command stands before the file, armrig info {name}"
-    # Nobody is led to what acts on the rig.
+        return f"no such command '{name}'; the command precedes the file, armrig info {name}"
+    # A command that acts on the rig is not offered.
     near = re.findall(r"'([^']+)'", message.partition("Did you mean")[2])
     near = [n for n in near if n not in _ACTING]
     return f"no such command '{name}'" + (f": did you mean {' or '.join(near)}?" if near else "")
 
 
 def _value(parameter: Any, given: Sequence[str]) -> str:
-    """Return what was given to an option; "" where that cannot be told."""
+    """Return the value that was given to an option; "" if it is not known."""
     options = getattr(parameter, "opts", ())
     for i, text in enumerate(given):
         name, _, value = text.partition("=")
@@ -133,7 +133,7 @@ def _value(parameter: Any, given: Sequence[str]) -> str:
 
 
 def _plainly(message: str, came: str = "") -> str:
-    """Return a message of typer and its checks in our words: the option, and what is allowed."""
+    """Return a message of typer in the words of armrig: the option and its allowed values."""
     message = message.strip().rstrip(".")
     for theirs, ours in (
         (r"^Invalid value for '?([^']+?)'?: ", r"\1: "),
@@ -155,12 +155,12 @@ def _plainly(message: str, came: str = "") -> str:
         elif "number" in found[2] and (unit := re.fullmatch(r"(-?[\d.]+) ?([a-zA-Zµ]+)", came)):
             message += f" without its unit, such as {_in_whole_units(unit[1], unit[2])}"
         elif "integer" in found[2] and re.search(r"[,:]", came):
-            message += "; several are tried by --search"
+            message += "; --search tries several"
     return message
 
 
 def _in_whole_units(number: str, unit: str) -> str:
-    """Return a number in V where it came in mV, and the like."""
+    """Return a number without the prefix of its unit, such as 0.5 for 500 mV."""
     factor = _PREFIXES.get(unit[0], 1.0) if len(unit) > 1 else 1.0
     try:
         return f"{float(number) * factor:g}" if factor != 1 else number

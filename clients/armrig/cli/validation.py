@@ -1,4 +1,4 @@
-"""The command that tests a model on data: validate."""
+"""The command validate, which tests a model on data."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from armrig.cli.chosen_recording import DataFile
-from armrig.cli.comparison_rows import row_line
+from armrig.cli.comparison import row_line
 from armrig.cli.figures import Plot, check_plot, write_plot
 from armrig.cli.next_step import estimation_of, say_next, typed
 from armrig.cli.options import (
@@ -44,16 +44,19 @@ if TYPE_CHECKING:
     from armrig.validation.residuals import ResidualTest
 
 ModelFile = Annotated[
-    Path, typer.Option("--model", metavar="JSON", help="Model that identify --save has written.")
+    Path, typer.Option("--model", metavar="JSON", help="Model file written by identify --save.")
 ]
 Horizons = Annotated[
     list[int] | None,
     typer.Option(
-        "--horizon", min=1, help="Samples ahead to predict; repeatable.", show_default="1 10"
+        "--horizon", min=1, help="Prediction horizon, in samples; repeatable.", show_default="1 10"
     ),
 ]
 Lags = Annotated[
-    int | None, typer.Option("--lags", min=1, help="Of the residual tests.", show_default="25")
+    int | None,
+    typer.Option(
+        "--lags", min=1, help="Number of lags in the tests of the residuals.", show_default="25"
+    ),
 ]
 _HORIZONS = (1, 10)
 
@@ -77,9 +80,9 @@ def validate(
     json: Json = False,
     verbose: Verbose = False,
 ) -> None:
-    """Test a model on a recording, or on other data.
+    """Validate a model on a recording or other data.
 
-    Simulation, prediction, and what its residuals still hold.
+    The command simulates, predicts and tests the residuals.
     """
     from armrig.models.model_file import load_fit
 
@@ -115,13 +118,13 @@ def validate(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Validated:
-    """What a recording says of one model."""
+    """Results of one model on a recording."""
 
     fit: Fit
     data: Dataset
     simulated: ComparisonTable
     predicted: list[ComparisonTable]
-    """One for each horizon."""
+    """Comparison for each horizon."""
     tests: ResidualTest
 
 

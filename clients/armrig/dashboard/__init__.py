@@ -1,1 +1,1 @@
-"""One page over a live rig: a server on this machine, and what a browser shows."""
+"""Dashboard of a live rig: a server on this machine, and the page that a browser shows."""

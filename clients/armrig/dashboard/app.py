@@ -1,4 +1,4 @@
-"""What the server answers: the page, its stream, commands, and what was recorded."""
+"""Routes of the server: the page, its stream, and commands to the rig."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from importlib.resources import files
 from typing import Annotated, Any, NamedTuple
 
 import msgspec
-from armrig_core.errors import InputError
+from armrig_core.errors import InputError, ParameterError
 from msgspec import Meta
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -27,8 +27,12 @@ from armrig.dashboard.viewers import TooManyViewersError, Viewer
 from armrig.rig.session import RigError
 
 _Owner = Annotated[str, Meta(min_length=1, max_length=80)]
-_VISITOR = "a visitor of the dashboard"  # in no name of his choice: recordings keep who stopped
+_VISITOR = (
+    "a visitor of the dashboard"  # a visitor has no name of their choice: recordings keep the name
+)
 Answer = Callable[[Request], Awaitable[Response]]
+_LABELS = {"seconds": "length", "at": "step at", "Ts": "sampling time"}
+"""Labels of an experiment's parameters in the form of the page, if they differ from the names."""
 _TYPES = {
     "html": "text/html; charset=utf-8",
     "css": "text/css; charset=utf-8",
@@ -89,16 +93,16 @@ class _Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RigRoutes:
-    """What is asked of the live rig at one door."""
+    """Routes of the live rig for one door (a socket with its own token)."""
 
     def __init__(self, feed: Feed, driver: Driver, stream: Stream) -> None:
-        """Take what knows and moves the rig."""
+        """Prepare routes with the feed, the driver and the stream of the door."""
         self._feed, self._driver, self._stream = feed, driver, stream
-        # A stop has threads of its own: it waits behind no other question.
+        # A stop has its own threads, so that it waits for no other request.
         self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")
 
     def watching(self, connections: Connections) -> list[Route]:
-        """Return the routes of who may watch and stop, and no more."""
+        """Return the routes for clients that may only watch and stop."""
 
         async def stream(request: Request) -> Response:
             client = request.client
@@ -121,7 +125,7 @@ class RigRoutes:
         ]
 
     def commanding(self) -> list[Route]:
-        """Return the routes of who may command."""
+        """Return the routes for clients that may command."""
         return [
             Route("/api/run", self._run, methods=["POST"]),
             *(
@@ -141,7 +145,7 @@ class RigRoutes:
         try:
             asked = msgspec.json.decode(await request.body() or b"{}", type=_Stopped)
         except (msgspec.DecodeError, UnicodeDecodeError):
-            asked = _Stopped()  # a stop is not refused for a name
+            asked = _Stopped()  # a bad name does not refuse a stop
         loop = asyncio.get_running_loop()
         try:
             await loop.run_in_executor(self._stopping, self._driver.stop, by or asked.owner)
@@ -187,11 +191,11 @@ class RigRoutes:
 
 
 def application(routes: list[Route]) -> Starlette:
-    """Return what answers on these routes; an error is a line of JSON."""
+    """Return the application with these routes; it answers an error with a line of JSON."""
 
     async def unknown(_: Request, err: Exception) -> Response:
         status = err.status_code if isinstance(err, HTTPException) else 404
-        return error(status, "there is nothing here" if status == 404 else str(err))
+        return error(status, "no such address" if status == 404 else str(err))
 
     async def internal(_: Request, err: Exception) -> Response:
         return error(500, f"internal error, please report it: {type(err).__name__}: {err}")
@@ -201,12 +205,14 @@ def application(routes: list[Route]) -> Starlette:
 
 
 def answered(does: Callable[[bytes], Any]) -> Answer:
-    """Return a route that carries out a function of the body in a thread."""
+    """Return an endpoint that calls `does` with the body in a thread, and answers with JSON."""
 
     async def answer(request: Request) -> Response:
         body = await request.body()
         try:
             return value(await asyncio.to_thread(does, body))
+        except ParameterError as err:
+            return error(400, err.named(_LABELS.get(err.parameter, err.parameter)))
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, InputError) as err:
             return error(400, str(err))
         except BusyDriverError as err:
@@ -218,12 +224,12 @@ def answered(does: Callable[[bytes], Any]) -> Answer:
 
 
 def value(found: Any) -> Response:
-    """Return a value as JSON."""
+    """Return a response with a value as JSON."""
     return Response(msgspec.json.encode(found), media_type="application/json")
 
 
 def error(status: int, why: str) -> Response:
-    """Return why nothing was done, in a line."""
+    """Return a response with an error as a line of JSON."""
     body = msgspec.json.encode({"error": " ".join(why.split())})
     return Response(body, status, media_type="application/json")
 
@@ -257,4 +263,4 @@ class PageFile(NamedTuple):
 
 
 PAGE_FILES = {"/": PageFile("index.html")} | {f"/{name}": PageFile(name) for name in _NAMES}
-"""Each path that is served, and nothing else of the disk."""
+"""Files of the page by path; the server delivers no other file."""

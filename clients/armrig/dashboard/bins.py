@@ -1,4 +1,4 @@
-"""Samples in bins of time: of each signal the least and the largest value, which a pixel shows."""
+"""Samples in bins of time; each bin contains the least and the largest value of each signal."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from armrig_core.telemetry import Sample
 from numpy.typing import NDArray
 
 Rows = NDArray[np.float64]
-"""(n, 9): t in s, then least and largest u in V, theta_1 in °, its rate in °/s, alpha in °."""
+"""(n, 9): t in s, then least and largest u in V, theta_1 in °, its rate in °/s, and alpha in °."""
 
 COLUMNS = 9
 WIDTH_S = 0.01
-"""Of a bin: a pixel of ten seconds on a thousand pixels. Slower samples are bins of their own."""
+"""Width of a bin in s: one pixel if 1000 pixels show 10 s. A slower sample has its own bin."""
 RATE_S = 0.1
-"""Length over which the rate is the slope: one step of the converter is then 3.5 °/s."""
+"""Interval of the rate's difference, in s; one step of the converter changes it by 3.5 °/s."""
 _TURN = 360.0
 _CLOCK_S = 1e-6  # to which times are known
-_MOST_BEFORE = 1000  # rows for a rate; a rig at 1 kHz has 200
+_MAX_ROWS_BEFORE = 1000  # rows for a rate; a rig at 1 kHz has 200
 
 
 def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
-    """Return k, t in s, u in V, theta_1 and alpha in °, (n, 5); NaN where an angle is not known."""
+    """Return k, t in s, u in V, theta_1 and alpha in °, (n, 5); NaN for an unknown angle."""
     found = np.array(
         [(s.k, s.t_sched_ns / 1e9, s.u_applied_v, s.theta_1_rad, s.alpha_rad) for s in samples],
         np.float64,
@@ -34,16 +34,17 @@ def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
 def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rate of theta_1 at each row of `now`, (N,) in °/s.
 
-    It is the slope from the newest angle that is known and at least `RATE_S` older, so that a
-    missing sample or the dead band costs no rate. Less than half a turn is taken to lie between.
+    The rate is the slope from an older angle: the newest known angle that is at least `RATE_S`
+    older. Therefore the rate is also known after a missing sample or the dead band. The two angles
+    are assumed to differ by less than half a turn.
 
     Parameters
     ----------
     before : ndarray, shape (m, 5)
-        The samples just before, as of `signals`: see `needed_before`.
+        Samples before `now`, from `signals`: see `needed_before`.
     now : ndarray, shape (N, 5)
-        The samples. The rate is NaN where one shows no angle, or where the older one is more than
-        2 `RATE_S` older and not the sample just before.
+        Samples from `signals`. The rate is NaN for a sample without an angle. It is also NaN if the
+        older angle is more than 2 `RATE_S` older, except in the previous sample.
     """
     every = np.concatenate([before, now])
     known = every[np.isfinite(every[:, 3])]
@@ -61,14 +62,14 @@ def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.fl
 
 
 def needed_before(found: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return those rows that the rate of later samples may need, the newest `_MOST_BEFORE`."""
-    found = found[-_MOST_BEFORE:]
+    """Return the rows that the rate of later samples may need, at most `_MAX_ROWS_BEFORE`."""
+    found = found[-_MAX_ROWS_BEFORE:]
     first = int(np.searchsorted(found[:, 1], found[-1, 1] - 2 * RATE_S))
     return found[min(first, found.shape[0] - 1) :]
 
 
 def binned(found: NDArray[np.float64], slope: NDArray[np.float64]) -> Rows:
-    """Return the rows of samples: a row for each bin, and one more where theta_1 wraps in it."""
+    """Return a row for each bin of samples; a wrap of theta_1 divides its bin into two rows."""
     if not found.shape[0]:
         return np.zeros((0, COLUMNS))
     bins = np.floor(found[:, 1] / WIDTH_S + 1e-6)
@@ -76,14 +77,14 @@ def binned(found: NDArray[np.float64], slope: NDArray[np.float64]) -> Rows:
     values = np.column_stack([found[:, 2], found[:, 3], slope, found[:, 4]])
     rows = np.empty((first.size, COLUMNS))
     rows[:, 0] = found[first, 1]
-    # fmin passes over what is not known, unless nothing is.
+    # fmin and fmax ignore NaN, unless all values are NaN.
     rows[:, 1::2] = np.fmin.reduceat(values, first)
     rows[:, 2::2] = np.fmax.reduceat(values, first)
     return rows
 
 
 def coarser(rows: Rows, width_s: float) -> Rows:
-    """Return rows in wider bins; where a signal jumps by more than half a turn a bin ends."""
+    """Return rows in wider bins; a new bin begins where theta_1 jumps by more than half a turn."""
     if not rows.shape[0]:
         return rows
     bins = np.floor(rows[:, 0] / width_s + 1e-6)
@@ -96,17 +97,17 @@ def coarser(rows: Rows, width_s: float) -> Rows:
 
 
 def _wraps(theta_1: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Tell where an angle is more than half a turn from the last one known, (n,)."""
+    """Return a mask (n,): True for a difference above half a turn to the last known angle."""
     n = np.arange(theta_1.size)
-    # The potentiometer wraps inside its dead band, where nothing is known: that is passed over.
+    # The potentiometer wraps inside its dead band, whose unknown angles are skipped.
     known = np.maximum.accumulate(np.where(np.isnan(theta_1), 0, n))
     return np.abs(np.diff(theta_1[known], prepend=theta_1[:1])) > _TURN / 2  # NaN is not
 
 
 def as_lists(rows: Rows) -> list[list[float]]:
-    """Return rows for JSON: t and u to the thousandth, angles to the hundredth, NaN where unknown.
+    """Return rows for JSON; t and u are rounded to 0.001, angles and rates to 0.01.
 
-    The encoder writes NaN as null.
+    Unknown values are NaN, which the encoder writes as null.
     """
     places = np.full(COLUMNS, 100.0)
     places[:3] = 1000.0

@@ -1,8 +1,9 @@
-"""Connections of the server, of which there are so many and no more.
+"""Connections of the server, with a limit on their number.
 
-uvicorn closes a connection that is idle after an answer, and none that never asks; whoever opened a
-thousand would leave no room for a stop. The oldest that asks nothing gives way, or else the oldest
-that does not read its answer: for that no token is needed.
+uvicorn closes a connection that is idle after an answer. It does not close a connection that never
+sends a request. A client with a thousand connections would therefore block a stop. Above the limit,
+the server closes the oldest connection without a request. If there is none, it closes the oldest
+connection whose client does not read its answer. Connections in both states need no token.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 _UNSENT = 16_384  # B, of ours and again of the kernel's
 MOST = 200
-"""Connections at once."""
+"""Largest number of connections at the same time."""
 
 Address = tuple[str, int]
 
@@ -25,11 +26,11 @@ class Connections:
     """The connections of one server, oldest first."""
 
     def __init__(self) -> None:
-        """Begin with none."""
+        """Begin without connections."""
         self._open: dict[Address, BoundedProtocol] = {}
 
     def add(self, address: Address, protocol: BoundedProtocol) -> None:
-        """Take one more; the oldest that asks nothing, or does not read, gives way, else this."""
+        """Add a connection; above the limit, close an idle, an unread or the new connection."""
         self._open[address] = protocol
         if len(self._open) > MOST:
             others = [(a, p) for a, p in self._open.items() if a != address]
@@ -38,36 +39,36 @@ class Connections:
             self.abort(next(chain(idle, unread), address))
 
     def remove(self, address: Address) -> None:
-        """Forget one that is closed."""
+        """Remove a closed connection."""
         self._open.pop(address, None)
 
     def abort(self, address: Address) -> None:
-        """Close one at once, whatever waits to be written to it."""
+        """Close a connection at once, even if it has unsent data."""
         protocol = self._open.pop(address, None)
         if protocol is not None:
             protocol.transport.abort()
 
     def end(self) -> None:
-        """Close all that are left."""
+        """Close all connections."""
         for address in [*self._open]:
             self.abort(address)
 
     def protocol(self) -> type[BoundedProtocol]:
-        """Return the class of protocol that uvicorn is to make for each connection."""
+        """Return the protocol class of which uvicorn makes an instance for each connection."""
         return type("_Bounded", (BoundedProtocol,), {"all_open": self})
 
 
 class BoundedProtocol(H11Protocol):
-    """uvicorn's protocol, counted."""
+    """Protocol of uvicorn that counts its connections."""
 
     all_open: Connections
-    """Where it is counted."""
+    """All connections of the server."""
     _address: Address | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Count it."""
+        """Count the new connection, and limit its buffers."""
         super().connection_made(transport)
-        # The kernel would keep megabytes for who does not read: minutes of messages.
+        # The kernel would buffer megabytes, minutes of messages, for a client that does not read.
         transport.set_write_buffer_limits(high=_UNSENT)
         transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _UNSENT)
         peer: Any = transport.get_extra_info("peername")
@@ -76,18 +77,18 @@ class BoundedProtocol(H11Protocol):
             self.all_open.add(self._address, self)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Count it no more."""
+        """Remove the closed connection from the count."""
         if self._address is not None:
             self.all_open.remove(self._address)
         super().connection_lost(exc)
 
     @property
     def is_asked(self) -> bool:
-        """Whether a question has come whole, and is being answered."""
+        """True if the server is answering a complete request."""
         cycle = self.cycle
         return cycle is not None and not cycle.more_body and not cycle.response_complete
 
     @property
     def is_unread(self) -> bool:
-        """Whether an answer waits because the one before is not read."""
+        """True if an answer is blocked because the client does not read it."""
         return bool(self.flow.write_paused)

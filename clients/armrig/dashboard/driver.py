@@ -1,4 +1,4 @@
-"""What the page does to the rig, by the same client as the command line's."""
+"""Commands of the page to the rig, with the same client as the command line."""
 
 from __future__ import annotations
 
@@ -21,50 +21,50 @@ from armrig.rig.session import NoReplyError, RigError
 
 
 class RunState(msgspec.Struct, frozen=True, kw_only=True):
-    """The run that the page has begun, or its last one."""
+    """Current or last run of the page."""
 
     experiment: str = ""
     is_going: bool = False
     done: int = 0
     total: int = 0
     told: str = ""
-    """What the rehearsal said."""
+    """Sentence that describes the rehearsal."""
     recording: str = ""
-    """Name of the file, once it is whole."""
+    """Name of the complete recording."""
     verdict: str = ""
-    """What the data are good for."""
+    """Verdict on the data."""
     error: str = ""
-    """Why it did not end well."""
+    """Reason for a failure; "" without a failure."""
 
 
 class BusyDriverError(OperationError):
-    """The page does something to the rig already."""
+    """Another command of the page is in progress."""
 
 
 class Driver:
-    """Arms, runs and releases, one after the other; and stops beside all that."""
+    """Commands in sequence: arm, run, release; a stop does not wait for them."""
 
     def __init__(self, *, rig: str, connect: str | None) -> None:
-        """Take the rig's id and endpoint, as `armrig.Rig` does."""
+        """Prepare commands to a rig; id and endpoint are as for `armrig.Rig`."""
         self._rig, self._connect = rig, connect
         self._held: Rig | None = None
         self._one = threading.Lock()
         self._stopper: Rig | None = None
         self._stopping = threading.Lock()
-        self._stopped: tuple[float, str] = (-inf, "")  # when last, and by whom
+        self._stopped: tuple[float, str] = (-inf, "")  # time and name of the last stop
         self._runner = ThreadPoolExecutor(1, thread_name_prefix="run")
         self.run = RunState()
         """The newest run of this page."""
 
     def arm(self, owner: str, Ts: float | None) -> None:
-        """Take the rig, at 0 V; without a command it falls back by itself.
+        """Arm the rig at 0 V; the daemon disarms the rig if no command follows.
 
         Raises
         ------
         RigError
-            It is refused, or nobody answers.
+            The daemon refuses, or does not answer.
         BusyDriverError
-            A run is on.
+            A run is in progress.
         """
         with self._alone():
             self._give_back()
@@ -78,22 +78,22 @@ class Driver:
             self._held = held
 
     def release(self) -> bool:
-        """Give the rig back where this page has it; return whether it had."""
+        """Release the rig if this page has armed it; return True if the page had armed it."""
         with self._alone():
             return self._give_back()
 
     def start(self, plan: Plan, *, asked_s: float) -> None:
-        """Begin a run, which goes on in a thread; `run` says how it is.
+        """Start a run in a thread; the attribute `run` is updated with its state.
 
         Parameters
         ----------
         asked_s : float
-            When it was asked for, of `time.monotonic`: a stop that came later holds for it.
+            Time of the request, from `time.monotonic`; a stop after this time prevents the run.
 
         Raises
         ------
         BusyDriverError
-            Another one is on.
+            Another run is in progress.
         """
         if not self._one.acquire(blocking=False):
             raise BusyDriverError(_BUSY)
@@ -106,21 +106,21 @@ class Driver:
             raise BusyDriverError(_ENDS) from err
 
     def stop(self, by: str) -> None:
-        """Bring the rig to 0 V, whoever has it; waits for nothing else that the page does.
+        """Stop the rig at 0 V, with any owner, and do not wait for other commands of the page.
 
         Raises
         ------
         RigError
-            Nobody answers.
+            No daemon answers.
         """
-        # The daemon stops what is armed. A run that is not yet is turned away by us: see `_shown`.
+        # The daemon stops an armed rig. `_shown` refuses a run that is not armed yet.
         self._stopped = time.monotonic(), by
         with self._stopping:
             for last in (False, True):
                 try:
                     self._open_stopper().stop(by)
                 except NoReplyError:
-                    # The way to a daemon that was started anew is opened anew, once.
+                    # The connection to a restarted daemon is opened again, once.
                     self._close_stopper()
                     if last:
                         raise
@@ -128,7 +128,7 @@ class Driver:
                     return
 
     def be_ready_to_stop(self) -> None:
-        """Open the way to the rig anew, so that a stop need not; where there is a rig."""
+        """Open a connection to the rig, if it answers, so that a stop does not have to open it."""
         opened = Rig(self._rig, connect=self._connect)
         try:
             opened.__enter__()
@@ -139,23 +139,23 @@ class Driver:
             self._stopper = opened
 
     def reset(self) -> bool:
-        """Leave a latched fault; return whether there was one."""
+        """Clear a latched fault; return True if there was one."""
         with Rig(self._rig, connect=self._connect) as rig:
             return rig.reset()
 
     def note(self, text: str, owner: str) -> bool:
-        """Write a note into the recording; return whether there is one: see `Rig.note`."""
+        """Write a note into the recording; return True if it is recorded: see `Rig.note`."""
         with Rig(self._rig, connect=self._connect) as rig:
             return rig.note(text, owner)
 
     def end(self) -> None:
-        """Stop a run that is on, take no other, and give the rig back."""
-        self._runner.shutdown(wait=False)  # first: a run that began behind the stop would go on
+        """Stop the current run, accept no other run, and release the rig."""
+        self._runner.shutdown(wait=False)  # first: a later run would continue
         if self.run.is_going:
             with suppress(RigError):  # then its dead-man stops it
                 self.stop("the dashboard, which ends")
         self._runner.shutdown(wait=True)
-        with self._one:  # who arms has it back in a moment
+        with self._one:  # an arm command is short
             self._give_back()
         self._close_stopper()
 
@@ -172,7 +172,7 @@ class Driver:
             )
             verdict = done.verdict.summary if done.verdict else ""
             self._note(done=done.samples, recording=done.path.name, verdict=verdict)
-        except Exception as err:  # told on the page, whatever it is
+        except Exception as err:  # the page shows any error
             self._note(error=str(err) or repr(err))
         finally:
             self._note(is_going=False)
@@ -180,10 +180,10 @@ class Driver:
 
     @contextmanager
     def _shown(self, asked_s: float, rig: Rig, experiment: str, N: int) -> Iterator[Progress]:
-        # It is armed by now, at 0 V: the daemon refuses the run after a stop from here on.
+        # The rig is armed at 0 V: from now on the daemon refuses the run after a stop.
         stopped_s, by = self._stopped
         if stopped_s >= asked_s:
-            raise RigError(f"not begun: stopped by {by or 'somebody'}")
+            raise RigError(f"not started: stopped by {by or 'somebody'}")
         yield lambda done, total: self._note(done=done, total=total)
 
     def _tell(self, text: str) -> None:
@@ -221,5 +221,5 @@ class Driver:
             stopper.__exit__()
 
 
-_ENDS = "the dashboard ends"
-_BUSY = "this page does something to the rig already: wait for its end, or stop it"
+_ENDS = "the dashboard is ending"
+_BUSY = "another command of this page is in progress: wait for its end, or stop the rig"

@@ -1,4 +1,4 @@
-"""Experiments as a person asks for them, and the plan that `collect` plays."""
+"""Experiments that a person requests on the page, and the plans that `collect` plays."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from armrig.physics.systems import arm, chassis
 from armrig.rig.collection import Plan, planned_input
 
 _SECONDS = {"step": 5.0}  # length by default of those that have one of their own
-_OTHERS_S = 30.0
-_DEAD_MAN_S = 1.0  # whoever ends the dashboard expects the motor to stop, as of `armrig collect`
+_DEFAULT_S = 30.0
+_DEAD_MAN_S = 1.0  # the end of the dashboard must stop the motor, as of `armrig collect`
 
 _Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{0,20}\Z", description="a-z, 0-9 and -")]
-_MOST_POINTS = 1200  # of the drawing
-_MOST_DESIGN = 20_000  # samples from which deviations are predicted: a second's work
+_MAX_POINTS = 1200  # of the drawing
+_MAX_DESIGN_SAMPLES = 20_000  # samples from which deviations are predicted: a second's work
 _NOISE_RAD = 2 * np.pi / 1024 / 12**0.5  # one step of a converter of 10 bit
 
 
 class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a person asks for: names and meanings as of `armrig collect`."""
+    """Request of an experiment; the fields are the options of `armrig collect`."""
 
     kind: Literal["step", "blackbox", "greybox", "staircase", "csv"]
     seconds: Annotated[float, Meta(gt=0, le=86_400)] | None = None
@@ -54,9 +54,9 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     seed: Annotated[int, Meta(ge=0, le=2**53)] = 1
     name: _Name = ""
     file: Annotated[str, Meta(max_length=200)] = ""
-    """Name of the person's own file."""
+    """Name of the CSV file of the person."""
     text: str = ""
-    """What stands in it."""
+    """Contents of the CSV file."""
 
 
 def plan_of(experiment: Experiment, owner: str) -> Plan:
@@ -65,10 +65,10 @@ def plan_of(experiment: Experiment, owner: str) -> Plan:
     Raises
     ------
     ValueError
-        A figure is not possible, whatever the sampling time.
+        A setting is not possible at any sampling time.
     """
     make, details = _input_of(experiment)
-    seconds = experiment.seconds or _SECONDS.get(experiment.kind, _OTHERS_S)
+    seconds = experiment.seconds or _SECONDS.get(experiment.kind, _DEFAULT_S)
     if experiment.kind == "step":
         check_step_time(experiment.at, seconds)
     kind = "blackbox" if experiment.kind == "csv" else experiment.kind
@@ -88,7 +88,7 @@ def plan_of(experiment: Experiment, owner: str) -> Plan:
 def _input_of(
     experiment: Experiment,
 ) -> tuple[Callable[[int, float], NDArray[np.float64]], dict[str, Any]]:
-    """Return what makes u of N and Ts, and what the recording keeps of it."""
+    """Return a function that computes u from N and Ts, and the details for the recording."""
     e, levels = experiment, {"low": experiment.low, "high": experiment.high}
     if e.kind == "csv":
         name = PurePosixPath(e.file).name or "input.csv"
@@ -114,31 +114,31 @@ def _input_of(
 
 
 class Preview(msgspec.Struct, frozen=True, kw_only=True):
-    """An experiment before it is run."""
+    """Preview of an experiment."""
 
     experiment: str
     N: int
     seconds: float
     Ts: float
     t: list[float]
-    """Of each point of the drawing, in s."""
+    """Times of the points of the drawn input, in s."""
     u: list[float]
     rehearsal: str
-    """What the handout's model does, in a sentence."""
+    """Sentence about the rehearsal on the model with the handout's parameters."""
     revolutions: float
     alpha_deg: float
     deviations: list[str]
-    """What the experiment would teach of the rig's parameters, each of them."""
+    """Text for each free parameter: its predicted standard deviation in percent."""
     notes: list[str]
 
 
 def previewed(experiment: Experiment, status: StatusReport) -> Preview:
-    """Return what an experiment plays, and what the model of the rig does under it.
+    """Return the preview of an experiment: its input, and the response of the rig's model.
 
     Raises
     ------
     ValueError
-        It is not possible; the message says what is.
+        The experiment is not possible; the message contains what is allowed.
     """
     notes: list[str] = []
     plan = plan_of(experiment, "preview")
@@ -148,8 +148,8 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
     if outside.any():
         k = int(np.argmax(outside))
         raise InputError(
-            f"u[{k}] = {u[k]:g} V is outside {status.u_min:g} … {status.u_max:g} V, what rig "
-            f"{status.rig} allows"
+            f"u[{k}] = {u[k]:g} V is outside {status.u_min:g} … {status.u_max:g} V, the range of "
+            f"rig {status.rig}"
         )
     alone = status.arm_removed or plan.without_arm
     found = rehearse(u, Ts, arm_removed=alone)
@@ -170,12 +170,12 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
 
 
 def _drawn(u: NDArray[np.float64], Ts: float) -> tuple[list[float], list[float]]:
-    """Return points of the held input; of many samples a stretch's least and largest."""
+    """Return times and values of the input's points; if there are many, extremes of intervals."""
     changes = np.flatnonzero(np.diff(u, prepend=np.nan) != 0)
-    if changes.size <= _MOST_POINTS:
+    if changes.size <= _MAX_POINTS:
         at, values = [*changes.tolist(), u.size], [*u[changes].tolist(), float(u[-1])]
         return [round(k * Ts, 6) for k in at], values
-    n = -(-u.size // (_MOST_POINTS // 2))
+    n = -(-u.size // (_MAX_POINTS // 2))
     first = np.arange(0, u.size, n)
     both = np.column_stack([np.minimum.reduceat(u, first), np.maximum.reduceat(u, first)])
     times = np.column_stack([first, first + n / 2]) * Ts
@@ -183,8 +183,8 @@ def _drawn(u: NDArray[np.float64], Ts: float) -> tuple[list[float], list[float]]
 
 
 def _deviations(u: NDArray[np.float64], Ts: float, *, alone: bool) -> list[str]:
-    """Return the predicted standard deviations of physical parameters, as shares of them."""
-    if u.size > _MOST_DESIGN:
+    """Return texts with the predicted standard deviations of physical parameters, in percent."""
+    if u.size > _MAX_DESIGN_SAMPLES:
         return []
     model, free = (chassis, ("J_1",)) if alone else (arm, ("J_1", "J_2"))
     try:
@@ -200,10 +200,10 @@ def _deviations(u: NDArray[np.float64], Ts: float, *, alone: bool) -> list[str]:
 
 
 def _cautions(status: StatusReport, plan: Plan) -> list[str]:
-    """Return what a person should know before the motor turns."""
+    """Return warnings that the page shows before the motor turns."""
     cautions = []
     if plan.without_arm and not status.arm_removed:
         cautions.append(
-            "this is for the chassis alone, and the rig has its arm on: it will be refused"
+            "this experiment needs the chassis alone, but the rig has its arm: it will be refused"
         )
     return cautions

@@ -1,4 +1,4 @@
-"""What the dashboard knows of its rig: the last five minutes, how it is, how well it is timed."""
+"""State of the rig for the dashboard: the last five minutes, its status and its timing."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from armrig.recordings.daemon_reports import is_note
 from armrig.rig.live_gaps import MOST_TOLD, gaps_between
 
 HISTORY_S = 300.0
-"""How much of the past who connects is shown."""
+"""Length of the history for a new viewer, in s."""
 FINE_S = 30.0
-"""Of the newest part every row is sent, of what is older wider bins."""
+"""Length in s of the newest part of the history; older rows are sent in wider bins."""
 COARSE_S = 0.05
 _MOST_ROWS = 40_000  # five minutes of bins, and as many wraps as there are
 LATE_US = (50, 100, 200, 500, 1000, 2000, 5000, 10_000)
-"""Upper edges of the histogram of lateness, in µs; the last bin is what is later."""
-_TS = 0.01  # before the daemon has said its own
+"""Upper edges of the histogram of lateness, in µs; a last bin contains all later samples."""
+_TS = 0.01  # before the daemon has reported its sampling time
 _MOST_STATES, _MOST_NOTES = 200, 100
 _BACK_NS = 1_000_000_000
 _LATE_S = 60  # seconds that the histogram is of
-_NA, _NB = 3, 4  # of the arm, its integrator left out: sampled, its rate has a zero for each pole
+_NA, _NB = 3, 4  # of the arm without its integrator; the sampled rate has as many zeros as poles
 _REMEMBERED_S = 20.0
 _TURN = 360.0
 _FRESH = rarx_start(na=_NA, nb=_NB)
@@ -42,41 +42,41 @@ _FRESH = rarx_start(na=_NA, nb=_NB)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class News:
-    """What has changed since a viewer's last message."""
+    """Changes since the last message to the viewers."""
 
     rows: Rows
     """New bins."""
     at_s: float
-    """When they were taken, in s of the server's monotonic clock."""
+    """Time at which the news were read, in s of the server's monotonic clock."""
     age_s: float
-    """How long ago the newest sample came, in s; inf before the first."""
+    """Age of the newest sample, in s; inf before the first sample."""
     newest: Sample | None
     """The newest sample."""
     pieces: int = 0
-    """Pieces of rows so far, for the next call."""
+    """Number of pieces of rows so far, to be passed to the next call."""
 
 
 @dataclass(slots=True)
 class Timing:
-    """How well the rig is timed, as of now."""
+    """Timing of the rig."""
 
     late: list[int] = field(default_factory=lambda: [0] * (len(LATE_US) + 1))
-    """Samples of the last minute by how late they were asked for: see `LATE_US`."""
+    """Numbers of samples of the last minute in each bin of lateness: see `LATE_US`."""
     missing: int = 0
-    """Samples that there are not, since the dashboard was started."""
+    """Number of missing samples since the start of the dashboard."""
     unheard: int = 0
-    """Samples that were published and did not reach the dashboard."""
+    """Number of published samples that did not reach the dashboard."""
     last_gap: str = ""
-    """Why samples were missing last."""
+    """Reason for the last gap."""
     report: dict[str, float] = field(default_factory=dict)
-    """Of the daemon's newest report: 50th and 99th percentiles."""
+    """Values from the daemon's newest timing report, by name, such as `late_p99_us`."""
 
 
 class Feed:
-    """Written by the listener's thread, read by the server's; neither waits for the other long."""
+    """Data that the listener's thread writes and the server's thread reads, protected by a lock."""
 
     def __init__(self) -> None:
-        """Begin with nothing."""
+        """Begin without data."""
         self._lock = threading.Lock()
         self._rows: deque[Rows] = deque()  # in pieces, as they came
         self._kept = 0
@@ -91,13 +91,13 @@ class Feed:
         self._states: deque[tuple[int, str]] = deque(maxlen=_MOST_STATES)  # in ns, and phase
         self._notes: deque[int] = deque(maxlen=_MOST_NOTES)  # in ns; they push out no start
         self.status: StatusReport | None = None
-        """Of the daemon; the newest that it gave."""
+        """Newest status of the daemon."""
         self._model: LiveModel | None = None
         self.trouble = "looking for the rig's daemon"
-        """Why there is no daemon now; "" where there is one."""
+        """Reason why no daemon is connected; "" if a daemon is connected."""
 
     def add_samples(self, samples: Sequence[Sample], *, live: bool = True) -> None:
-        """Take samples in their order; those of the past are not `live`, and prove nothing."""
+        """Add samples in order; `live` is False for samples that the daemon has kept."""
         with self._lock:
             if live and samples and self._is_of_another_clock(samples[0]):
                 self._rows.clear()
@@ -129,11 +129,11 @@ class Feed:
                 self._kept -= self._rows.popleft().shape[0]
 
     def add_gaps(self, gaps: Sequence[Any]) -> None:
-        """Take what the daemon told of missing samples."""
+        """Add gap records of the daemon."""
         self._told.extend(gaps)
 
     def add_states(self, states: Sequence[Any]) -> None:
-        """Take how the rig was from time to time; a state may come twice, live and of the past."""
+        """Add states of the rig; a state may arrive twice, live and among the kept messages."""
         with self._lock:
             for state in states:
                 found = state.t_host_ns, state.phase
@@ -142,14 +142,14 @@ class Feed:
                 self._phase = state.phase
 
     def add_events(self, events: Sequence[Any]) -> None:
-        """Take lines of the daemon's log: a note is marked, once however often it is heard."""
+        """Add events of the daemon's log; each note is marked once."""
         with self._lock:
             for t_ns in (e.t_host_ns for e in events if is_note(e)):
                 if t_ns not in self._notes:
                     self._notes.append(t_ns)
 
     def marks(self) -> list[tuple[float, str]]:
-        """Return time in s and kind of what happened lately: start, end, trip, note."""
+        """Return the recent marks, time in s and kind: start, end, trip, note."""
         with self._lock:
             oldest_s = self._newest.t_host_ns / 1e9 - HISTORY_S if self._newest else -np.inf
             states = sorted(self._states, key=itemgetter(0))
@@ -160,7 +160,7 @@ class Feed:
         return sorted(mark for mark in marks if mark[0] >= oldest_s)
 
     def add_report(self, report: Any) -> None:
-        """Take the daemon's report of a second's timing."""
+        """Add the daemon's timing report of one second."""
         late, device, link = (
             report.wake_lateness_us,
             report.device_tick_error_us,
@@ -176,18 +176,18 @@ class Feed:
         }
 
     def set_model(self, *, wanted: bool) -> None:
-        """Have a model estimated while samples come, or no more."""
+        """Start or stop the estimation of a model from live samples."""
         with self._lock:
             if wanted != (self._model is not None):
                 self._model = LiveModel(self.status.Ts if self.status else _TS) if wanted else None
 
     def model_lines(self) -> list[str] | None:
-        """Return what the live model says, None where none is wanted."""
+        """Return lines of text about the live model; None without a live model."""
         with self._lock:
             return None if self._model is None else self._model.lines()
 
     def history(self) -> Rows:
-        """Return the last five minutes, what is older than `FINE_S` in wider bins."""
+        """Return the last five minutes; rows older than `FINE_S` are in wider bins."""
         with self._lock:
             pieces = [*self._rows]
         if not pieces:
@@ -199,7 +199,7 @@ class Feed:
         return np.concatenate([coarser(rows[:fine], COARSE_S), rows[fine:]])
 
     def news(self, after: int = 0) -> News:
-        """Return what has come after so many pieces of rows; as `News.pieces` had them."""
+        """Return the changes after a number of pieces of rows, from the last `News.pieces`."""
         with self._lock:
             fresh = [*islice(reversed(self._rows), self._pieces - after)][::-1]
             rows = np.concatenate(fresh) if fresh else np.zeros((0, COLUMNS))
@@ -213,7 +213,7 @@ class Feed:
             )
 
     def timing(self) -> Timing:
-        """Return how well the rig is timed."""
+        """Return the timing of the rig."""
         with self._lock:
             if self._late:
                 counts = (counts for _, counts in self._late)
@@ -221,7 +221,7 @@ class Feed:
             return self._timing
 
     def _is_of_another_clock(self, sample: Sample) -> bool:
-        """Tell whether the rig's machine was started anew, and its clock with it."""
+        """Return True if the rig's machine, and with it its clock, was restarted."""
         return self._newest is not None and sample.t_host_ns < self._newest.t_host_ns - _BACK_NS
 
     def _forget_marks_after(self, t_ns: int) -> None:
@@ -254,17 +254,17 @@ class Feed:
 
 
 def _mark(before: str, phase: str) -> str:
-    """Return the kind of the mark between two phases: start, trip, end or none."""
+    """Return the mark for a change of phase: start, trip or end; "" for no mark."""
     if phase == before:
         return ""
     return {"active": "start", "fault": "trip"}.get(phase, "end" if before == "active" else "")
 
 
 class LiveModel:
-    """ARX of the rate, A(q) omega(t) = B(q) u(t) + e(t), which forgets what is long ago."""
+    """Recursive ARX model of the rate, A(q) omega(t) = B(q) u(t) + e(t), with forgetting."""
 
     def __init__(self, Ts: float) -> None:
-        """Begin without a sample, for samples Ts apart in s."""
+        """Begin without a sample; Ts is the sampling time in s."""
         self.Ts = Ts
         forgetting = max(0.5, 1.0 - Ts / _REMEMBERED_S)
         self._state = rarx_start(na=_NA, nb=_NB, forgetting=forgetting)
@@ -272,9 +272,9 @@ class LiveModel:
         self._theta = float("nan")
 
     def take(self, found: NDArray[np.float64]) -> None:
-        """Take samples in their order, (n, 5) as of `armrig.dashboard.bins.signals`.
+        """Update the model with samples (n, 5) in order, from `armrig.dashboard.bins.signals`.
 
-        Nothing is looked back on across a sample that is missing.
+        After a missing sample, the regressors begin again at 0.
         """
         for k, _, u, theta, _ in found.tolist():
             if k != self._k + 1:
@@ -283,15 +283,15 @@ class LiveModel:
             turned = theta - self._theta
             if isfinite(turned):
                 turned -= _TURN * round(turned / _TURN)
-            # The voltage acts from this sample on: at the next one it is the past.
+            # u acts after this sample, so it is a past input at the next sample.
             self._state = rarx_step(self._state, u, radians(turned) / self.Ts)
             self._k, self._theta = k, theta
 
     def lines(self) -> list[str]:
-        """Return what it says now, for a person."""
+        """Return lines of text with the gain, the prediction error and the poles of the model."""
         state = self._state
         if not state.determined or not isfinite(state.noise_variance):
-            return ["the samples so far determine no model: play an input that switches"]
+            return ["the samples do not determine a model yet: play an input that switches"]
         gain = state.B.sum() / state.A.sum()
         error = state.noise_variance**0.5
         return [
@@ -302,13 +302,13 @@ class LiveModel:
 
 
 def _described(pole: complex, Ts: float) -> str:
-    """Return where a pole is, and what it is in continuous time."""
+    """Return a text with a pole, and its time constant or frequency in continuous time."""
     decay, angle = -np.log(max(abs(pole), 1e-300)) / Ts, atan2(pole.imag, pole.real) / Ts
     if abs(pole) >= 1:
         return f"pole {pole:.3f}: unstable"
     if not pole.imag:
         if pole.real <= 0:
-            return f"pole {pole.real:.3f}: of noise, no sampled rig has it"
+            return f"pole {pole.real:.3f}: from noise, since a sampled rig has no such pole"
         return f"pole {pole.real:.3f}: time constant {1 / decay:.3g} s"
     omega = hypot(decay, angle)
     where = f"poles {pole.real:.3f} ± {pole.imag:.3f}i"

@@ -1,4 +1,4 @@
-"""The rig's streams for Foxglove and its like: they hear, and can command nothing."""
+"""Streams of the rig for Foxglove and similar programs, which cannot command."""
 
 from __future__ import annotations
 
@@ -24,28 +24,28 @@ LAYOUTS = Path(__file__).parent / "layouts"
 """Folder of the layouts for Foxglove and PlotJuggler; their topics are those of rig 1."""
 _FRAMES = "transforms"
 _PERIOD_S = 0.02
-"""50 Hz: of samples that come faster the newest is sent."""
+"""Period of the messages, in s (50 Hz); of several samples in a period, the newest is sent."""
 _SILENT_S = 3.0
 _AGAIN_S = 0.5
-_MOST_WAITING = 100  # messages of a stream that is slower: the oldest go
+_MOST_WAITING = 100  # waiting messages of a slow stream; above it, the oldest is dropped
 
 
 @contextmanager
 def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str]:
-    """Serve the streams on the loopback until the block ends; give the address.
+    """Serve the streams on the loopback interface until the block ends; yield the address.
 
-    The frames of chassis and arm go with the samples. No service, no parameter, no channel of a
-    client's: what is sent to it is passed over.
+    The frames of chassis and arm are sent with the samples. The server has no services or
+    parameters, and ignores all messages of a client.
 
     Raises
     ------
     MissingPackageError
         foxglove-sdk is not installed.
     RigError
-        The port is taken.
+        Another program uses the port.
     """
     sdk = imported("foxglove", "foxglove")
-    context = sdk.Context()  # of its own: what else this process logs is not served
+    context = sdk.Context()  # a separate context, so that other logs of this process are not served
     channels = {
         name: sdk.Channel(
             f"/{stream_key(rig, name)}",
@@ -65,7 +65,7 @@ def foxglove(*, rig: str, connect: str | None, port: int = PORT) -> Iterator[str
             name=f"armrig, rig {rig}", host=HOST, port=port, capabilities=[], context=context
         )
     except Exception as err:  # of the SDK's own kind
-        raise RigError(f"foxglove: port {port} of {HOST} cannot be had: {err}") from err
+        raise RigError(f"foxglove: port {port} of {HOST} cannot be opened: {err}") from err
     ends = threading.Event()
     thread = threading.Thread(target=_send, args=(channels, rig, connect, ends), daemon=True)
     thread.start()
@@ -82,7 +82,7 @@ def _message(stream: str) -> str:
 
 
 def _send(channels: dict[str, Any], rig: str, connect: str | None, ends: threading.Event) -> None:
-    """Pass on what the rig publishes, and find a daemon that came back."""
+    """Forward the messages of the rig, and reconnect to a restarted daemon."""
     while not ends.is_set():
         try:
             with Rig(rig, connect=connect) as opened:

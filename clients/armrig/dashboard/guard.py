@@ -1,4 +1,4 @@
-"""Who is let in: by Host, Origin and token; what is answered carries what a browser must not do."""
+"""Access by Host, Origin and token; each answer has headers that restrict the browser."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import Any
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 MOST_BODY = 8 << 20
-"""Longest body, in B: an input of own has some hundred thousand rows."""
-_BODY_S = 20.0  # how long it may take to come
+"""Longest body of a request, in B; a person's input may have several hundred thousand rows."""
+_BODY_S = 20.0  # longest time until the body is complete
 _CONTENT = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -27,11 +27,11 @@ HEADERS = (
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"cache-control", b"no-store"),
 )
-"""Headers of each answer: no script but the page's own files, in no other page's frame."""
+"""Headers of each answer: only the page's own scripts run, and no other page can embed it."""
 
 
-class Refusal(Exception):  # noqa: N818  # an answer, and no fault
-    """A request that is not carried out; says why in a line."""
+class Refusal(Exception):  # noqa: N818  # an answer, not a fault
+    """Refusal of a request; the message is the reason in one line."""
 
     def __init__(self, status: int, why: str) -> None:
         super().__init__(why)
@@ -39,19 +39,20 @@ class Refusal(Exception):  # noqa: N818  # an answer, and no fault
 
 
 class Pass:
-    """A code that opens one path, once: others on this machine read what starts a browser.
+    """A code that gives access to one path once.
 
-    The page exchanges it for the token, which no command line shows.
+    The code is on the command line that starts a browser, which other users can read. The page
+    exchanges the code for the token, which is on no command line.
     """
 
     PATH = "/api/token"
 
     def __init__(self, code: str, *, until_s: float) -> None:
-        """Take the code, and the monotonic time until which it counts, in s."""
+        """Store the code, and the monotonic time in s until which the code is valid."""
         self._code, self._until_s = code.encode(), until_s
 
     def opens(self, given: bytes) -> bool:
-        """Tell whether a code is this one; it then opens no more."""
+        """Return True for the right code, and make the code invalid."""
         is_it = hmac.compare_digest(given, self._code) and time.monotonic() < self._until_s
         if is_it:
             self._until_s = 0.0
@@ -59,7 +60,7 @@ class Pass:
 
 
 class Guard:
-    """Lets through to an application what comes from the page that it serves itself."""
+    """Filter before an application that accepts only requests of the dashboard's own page."""
 
     def __init__(
         self, app: ASGIApp, *, origins: Collection[str], token: str, once: Pass | None = None
@@ -69,12 +70,12 @@ class Guard:
         Parameters
         ----------
         origins : collection of str
-            Where the page is at, such as http://127.0.0.1:8807; other Hosts are refused, else
-            a name that leads here would make any page ours (DNS rebinding).
+            Addresses of the page, such as http://127.0.0.1:8807. Other Hosts are refused, because
+            otherwise a foreign page could use a name of this machine (DNS rebinding).
         token : str
-            What each request below /api/ carries as `Authorization: Bearer`.
+            Token that each request below /api/ must contain in `Authorization: Bearer`.
         once : Pass, optional
-            What the request for the token carries in its place.
+            Code that the request for the token must contain instead of the token.
         """
         self._app = app
         self._origins = frozenset(origins)
@@ -82,7 +83,7 @@ class Guard:
         self._token, self._once = token.encode(), once
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it in a line."""
+        """Forward a request to the application, or answer it with a refusal."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -110,17 +111,19 @@ class Guard:
         if host not in self._hosts:
             raise Refusal(403, f"Host {host[:80]!r}: the dashboard is at {self._where}")
         if origin is not None and origin not in self._origins:
-            raise Refusal(403, f"Origin {origin[:80]!r}: only the dashboard's own page may ask")
+            raise Refusal(
+                403, f"Origin {origin[:80]!r}: only the dashboard's own page may send requests"
+            )
         if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none"):
-            raise Refusal(403, "another page asks: only the dashboard's own may")
+            raise Refusal(403, "another page asks: only the dashboard's own page may send requests")
         if scope["method"] not in ("GET", "HEAD", "POST"):
             raise Refusal(405, f"{scope['method'][:20]}: GET and POST are allowed")
         if not scope["path"].startswith("/api/"):
-            if scope["method"] == "POST":  # its body would be waited for, and he has no token
+            if scope["method"] == "POST":  # its body is not read without a token
                 raise Refusal(405, "POST: the page's files are for GET")
             return
         kind, _, given = headers.get("authorization", "").partition(" ")
-        # As bytes: a token that is no ASCII is wrong, and no error.
+        # The comparison is of bytes, so that a token with other characters than ASCII is refused.
         is_his = kind == "Bearer" and self._opens(scope["path"], given.encode("latin-1"))
         if not is_his:
             raise Refusal(
@@ -139,7 +142,7 @@ class Guard:
 
 
 def _headers(scope: Scope) -> Mapping[str, str]:
-    """Return the headers by name; one that comes twice is refused."""
+    """Return the headers by name; refuse a request that repeats an important header."""
     found: dict[str, str] = {}
     for raw, value in scope["headers"]:
         name = raw.decode("latin-1").lower()
@@ -150,9 +153,9 @@ def _headers(scope: Scope) -> Mapping[str, str]:
 
 
 async def _body(scope: Scope, receive: Receive) -> bytes:
-    """Return the body; of one that is too long, or too slow, the beginning only is read."""
+    """Return the body of a request; refuse a body that is too long or too slow."""
     told = _headers(scope).get("content-length", "0")
-    too_long = Refusal(413, f"the body is too long: at most {MOST_BODY} B are taken")
+    too_long = Refusal(413, f"the body is too long: at most {MOST_BODY} B are accepted")
     if not told.isdecimal() or int(told) > MOST_BODY:
         raise too_long
     parts: list[bytes] = []
@@ -162,18 +165,18 @@ async def _body(scope: Scope, receive: Receive) -> bytes:
             while more:
                 message = await receive()
                 if message["type"] == "http.disconnect":
-                    raise Refusal(400, "the body is not whole")
+                    raise Refusal(400, "the body is incomplete")
                 parts.append(message.get("body", b""))
                 more = message.get("more_body", False)
                 if sum(map(len, parts)) > MOST_BODY:
                     raise too_long
     except TimeoutError as err:
-        raise Refusal(408, f"the body did not come within {_BODY_S:g} s") from err
+        raise Refusal(408, f"the body did not arrive within {_BODY_S:g} s") from err
     return b"".join(parts)
 
 
 def _replayed(body: bytes, receive: Receive) -> Receive:
-    """Return what gives a body that was read, and then what comes."""
+    """Return a receiver that returns the body that was read, then further messages."""
     waiting: list[Any] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def next_message() -> Message:
@@ -187,7 +190,7 @@ async def _refuse(send: Send, why: Refusal) -> None:
     headers = [
         (b"content-type", b"application/json"),
         (b"content-length", str(len(body)).encode()),
-        (b"connection", b"close"),  # what is left of its body is not read
+        (b"connection", b"close"),  # the rest of the body is not read
     ]
     await send({"type": "http.response.start", "status": why.status, "headers": headers})
     await send({"type": "http.response.body", "body": body})

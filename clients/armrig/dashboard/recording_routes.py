@@ -1,4 +1,4 @@
-"""What is asked of recordings: the list, one of them, its parts, a model, a report."""
+"""Routes for recordings: the list, a recording, its curves, its model and its report."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _Seconds = Annotated[float, Meta(ge=0, le=1e7)]
 
 
 class _Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a person wants of a recording."""
+    """Request that concerns a recording."""
 
     file: Annotated[str, Meta(max_length=300)]
     start: _Seconds | None = None
@@ -44,15 +44,15 @@ class _Asked(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RecordingRoutes:
-    """The routes; what takes long is done in a process of its own, one after the other."""
+    """Routes for recordings; slow requests run one after another in a separate process."""
 
     def __init__(self, feed: Feed, rig: str) -> None:
-        """Look where the rig's daemon records, if that is here, else where this user's does."""
+        """Use the folder of the rig's daemon if it is readable, otherwise this user's folder."""
         self._feed, self._rig = feed, rig
         self._worker: ProcessPoolExecutor | None = None
 
     def routes(self) -> list[Route]:
-        """Return all of them."""
+        """Return the routes for recordings."""
         return [
             Route("/api/recordings", self._listed, methods=["POST"]),
             *(
@@ -69,7 +69,7 @@ class RecordingRoutes:
         ]
 
     def end(self) -> None:
-        """End the process, whatever it does."""
+        """End the process at once."""
         if self._worker is not None:
             children = multiprocessing.active_children()
             self._worker.shutdown(wait=False, cancel_futures=True)
@@ -80,7 +80,7 @@ class RecordingRoutes:
         try:
             found = await asyncio.to_thread(catalogue, self._folder())
         except OSError as err:
-            return error(404, f"{self._folder()}: {err.strerror}; record something first")
+            return error(404, f"{self._folder()}: {err.strerror}; record an experiment first")
         return value(
             {
                 "folder": shown_path(found.folder),
@@ -128,7 +128,7 @@ class RecordingRoutes:
                 return error(400, str(err))
             except BrokenProcessPool:
                 self._worker = None
-                return error(500, "the process that computes has died: ask again")
+                return error(500, "the process for computations died: try again")
             return response
 
         return answer
@@ -140,7 +140,7 @@ class RecordingRoutes:
         return directory_to_look_in(installed(self._rig), os.environ)
 
     def _path(self, file: str) -> Path:
-        """Return the recording of a name as listed; nothing else of the disk is read."""
+        """Return the path of a recording in the list by its name; refuse any other file."""
         path = self._folder() / file
         is_name = Path(file).name == file and file.endswith(".mcap")
         if not is_name or path.is_symlink() or not path.is_file():
@@ -148,7 +148,7 @@ class RecordingRoutes:
         return path
 
     def _validation_of(self, path: Path) -> Path | None:
-        """Return the recording that was made to validate one, if there is any."""
+        """Return the path of the recording that validates a recording's model, or None."""
         found: Catalogue = catalogue(path.parent)
         of = next((s for s in found.recordings if s.file == path.name), None)
         if of is None:
@@ -157,7 +157,7 @@ class RecordingRoutes:
 
     async def _in_worker(self, does: Callable[..., Any], *arguments: Any) -> Any:
         if self._worker is None:
-            # Spawned: a copy of this process would hold its threads' locks for ever.
+            # Spawned: a fork would keep the locks of other threads forever.
             context = multiprocessing.get_context("spawn")
             self._worker = ProcessPoolExecutor(1, mp_context=context, initializer=_leave_ctrl_c)
         loop = asyncio.get_running_loop()
@@ -165,12 +165,12 @@ class RecordingRoutes:
 
 
 def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
-    """Return size and content of a recording, which is opened once and is no link.
+    """Return the size of a recording and an iterator over its bytes; refuse a link.
 
     Raises
     ------
     OSError, DamageError
-        It is another file.
+        The file is not a recording.
     """
     file = regular_file(path, may_be_link=False)
     size = os.fstat(file.fileno()).st_size
@@ -181,7 +181,7 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
     def pieces() -> Iterator[bytes]:
         with file:
             file.seek(0)
-            left = size  # a file that grows gives no more than was said
+            left = size  # of a growing file, only the reported size is sent
             while piece := file.read(min(left, _PIECE)):
                 left -= len(piece)
                 yield piece
@@ -190,5 +190,5 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
 
 
 def _leave_ctrl_c() -> None:
-    """Have Ctrl-C end the server alone, which then ends us."""
+    """Ignore Ctrl-C: the server ends this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

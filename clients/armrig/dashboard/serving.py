@@ -1,4 +1,4 @@
-"""A dashboard from its sockets to its end: who listens, who may what, what is begun and ended."""
+"""Server of a dashboard: its sockets, rights, threads and end."""
 
 from __future__ import annotations
 
@@ -55,54 +55,54 @@ QUIET: dict[str, Any] = {
     "timeout_keep_alive": 30,
     "h11_max_incomplete_event_size": 16_384,
 }
-"""How uvicorn is set: it prints nothing, says nothing of itself, and ends soon."""
+"""Settings of uvicorn: no output, no server header, and a short wait at the end."""
 _LOOK_S = 0.025
 _STATUS_S = 0.5
 _SILENT_S = 2.0  # and Ts: then the connection is made anew, whatever the daemon answers
-_AGAIN_S = 0.3
-_MOST_PIECES = 100
+_RETRY_S = 0.3
+_MAX_PIECES = 100
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
-    """What a dashboard is of, and where it is."""
+    """Rig and addresses of a dashboard."""
 
     rig: str = "1"
     """Id of the rig."""
     connect: str | None = None
-    """Endpoint of its daemon; found as by `armrig.Rig` where it is left out."""
+    """Endpoint of the rig's daemon; if None, the daemon is found as by `armrig.Rig`."""
     port: int | None = None
-    """On 127.0.0.1; 8807 where it is left out, or a free one if that is taken."""
+    """Port on 127.0.0.1; if None, 8807, or any free port if 8807 is in use."""
     share: str | None = None
-    """Address of this machine at which who has the other token may watch and stop."""
+    """Address of this machine for visitors, who may only watch and stop."""
     share_port: int | None = None
-    """There; 8808 where it is left out, or a free one if that is taken."""
+    """Port for visitors; if None, 8808, or any free port if 8808 is in use."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Served:
-    """Where a dashboard is."""
+    """Addresses of a running dashboard."""
 
     url: str
-    """Of the page, with the token that may command."""
+    """URL of the page, with the token for all commands."""
     browser_url: str
-    """The same for the program that opens a browser: it opens the page once, within a minute."""
+    """URL for the start of a browser; it is valid for a single use within a minute."""
     shared_url: str = ""
-    """For visitors, with the token that may watch and stop."""
+    """URL for visitors, with the token that only permits to watch and stop; "" without `share`."""
     fingerprint: str = ""
-    """SHA-256 of the certificate there."""
+    """SHA-256 of the certificate for visitors; "" without `share`."""
 
 
 @contextmanager
 def dashboard(settings: Settings) -> Iterator[Served]:
-    """Serve a dashboard until the block ends; a run of its own is then stopped.
+    """Serve a dashboard until the block ends, which stops a run of the dashboard.
 
     Raises
     ------
     RigError
-        The port is taken.
+        Another program uses the port.
     MissingPackageError
-        It is to be shared, and what makes certificates is not installed.
+        The package for the certificate of `share` is not installed.
     """
     _allow_many_files()
     feed = Feed()
@@ -139,7 +139,7 @@ def dashboard(settings: Settings) -> Iterator[Served]:
 
 
 class _Door:
-    """A socket, the names by which it is reached, and the token that opens it."""
+    """A listening socket, the names of its addresses, and the token for its routes."""
 
     def __init__(
         self,
@@ -155,16 +155,16 @@ class _Door:
 
     @property
     def url(self) -> str:
-        """Where the page is; the token stands behind the #, which no browser sends."""
+        """URL of the page; the token is after #, and browsers do not send this part."""
         return f"{self._origins[0]}/#token={self._token}"
 
     @property
     def browser_url(self) -> str:
-        """Where the page is, with what it exchanges for the token."""
+        """URL of the page, with a code that the page exchanges for the token."""
         return f"{self._origins[0]}/#once={self._code}"
 
     def served(self, more: list[Route], live: RigRoutes, stream: Stream) -> ServerThread:
-        """Return what serves who may watch and stop, and `more`."""
+        """Return the thread of a server for the routes to watch and stop, and for `more`."""
         connections = Connections()
         routes = [*live.watching(connections), *more]
         once = None
@@ -183,7 +183,7 @@ class _Door:
 
 
 def _allow_many_files() -> None:
-    """Have more files than connections: else those would leave none for a stop."""
+    """Raise the limit of open files above the limit of connections, so that a stop can connect."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = _FILES if hard == resource.RLIM_INFINITY else min(_FILES, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
@@ -191,13 +191,13 @@ def _allow_many_files() -> None:
 
 
 def _listening(host: str, usual: int, port: int | None) -> socket.socket:
-    """Return a socket that listens at an address."""
+    """Return a socket that listens on `port`; if None, on the usual port or any free port."""
     for tried in (usual, 0) if port is None else (port,):
         listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listening.bind((host, tried))
-            listening.listen()  # a port that is only bound is another dashboard's, too, until then
+            listening.listen()  # another dashboard can also bind the port until one of them listens
         except OSError as err:
             listening.close()
             if port is None and tried:
@@ -208,7 +208,7 @@ def _listening(host: str, usual: int, port: int | None) -> socket.socket:
 
 
 class Server(uvicorn.Server):
-    """uvicorn's server, which leaves the signals to who calls."""
+    """Server of uvicorn that leaves signals to the caller."""
 
     def __init__(
         self, config: uvicorn.Config, listening: socket.socket, connections: Connections
@@ -218,27 +218,27 @@ class Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """Capture none: the command line ends us."""
+        """Capture no signals, because the command line ends the server."""
         yield
 
     async def run_here(self) -> None:
         """Serve until `should_exit`."""
         await self.serve([self._listening])
-        # Who does not read his last messages would keep his connection open.
+        # A client that does not read its last messages would keep its connection open.
         self._connections.end()
         await asyncio.sleep(0)  # they are closed in the loop's next turn
 
 
 class ServerThread:
-    """The loop of one door's server: what besieges a door takes nothing from the other."""
+    """Thread of one door's server; many requests at one door do not delay the other door."""
 
     def __init__(self, server: Server, stream: Stream) -> None:
         self._server, self._stream = server, stream
         self._thread = threading.Thread(target=self._run, name="server", daemon=True)
 
     def begin(self) -> None:
-        """Begin, and wait until it listens."""
-        # As uvicorn's: whoever breaks off what he reads would have a line on the terminal.
+        """Start the thread, and wait until the server listens."""
+        # asyncio would print a line for a client that disconnects, as uvicorn would.
         logging.getLogger("asyncio").setLevel(logging.ERROR)
         self._thread.start()
         pause = threading.Event()
@@ -249,7 +249,7 @@ class ServerThread:
         raise RigError("the server does not start")
 
     def end(self) -> None:
-        """End, and wait for it."""
+        """End the thread, and wait for its end."""
         self._server.should_exit = True
         self._thread.join(_ENDS_S + 5.0)
 
@@ -268,19 +268,19 @@ class ServerThread:
                     await task
 
     async def _end_streams(self) -> None:
-        """End the streams as soon as the server is to end, which waits for them."""
+        """End the streams before the server's end, because the server waits for them."""
         while not self._server.should_exit:
             await asyncio.sleep(0.05)
         self._stream.viewers.end()
 
 
 class Listener:
-    """Fills a feed for as long as it runs, in a thread of its own."""
+    """Thread that receives the rig's messages and adds them to a feed."""
 
     def __init__(
         self, feed: Feed, *, rig: str, connect: str | None, found: Callable[[], None]
     ) -> None:
-        """Prepare to listen to a rig, found as by `armrig.Rig`; `found` is called when it is."""
+        """Prepare to listen to a rig; `found` is called after each connection to it."""
         self._found = found
         self._feed = feed
         self._rig = rig
@@ -289,11 +289,11 @@ class Listener:
         self._thread = threading.Thread(target=self._run, name="listener", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def end(self) -> None:
-        """End, and wait for it."""
+        """End the thread, and wait for its end."""
         self._ends.set()
         self._thread.join(5.0)
 
@@ -304,10 +304,10 @@ class Listener:
                     self._listen(opened)
             except (RigError, ValueError) as err:
                 self._feed.trouble = str(err)
-            self._ends.wait(_AGAIN_S)
+            self._ends.wait(_RETRY_S)
 
     def _listen(self, rig: Rig) -> None:
-        """Listen until the end, or until nothing comes any more."""
+        """Listen until the end, or until no samples arrive for `_SILENT_S`."""
         feed = self._feed
         with (
             rig.arrivals("sample") as samples,
@@ -335,13 +335,13 @@ class Listener:
                     feed.status = status = rig.status()
                     feed.trouble, asked_s = "", now
                 if now - heard_s > _SILENT_S + 2 * status.Ts:
-                    return  # a session may outlive the daemon that it led to
+                    return  # a session may outlive its daemon
 
     def _take_past(self) -> None:
-        """Take what the daemon still has of the last minutes."""
+        """Add the messages of the last minutes, which the daemon keeps."""
         with open_session(self._connect, rig=self._rig) as session:
             source = RemoteSource(session, self._rig)
-            for _ in range(_MOST_PIECES):
+            for _ in range(_MAX_PIECES):
                 piece = source.next_piece()
                 if piece is None or self._ends.is_set():
                     return
@@ -362,7 +362,7 @@ class Listener:
 
 
 def _changed(states: list[Any], status: StatusReport) -> bool:
-    """Tell whether the daemon has published another state than the status that we have."""
+    """Return True if one of the published states differs from the known status."""
     return any(
         (s.phase, s.owner, s.reason) != (status.phase, status.owner, status.reason) for s in states
     )

@@ -1,4 +1,4 @@
-"""A way in for phones and visitors: another port, with TLS and a token that may watch and stop."""
+"""Access for phones and visitors: a separate port with TLS, and a token to watch and stop."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from armrig.rig.session import RigError
 
 PORT = 8808
 _DAYS = 2
-_NOBODY = ("192.0.2.1", 9)  # an address of documents: nothing is sent to it
+_NOBODY = ("192.0.2.1", 9)  # an address reserved for documentation; nothing is sent to it
 
 
 class Certificate(NamedTuple):
-    """A certificate of our own making, and its key, in files that go with the block."""
+    """A self-signed certificate and its key, in files that exist until the block ends."""
 
     certificate: Path
     key: Path
     fingerprint: str
-    """SHA-256, for a visitor to compare."""
+    """SHA-256 of the certificate, which a visitor can compare."""
 
 
 def own_address() -> str:
-    """Return the address by which this machine is reached on its network.
+    """Return the address of this machine on its network.
 
     Raises
     ------
     RigError
-        It is on none.
+        The machine is not connected to a network.
     """
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
@@ -49,12 +49,12 @@ def own_address() -> str:
 
 @contextmanager
 def certificate(address: str) -> Iterator[Certificate]:
-    """Give a certificate for an address; it is signed by itself, and lives as long as the block.
+    """Yield a self-signed certificate for an address; its files exist until the block ends.
 
     Raises
     ------
     MissingPackageError
-        The package that makes it is not installed.
+        The package that makes certificates is not installed.
     """
     imported("cryptography", "share")
     from cryptography import x509
@@ -70,7 +70,7 @@ def certificate(address: str) -> Iterator[Certificate]:
         .issuer_name(name)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - timedelta(hours=1))  # a phone's clock may be behind
+        .not_valid_before(now - timedelta(hours=1))  # a phone's clock may be late
         .not_valid_after(now + timedelta(days=_DAYS))
         .add_extension(
             x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address(address))]),
@@ -90,12 +90,12 @@ def certificate(address: str) -> Iterator[Certificate]:
 
 
 def qr_code(text: str) -> str:
-    """Return a text as a QR code for a terminal, light on dark or dark on light.
+    """Return a text as a QR code for terminals with a dark or a light background.
 
     Raises
     ------
     MissingPackageError
-        The package that draws it is not installed.
+        The package that draws QR codes is not installed.
     """
     drawn = StringIO()
     imported("segno", "share").make(text, error="l").terminal(out=drawn, compact=True)

@@ -1,4 +1,4 @@
-"""The stream of events that each page gets, and the clock that fills it: 30 messages a second."""
+"""Stream of server-sent events for the pages, with news 30 times a second."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ from armrig.rig.status_rows import status_rows
 PERIOD_S = 1 / 30
 _TIMING_S = 1.0
 PAUSE_S = 0.25
-"""From one encoding to the next, at least: to connect again and again costs no more."""
+"""Shortest time in s between two encodings of the past, even if clients connect often."""
 _PIECE = 500  # rows in a message
 _STALE_S = 0.3
-"""And two sampling times: without a sample for so long the data are stale."""
+"""Data are stale if no sample arrives for this time, in s, plus two sampling times."""
 
 
 class Stream:
-    """Tells all viewers of one door what the feed and the driver know."""
+    """Stream of the feed's and the driver's state to all viewers of one door."""
 
     def __init__(
         self, feed: Feed, driver: Driver, audience: list[Viewers], *, may_command: bool
     ) -> None:
-        """Begin with no viewer, and join the audience: the viewers of all doors."""
+        """Begin without viewers; add the viewers of this door to `audience`, those of all doors."""
         self._feed, self._driver, self._audience = feed, driver, audience
         self.may_command = may_command
-        """Whether the viewers of this door may."""
+        """True if the viewers of this door may command."""
         self._history = History(feed.history)
         self.viewers = Viewers()
         audience.append(self.viewers)
         self._told: dict[str, bytes] = {}
 
     async def fill(self) -> None:
-        """Send what is new, 30 times a second, until it is cancelled; a late turn skips."""
+        """Send news 30 times a second until the task is cancelled; missed times are skipped."""
         due = timing_due = time.monotonic()
         seen = self._feed.news().pieces
         while True:
@@ -59,17 +59,18 @@ class Stream:
                 timing_due = due + _TIMING_S
 
     async def messages(self, viewer: Viewer) -> AsyncIterator[bytes]:
-        """Give what one viewer is sent: how all is now, what comes, and the past once it is made.
+        """Yield the messages for one viewer: the current state, news, and the encoded past.
 
         Raises
         ------
         TooManyViewersError
-            There are as many viewers as are allowed.
+            The largest number of viewers is reached.
         """
-        # What he is told first the others have heard, too: else a change back would be none.
+        # All viewers receive the state that this viewer receives first. Otherwise a change back
+        # would be lost.
         self._send_changed()
         self.viewers.add(viewer)
-        # What comes from here on waits for him; the page passes over a row that it has.
+        # News are queued for the viewer from here on. The page ignores rows that it already has.
         past = asyncio.create_task(self._offer_past(viewer))
         try:
             hello = {"may_command": self.may_command, "late_us": LATE_US}
@@ -77,7 +78,7 @@ class Stream:
                 yield message
             async for message in viewer.messages():
                 yield message
-                await asyncio.sleep(0)  # others are served, and we hear that he has gone
+                await asyncio.sleep(0)  # other viewers are served, and a lost viewer is noticed
         finally:
             past.cancel()
             self.viewers.remove(viewer)
@@ -104,40 +105,42 @@ class Stream:
 
 
 class History:
-    """Shares one encoding of the past between all who come while it waits to begin."""
+    """Encoding of the past; viewers that connect before an encoding begins share it."""
 
     def __init__(self, rows: Callable[[], Rows]) -> None:
-        """Take what gives the rows of the past."""
+        """Store the function that returns the rows of the past."""
         self._rows = rows
         self._next: asyncio.Task[list[bytes]] | None = None
         self._began_s = -PAUSE_S
 
     async def messages(self) -> list[bytes]:
-        """Return the messages of a past that was read after this call."""
+        """Return the encoded past, from rows that are read after this call."""
         if self._next is None:
             self._next = asyncio.create_task(self._encoded())
-        return await asyncio.shield(self._next)  # who leaves takes it from nobody
+        return await asyncio.shield(
+            self._next
+        )  # a viewer that leaves does not cancel it for the others
 
     async def _encoded(self) -> list[bytes]:
         await asyncio.sleep(self._began_s + PAUSE_S - time.monotonic())
-        # Whoever comes from here on gets the next: this one may lack rows just before him.
+        # Later viewers get the next encoding: this one may lack their newest rows.
         self._began_s, self._next = time.monotonic(), None
         return await asyncio.to_thread(lambda: encoded(self._rows()))
 
 
 def encoded(rows: Rows) -> list[bytes]:
-    """Return rows as messages, and one that says that these are all."""
+    """Return rows as messages, followed by a message that marks their end."""
     pieces = (rows[i : i + _PIECE] for i in range(0, rows.shape[0], _PIECE))
     return [*(event("past", as_lists(piece)) for piece in pieces), event("whole", {})]
 
 
 def event(name: str, value: Any) -> bytes:
-    """Return a server-sent event; JSON has no line breaks in it."""
+    """Return a server-sent event with a value as JSON, which contains no line breaks."""
     return b"event: %s\ndata: %s\n\n" % (name.encode(), msgspec.json.encode(value))
 
 
 def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
-    """Return what is new: rows, and the age of the newest sample."""
+    """Return new rows, the newest sample and its age, for the page."""
     limit_s = _STALE_S + 2 * (status.Ts if status else 0.0)
     return {
         "at_s": round(news.at_s, 3),
@@ -149,7 +152,7 @@ def live_facts(news: News, status: StatusReport | None) -> dict[str, Any]:
 
 
 def timing_facts(timing: Timing) -> dict[str, Any]:
-    """Return how well the rig is timed."""
+    """Return the timing of the rig for the page."""
     return {
         "late": timing.late,
         "missing": timing.missing,
@@ -160,7 +163,7 @@ def timing_facts(timing: Timing) -> dict[str, Any]:
 
 
 def status_facts(feed: Feed) -> dict[str, Any]:
-    """Return how the rig is, in the words of `armrig status`."""
+    """Return the status of the rig for the page, with the rows of `armrig status`."""
     status: StatusReport | None = feed.status
     if status is None:
         return {"trouble": feed.trouble, "rows": []}

@@ -1,4 +1,4 @@
-"""What is made of one recording, in a process of its own: its data are large, its models slow."""
+"""Results from one recording, computed in a separate process because they take long."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _KEPT = 2  # recordings: the one that is looked at, and its validation
 
 
 def facts(path: Path) -> dict[str, Any]:
-    """Return what a recording says of itself, its verdict, and its curves as a whole."""
+    """Return facts about a recording, the verdict on its data, and its complete curves."""
     recording = _loaded(path)
     verdict = data_verdict(recording)
     manifest, outcome = recording.manifest, recording.outcome
@@ -59,16 +59,16 @@ def facts(path: Path) -> dict[str, Any]:
 
 
 def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any]:
-    """Return u, theta_1 (turns counted) and alpha between two times in s, for a screen's width.
+    """Return points of u, theta_1 (turns counted) and alpha between two times in s.
 
-    Of a time without a sample it is the next one, or the last.
+    If there is no sample between the two times, the next or the last sample is returned.
     """
     t, *signals = _part(path, start, stop)
     return {name: _drawn(t, y) for name, y in zip(("u", THETA_1, ALPHA), signals, strict=True)}
 
 
 def csv(path: Path, start: float | None, stop: float | None) -> bytes:
-    """Return every sample that the page's curves show, in their quantities, with units."""
+    """Return a CSV of all samples between two times in s, with the page's quantities and units."""
     rows = zip(*(column.tolist() for column in _part(path, start, stop)), strict=True)
     lines = (f"{t:.6f},{u:.4f},{theta_1:.4f},{alpha:.4f}\n" for t, u, theta_1, alpha in rows)
     # Here, in the worker: the process that serves a stop does not encode some 100 MB.
@@ -87,17 +87,18 @@ def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[n
 
 
 def identified(path: Path, validation: Path | None, output: ChannelName) -> dict[str, Any]:
-    """Return an OE model of the orders that the data suggest, judged on other data.
+    """Estimate an OE model with the orders that the data suggest, and validate it.
 
     Parameters
     ----------
     validation : Path, optional
-        Recording to judge by; without it the first half estimates and the second judges.
+        Recording for validation. Without it, the first half of the recording is for estimation and
+        the second half for validation.
 
     Raises
     ------
     ValueError
-        The data determine no model; the message says what is wrong with them.
+        The data determine no model; the message contains the reason.
     """
     recording = _loaded(path)
     data = recording.dataset(output)
@@ -125,9 +126,9 @@ def identified(path: Path, validation: Path | None, output: ChannelName) -> dict
         "texts": [
             ("model", repr(fit)),
             ("why these orders", hints.explain()),
-            ("held against data that it has not seen", repr(table)),
+            ("comparison with validation data", repr(table)),
             ("residuals", repr(tests)),
-            ("poles, zeros and the like", str(fit.summary())),
+            ("poles, zeros and characteristics", str(fit.summary())),
             ("advice", advice(fit).explain()),
         ],
         "figures": _figures(fit, table, tests),
@@ -150,7 +151,7 @@ def _loaded(path: Path) -> Recording:
 
 
 def _drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | None]]:
-    """Return x, and the least and the largest y of each point; None where there is none."""
+    """Return t, and the least and the largest y of each point; None for a point without y."""
     n = -(-t.size // _POINTS)
     first = np.arange(0, t.size, n)
     y = np.where(np.isfinite(y), y, np.nan)
@@ -163,7 +164,7 @@ def _drawn(t: NDArray[np.float64], y: NDArray[np.float64]) -> list[list[float | 
 
 
 def _figures(fit: Fit, table: Any, tests: Any) -> list[tuple[str, str]]:
-    """Return figures as SVG, each with its title."""
+    """Return the titles of the figures, and the figures as SVG."""
     from io import StringIO
 
     import matplotlib as mpl

@@ -1,4 +1,4 @@
-"""Those who watch: each has a bounded row of messages, and who does not read is dropped."""
+"""Viewers of a door: each has a bounded queue, and a viewer that does not read is dropped."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from collections.abc import AsyncIterator, Callable
 from armrig_core.errors import OperationError
 
 MOST_VIEWERS = 64
-"""At one door."""
-_MOST_WAITING = 250  # messages: the past, and five seconds at 30 Hz
+"""Largest number of viewers at one door."""
+_MAX_WAITING = 250  # messages: the past, and five seconds at 30 Hz
 
 
 class TooManyViewersError(OperationError):
-    """There are as many viewers as are allowed."""
+    """The largest number of viewers is reached."""
 
 
 class Viewer:
-    """One who watches."""
+    """Queue of messages for one viewer."""
 
     def __init__(self, drop: Callable[[], None]) -> None:
-        """Take what ends his connection at once: to write to him would wait."""
-        self._waiting: asyncio.Queue[bytes | None] = asyncio.Queue(_MOST_WAITING)
+        """Store `drop`, which closes the connection at once, without sending queued data."""
+        self._waiting: asyncio.Queue[bytes | None] = asyncio.Queue(_MAX_WAITING)
         self._drop = drop
         self.is_dropped = False
-        """He did not read what was sent to him."""
+        """True if the viewer did not read its messages."""
 
     def offer(self, message: bytes) -> None:
-        """Have a message sent, or drop him where as many wait as may."""
+        """Queue a message, or drop the viewer if the queue is full."""
         try:
             self._waiting.put_nowait(message)
         except asyncio.QueueFull:
@@ -35,48 +35,48 @@ class Viewer:
             self._drop()
 
     async def messages(self) -> AsyncIterator[bytes]:
-        """Give his messages until he is dropped, or the server ends."""
+        """Yield the messages until the viewer is dropped or the server ends."""
         while not self.is_dropped and (message := await self._waiting.get()) is not None:
             yield message
 
     def end(self) -> None:
-        """End the stream after what waits."""
+        """End the stream after the queued messages."""
         self.is_dropped = self._waiting.full()
         if not self.is_dropped:
             self._waiting.put_nowait(None)
 
 
 class Viewers:
-    """All who watch at one door."""
+    """All viewers at one door."""
 
     def __init__(self) -> None:
-        """Begin with nobody."""
+        """Begin without viewers."""
         self._viewers: set[Viewer] = set()
         self.dropped = 0
-        """How many were dropped."""
+        """Number of dropped viewers."""
 
     def __len__(self) -> int:
-        """Return how many watch."""
+        """Return the number of viewers."""
         return len(self._viewers)
 
     def add(self, viewer: Viewer) -> None:
-        """Take one more.
+        """Add a viewer.
 
         Raises
         ------
         TooManyViewersError
-            As many as are allowed watch already.
+            The largest number of viewers is reached.
         """
         if len(self) >= MOST_VIEWERS:
-            raise TooManyViewersError(f"{MOST_VIEWERS} watch already: close a page")
+            raise TooManyViewersError(f"{MOST_VIEWERS} pages are open already: close one")
         self._viewers.add(viewer)
 
     def remove(self, viewer: Viewer) -> None:
-        """Take one away who has left."""
+        """Remove a viewer."""
         self._viewers.discard(viewer)
 
     def send(self, message: bytes) -> None:
-        """Send one message to all."""
+        """Send one message to all viewers."""
         for viewer in [*self._viewers]:
             viewer.offer(message)
             if viewer.is_dropped:
@@ -84,7 +84,7 @@ class Viewers:
                 self.dropped += 1
 
     def end(self) -> None:
-        """End all streams."""
+        """End the streams of all viewers."""
         for viewer in self._viewers:
             viewer.end()
         self._viewers.clear()

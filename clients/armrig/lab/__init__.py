@@ -1,1 +1,1 @@
-"""What who runs a laboratory does: boards, keys, routers, services, recorders, hosts."""
+"""Operation of a laboratory: boards, keys, routers, services, recorders, hosts."""

@@ -1,8 +1,8 @@
-"""What on this host costs timing, and how to mend each.
+"""Checks of the properties of this host that affect timing, with a remedy for each.
 
-The doctor reads the kernel's files, under a root that a test can make up. What is granted to the
-loop is what the daemon of this machine reports. Without a daemon a trial tells it, in `Granted`: of
-the user who would start one. The doctor changes nothing.
+The doctor reads the kernel's files, under a root that a test can replace. It takes the rights of
+the daemon's loop from the report of this machine's daemon. Without a daemon, a trial (`Granted`)
+determines the rights of the user who would start a daemon. The doctor changes nothing.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ if TYPE_CHECKING:
     from armrig_core.commands import StatusReport
 
 
-IDLE_MOST_US = 20
-"""Waking from an idle state that takes longer than this is seen in the lateness, in µs."""
-STEAL_MOST = 0.01
-"""Share of the time that a hypervisor may take away."""
-FREE_LEAST = 1 << 30
-"""Free space for recordings, in B; 2 kHz takes some 15 MB a minute."""
+MAX_IDLE_WAKE_US = 20
+"""Wake-up time of an idle state, in µs, above which it affects the lateness."""
+MAX_STEAL_SHARE = 0.01
+"""Largest share of the time that a hypervisor may use."""
+MIN_FREE_BYTES = 1 << 30
+"""Least free space for recordings, in B; a recording at 2 kHz needs about 15 MB per minute."""
 _PRIORITY_FIELD = 15
-"""Of proc_pid_stat(5), counted behind the name; negative for real-time priority."""
+"""Index of the priority in proc_pid_stat(5), counted after the name; real time is negative."""
 _SOCKET = "unixsock-stream/"
 _BUSY_COSTS = "any busy program delays ticks by milliseconds"
-_PAGE_COSTS = "a page that was put away delays a tick by milliseconds"
-_DEEP_COSTS = "the loop cannot hold off deep idle states"
-_LIMITS = "/etc/security/limits.d/armrig.conf, then log in anew"
+_PAGE_COSTS = "a page that was swapped out delays a tick by milliseconds"
+_DEEP_COSTS = "the loop cannot prevent deep idle states"
+_LIMITS = "/etc/security/limits.d/armrig.conf, then log in again"
 
 
 def doctor(rig: str = "1", connect: str | None = None) -> list[HostCheck]:
-    """Examine this host, and its daemon of a rig where one answers.
+    """Examine this host, and the daemon of a rig if it answers.
 
     Raises
     ------
     ValueError
-        `connect` is no socket of this machine.
+        `connect` is not a socket of this machine.
     """
     daemon, silent = _daemon_of(rig, connect)
     granted = probe(Path(daemon.recordings) if daemon else None)
@@ -60,7 +60,7 @@ def doctor(rig: str = "1", connect: str | None = None) -> list[HostCheck]:
 
 
 def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]:
-    """Return the status of this machine's daemon, or why its service gives none."""
+    """Return the status of this machine's daemon, or the reason why there is no status."""
     from armrig.rig.client import Rig
     from armrig.rig.session import RigError, configured_endpoint, is_served, local_rigs
 
@@ -68,7 +68,7 @@ def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]
     if not where.startswith(_SOCKET):
         if connect:
             raise InputError(
-                f"--connect {connect}: the doctor examines this machine: {_SOCKET}PATH is needed"
+                f"--connect {connect}: the doctor examines this machine: give {_SOCKET}PATH"
             )
         return None, ""  # `[client]` names another machine
     is_expected = bool(connect) or is_served(rig)
@@ -83,12 +83,12 @@ def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]
 
 
 def examine(host: Host) -> list[HostCheck]:
-    """Examine a host, check by check."""
+    """Examine a host with all checks."""
     return [found for examined in _CHECKS for found in examined(host)]
 
 
 def is_well(checks: Iterable[HostCheck]) -> bool:
-    """Return whether nothing found costs timing here."""
+    """Return True if no check found an effect on timing (level bad)."""
     return not any(check.level == "bad" for check in checks)
 
 
@@ -101,12 +101,12 @@ def _daemon(host: Host) -> list[HostCheck]:
 
 
 def _refused(daemon: StatusReport, what: str) -> str:
-    """Return how to get what the loop of a daemon was refused, as the daemon says; "" if granted.
+    """Return the remedy for a right that a daemon's loop was refused; "" if it was granted.
 
-    A refusal is what was asked for, and in brackets how to get it.
+    The daemon reports a refusal as the right, followed by the remedy in brackets.
     """
-    told = daemon.host.get("refused", [])
-    lines = [str(line) for line in (told if isinstance(told, list) else [told])]
+    reported = daemon.host.get("refused", [])
+    lines = [str(line) for line in (reported if isinstance(reported, list) else [reported])]
     line = next((line for line in lines if line.startswith(what)), "")
     return line.partition("(")[2].removesuffix(")") or line
 
@@ -120,7 +120,7 @@ def _fifo(host: Host) -> list[HostCheck]:
             way = _refused(host.daemon, "SCHED_FIFO") or "[timing] priority is 0"
             return [_bad("SCHED_FIFO", "the daemon has none", _BUSY_COSTS, way)]
         if way := _refused(host.daemon, "priority"):
-            costs = "what has a higher priority delays ticks"
+            costs = "programs with a higher priority delay ticks"
             return [_note("SCHED_FIFO", f"the daemon has priority {fifo}", costs, way)]
         return [_good("SCHED_FIFO", f"the daemon has priority {fifo}")]
     if host.granted.fifo:
@@ -165,7 +165,7 @@ def _governor(host: Host) -> list[HostCheck]:
         _bad(
             "governor",
             named,
-            "a processor that slept runs slowly at first: tens of µs each tick",
+            "a processor is slow after idle time: each tick is tens of µs late",
             "`cpupower frequency-set -g performance`",
         )
     ]
@@ -177,25 +177,25 @@ def _idle(host: Host) -> list[HostCheck]:
         latency = text(state / "latency")
         if latency.isdigit() and text(state / "disable") != "1" and int(latency) > deepest:
             deepest, name = int(latency), text(state / "name")
-    if deepest <= IDLE_MOST_US:
+    if deepest <= MAX_IDLE_WAKE_US:
         return [_good("idle states", f"waking takes at most {deepest} µs")]
     if host.silent:
-        costs = "the loop holds it off where it may write /dev/cpu_dma_latency"
+        costs = "the loop prevents it if it can write /dev/cpu_dma_latency"
         return [_note("idle states", f"{name} takes {deepest} µs to wake from", costs)]
     if _holds_idle_off(host):
-        return [_good("idle states", f"the loop holds off {name}, {deepest} µs to wake from")]
+        return [_good("idle states", f"the loop prevents {name}, {deepest} µs to wake from")]
     return [
         _bad(
             "idle states",
             f"{name} takes {deepest} µs to wake from",
-            f"up to {deepest} µs each tick, for /dev/cpu_dma_latency may not be written",
-            f"the udev rule for cpu_dma_latency, or `cpupower idle-set -D {IDLE_MOST_US}`",
+            f"each tick is up to {deepest} µs late: /dev/cpu_dma_latency is not writable",
+            f"the udev rule for cpu_dma_latency, or `cpupower idle-set -D {MAX_IDLE_WAKE_US}`",
         )
     ]
 
 
 def _holds_idle_off(host: Host) -> bool:
-    """Tell whether the loop, this machine's or one that this user starts, may keep it awake."""
+    """Return True if the daemon's loop, or without a daemon this user, can prevent idle states."""
     if host.daemon is not None:
         return not _refused(host.daemon, "/dev/cpu_dma_latency")
     return os.access(host.root / "dev/cpu_dma_latency", os.W_OK)
@@ -204,20 +204,24 @@ def _holds_idle_off(host: Host) -> bool:
 def _dma_latency(host: Host) -> list[HostCheck]:
     device = host.root / "dev/cpu_dma_latency"
     if not device.exists():
-        return [_note("cpu_dma_latency", "not there", "idle states cannot be held off by a file")]
+        return [
+            _note(
+                "cpu_dma_latency",
+                "not there",
+                "without this file the loop cannot prevent idle states",
+            )
+        ]
     if host.silent:
         return []
     if _holds_idle_off(host):
-        return [
-            _good("cpu_dma_latency", "the daemon holds it" if host.daemon else "may be written")
-        ]
+        return [_good("cpu_dma_latency", "the daemon holds it" if host.daemon else "writable")]
     if host.daemon is not None:
         way = _refused(host.daemon, "/dev/cpu_dma_latency")
-        return [_note("cpu_dma_latency", "the daemon may not write it", _DEEP_COSTS, way)]
+        return [_note("cpu_dma_latency", "not writable by the daemon", _DEEP_COSTS, way)]
     return [
         _note(
             "cpu_dma_latency",
-            "may not be written",
+            "not writable",
             _DEEP_COSTS,
             'udev rule `KERNEL=="cpu_dma_latency", GROUP="dialout", MODE="0660"`',
         )
@@ -227,7 +231,7 @@ def _dma_latency(host: Host) -> list[HostCheck]:
 def _timer_slack(host: Host) -> list[HostCheck]:
     slack = text(host.root / "proc/self/timerslack_ns")
     if not slack.isdigit():
-        return [_note("timer slack", "not told by this kernel")]
+        return [_note("timer slack", "not reported by this kernel")]
     return [_good("timer slack", f"{int(slack) / 1000:g} µs here; the loop sets its own to 1 ns")]
 
 
@@ -235,12 +239,12 @@ def _swap(host: Host) -> list[HostCheck]:
     rows = [row.split() for row in text(host.root / "proc/swaps").splitlines()[1:]]
     used_kb = sum(int(row[3]) for row in rows if len(row) > 3 and row[3].isdigit())
     if not used_kb:
-        return [_good("swap", "there, and not used" if rows else "none")]
+        return [_good("swap", "exists, but is not used" if rows else "none")]
     return [
         _bad(
             "swap",
             f"{used_kb / 1024:.0f} MB in use",
-            "what is not locked in memory, the service too, waits for the disk",
+            "memory that is not locked, such as the service's, waits for the disk",
             "end programs, then `swapoff -a`",
         )
     ]
@@ -264,7 +268,7 @@ def _preemption(host: Host) -> list[HostCheck]:
             "preemption",
             model,
             "the worst case has no bound",
-            "Debian's linux-image-rt-amd64, where p99.9 matters",
+            "Debian's linux-image-rt-amd64, if p99.9 matters",
         )
     ]
 
@@ -283,7 +287,7 @@ def _ftdi(host: Host) -> list[HostCheck]:
                 f"{port} {ms} ms",
                 f"an answer may wait {ms} ms in the adapter",
                 f"`echo 1 > /{file.relative_to(host.root)}`, or `setserial /dev/{port} low_latency`"
-                " (armrigd asks for it, too)",
+                " (armrigd sets it, too)",
             )
         )
     return checks or [_good("FTDI latency timer", "no such port here")]
@@ -297,14 +301,14 @@ def _kernel_workers(host: Host) -> list[HostCheck]:
             total += 1
             ordinary += int(fields.split()[_PRIORITY_FIELD]) >= 0
     if not total:
-        return [_note("kernel workers", "not seen from here")]
+        return [_note("kernel workers", "not visible from here")]
     if not ordinary:
         return [_good("kernel workers", "real-time priority")]
     return [
         _note(
             "kernel workers",
             f"{ordinary} of {total} have ordinary priority",
-            "they carry a serial port's bytes: beside other programs answers come late, runs stop",
+            "they transfer a serial port's bytes: under load, answers are late and runs stop",
             f"`for p in $(pgrep kworker/u); do sudo chrt -f -p {PRIORITY - 1} $p; done`, at each "
             "start (docs/timing.md)",
         )
@@ -315,17 +319,17 @@ def _throttling(host: Host) -> list[HostCheck]:
     kernel = host.root / "proc/sys/kernel"
     runtime, period = text(kernel / "sched_rt_runtime_us"), text(kernel / "sched_rt_period_us")
     if not re.fullmatch(r"-?\d+", runtime):
-        return [_note("RT throttling", "not told by this kernel")]
+        return [_note("RT throttling", "not reported by this kernel")]
     if int(runtime) < 0:
         return [_good("RT throttling", "off")]
     share = int(runtime) / int(period) if period.isdigit() and int(period) else 0.0
     if share >= 0.9:
-        return [_good("RT throttling", f"beyond {share:.0%} of a processor; the loop uses less")]
+        return [_good("RT throttling", f"above {share:.0%} of a processor; the loop uses less")]
     return [
         _bad(
             "RT throttling",
             f"real-time programs may use {share:.0%} of a processor",
-            "beyond it the loop is stopped until the period ends",
+            "above this share the loop is stopped until the period ends",
             "`sysctl kernel.sched_rt_runtime_us=950000`",
         )
     ]
@@ -336,11 +340,11 @@ def _virtual(host: Host) -> list[HostCheck]:
     ticks = [int(f) for f in fields if f.isdigit()]
     total = sum(ticks)
     steal = ticks[7] / total if len(ticks) == 8 and total else 0.0
-    if steal > STEAL_MOST:
+    if steal > MAX_STEAL_SHARE:
         return [
             _bad(
                 "virtual machine",
-                f"{steal:.1%} of the time since the start was taken away by the host below",
+                f"{steal:.1%} of the time since the start was used by the physical host",
                 "ticks are late by whole time slices",
                 "run the daemon on real hardware, or give this machine processors of its own",
             )
@@ -349,8 +353,8 @@ def _virtual(host: Host) -> list[HostCheck]:
         return [
             _note(
                 "virtual machine",
-                f"yes; {steal:.1%} of the time since the start was taken away",
-                "each wake-up goes through the host below, and no tail is bounded",
+                f"yes; {steal:.1%} of the time since the start was used by the physical host",
+                "each wake-up passes through the physical host, so the worst case has no bound",
                 "run the daemon on real hardware",
             )
         ]
@@ -359,13 +363,13 @@ def _virtual(host: Host) -> list[HostCheck]:
 
 def _load(host: Host) -> list[HostCheck]:
     mean, cpus = load(host.root), host.granted.cpus
-    if not mean > cpus:  # NaN is not told
+    if not mean > cpus:  # NaN is not reported
         return [_good("load", f"{mean:g} on {cpus} processors")]
     return [
         _bad(
             "load",
             f"{mean:g} on {cpus} processors",
-            "service and subscribers wait for a processor, and so does the loop without FIFO",
+            "service and subscribers wait for a processor; without FIFO the loop waits, too",
             "end other programs (`top` names them)",
         )
     ]
@@ -373,7 +377,7 @@ def _load(host: Host) -> list[HostCheck]:
 
 def _serial_group(host: Host) -> list[HostCheck]:
     if host.silent or host.daemon is not None:
-        return []  # nobody but the daemon's user is to open the port
+        return []  # only the daemon's user must open the port
     ours = sorted(host.granted.groups & {"dialout", "uucp"})
     if ours or host.granted.is_root:
         return [_good("serial ports", f"member of {', '.join(ours)}" if ours else "root")]
@@ -382,14 +386,14 @@ def _serial_group(host: Host) -> list[HostCheck]:
             "serial ports",
             "this user is not in dialout",
             "the rig's port cannot be opened",
-            "`usermod -aG dialout $USER`, then log in anew",
+            "`usermod -aG dialout $USER`, then log in again",
         )
     ]
 
 
 def _disk(host: Host) -> list[HostCheck]:
     free, where = host.granted.free_bytes, host.granted.recordings
-    if free >= FREE_LEAST:
+    if free >= MIN_FREE_BYTES:
         return [_good("disk", f"{free / 2**30:.1f} GiB free in {where}")]
     return [
         _bad(

@@ -1,6 +1,6 @@
-"""One recorder for many rigs: each in a thread and in files of its own.
+"""Recorder for many rigs, with a separate thread and separate files for each rig.
 
-Whatever becomes of one, the others are recorded on.
+If the recording of one rig fails, the others continue.
 """
 
 from __future__ import annotations
@@ -16,37 +16,38 @@ import zenoh
 from armrig_core.codes import COMPLETE
 
 from armrig.rig.live_rigs import ids_alive
-from armrig.rig.remote_recorder import Ended, RemoteRecorder
 from armrig.rig.remote_recording import (
     DiskError,
+    Ended,
     RecordedFile,
+    RemoteRecorder,
     RemoteRecording,
     Tell,
     recorder_ended,
 )
 
-_LOOK_S = 1.0
-_ASK_S = 0.2
-_AGAIN_S = 60.0
-"""Least time between the end of a rig's recording by a full disk and its next one, in s."""
-_ROOM = 64 << 20
-"""Free space that this next recording needs, in B."""
+_LOOK_INTERVAL_S = 1.0
+_BEGIN_INTERVAL_S = 0.2
+_DISK_PAUSE_S = 60.0
+"""Least time in s between an end of a rig's recording by a full disk and its next recording."""
+_MIN_FREE_BYTES = 64 << 20
+"""Least free space, in B, for the next recording after a full disk."""
 
 
 @dataclass(slots=True)
 class RigRecorded:
-    """What became of one rig."""
+    """Result of one rig's recording."""
 
     rig: str
     files: list[RecordedFile]
     why: str = ""
-    """Why its recording ended before the others; empty where it did not."""
+    """Reason for an early end; "" if the recording did not end early."""
     again_s: float = float("inf")
-    """Earliest time of its next recording, on the monotonic clock; inf if there is none."""
+    """Earliest time of the rig's next recording, on the monotonic clock; inf for no recording."""
 
 
 class FleetRecorder:
-    """Records the rigs of a session, each from when it is there."""
+    """Recorder of the rigs of a session; it records each rig as soon as the rig appears."""
 
     def __init__(
         self,
@@ -56,17 +57,17 @@ class FleetRecorder:
         tell: Tell,
         tell_error: Tell,
     ) -> None:
-        """Record nobody yet.
+        """Prepare a recorder without rigs.
 
         Parameters
         ----------
         endpoint : str
-            Of the router, as the files name it.
+            Endpoint of the router, which the files contain.
         path_of : callable
-            Returns the path of a rig's first file.
+            Function that returns the path of a rig's first file.
         tell, tell_error : callable
-            Called with a line for a person, by one thread at a time; the second one if the
-            recording of a rig ended early.
+            Functions that are called with a message for people, by one thread at a time.
+            `tell_error` is called if the recording of a rig ended early.
         """
         self._session, self._endpoint = session, endpoint
         self._path_of, self._tell_person, self._tell_error = path_of, tell, tell_error
@@ -78,13 +79,13 @@ class FleetRecorder:
     def record(
         self, ended: Ended, seconds: float | None, rigs: Collection[str] | None
     ) -> list[RigRecorded]:
-        """Record until `ended` is set, or for `seconds`; return what became of each rig.
+        """Record until `ended` is set or `seconds` have passed; return the result of each rig.
 
         Parameters
         ----------
         rigs : collection of str, optional
-            Their ids; None are all that are there, and those that come. Where the recordings of
-            all these have ended early, nothing is waited for.
+            Ids of the rigs; None for all rigs that exist or appear. If ids are given, the function
+            also returns after the recordings of all these rigs have ended early.
         """
         until = float("inf") if seconds is None else time.monotonic() + seconds
         try:
@@ -93,7 +94,7 @@ class FleetRecorder:
                     self._begin(rig)
                 if rigs is not None and not any(t.is_alive() for t in self._threads.values()):
                     break
-                ended.wait(min(_LOOK_S, until - now))
+                ended.wait(min(_LOOK_INTERVAL_S, until - now))
         finally:
             self._ended.set()
         for thread in self._threads.values():
@@ -107,18 +108,18 @@ class FleetRecorder:
     def _fail(self, recorded: RigRecorded, err: Exception) -> None:
         recorded.why = str(err)
         if isinstance(err, DiskError):
-            recorded.again_s = time.monotonic() + _AGAIN_S
+            recorded.again_s = time.monotonic() + _DISK_PAUSE_S
         with self._telling:
             self._tell_error(f"rig {recorded.rig}: its recording ended: {err}")
 
     def _may_begin(self, rig: str) -> bool:
-        """Return whether a rig may be recorded: the first time, or after a full disk has room."""
+        """Return True for a rig that was not recorded yet, or after a full disk has space again."""
         if rig not in self._threads:
             return True
         if self._threads[rig].is_alive() or time.monotonic() < self._recorded[rig].again_s:
             return False
         try:
-            return shutil.disk_usage(self._path_of(rig).parent).free >= _ROOM
+            return shutil.disk_usage(self._path_of(rig).parent).free >= _MIN_FREE_BYTES
         except OSError:
             return False
 
@@ -144,7 +145,7 @@ class FleetRecorder:
         try:
             recorder = RemoteRecorder(self._session, recording)
             while not recorder.begin():
-                if self._ended.wait(_ASK_S):
+                if self._ended.wait(_BEGIN_INTERVAL_S):
                     break
             else:
                 self._tell(f"recording rig {rig}")
@@ -154,7 +155,7 @@ class FleetRecorder:
         try:
             recording.finish(ended)
         except (RuntimeError, OSError) as err:
-            error = error or err  # a full disk refuses the end of the file, too
+            error = error or err  # a full disk also refuses the end of the file
         recorded.files += recording.done
         if error is not None:
             self._fail(recorded, error)

@@ -1,7 +1,7 @@
-"""What this host is, by the kernel's files, and what the kernel grants here.
+"""Properties of this host, from the kernel's files, and rights that the kernel grants.
 
-Run as a program with a priority it tries SCHED_FIFO and mlockall, and prints what was granted as
-`1 0`: neither can be asked about without getting it.
+The kernel grants or refuses SCHED_FIFO and mlockall only on request. As a program, with a priority
+as its argument, this module requests both rights and prints the results, such as `1 0`.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 
 Level = Literal["good", "note", "bad"]
 PRIORITY = 80
-"""SCHED_FIFO priority of the daemon's loop where its configuration says no other."""
+"""Default SCHED_FIFO priority of the daemon's loop."""
 _MCL_CURRENT_AND_FUTURE = 3  # <sys/mman.h>
 
 
 def granted() -> tuple[bool, bool]:
-    """Return whether SCHED_FIFO and mlockall are granted, tried in a process of its own."""
+    """Return whether SCHED_FIFO and mlockall are granted, from a trial in another process."""
     program = [sys.executable, "-m", "armrig.lab.host", str(PRIORITY)]
     printed = subprocess.run(program, capture_output=True, check=True, text=True).stdout.split()
     return printed[0] == "1", printed[1] == "1"
 
 
 def set_fifo(priority: int) -> bool:
-    """Ask for SCHED_FIFO, which knows no priority 0; return whether it was granted."""
+    """Request SCHED_FIFO with a priority above 0; return True if it was granted."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except OSError:
@@ -48,12 +48,12 @@ def set_fifo(priority: int) -> bool:
 
 
 def lock_memory() -> bool:
-    """Keep all memory in place; return whether that was granted."""
+    """Request to lock all memory; return True if the lock was granted."""
     return bool(ctypes.CDLL(None).mlockall(_MCL_CURRENT_AND_FUTURE) == 0)
 
 
 def text(path: Path) -> str:
-    """Return a file of the kernel in one line, or nothing where it cannot be read."""
+    """Return the text of a file of the kernel without outer spaces; "" if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
@@ -77,13 +77,13 @@ def preemption(root: Path) -> str:
 
 
 def governors(root: Path) -> list[str]:
-    """Return the frequency governors in use; none where the kernel scales no frequency."""
+    """Return the frequency governors in use; an empty list if the kernel scales no frequency."""
     files = (root / "sys/devices/system/cpu").glob("cpu[0-9]*/cpufreq/scaling_governor")
     return sorted({text(file) for file in files} - {""})
 
 
 def virtual(root: Path) -> bool:
-    """Return whether a hypervisor is below."""
+    """Return True if the processors report a hypervisor."""
     return re.search(r"^flags\s*:.*\bhypervisor\b", cpuinfo(root), re.MULTILINE) is not None
 
 
@@ -93,7 +93,7 @@ def load(root: Path) -> float:
 
 
 def cpuinfo(root: Path) -> str:
-    """Return what the kernel says of the processors."""
+    """Return the kernel's description of the processors."""
     return text(root / "proc/cpuinfo")
 
 
@@ -103,29 +103,29 @@ if __name__ == "__main__":
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Granted:
-    """What only a trial tells."""
+    """Rights and resources of this user, as determined by a trial."""
 
     fifo: bool
-    """SCHED_FIFO at the loop's priority."""
+    """True if SCHED_FIFO at the loop's priority is granted."""
     memory_lock: bool
-    """mlockall."""
+    """True if mlockall is granted."""
     is_root: bool
     groups: frozenset[str]
     """Names of this user's groups."""
     cpus: int
-    """Processors that this process may use."""
+    """Number of processors that this process may use."""
     recordings: Path
-    """Where recordings go."""
+    """Folder of the recordings."""
     free_bytes: int
-    """Free space there."""
+    """Free space in the folder, in B."""
 
 
 def probe(recordings: Path | None = None) -> Granted:
-    """Try, in a process of its own, what only a trial tells; the folder is the installed one."""
+    """Determine the rights by a trial; the folder is by default the one in the configuration."""
     fifo, memory_lock = granted()
     user = Path(platformdirs.user_config_dir("armrig"))
     directory = recordings or recordings_directory(Path("/"), user)
-    # Of a folder that this user may not enter the one above it tells.
+    # If this user may not enter the folder, the disk of the nearest accessible parent is examined.
     there = next(path for path in (directory, *directory.parents) if os.access(path, os.F_OK))
     names = set()
     for gid in {os.getegid(), *os.getgroups()}:
@@ -143,10 +143,10 @@ def probe(recordings: Path | None = None) -> Granted:
 
 
 def recordings_directory(root: Path, user: Path) -> Path:
-    """Return where the installed configuration, or none, lets recordings go."""
+    """Return the folder of recordings, from the installed configuration, otherwise the default."""
     chosen = ""
     for path in (root / "etc/armrig/armrig.toml", user / "armrig.toml"):
-        with suppress(OSError, ValueError, AttributeError):  # the daemon says what is wrong with it
+        with suppress(OSError, ValueError, AttributeError):  # the daemon reports the error
             tables = read_toml(path, CONFIGURATION_LIMIT)
             chosen = tables.get("recording", {}).get("directory", "") or chosen
     if chosen:
@@ -156,30 +156,30 @@ def recordings_directory(root: Path, user: Path) -> Path:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostCheck:
-    """One thing that was examined, and what was found."""
+    """Result of one check of the host."""
 
     name: str
     level: Level
-    """bad: it costs timing here; note: it costs little, or cannot be told or mended here; good."""
+    """bad: an effect on timing; note: a small or unknown effect, or no remedy; good: no effect."""
     found: str
     costs: str = ""
-    """What it costs; empty where it is good."""
+    """Effect on timing; "" for a good result."""
     mend: str = ""
-    """How to mend it."""
+    """Remedy."""
 
     def __str__(self) -> str:
-        """Return the line for a person."""
+        """Return the result in one line of text."""
         parts = [f"{self.level:4}  {self.name}: {self.found}", self.costs, self.mend]
         return "; ".join(part for part in parts if part)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Host:
-    """One host: its files and what it grants."""
+    """A host: the root of its files, its rights, and the report of its daemon."""
 
     root: Path
     granted: Granted
     daemon: StatusReport | None = None
-    """What the daemon of this machine reports; it is judged in place of the user who calls."""
+    """Status of this machine's daemon, whose rights are examined instead of the caller's rights."""
     silent: str = ""
-    """Why the service of this machine does not answer; the user who calls will start none."""
+    """Reason why this machine's service does not answer; the caller will not start a daemon."""

@@ -1,4 +1,4 @@
-"""The service of this machine: which files and commands install it, and which take it away."""
+"""Service of this machine: the files and commands that install and remove the service."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ from typing import Literal
 from armrig_core.errors import InputError, OperationError
 
 SHIPPED = "/opt/armrig/bin/armrigd"
-"""The program that the unit names as it is shipped; `armrig` is next to it."""
+"""Path of the daemon in the shipped unit; `armrig` is in the same folder."""
 _FOLDERS = {
     "systemd": "etc/systemd/system",
     "udev": "etc/udev/rules.d",
     "sysusers.d": "etc/sysusers.d",
     "tmpfiles.d": "etc/tmpfiles.d",
 }
-_UNSEEN = ("/home", "/root", "/tmp", "/var/tmp", "/run/user")  # by the unit's sandbox
+_HIDDEN_FOLDERS = ("/home", "/root", "/tmp", "/var/tmp", "/run/user")  # in the unit's sandbox
 _DROP_INS = "armrig*.service.d/*.conf"
 _NETWORK = re.compile(
     r"(?im)^\s*(PrivateNetwork\s*=\s*(n|no|f|false|off|0)\s*$|IPAddressAllow\s*=[ \t]*\S"
     r"|RestrictAddressFamilies\s*=.*\bAF_INET)"
 )
 _SYSTEM = Path("/")
-_UDEV = Path("/run/udev/control")  # there where udev runs, which in a container it may not
+_UDEV = Path("/run/udev/control")  # exists if udev runs; some containers have no udev
 
 FileState = Literal["installed", "differs", "missing"]
 Part = Literal["rig", "router", "recorder"]
-"""What a machine may have: the daemons of its rigs, a lab's router, a recorder of all rigs."""
+"""Parts of a machine's service: daemons of its rigs, router of a lab, recorder of all rigs."""
 UNITS: dict[Part, str] = {
     "rig": "armrigd@.service",
     "router": "armrig-router.service",
     "recorder": "armrig-recorder.service",
 }
-_OF_RIGS: tuple[Part, ...] = ("rig",)
+_RIG_PARTS: tuple[Part, ...] = ("rig",)
 _PART_OF: dict[str, Part] = {
     **{unit: part for part, unit in UNITS.items()},
     "70-armrig.rules": "rig",
     "armrig-router.conf": "router",
     "armrig-recorder.conf": "recorder",
 }
-"""Files of one part alone; all others are of each."""
+"""Part of each file that belongs to a single part; the other files belong to all parts."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,21 +54,21 @@ class File:
     """A file of the service."""
 
     path: Path
-    """Where it is installed."""
+    """Path of the installed file."""
     text: str
-    """What is installed there."""
+    """Content of the file."""
     part: Part | None = None
-    """The part that alone needs it."""
+    """The part that needs the file; None if all parts need it."""
 
     @property
     def state(self) -> FileState:
-        """Whether it is there, and is what we would write."""
+        """State of the installed file, compared with `text`."""
         if not self.path.exists():
             return "missing"
         return "installed" if self._there() == self.text else "differs"
 
     def difference(self) -> list[str]:
-        """Return what would change in the file that is there, as lines of a diff."""
+        """Return the changes to the installed file, as lines of a diff."""
         there = self._there().splitlines()
         lines = unified_diff(there, self.text.splitlines(), "there", "new", n=0, lineterm="")
         return list(lines)[2:]
@@ -79,19 +79,19 @@ class File:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """What is to be done, in this order."""
+    """Steps of an installation, in this order."""
 
     first: tuple[tuple[str, ...], ...] = ()
-    """Commands before any file changes."""
+    """Commands before the changes of files."""
     written: tuple[File, ...] = ()
     removed: tuple[File, ...] = ()
     last: tuple[tuple[str, ...], ...] = ()
-    """Commands after it."""
+    """Commands after the changes of files."""
     kept: tuple[Path, ...] = ()
-    """Drop-ins of whoever runs the machine, which the next installation takes up again."""
+    """Drop-ins of the machine's administrator, which a later installation uses again."""
 
     def lines(self) -> Iterator[str]:
-        """Iterate over what a person is shown before anything is done."""
+        """Yield the description of the plan as lines of text."""
         yield from (f"run      {' '.join(command)}" for command in self.first)
         for file in self.written:
             if file.state == "differs":
@@ -105,13 +105,13 @@ class Plan:
             yield f"remove   {file.path}{changed}"
         yield from (f"run      {' '.join(command)}" for command in self.last)
         for path in self.kept:
-            # A link that leads nowhere is one that systemd passes over.
+            # systemd ignores a link to nothing.
             text = path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
             opens = ", which opens the network" if _NETWORK.search(text) else ""
             yield f"keep     {path}{opens}"
 
     def carry_out(self, run: Callable[[Sequence[str]], None]) -> None:
-        """Do it; `run` runs a command and raises where it fails."""
+        """Carry out the plan; `run` runs a command and raises an exception if the command fails."""
         for command in self.first:
             run(command)
         for file in self.written:
@@ -128,41 +128,41 @@ class Plan:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unit:
-    """The service of one rig, the router's or the recorder's."""
+    """Service of a rig, of the router or of the recorder."""
 
     part: Part
     rig: str
-    """Id of the rig; "" of the router and the recorder."""
+    """Id of the rig; "" for the router and the recorder."""
     enabled: bool
-    """It starts with the machine."""
+    """True if the service starts with the machine."""
     active: str
-    """As systemd says: active, inactive, failed, …"""
+    """State in systemd: active, inactive, failed, …"""
     status: str
-    """What the daemon says of itself."""
+    """Status text of the daemon."""
 
     @property
     def name(self) -> str:
-        """As systemd knows it, such as armrigd@1.service."""
+        """Name in systemd, such as armrigd@1.service."""
         return UNITS[self.part].replace("@", f"@{self.rig}")
 
     @property
     def title(self) -> str:
-        """What a person calls it."""
+        """Name of the service in texts: rig and id, router or recorder."""
         return f"rig {self.rig}" if self.rig else self.part
 
 
 def parts_of(root: Path) -> set[Part]:
-    """Return the parts whose unit is there."""
+    """Return the parts of which a file is installed."""
     return {file.part for file in files(root) if file.part and file.state != "missing"}
 
 
 def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
-    """Return the files of these parts of the service, as they are installed below `root`.
+    """Return the files of these parts of the service, with their paths below `root`.
 
     Raises
     ------
     ValueError
-        Of this machine: the unit could not start the program of this installation.
+        `root` is this machine, and its units could not start the program of this installation.
     """
     shipped = SHIPPED.removesuffix("d")
     program = _program().removesuffix("d") if root == _SYSTEM else shipped
@@ -176,8 +176,8 @@ def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
     return found
 
 
-def installing(root: Path, parts: Collection[Part] = _OF_RIGS) -> Plan:
-    """Return what installs these parts, and renews those that are there; twice is as once."""
+def installing(root: Path, parts: Collection[Part] = _RIG_PARTS) -> Plan:
+    """Return the plan that installs these parts and updates installed parts; it is idempotent."""
     at = _at(root)
     last = [("systemd-sysusers", *at), ("systemd-tmpfiles", *at, "--create", "armrig.conf")]
     wanted = files(root, {*parts, *parts_of(root)})
@@ -188,7 +188,7 @@ def installing(root: Path, parts: Collection[Part] = _OF_RIGS) -> Plan:
 
 
 def uninstalling(root: Path) -> Plan:
-    """Return what takes the service away; what is not of the installation stays."""
+    """Return the plan that removes the service; drop-ins of the administrator are kept."""
     units = tuple(unit.name for unit in units_of(root))
     now = ("--now",) if root == _SYSTEM else ()
     there = tuple(file for file in files(root) if file.state != "missing")
@@ -228,12 +228,12 @@ def _unit(name: str, enabled: bool, root: Path) -> Unit:
 
 
 def run_command(command: Sequence[str]) -> None:
-    """Run a command whose output a person sees.
+    """Run a command; its output is shown.
 
     Raises
     ------
     RuntimeError
-        It is not there, or fails.
+        The command does not exist, or fails.
     """
     try:
         code = subprocess.run(command, check=False).returncode
@@ -246,19 +246,19 @@ def run_command(command: Sequence[str]) -> None:
 
 
 def _deploy() -> Path:
-    """Return the folder of the files: in the wheel, or of the checkout."""
+    """Return the folder of the service's files, in the wheel or in the checkout."""
     wheel = Path(__file__).parents[1] / "deploy"
     return wheel if wheel.is_dir() else Path(__file__).parents[3] / "deploy"
 
 
 def _program() -> str:
     program = Path(sys.prefix) / "bin" / "armrigd"
-    # Of a virtual environment the interpreter lies elsewhere: uv and pyenv keep theirs in a home.
+    # The interpreter of a virtual environment is elsewhere: uv and pyenv keep it in a home.
     for needed in (program, Path(sys.base_prefix)):
-        hidden = next((top for top in _UNSEEN if needed.is_relative_to(top)), "")
+        hidden = next((top for top in _HIDDEN_FOLDERS if needed.is_relative_to(top)), "")
         if hidden:
             raise InputError(
-                f"{needed}: the service sees nothing of {hidden}; install armrig into "
+                f"{needed}: the service cannot see {hidden}; install armrig into "
                 "/opt/armrig with /usr/bin/python3, and run its armrig service install"
             )
     return str(program)
@@ -269,7 +269,7 @@ def _at(root: Path) -> tuple[str, ...]:
 
 
 def _reloading(root: Path) -> list[tuple[str, ...]]:
-    """Return what makes the running system read its files anew."""
+    """Return the commands after which the running system uses the changed files."""
     if root != _SYSTEM:
         return []
     commands: list[tuple[str, ...]] = [("systemctl", "daemon-reload")]

@@ -1,9 +1,9 @@
-"""A small certificate authority: keys and certificates for rigs and those who use them.
+"""Small certificate authority: keys and certificates for rigs and their users.
 
-Keys on P-256 and signatures by ECDSA with SHA-256, which all that speak TLS 1.3 know. What a
-certificate is for stands in it: an operator's does not pass for that of a rig or a router where
-these are connected to, and none signs others. A rig's connects to a router, and is on no list of
-those who may drive or watch.
+Keys are on P-256, and signatures are ECDSA with SHA-256, which all TLS 1.3 implementations know. A
+certificate contains its purpose. A client therefore refuses an operator's certificate in place of a
+rig's or a router's certificate. No issued certificate can sign others. A rig's certificate permits
+a connection to a router, but no command and no reading of streams.
 """
 
 from __future__ import annotations
@@ -25,34 +25,34 @@ from armrig_core.topics import check_rig_id
 Role = Literal["operators", "observers"]
 RIG_DAYS = 365
 AUTHORITY_DAYS = 3650
-_BEFORE = timedelta(hours=1)  # so much may the clock of another machine be behind
+_CLOCK_TOLERANCE = timedelta(hours=1)  # of another machine's clock that is late
 _KEY, _CERTIFICATE, ACCESS_LIST = "authority.key", "authority.pem", "access.toml"
 _HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)(\.(?!-)[A-Za-z0-9-]{1,63}(?<!-))*")
 
 
 class Issued(NamedTuple):
-    """A certificate of the authority."""
+    """Certificate that the authority has signed."""
 
     name: str
     role: str
-    """`rig`, `router`, or the access list's word."""
+    """`rig`, `router`, or the role in the access list."""
     expires: datetime
     path: Path
 
 
 def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool = False) -> Path:
-    """Make an authority in `directory`, with an empty access list; return its certificate's path.
+    """Create an authority in `directory` with an empty access list; return its certificate's path.
 
     Raises
     ------
     InputError
-        There is one already: whatever it has signed would count no more.
+        An authority exists, and all its certificates would become invalid.
     """
     x509, ec, _, hashes = _library()
     if not force and (directory / _KEY).exists():
         raise InputError(
             f"{directory / _KEY}: there is an authority already; --force makes another, and all "
-            "certificates of the first count no more"
+            "certificates of the first become invalid"
         )
     key = ec.generate_private_key(ec.SECP256R1())
     name = _name("armrig authority")
@@ -73,14 +73,15 @@ def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool =
 def issue_to_rig(
     directory: Path, rig: str, hosts: Sequence[str], *, days: int = RIG_DAYS, force: bool = False
 ) -> Issued:
-    """Make the credential of a rig's daemon, and put the rig on the access list.
+    """Create the credential of a rig's daemon, and put the rig on the access list.
 
-    Clients reach it under the names in `hosts`; without any it is good for a router alone.
+    `hosts` are the names by which clients connect to the rig. Without hosts, the credential is
+    valid only for a connection to a router.
 
     Raises
     ------
     InputError
-        There is no authority; the rig was revoked, or has a credential already; or a host is no
+        There is no authority; the rig was revoked or has a credential already; or a host is not a
         name.
     """
     name = check_name(rig_name(check_rig_id(rig)))
@@ -93,24 +94,22 @@ def issue_to_rig(
 def issue_to_router(
     directory: Path, hosts: Sequence[str], *, days: int = RIG_DAYS, force: bool = False
 ) -> Issued:
-    """Make the credential of a router, which rigs and people reach under the names in `hosts`.
+    """Create the credential of a router; rigs and people connect to it by the names in `hosts`.
 
     Raises
     ------
     InputError
-        There is no authority, or there is such a credential already; or a host is no name.
+        There is no authority, or there is a credential already; or a host is not a name.
     """
     if not hosts:
-        raise InputError(
-            "name the hosts under which the router is reached, such as --host lab.local"
-        )
+        raise InputError("name the hosts of the router for its clients, such as --host lab.local")
     return _issue(directory, ROUTER, ROUTER, [_host(host) for host in hosts], days, force=force)
 
 
 def issue_to_person(
     directory: Path, name: str, role: Role, *, days: int = RIG_DAYS, force: bool = False
 ) -> Issued:
-    """Make the credential of an operator or observer, and put the name on the access list.
+    """Create the credential of an operator or observer, and put the name on the access list.
 
     Raises
     ------
@@ -119,14 +118,14 @@ def issue_to_person(
     """
     _refuse_revoked(directory, name)
     if name.startswith(RIG_PREFIX) or name in ("authority", ROUTER):
-        raise InputError(f"{name!r} would be taken for a rig's or a router's: take another name")
+        raise InputError(f"{name!r} is a name of rigs or routers: use another name")
     issued = _issue(directory, name, role, [], days, force=force)
     _put_on_list(directory, name, role)
     return issued
 
 
 def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
-    """Give a rig, a router or a person a new key and certificate, for hosts and role of the old.
+    """Create a new key and certificate for a name, with the old certificate's hosts and role.
 
     Raises
     ------
@@ -137,7 +136,7 @@ def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
     path = directory / f"{check_name(name)}.pem"
     if not path.exists():
         raise InputError(
-            f"{path}: there is nothing to renew; `armrig pki list` shows what there is"
+            f"{path}: there is nothing to renew; `armrig pki list` shows the credentials"
         )
     role = read_access_list(directory / ACCESS_LIST).role(name)
     if role in ("operators", "observers"):
@@ -155,24 +154,24 @@ def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
 
 
 def revoke(directory: Path, name: str) -> None:
-    """Put a name on the list of those who may do nothing any more.
+    """Put a name on the list of revoked names, which have no rights.
 
     Raises
     ------
     InputError
-        The name is on no list.
+        The name is not on the access list.
     """
     people = read_access_list(directory / ACCESS_LIST)
     if people.role(check_name(name)) not in ("operators", "observers", "rigs"):
         raise InputError(
             f"{name!r} is neither an operator nor an observer nor a rig, such as rig-1; "
-            "`armrig pki list` shows who is"
+            "`armrig pki list` shows the names"
         )
     _write(directory / ACCESS_LIST, people.with_name(name, "revoked").toml().encode(), 0o644)
 
 
 def issued(directory: Path) -> list[Issued]:
-    """Return what the authority has issued, as far as it is still in its folder."""
+    """Return the certificates in the authority's folder that the authority has issued."""
     people = read_access_list(directory / ACCESS_LIST)
     found = []
     for path in sorted(directory.glob("*.pem")):
@@ -191,7 +190,7 @@ def issued(directory: Path) -> list[Issued]:
 def _refuse_revoked(directory: Path, name: str) -> None:
     if read_access_list(directory / ACCESS_LIST).role(check_name(name)) == "revoked":
         raise InputError(
-            f"{name!r} was revoked: the stolen certificate would count again; take another "
+            f"{name!r} was revoked: the stolen certificate would be valid again; use another "
             f"name, such as {name[:38]}-2"
         )
 
@@ -208,7 +207,7 @@ def _issue(
     path = directory / f"{name}.pem"
     if path.exists() and not force:
         raise InputError(
-            f"{path}: is there already; `armrig pki renew {name}` gives it a new key, --force too"
+            f"{path}: exists already; `armrig pki renew {name}` or --force makes a new key"
         )
     try:
         signing = serialization.load_pem_private_key((directory / _KEY).read_bytes(), None)
@@ -238,14 +237,14 @@ def _issue(
 
 
 def _library() -> Any:
-    """Return what is used of `cryptography`, which comes with the extra `pki` alone."""
+    """Import and return the necessary modules of `cryptography`, which the extra `pki` installs."""
     try:
         from cryptography import x509
         from cryptography.hazmat.primitives import hashes, serialization
         from cryptography.hazmat.primitives.asymmetric import ec
     except ModuleNotFoundError as err:
         raise InputError(
-            "certificates are made with cryptography: pip install 'armrig[pki]'"
+            "certificates need the package cryptography: pip install 'armrig[pki]'"
         ) from err
     return x509, ec, serialization, hashes
 
@@ -259,7 +258,7 @@ def _builder(subject: Any, issuer: Any, public_key: Any, days: int) -> Any:
         .issuer_name(issuer)
         .public_key(public_key)
         .serial_number(x509.random_serial_number())
-        .not_valid_before(now - _BEFORE)
+        .not_valid_before(now - _CLOCK_TOLERANCE)
         .not_valid_after(now + timedelta(days=days))
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(public_key), critical=False)
     )
@@ -290,9 +289,7 @@ def _host(host: str) -> Any:
     with suppress(ValueError):
         return x509.IPAddress(ipaddress.ip_address(host))
     if len(host) > 253 or not _HOST.fullmatch(host):
-        raise InputError(
-            f"--host {host!r}: a name such as lab-1.example.edu or an address is needed"
-        )
+        raise InputError(f"--host {host!r}: give a name such as lab-1.example.edu, or an address")
     return x509.DNSName(host)
 
 
@@ -318,12 +315,12 @@ def _read_certificates(path: Path) -> list[Any]:
     try:
         found: list[Any] = x509.load_pem_x509_certificates(data)
     except ValueError as err:
-        raise InputError(f"{path}: holds no certificate") from err
+        raise InputError(f"{path}: contains no certificate") from err
     return found
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """Write a file in one step, never readable by others before it has its mode."""
+    """Write a file atomically; the file has its mode from the beginning."""
     made = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with open(made, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:

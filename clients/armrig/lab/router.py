@@ -1,14 +1,13 @@
-"""A lab's router: zenoh's own, with the access control of one access list.
+"""Router of a lab: zenoh's router with the access control of one access list.
 
-Rigs connect to it as who they are, people as themselves; it passes on what both may say to each
-other, and keeps nothing.
+Rigs and people connect to the router with their own certificates. The router forwards the messages
+that its access list permits, and stores nothing.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import re
 from pathlib import Path
 from typing import Any
 
@@ -18,27 +17,33 @@ from armrig_core.access_list import AccessList, read_access_list
 from armrig_core.credential import Credential, read_credential
 from armrig_core.endpoint import check_listen
 from armrig_core.errors import InputError, OperationError
-from armrig_core.owned_session import NOT_FOUND, ROUTED_US, listening, strangers, transport
+from armrig_core.owned_session import (
+    NOT_FOUND,
+    ROUTED_US,
+    listening,
+    os_error_number,
+    strangers,
+    transport,
+)
 from armrig_core.topics import EVERY_RIG
 
 MOST_LINKS = 500
-"""Rigs and people at a time."""
-_OS_ERROR = re.compile(r"os error (\d+)")
+"""Largest number of connected rigs and people."""
 
 
 def router_config(endpoint: str, credential: Credential, people: AccessList) -> dict[str, Any]:
-    """Return the configuration of a router that is found by nobody.
+    """Return zenoh's configuration of a router that does not answer discovery.
 
     Parameters
     ----------
     endpoint : str
-        Where it listens.
+        Address on which the router listens.
     credential : Credential
-        What it shows to rigs and people.
+        Credential with which the router identifies itself to rigs and people.
     people : AccessList
-        Which rigs there may be, and who may do what with them.
+        Access list: the rigs, and the rights of people.
     """
-    way = transport(access_control.MOST_IN_A_MESSAGE, answer_us=ROUTED_US)
+    way = transport(access_control.MOST_MESSAGE_BYTES, answer_us=ROUTED_US)
     way["link"]["tls"] = credential.tls("listen")
     way["unicast"] = strangers(MOST_LINKS)
     return {
@@ -52,26 +57,26 @@ def router_config(endpoint: str, credential: Credential, people: AccessList) -> 
 
 
 def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Session, AccessList]:
-    """Return a router's session, which must be closed, and who may use it.
+    """Open a router's session, which the caller must close; return it with the access list.
 
     Parameters
     ----------
     endpoint : str
-        Where it listens, such as tls/0.0.0.0:7447.
+        Address on which the router listens, such as tls/0.0.0.0:7447.
     certificate : Path
-        Its credential, which `armrig pki router` writes.
+        Credential of the router, as written by `armrig pki router`.
     names : Path
-        The access list.
+        Path of the access list.
 
     Raises
     ------
     ValueError
-        The endpoint is not tls/HOST:PORT, or one of the files cannot be used.
+        The endpoint is not tls/HOST:PORT, or a file cannot be used.
     OperationError
-        It cannot listen there.
+        The router cannot listen on the endpoint.
     """
     if check_listen(endpoint) != "tls":
-        msg = f"{endpoint!r}: a router knows rigs and people by their certificates: take "
+        msg = f"{endpoint!r}: a router identifies rigs and people by their certificates: use "
         raise InputError(msg + f"tls/{endpoint.partition('/')[2]}")
     people = read_access_list(names)
     config = router_config(endpoint, read_credential(certificate, "router"), people)
@@ -79,8 +84,8 @@ def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Se
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(config))), people
     except zenoh.ZError as err:
-        found = _OS_ERROR.search(str(err))
-        why = os.strerror(int(found[1])) if found else str(err).splitlines()[0][:200]
+        number = os_error_number(err)
+        why = os.strerror(number) if number else str(err).splitlines()[0][:200]
         raise OperationError(
-            f"{endpoint}: {why}; see that host and port are this machine's, and free"
+            f"{endpoint}: {why}; check that the host is this machine and the port is free"
         ) from err

@@ -1,11 +1,12 @@
-"""Figures: each takes `ax` or makes one, returns it, and names the recording it shows.
+"""Figures. A plot function draws into `ax` or new axes, returns the axes, and names the recording.
 
-A result's `.plot()` draws the same and returns the whole figure, to be saved:
-`armrig.delay(data).plot().savefig("delay.svg")`; its panels are `.axes`. For several in one figure
-give each its own axes, `.plot(ax=ax)`, and mark all panels in the end, `letter(figure)`.
+The method `.plot()` of a result draws the same and returns the figure, which can be saved:
+`armrig.delay(data).plot().savefig("delay.svg")`. The panels are `.axes` of the figure. To draw
+several results in one figure, give each its own axes, `.plot(ax=ax)`, and mark all panels with
+`letter(figure)`.
 
-Colours are Okabe and Ito's, told apart by the colour-blind; line styles tell the same in black and
-white. A second panel, where a figure has one, takes its place from the lower part of `ax`.
+The colours are Okabe and Ito's, which colour-blind readers can distinguish; line styles distinguish
+curves in black and white. A second panel occupies the lower part of `ax`, which is shortened.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ __all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name; its module is loaded only now."""
+    """Return a public name; its module is loaded at the first use."""
     return public(__name__, name)
 
 

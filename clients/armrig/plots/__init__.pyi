@@ -40,4 +40,4 @@ from armrig.validation.feedback_and_delay.figures import plot_delay as plot_dela
 from armrig.validation.feedback_and_delay.figures import plot_open_loop as plot_open_loop
 from armrig.validation.figures import plot_compare as plot_compare
 from armrig.validation.figures import plot_residuals as plot_residuals
-from armrig.validation.search_figure import plot_search as plot_search
+from armrig.validation.figures import plot_search as plot_search

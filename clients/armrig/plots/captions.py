@@ -1,4 +1,4 @@
-"""What a figure writes: names of curves above the axes, symbols, and whence the numbers are."""
+"""Texts of a figure: names of curves above the axes, symbols, and the sources of the numbers."""
 
 from __future__ import annotations
 
@@ -19,32 +19,34 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 NAMES = {THETA_1: r"$\theta_1$", ALPHA: r"$\alpha$", VELOCITY: r"$\dot\theta_1$"}
-_FROM_RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+_RAISED_DIGITS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
-_RUNS: ContextVar[Mapping[str, str]] = ContextVar("_RUNS", default=MappingProxyType({}))
+_RUN_OF_HASH: ContextVar[Mapping[str, str]] = ContextVar(
+    "_RUN_OF_HASH", default=MappingProxyType({})
+)
 
 
 @contextmanager
 def named_by_run(runs: Mapping[str, str]) -> Iterator[None]:
-    """Sign figures in this context with the run's id, as in `@0000000b`, in place of the hash.
+    """Sign figures in this context with the run's id, such as `@0000000b`, instead of the hash.
 
     Parameters
     ----------
     runs : mapping of str to str
-        Hash of a recording -> id of its run, or "" for none.
+        Id of each run, by the hash of its recording; "" if the run has no id.
     """
-    token = _RUNS.set(runs)
+    token = _RUN_OF_HASH.set(runs)
     try:
         yield
     finally:
-        _RUNS.reset(token)
+        _RUN_OF_HASH.reset(token)
 
 
 def signature(*sources: str, runs: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Return the kind of files and their hashes, shortened: `recordings 0123…, 4567…`.
+    """Return the kinds of files and their shortened hashes: `recordings 0123…, 4567…`.
 
-    A recording whose hash is in `runs` has the id of its run in place of the hash.
+    For a recording whose hash is in `runs`, the id of the run replaces the hash.
     """
     hashes: dict[str, list[str]] = {}
     for one in dict.fromkeys(h for source in sources for h in source.split("+") if h):
@@ -58,27 +60,27 @@ def signature(*sources: str, runs: Mapping[str, str] = MappingProxyType({})) -> 
 
 
 def sign(ax: Axes, *sources: str, above: float = 0.0) -> Axes:
-    """Write what the numbers are from above the axes, small.
+    """Write the sources of the data above the axes, in small type, and return `ax`.
 
     Parameters
     ----------
     above : float
-        Height, in points, of what stands above the axes already: see `legend`.
+        Height, in points, of the legend above the axes, as `legend` returns it.
     """
-    if text := signature(*sources, runs=_RUNS.get()):
+    if text := signature(*sources, runs=_RUN_OF_HASH.get()):
         ax.set_title(text, loc="right", fontsize="x-small", color=GREY, pad=3 + above)
     return ax
 
 
 def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
-    """Name the curves above the axes, where they cover nothing, and return the height in points.
+    """Draw the legend above the axes, and return the height of all texts there, in points.
 
     Parameters
     ----------
     notes : str
-        Lines to stand above the names, such as a p value.
+        Lines above the names, such as a p value.
     lift : float
-        Height, in points, of what stands above the axes already: see `hertz`.
+        Height, in points, of the ticks above the axes, as `hertz` returns it.
     """
     import matplotlib as mpl
     from matplotlib.font_manager import FontProperties
@@ -90,7 +92,7 @@ def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
         return lift
     font = FontProperties(size="small")
     size = font.get_size_in_points()
-    room = 0.92 * 72 * ax.bbox.width / ax.figure.dpi  # labels may yet take some of it
+    room = 0.92 * 72 * ax.bbox.width / ax.figure.dpi  # 8 % is left for the labels of the axis
 
     def width(text: str) -> float:
         return max(
@@ -133,7 +135,7 @@ def legend(ax: Axes, *notes: str, lift: float = 0.0) -> float:
 
 
 def _fits(widths: list[float], columns: int, room: float, size: float) -> bool:
-    """Return whether names of these widths fit side by side; columns are filled one by one."""
+    """Return whether names of these widths fit into the width `room` in so many columns."""
     rest, total = list(widths), 1.2 * size * (columns - 1)
     for k in range(columns):
         n = len(widths) // columns + (k < len(widths) % columns)
@@ -143,26 +145,26 @@ def _fits(widths: list[float], columns: int, room: float, size: float) -> bool:
 
 
 def in_mathtext(text: str) -> str:
-    """Return powers of ten in raised digits, 10⁻³, as mathematics, which every font has."""
+    """Return a text with its powers of ten, such as 10⁻³, in mathtext, since few fonts have ⁻³."""
 
     def power(found: re.Match[str]) -> str:
-        return f"$10^{{{found[1].translate(_FROM_RAISED)}}}$"
+        return f"$10^{{{found[1].translate(_RAISED_DIGITS)}}}$"
 
     return re.sub("10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)", power, text)
 
 
 def symbol(parameter: str) -> str:
-    """Return a parameter's name as mathematics: J_1 as $J_1$, K_lin as $K_{lin}$."""
+    """Return a parameter's name in mathtext: J_1 as $J_1$, K_lin as $K_{lin}$."""
     letter, _, index = parameter.partition("_")
     index = f"{{{index}}}" if len(index) > 1 else index
     return f"${letter}_{index}$" if index else f"${letter}$"
 
 
 def named(output: str, unit: str) -> str:
-    """Return an output's label for an axis."""
+    """Return the label of an output's axis."""
     return f"{NAMES.get(output, output)} [{unit or '–'}]"
 
 
 def short(x: float) -> str:
-    """Return a number with three digits, or all before the point."""
+    """Return a number as text with three digits, or with all digits before the decimal point."""
     return three_digits(x)

@@ -1,8 +1,9 @@
-"""Where a figure draws: axes, panels below or beside them, the look of all, and the file."""
+"""Layout of a figure: axes, panels below or to the right of them, the style, and the file."""
 
 from __future__ import annotations
 
 from itertools import cycle
+from math import tau
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
@@ -14,15 +15,18 @@ if TYPE_CHECKING:
 
     import numpy as np
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis, XAxis, YAxis
     from matplotlib.figure import Figure
     from matplotlib.gridspec import SubplotSpec
     from numpy.typing import NDArray
 
 
 MISSING = "#BBBBBB"
-_LETTER = "_letter"
-_WIDE = 2.0  # width over height, from which on two panels stand side by side
-# M. Okabe, K. Ito, "Color Universal Design", 2008; without the yellow, too pale on paper.
+_LETTER_LABEL = "_letter"
+MIN_WIDE_RATIO = 2.0
+"""Ratio of width to height from which two panels are drawn side by side."""
+# M. Okabe, K. Ito, "Color Universal Design", 2008; the yellow is left out, because it is too pale
+# on paper.
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
 PURPLE, ORANGE, SKY = "#CC79A7", "#E69F00", "#56B4E9"
 INK, GREY = "#222222", "#777777"
@@ -39,7 +43,7 @@ WIDTHS = (3.6, 2.0, 0.8, 1.2, 1.2, 0.8)
 
 
 def axes(ax: Axes | None) -> Axes:
-    """Return `ax`, or those of a new figure of pyplot's, laid out so that nothing is cut off."""
+    """Return `ax`, or the axes of a new pyplot figure with constrained layout."""
     if ax is not None:
         return ax
     from matplotlib import pyplot as plt
@@ -48,9 +52,10 @@ def axes(ax: Axes | None) -> Axes:
 
 
 def figure_of(ax: Axes) -> Figure:
-    """Return the whole figure in which axes lie: what a result's `.plot()` gives, to be saved.
+    """Return the figure that contains the axes, for the method `.plot()` of a result.
 
-    Its panels have letters if they are of this result alone: a figure of several is its maker's.
+    If all panels belong to one result, they are marked by letters. In a figure of several results
+    the caller must call `letter`.
     """
     figure = ax.figure.figure
     if len({_group(one) for one in figure.axes}) == 1:
@@ -60,19 +65,20 @@ def figure_of(ax: Axes) -> Figure:
 
 
 def letter(figure: Figure) -> None:
-    """Mark the panels of a figure by (a), (b), …, each result's from top to bottom.
+    """Mark the panels by (a), (b), … in the order of the results, from top to bottom in each.
 
-    A figure of one panel has no letter. A second call marks them again.
+    A figure of one panel has no letter. A second call replaces the letters of the first.
     """
-    # Not findobj, which makes the ticks of every axis first.
-    for old in [text for ax in figure.axes for text in ax.texts if text.get_label() == _LETTER]:
+    # Not findobj, which creates the ticks of every axis.
+    texts = [text for ax in figure.axes for text in ax.texts]
+    for old in [text for text in texts if text.get_label() == _LETTER_LABEL]:
         old.remove()
     panels: dict[tuple[int, float, float], Axes] = {}
     for ax in figure.axes:
-        panels.setdefault(_reading_order(ax), ax)  # a second scale has the place of the first
+        panels.setdefault(_reading_order(ax), ax)  # axes of a second scale are the same panel
     every = [panels[place] for place in sorted(panels)] if len(panels) > 1 else []
     for ax, mark in zip(every, ascii_lowercase, strict=False):
-        # Between the axis' label and the names of the curves; above the frequencies in Hz.
+        # Between the axis label and the names of the curves; above the frequencies in Hz.
         ax.annotate(
             f"({mark})",
             (0.0, 1.0),
@@ -83,7 +89,7 @@ def letter(figure: Figure) -> None:
             va="bottom",
             fontsize="small",
             fontweight="bold",
-            label=_LETTER,
+            label=_LETTER_LABEL,
         )
 
 
@@ -93,22 +99,22 @@ def _reading_order(ax: Axes) -> tuple[int, float, float]:
 
 
 def _group(ax: Axes) -> int:
-    """Return the number of the place that axes and their panels have in their figure."""
+    """Return the index of the outermost grid cell that contains the axes; 0 without a grid."""
     place = ax.get_subplotspec()
     return place.get_topmost_subplotspec().num1 if place is not None else 0
 
 
 def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes, Axes]:
-    """Return `ax`, shortened, and a panel below it that takes `share` of the height of both.
+    """Shorten `ax`, add a panel below it with `share` of the height, and return both.
 
-    Panels that share no axis stand side by side where `ax` is much wider than high.
+    If `ax` is much wider than high, panels without a common axis are drawn side by side.
     """
     ax = axes(ax)
     place = _place(ax)
-    # A layout engine makes room for labels itself.
+    # A layout engine adds the room for labels itself.
     room = 0.02 if ax.figure.get_layout_engine() is not None else 0.08 if sharex else 0.5
     shares = (1 - share, share)
-    if not sharex and ax.bbox.width > _WIDE * ax.bbox.height:
+    if not sharex and ax.bbox.width > MIN_WIDE_RATIO * ax.bbox.height:
         grid = place.subgridspec(1, 2, width_ratios=shares, wspace=room)
     else:
         grid = place.subgridspec(2, 1, height_ratios=shares, hspace=room)
@@ -120,9 +126,9 @@ def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes,
 
 
 def rows(ax: Axes | None, n: int) -> list[Axes]:
-    """Return `ax`, shortened, and more panels below it: n as high as each other, over one axis.
+    """Shorten `ax`, add panels below it, and return n panels of equal height with a common x axis.
 
-    They begin at one place, however wide their labels are, since they are of one grid.
+    The left edges are aligned, whatever the width of the labels, since the panels share a grid.
     """
     ax = axes(ax)
     grid = _place(ax).subgridspec(n, 1, hspace=0.02 if ax.figure.get_layout_engine() else 0.08)
@@ -134,7 +140,7 @@ def rows(ax: Axes | None, n: int) -> list[Axes]:
 
 
 def _place(ax: Axes) -> SubplotSpec:
-    """Return where axes stand in a grid; where they were placed by hand, a grid of one place."""
+    """Return the grid cell of axes; for axes placed by hand, a new grid with one cell."""
     place = ax.get_subplotspec()
     if place is not None:
         return place
@@ -143,7 +149,7 @@ def _place(ax: Axes) -> SubplotSpec:
 
 
 def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
-    """Give panels the look that all have."""
+    """Apply the common style and `xlim` to panels, and align their labels."""
     for ax in panels:
         ax.grid(visible=True, which="major", color="#DDDDDD", lw=0.5)
         ax.set_axisbelow(True)
@@ -155,9 +161,9 @@ def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
 
 
 def save(figure: Figure, path: Path, **options: Any) -> None:
-    """Write a figure, its panels with letters.
+    """Write a figure to a file, with letters at its panels.
 
-    The same figure gives the same bytes: without date or random ids.
+    The file contains no date and no random ids, so that equal figures are equal files.
     """
     import matplotlib as mpl
 
@@ -168,7 +174,7 @@ def save(figure: Figure, path: Path, **options: Any) -> None:
 
 
 def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) -> None:
-    """Shade the time in which an angle is not valid, and name it for the legend.
+    """Shade the times without a valid value, and label the shade for the legend.
 
     Parameters
     ----------
@@ -177,7 +183,7 @@ def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) 
     Ts, first : float
         Sampling time, and time of the first sample, in s.
     """
-    # Not grey as the grid; a line of its own keeps three samples of thousands visible.
+    # Orange, since the grid is grey. The edge keeps a few missing samples of thousands visible.
     look: dict[str, Any] = {"facecolor": ORANGE, "edgecolor": ORANGE, "alpha": 0.35, "lw": 0.5}
     label = "dead band or missing sample"
     for gap in stretches(~valid):
@@ -194,9 +200,9 @@ def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
 
 
 def pens(curves: int) -> list[dict[str, Any]]:
-    """Return what draws each of so many curves: colour, dashes and width.
+    """Return the colour, dashes and width of each curve.
 
-    The first is the widest: where curves agree, each shows beside the next.
+    The first curve is the widest, so that all curves are visible where they agree.
     """
     if curves == 1:
         return [{"color": BLUE, "ls": "-", "lw": 1.4}]
@@ -205,3 +211,65 @@ def pens(curves: int) -> list[dict[str, Any]]:
         {"color": colour, "ls": dash, "lw": width}
         for (colour, dash, width), _ in zip(each, range(curves), strict=False)
     ]
+
+
+def hertz(ax: Axes) -> float:
+    """Add ticks in Hz above an axis in rad/s, and return their height in points."""
+    import matplotlib as mpl
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    def to_hertz(omega: Any) -> Any:
+        return omega / tau
+
+    def to_radians(f: Any) -> Any:
+        return f * tau
+
+    above = ax.secondary_xaxis("top", functions=(to_hertz, to_radians))
+    above.set_xscale("log")
+    above.xaxis.set_major_locator(LogLocator())
+    above.xaxis.set_major_formatter(FuncFormatter(lambda f, _: f"{f:g} Hz"))
+    above.xaxis.set_minor_formatter(NullFormatter())
+    above.tick_params(axis="x", which="both", labelsize="small", pad=1, colors=GREY)
+    above.spines["top"].set_visible(False)
+    size = FontProperties(size="small").get_size_in_points()
+    return float(1.4 * size + mpl.rcParams["xtick.major.size"])
+
+
+def decibels(x: NDArray[Any]) -> NDArray[np.float64]:
+    """Return 20 log10 |x|, at least -300."""
+    import numpy as np
+
+    return np.asarray(20 * np.log10(np.maximum(np.abs(x), 1e-15)), dtype=np.float64)
+
+
+def decibel_ticks(ax: Axes) -> None:
+    """Set at most six intervals between the ticks in dB, of 1, 2 or 4 times a power of ten."""
+    from matplotlib.ticker import MaxNLocator
+
+    ax.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 4, 10]))
+
+
+def logarithmic(axis: XAxis | YAxis, low: float, high: float) -> None:
+    """Make an axis logarithmic, with plain numbers at 1, 2, 5, 10 … or at decades only."""
+    from matplotlib.ticker import FuncFormatter, LogLocator
+
+    ax = axis.axes
+    if axis.axis_name == "x":
+        ax.set_xscale("log")
+        ax.set_xlim(low, high)
+    else:
+        ax.set_yscale("log")
+        ax.set_ylim(low, high)
+    subs = (1.0, 2.0, 5.0) if high < 200 * low else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=20))
+    axis.set_major_formatter(FuncFormatter(lambda v, _: f"{v:g}"))
+    bare_minor(axis)
+
+
+def bare_minor(*shown: Axis) -> None:
+    """Remove the numbers between the decades of logarithmic axes."""
+    from matplotlib.ticker import NullFormatter
+
+    for axis in shown:
+        axis.set_minor_formatter(NullFormatter())

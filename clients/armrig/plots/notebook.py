@@ -1,4 +1,4 @@
-"""How results show themselves in a notebook: their words, and their figure."""
+"""Display of results in a notebook: their text and their figure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Plotted(Protocol):
 
 
 def html(result: Plotted) -> str:
-    """Return what a result says and its figure, as HTML for a notebook's `_repr_html_`."""
+    """Return a result's text and figure as HTML, for a notebook's `_repr_html_`."""
     from matplotlib import pyplot as plt
 
     figure = result.plot()
@@ -31,17 +31,18 @@ def html(result: Plotted) -> str:
 
 
 def png(figure: Figure) -> bytes:
-    """Return a figure as a PNG of a screen's resolution."""
+    """Return a figure as PNG with 100 dpi, for a screen."""
     out = BytesIO()
     figure.savefig(out, format="png", dpi=100)
     return out.getvalue()
 
 
 def show_once(figure: Figure) -> None:
-    """Make a notebook show a figure of pyplot once.
+    """Make a notebook show a pyplot figure only once.
 
-    A notebook shows a cell's result, and at the cell's end all open figures of pyplot. IPython
-    calls `_ipython_display_` of a result: it shows the figure and closes it in pyplot.
+    A notebook shows a cell's result and, at the cell's end, all open pyplot figures. IPython calls
+    `_ipython_display_` of a cell's result; the function set here shows the figure and closes it in
+    pyplot.
     """
     pyplot = sys.modules.get("matplotlib.pyplot")
     if pyplot is None or "inline" not in pyplot.get_backend():

@@ -1,1 +1,1 @@
-"""From the MCAP file to angles on a complete grid, and what that is good for."""
+"""Recordings: from an MCAP file to angles on a complete grid, and checks of their quality."""

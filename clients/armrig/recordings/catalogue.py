@@ -1,18 +1,19 @@
-"""The catalogue of a folder: thousands of recordings as one table, read without their samples.
+"""Catalogue of a folder: a table of its recordings, read without their samples.
 
-What is known of the recordings of a folder, kept from one look to the next.
-
-It lies in this user's cache and not beside the recordings: a folder may be read-only, and what
-another user writes there is not believed. Whatever is wrong with it, it is made anew.
+An index stores the facts about the recordings for later calls. The index is in the user's cache and
+not in the folder, because the folder may be read-only. An index that another user wrote is not
+trusted either. A damaged or outdated index is built again.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
+import stat
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -29,7 +30,6 @@ from armrig_core.recording_file.unfinished import unfinished
 from numpy.typing import NDArray
 
 from armrig.recordings.export import imported
-from armrig.recordings.folder import found_files
 from armrig.recordings.recording_summary import RecordingSummary, shown_path, summary_of
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 WORTH_KEEPING = 100
-"""So many files that were read anew are worth an index: to read fewer again takes 20 ms."""
+"""Least number of newly read files for which an index is written; 20 ms suffice for fewer files."""
 COLUMNS: dict[str, Any] = {
     "recording": np.object_,
     "run_id": np.object_,
@@ -60,18 +60,22 @@ COLUMNS: dict[str, Any] = {
     "armrig": np.object_,
     "bytes": np.int64,
 }
-"""Columns of the table and their types: what `facts_of` says of each recording."""
+"""Columns of the table and their types; `facts_of` returns the values of a row."""
 SIZE_LIMIT = 128 << 20
-"""Longest index that is read or written, in B; 10 000 recordings take about 4 MB."""
+"""Largest index that is read or written, in B; 10 000 recordings take about 4 MB."""
 SETTLED_NS = 2_000_000_000
-"""A file that was changed since so long before we looked may be changed again with the same times.
+"""Age in ns from which a file is settled.
 
-Those of a file system are as coarse as a clock tick, on some systems a second or two.
+The times of a file system have a resolution of up to 2 s. A younger file may therefore change
+without a change of its times.
 """
+_SUFFIX = ".mcap"
+_STAMP = "%Y%m%dT%H%M%S"
+_FILE_NAME = re.compile(r".*-(\d{8}T\d{6})-[0-9a-f]{8}\.mcap")  # file names of the daemon
 
 
 class LeftOut(NamedTuple):
-    """A file with the name of a recording that is not in the table."""
+    """A file that has the name of a recording but is not in the table."""
 
     path: Path
     why: str
@@ -79,16 +83,16 @@ class LeftOut(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Catalogue:
-    """The recordings of a folder, newest first; `len` counts them."""
+    """The recordings of a folder, newest first; `len` returns their number."""
 
     folder: Path
-    """The folder."""
+    """Folder of the recordings."""
     recordings: tuple[RecordingSummary, ...]
-    """What each whole recording says of itself; a long run has one for each of its parts."""
+    """Summary of each whole recording; a long run has a summary for each part."""
     left_out: tuple[LeftOut, ...]
-    """Files that are not whole, or no recordings of armrig, and why."""
+    """Files that are incomplete, unreadable or not recordings of armrig, with the reasons."""
     unfinished: tuple[Path, ...]
-    """Recordings that are being written, or were left by a daemon that died (`*.mcap.active`)."""
+    """Recordings in progress, or left by a daemon that died (`*.mcap.active`)."""
 
     def __len__(self) -> int:
         """Return the number of recordings."""
@@ -97,7 +101,8 @@ class Catalogue:
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the table by columns, each (N,), with the names of `armrig ls --json`.
 
-        `started` is in UTC, to the millisecond; NaT where a recording names no such time.
+        `started` is in UTC, to the millisecond; NaT if a recording contains no valid time of its
+        start.
         """
         return columns(self.recordings)
 
@@ -135,7 +140,7 @@ class Catalogue:
         parquet.write_table(pyarrow.table(columns), str(path))
 
     def __repr__(self) -> str:
-        """Say it in a line."""
+        """Describe the catalogue in one line."""
         parts = [f"{len(self)} recordings in {self.folder}"]
         parts += [f"{len(self.left_out)} left out"] if self.left_out else []
         parts += [f"{len(self.unfinished)} unfinished"] if self.unfinished else []
@@ -145,13 +150,13 @@ class Catalogue:
 def catalogue(folder: str | Path) -> Catalogue:
     """Return the recordings of a folder as one table, newest first.
 
-    Built from what each file says of itself at its end; no sample is read. What was found is kept
-    in this user's cache, so that next time only files that are new or changed are opened.
+    The table is built from the summary at the end of each file, without its samples. The user's
+    cache stores the results of a large folder. A later call then opens new and changed files only.
 
     Parameters
     ----------
     folder : str or Path
-        The folder; those in it are not looked into.
+        Folder of the recordings; its subfolders are not read.
 
     Returns
     -------
@@ -162,7 +167,7 @@ def catalogue(folder: str | Path) -> Catalogue:
     Raises
     ------
     OSError
-        There is no such folder, or it cannot be read.
+        The folder does not exist or cannot be read.
     """
     folder = Path(folder)
     looked_ns, files = now_ns(), found_files(folder)
@@ -175,7 +180,7 @@ def catalogue(folder: str | Path) -> Catalogue:
         if known is None or known.state != state_of(state):
             try:
                 known = Known(state_of(state), _said_by(folder / name))
-            except OSError as err:  # it may be allowed, or be there again, next time
+            except OSError as err:  # the error may be temporary, so it is not kept
                 left_out.append(LeftOut(folder / name, err.strerror or str(err)))
                 continue
         if is_settled(state, looked_ns):
@@ -195,7 +200,7 @@ def catalogue(folder: str | Path) -> Catalogue:
 
 
 def _said_by(path: Path) -> RecordingSummary | str:
-    """Return what a file says of itself, or why it cannot be listed."""
+    """Return the summary of a file, or the reason why it cannot be listed."""
     try:
         return summary_of(path)
     except DamageError as err:
@@ -203,7 +208,7 @@ def _said_by(path: Path) -> RecordingSummary | str:
 
 
 def columns(recordings: Sequence[RecordingSummary]) -> dict[str, NDArray[Any]]:
-    """Return the table of these recordings by columns, each (N,)."""
+    """Return the facts about N recordings as columns by name, each (N,)."""
     rows = [facts_of(summary) for summary in recordings]
     for row in rows:
         row["started"] = _utc(row["started"])
@@ -237,7 +242,7 @@ def facts_of(summary: RecordingSummary) -> dict[str, Any]:
 
 
 def _utc(text: str) -> datetime | None:
-    """Return a time of day in UTC, without saying so; None where the text names none."""
+    """Return a time in UTC without a time zone; None if the text is not a time with an offset."""
     try:
         when = datetime.fromisoformat(text)
         return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else None
@@ -246,41 +251,41 @@ def _utc(text: str) -> datetime | None:
 
 
 class Known(msgspec.Struct, frozen=True, array_like=True):
-    """What a file was found to be."""
+    """Facts about a file that the index stores."""
 
     state: str
-    """Size, times and number of the file at that time: another one has others."""
+    """Size, times and number of the file, which change if the file changes."""
     found: RecordingSummary | str
-    """What it says of itself, or why it cannot be listed."""
+    """Summary of the recording, or the reason why the file cannot be listed."""
 
 
 class _Index(msgspec.Struct, frozen=True):
-    """The file, as JSON."""
+    """Content of the index, as JSON."""
 
     armrig: str
-    """Version that wrote it; another one may read a recording differently."""
+    """Version of armrig that wrote the index; other versions may read a recording differently."""
     folder: str
     files: dict[str, Known]
-    """By the files' names."""
+    """Facts by the names of the files."""
 
 
 def state_of(found: os.stat_result) -> str:
-    """Return what changes with a file, whatever replaces or changes it."""
+    """Return a text that changes if the file is changed or replaced."""
     return f"{found.st_size} {found.st_mtime_ns} {found.st_ctime_ns} {found.st_ino}"
 
 
 def is_settled(found: os.stat_result, looked_ns: int) -> bool:
-    """Return whether a change of the file after `looked_ns` would show in its times."""
+    """Return whether every later change of the file changes its times, as of `looked_ns`."""
     return max(found.st_mtime_ns, found.st_ctime_ns) < looked_ns - SETTLED_NS
 
 
 def now_ns() -> int:
-    """Return the time on the clock that files have their times from."""
+    """Return the current time in ns, on the clock of the file system's times."""
     return time.time_ns()
 
 
 def read_index(folder: Path) -> dict[str, Known]:
-    """Return what is known of a folder's files by their names; nothing where there is no index."""
+    """Return the facts about a folder's files by name; an empty dict without a valid index."""
     try:
         data = read_bounded(_path(folder), SIZE_LIMIT)
         index = msgspec.json.decode(data, type=_Index, dec_hook=lambda *_: folder)
@@ -291,17 +296,17 @@ def read_index(folder: Path) -> dict[str, Known]:
 
 
 def write_index(folder: Path, files: Mapping[str, Known]) -> None:
-    """Keep what is known; where nothing can be written, nothing is kept.
+    """Store the facts about a folder's files, if the cache can be written.
 
-    Two processes that do so at once leave the index of one of them, whole.
+    If two processes write at the same time, the index is complete and from one of them.
     """
     known = {name: file for name, file in files.items() if _is_text(name)}
     index = _Index(armrig=version("armrig"), folder=str(folder.absolute()), files=known)
     try:
         path = _path(folder)
-        # Each row has the folder, which need not stand in the file ten thousand times.
+        # The folder is the same in all rows, so the file contains it only once.
         data = msgspec.json.encode(index, enc_hook=lambda _: None)
-    except (RuntimeError, UnicodeEncodeError):  # no home; a folder whose name is no text
+    except (RuntimeError, UnicodeEncodeError):  # no home, or a folder's name that is not text
         return
     if len(data) > SIZE_LIMIT:
         return
@@ -329,3 +334,71 @@ def _is_text(name: str) -> bool:
     except UnicodeEncodeError:
         return False
     return True
+
+
+class FoundFile(NamedTuple):
+    """A file with the name of a recording."""
+
+    name: str  # not a Path: creating 10 000 Paths takes longer than finding the files
+    state: os.stat_result
+    """Size, times and number of the file; if the name is a link, those of its target."""
+
+
+def found_files(folder: Path) -> list[FoundFile]:
+    """Return the finished recordings of a folder, newest first.
+
+    The age is the time in the daemon's file name, otherwise the file's own time. A recording in
+    progress has another name, `*.mcap.active`.
+
+    Raises
+    ------
+    OSError
+        The folder does not exist or cannot be read.
+    """
+    found = []
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if not entry.name.endswith(_SUFFIX) or entry.name == _SUFFIX:
+                continue
+            with suppress(OSError):  # the file was removed, or is a link to nothing
+                state = entry.stat()
+                if stat.S_ISREG(state.st_mode):
+                    found.append(FoundFile(entry.name, state))
+    return sorted(found, key=_age, reverse=True)
+
+
+def newest_first(folder: Path) -> list[Path]:
+    """Return the paths of `found_files`; an empty list if the folder does not exist."""
+    try:
+        return [folder / file.name for file in found_files(folder)]
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+
+
+def summaries(paths: list[Path]) -> Iterator[RecordingSummary]:
+    """Yield the summaries of the complete files, in the order of `paths`; others are left out."""
+    for path in paths:
+        try:
+            yield summary_of(path)
+        except (OSError, DamageError):
+            continue
+
+
+def may_answer_to(path: Path, name: str, *, validation: bool) -> bool:
+    """Return False if the daemon's file name shows that `name` cannot mean this file."""
+    wanted = "-validation" if validation else name
+    return wanted in path.name or not _FILE_NAME.fullmatch(path.name)
+
+
+def _age(file: FoundFile) -> tuple[str, float, str]:
+    """Return the sort key by age: the time in the daemon's name, or the file's own time."""
+    changed = file.state.st_mtime
+    found = _FILE_NAME.fullmatch(file.name)
+    return found[1] if found else _local_stamp(changed), changed, file.name
+
+
+def _local_stamp(changed: float) -> str:
+    try:
+        return time.strftime(_STAMP, time.localtime(changed))
+    except (ValueError, OverflowError, OSError):  # a year outside the calendar
+        return ""

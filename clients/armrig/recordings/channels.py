@@ -1,8 +1,7 @@
-"""The channels of a recording: calibrated, on the grid of time, and where each is valid.
+"""Channels of a recording: calibrated angles on the grid of samples, and their validity.
 
-A shaft turns on. Over most of a turn its potentiometer shows the angle; in its dead band it shows
-nothing. What it shows there, and at the first sample after it, while the reading settles, is no
-angle.
+A potentiometer of a turning shaft shows the angle over most of a turn. In its dead band it shows no
+angle. The first sample after the dead band shows none either, because the reading still settles.
 """
 
 from __future__ import annotations
@@ -27,9 +26,10 @@ Indices = NDArray[np.intp]
 _FIELDS = frozenset(field.name for field in fields(Recording))
 
 HALF_TURN_S = 0.25
-"""Shortest time in which the chassis can make half a turn, in s.
+"""Shortest time, in s, in which the chassis can make half a turn.
 
-With 5 V it turns at 5 V / (N K_m) = 9.3 rad/s, half a turn in 0.34 s; the rest is for the springs.
+At 5 V the chassis turns at 5 V / (N K_m) = 9.3 rad/s and makes half a turn in 0.34 s. The margin is
+for the springs.
 """
 
 
@@ -40,7 +40,7 @@ def channels_of(
     Ts: float,
     before: NDArray[np.void],
 ) -> dict[str, Any]:
-    """Return the channels, where they are valid, and where the turns are not known."""
+    """Return the channels, their masks, and the rows from which on the turns are unknown."""
     found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
     for channel in telemetry.CHANNELS:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)
@@ -60,11 +60,11 @@ def channels_of(
 def _valid(
     samples: NDArray[np.void], channel: telemetry.Channel, present: Mask, before: NDArray[np.void]
 ) -> Mask:
-    """Return (N,) where a sample came whose reading is at no end of its range."""
-    rail = int(Flag[channel.rail])  # as a Flag numpy takes 8 bytes each
+    """Return a mask (N,): True if the sample arrived and shows an angle of this channel."""
+    rail = int(Flag[channel.rail])  # numpy takes 8 bytes each for a Flag
     valid, rails = present.copy(), samples["flags"]
     if channel.turns:
-        # The sample before the first decides whether that one shows an angle.
+        # The sample before row 0 shows whether row 0 directly follows the dead band.
         near = np.concatenate([before["flags"][-1:], rails])
         valid[present] = outside_dead_band((near & rail) != 0)[near.size - rails.size :]
     else:
@@ -86,7 +86,7 @@ def _calibrated(
 
 
 def _on_grid(values: Vector, present: Mask) -> Vector:
-    """Return the values (n,) of the samples that came in their rows, NaN in the others, (N,)."""
+    """Return values (n,) of the samples that arrived as (N,), NaN where a sample is missing."""
     if values.size == present.size:
         return values
     on_grid = np.full(present.size, np.nan)
@@ -95,10 +95,10 @@ def _on_grid(values: Vector, present: Mask) -> Vector:
 
 
 def outside_dead_band(rail: Mask) -> Mask:
-    """Return which of the samples that came (n,) show an angle: no rail, and no rail before.
+    """Return a mask (n,): False for a sample at a rail, and for the sample after it.
 
-    So a sample between two rails shows none either, whatever the converter says: at the edges of
-    the dead band it shows values from anywhere.
+    A single sample between two samples at a rail is therefore False: at the edges of the dead band
+    the converter reads any value.
     """
     after = np.zeros_like(rail)
     after[1:] = rail[:-1]
@@ -106,15 +106,16 @@ def outside_dead_band(rail: Mask) -> Mask:
 
 
 def unwrap(angle: Vector, valid: Mask) -> Vector:
-    """Return the angle (N,) with its turns counted, NaN where it is not valid.
+    """Return the angle (N,) with its turns counted, NaN where `valid` is False.
 
-    Each valid sample is taken to lie within half a turn of the valid one before it. The first one
-    keeps its value.
+    Each valid sample is assumed to be within half a turn of the previous valid sample. The first
+    valid sample keeps its value.
     """
     unwrapped = np.full(angle.size, np.nan)
     shown = angle[valid]
     steps = np.diff(shown)
-    # As np.unwrap to the last bit, which takes the remainder of each step; few of them need it.
+    # The result equals that of np.unwrap to the last bit. Only steps of pi or more need a
+    # remainder.
     over = np.flatnonzero(np.abs(steps) >= pi)
     short = np.mod(steps[over] + pi, tau) - pi
     short[(short == -pi) & (steps[over] > 0)] = pi
@@ -126,16 +127,16 @@ def unwrap(angle: Vector, valid: Mask) -> Vector:
 
 
 def turns_unknown(valid: Mask, present: Mask, Ts: float) -> Indices:
-    """Return the samples from which on the number of turns is a guess.
+    """Return the indices of the samples from which on the number of turns is uncertain.
 
-    Before each of them the shaft was unseen for so long that it can have made half a turn. In the
-    dead band it is not unseen: a sample at a rail says where it is. With a sampling time longer
-    than half a turn takes, that is every sample.
+    Before each of these samples, so many samples are missing that the shaft can have made half a
+    turn. A sample in the dead band is not missing: it is at a rail. If the sampling time exceeds
+    `HALF_TURN_S`, every valid sample but the first is returned.
 
     Parameters
     ----------
     valid, present : (N,) bool
-        Which samples show an angle, and which came at all.
+        Masks of the samples that show an angle, and of those that arrived.
     Ts : float
         Sampling time, in s.
     """
@@ -143,6 +144,6 @@ def turns_unknown(valid: Mask, present: Mask, Ts: float) -> Indices:
         return np.zeros(0, np.intp)
     missing = np.cumsum(~present)
     known = np.flatnonzero(valid)
-    # The interval before the first sample that came back is unseen, too.
+    # The interval between the last missing sample and the next sample is unseen, too.
     unseen = np.diff(missing[known])
     return known[1:][(unseen + 1) * Ts > HALF_TURN_S]

@@ -1,7 +1,7 @@
-"""What is in an MCAP file, read from front to back for as far as it is whole.
+"""Content of an MCAP file, read from the beginning up to the first damage.
 
-One way of reading for whole, cut and hostile files: record after record, and at the first damage it
-stops and says where. What it has by then is a prefix without holes.
+Complete, truncated and hostile files are all read record by record. Reading stops at the first
+damage and reports its place. All records before the damage are returned.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from armrig_core.recording_file.file_records import (
     Place,
     Record,
     Wanted,
+    check_attachment,
     file_records,
-    spoilt,
 )
 from armrig_core.recording_file.opening import byte_source
 from armrig_core.topics import STREAMS, stream_of
@@ -57,71 +57,72 @@ _MESSAGE = Struct("<BQH")  # opcode and length of a record, and the channel if i
 _IN_CHUNKS = bytes((Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE))
 _MESSAGE_CODE = int(Opcode.MESSAGE)  # to look it up in its class takes longer than to compare it
 _NAME_LIMIT = 100  # B
-_RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # measured, roughly
-# Bytes that a message costs us beyond its payload once it is parsed; measured.
+_RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # measured, rounded
+# Bytes that a parsed message takes in addition to its payload; measured.
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
 READ = STREAMS
-"""What most readers want; the core's steps are for who decides a run once more."""
+"""Streams that most readers need; only a replay of a run needs the stream of the core's steps."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Content:
-    """What was read."""
+    """Content that was read from a file."""
 
     sha256: str = ""
-    """Of the whole file, the unreadable rest included."""
+    """SHA-256 of the whole file, including the bytes after a damage."""
     size: int = 0
-    """Of the file, in B."""
+    """Size of the file, in B."""
     damage: str = ""
-    """What was left out, and why reading ended early; "" for a whole file."""
+    """Contents that were left out, and the reason why reading ended early; "" if complete."""
     cut_off: bool = False
-    """That is because the file ends too early; nothing before its end is wrong."""
+    """True if reading ended because the file is truncated, without another error."""
     read: int = 0
-    """Bytes that were read when it ended."""
+    """Number of bytes up to the end of the last complete record."""
     samples: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, SAMPLE_DTYPE))
-    """All samples, `SAMPLE_DTYPE`, k rising strictly."""
+    """All samples, `SAMPLE_DTYPE`; k increases strictly."""
     messages: dict[str, list[Any]] = field(default_factory=dict)
-    """Protobuf messages of each other stream."""
+    """Protobuf messages of the other streams, by stream."""
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """Metadata records by name."""
     attachments: dict[str, bytes] = field(default_factory=dict)
-    """Attachments that a reader needs, by name; not the input, which may be long."""
+    """Attachments that a reader needs, by name; the input is not among them, as it may be long."""
     input: Place | None = None
-    """Where the input's attachment stands in the file."""
+    """Place of the input's attachment in the file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Part:
-    """The part of a file that is wanted; chunks without any of it are passed over, unread."""
+    """Part of a file to read; chunks outside this part are skipped."""
 
     from_ns: int
-    """Log time from which on messages are wanted."""
+    """Log time of the first message in the part."""
     to_ns: int
-    """Log time up to which they are wanted."""
+    """Log time of the last message in the part."""
     k_end: int
-    """The first sample behind the part: one before it may have come later than it was due."""
+    """Index of the first sample after the part; an earlier sample may have arrived late."""
 
 
 def read(
     path: Path, streams: Collection[str] = READ, *, part: Part | None = None, digest: bool = True
 ) -> Content | None:
-    """Return what is in the file at `path`, or None where it is no MCAP.
+    """Return the content of the file at `path`, or None if it is not an MCAP file.
 
     Parameters
     ----------
     streams : collection of str
-        Of which streams the messages are kept.
+        Streams whose messages are kept.
     part : Part, optional
-        What to read; the first chunk with a sample is read in any case. Left out, all.
+        Part to read; the first chunk with a sample is always read. By default the whole file is
+        read.
     digest : bool
-        Whether the file is hashed, all of it.
+        Compute the hash of the whole file.
 
     Raises
     ------
     OSError
         The file cannot be opened or read.
     DamageError
-        It is no regular file: a pipe or a device would keep us waiting, or never end.
+        The file is not a regular file: reading a pipe or a device could block or never end.
     """
     with byte_source(path, is_hashed=digest) as source:
         if source is None:
@@ -135,9 +136,9 @@ def read(
 
 
 def streamed(path: Path, stream: str) -> Iterator[Any]:
-    """Give the protobuf messages of one stream, as far as the file is whole, without keeping them.
+    """Yield the protobuf messages of one stream up to the first damage, without storing them.
 
-    Raises as `read`.
+    Raises the exceptions of `read`.
     """
     with byte_source(path) as source:
         if source is None:
@@ -149,7 +150,7 @@ def streamed(path: Path, stream: str) -> Iterator[Any]:
 
 
 def _walked(source: ByteSource, reader: _Reader, part: Part | None) -> Iterator[None]:
-    """Read to the end or the first damage, and note it; stop shortly after each record."""
+    """Read to the end or the first damage, and store its description; yield after each record."""
     content = reader.content
     wanted = Wanted(left=INPUT)
     if part is not None:
@@ -179,7 +180,7 @@ def _unreadable(err: Exception) -> str:
 
 
 class _Reader:
-    """Collects what the records hold."""
+    """Collector of the records' contents."""
 
     def __init__(self, content: Content, streams: Collection[str], messages: int = 0) -> None:
         self.content = content
@@ -189,23 +190,23 @@ class _Reader:
         self.budget = Budget(content.size, messages)
         self.rows = SampleRows(lambda: self.budget.spend(WORK, _SAMPLE_WORK))
         self.chunks = Unpacker(self.budget)
-        self._chunks_at = 0  # where the first one stands in the file
+        self._chunks_at = 0  # place of the first chunk in the file
         self.left_out: list[str] = []  # attachments
-        self.end = ""  # why reading ended early
+        self.end = ""  # reason for an early end
 
     def spend_work(self, cost: int) -> None:
-        """Count work with records."""
+        """Charge the work of reading records to the budget."""
         self.budget.spend(WORK, cost)
 
     def wants(self, part: Part, start: int, end: int) -> bool:
-        """Return whether a chunk with these log times may hold some of a part."""
+        """Return whether a chunk with these log times may contain samples of a part."""
         if self.rows.is_empty:
-            return True  # the first sample says how the clocks go together
+            return True  # the first sample relates the two clocks
         if end < part.from_ns:
             return False
         if start <= part.to_ns:
             return True
-        self.rows.pack()  # a sample of the part may have come late: until one behind it is seen
+        self.rows.pack()  # a sample of the part may come late: read until a later sample appears
         return self.rows.last_k < part.k_end - 1
 
     def add(self, record: Record) -> None:
@@ -223,7 +224,7 @@ class _Reader:
             self.rows.settle()
 
     def add_record(self, opcode: int, body: bytes) -> None:
-        """Add one record of the file, or of a chunk."""
+        """Add one record, of the file or of a chunk."""
         self.budget.spend(WORK, 1 if opcode == Opcode.MESSAGE else _RECORD_WORK)
         match opcode:
             case Opcode.CHUNK:
@@ -245,18 +246,20 @@ class _Reader:
             case Opcode.ATTACHMENT:
                 self._attachment(body)
             case _:
-                pass  # header, indexes, and what later versions may add
+                pass  # header, indexes, and records of later versions
 
     def _attachment(self, body: bytes) -> None:
-        if why := spoilt(body):
-            self.left_out.append(why)
+        try:
+            check_attachment(body)
+        except DamageError as damage:
+            self.left_out.append(str(damage))
             return
         attachment = Attachment.read(_stream(body))
         if attachment.name in (CALIBRATION, CALIBRATION_RAW, CONFIG):
             self.content.attachments.setdefault(attachment.name, attachment.data)
 
     def _walk(self, chunk: bytes) -> None:
-        """Take the records of a chunk: runs of samples of constant layout at once."""
+        """Read the records of a chunk; consecutive samples of constant layout are read together."""
         view, streams, add_run = memoryview(chunk), self.streams, self.rows.add_run
         unpack_head, head_size = _MESSAGE.unpack_from, RECORD_HEAD.size
         at, end, work = 0, len(chunk), 0
@@ -300,13 +303,15 @@ class _Reader:
 
 def _check_opcode(opcode: int) -> None:
     if opcode not in _IN_CHUNKS:
-        raise DamageError(f"a chunk holds a record (opcode {opcode}) that must not lie in one")
+        raise DamageError(
+            f"a chunk contains a record (opcode {opcode}) that must not be in a chunk"
+        )
 
 
 def _text(body: bytes, at: int) -> str:
-    """Return the text at `at`, "" for one that is too long to be a name of ours."""
+    """Return the text at `at`; "" if the text is longer than any known name."""
     (n,) = struct.unpack_from("<I", body, at)
-    struct.unpack_from(f"{n}x", body, at + 4)  # raises where the text runs over the end
+    struct.unpack_from(f"{n}x", body, at + 4)  # raises if the text exceeds the body
     return body[at + 4 : at + 4 + n].decode() if n <= _NAME_LIMIT else ""
 
 

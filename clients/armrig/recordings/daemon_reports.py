@@ -1,4 +1,4 @@
-"""What a recording holds beside samples: gaps, events, timing and clock, on its own time."""
+"""Reports of the daemon in a recording: gaps, events, notes, timing and comparisons of clocks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from math import floor
 from operator import attrgetter
 from typing import Any
 
-from armrig_core import protobuf
+from armrig_core import protobuf, version_1
 
 from armrig.numerics.quantities import plural
 
@@ -18,30 +18,34 @@ _LEVELS = ("unknown", "debug", "info", "warning", "error", "fatal")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """Samples that are missing."""
+    """Consecutive missing samples."""
 
     k_first: int
-    """Index of the first of them, counted as `Sample.k`."""
+    """Index of the first missing sample, as in `Sample.k`."""
     count: int
-    """How many."""
+    """Number of missing samples."""
     t: float
-    """When the first was due, in s from the recording's first sample."""
+    """Time at which the first missing sample was due, in s from the recording's first sample."""
     u_held_v: float
-    """Voltage that the motor kept meanwhile, in V."""
+    """Voltage that the motor kept during the gap, in V."""
     reason: str
-    """Why they are missing."""
+    """Reason for the gap."""
+    code: str
+    """Code of the reason: an `armrig_core.codes.GapCode`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Event:
-    """What the daemon had to say."""
+    """Log message of the daemon."""
 
     t: float
-    """When, in s from the recording's first sample."""
+    """Time, in s from the recording's first sample."""
     level: str
-    """debug, info, warning, error or fatal."""
+    """Level: debug, info, warning, error or fatal."""
     message: str
-    """What happened."""
+    """Text of the message."""
+    emulator_stall_ns: int
+    """Time for which the clock of an emulated rig stopped, in ns; 0 for any other event."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,16 +53,16 @@ class Note:
     """A line that a person wrote during the run."""
 
     t: float
-    """When it came, in s from the recording's first sample."""
+    """Time of its arrival, in s from the recording's first sample."""
     text: str
-    """What it says."""
+    """Text of the note."""
     owner: str
     """Author."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distribution:
-    """How a quantity was distributed over one second, in its own unit."""
+    """Distribution of a quantity over one second, in the quantity's unit."""
 
     p50: float
     """Median."""
@@ -69,69 +73,69 @@ class Distribution:
     p999: float
     """99.9th percentile."""
     max: float
-    """Greatest."""
+    """Greatest value."""
     n: int
-    """How many there were."""
+    """Number of values."""
     missed: int
-    """How many were not in time at all."""
+    """Number of missed sampling times."""
 
 
-_NOT_SAID = protobuf.ABSENT["fixed64"]
+_ABSENT_COUNT = protobuf.ABSENT["fixed64"]
 _DISTRIBUTION = tuple(f.name for f in fields(Distribution))
 _distribution_values = attrgetter(*_DISTRIBUTION)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Timing:
-    """Timing as the daemon measured it while it ran, over the second before `t`."""
+    """Timing that the daemon measured during the second before `t`."""
 
     t: float
-    """When, in s from the recording's first sample."""
+    """Time, in s from the recording's first sample."""
     wake_lateness_us: Distribution
-    """Of the host, against the sample's deadline, in µs."""
+    """Lateness of the host after the sample's deadline, in µs."""
     device_tick_error_us: Distribution
-    """Of the device's clock, against the sampling time, in µs."""
+    """Error of the device's clock against the sampling time, in µs."""
     link_round_trip_us: Distribution
-    """Of the link, from request to answer, in µs."""
+    """Round trip of the link, from request to answer, in µs."""
     queue_depth: Distribution
-    """Setpoints that the device held ahead; n is 0 where it had no queue."""
+    """Number of setpoints in the device's queue; `n` is 0 for a device without a queue."""
     collections: int
-    """Garbage collections of the loop since it was started: each is a stall; -1: unknown."""
+    """Number of garbage collections since the loop started; each stalls the loop. -1: unknown."""
     cpu_pressure_percent: float
-    """Share of the second in which some task of the host waited for a processor; NaN: unknown."""
+    """Percentage of the second in which a task of the host waited for a processor; NaN: unknown."""
     run_queue: int
-    """Tasks of the host that were runnable; -1: unknown."""
+    """Number of runnable tasks of the host; -1: unknown."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceClock:
-    """The device's clock against the host's, as known at `t`; no time recorded is changed by it."""
+    """Comparison of the device's clock with the host's at `t`; no recorded time depends on it."""
 
     t: float
-    """When, in s from the recording's first sample."""
+    """Time, in s from the recording's first sample."""
     offset_ns: int
-    """Host's monotonic time less 1000 times the device's µs."""
+    """Host's monotonic time minus the device's time, in ns."""
     offset_std_ns: float
     """Standard deviation of the offset, in ns."""
     drift_ppm: float
-    """What the offset gains, in parts per million; positive where the device's clock is slow."""
+    """Growth of the offset, in parts per million; positive if the device's clock is slow."""
     drift_std_ppm: float
     """Standard deviation of the drift, in parts per million."""
     bound_ns: float
-    """The most that a constant asymmetry of the way can hide in the offset, in ns."""
+    """Largest error of the offset that a constant asymmetry of the link can cause, in ns."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Clock:
-    """Host times to seconds from the recording's first sample."""
+    """Conversion of host times to seconds from the recording's first sample."""
 
     zero_ns: int
-    """When the first sample was due, on the host's monotonic clock."""
+    """Time at which the first sample was due, on the host's monotonic clock."""
     offset_ns: int
-    """Real-time clock less monotonic clock."""
+    """Real-time clock minus monotonic clock, in ns."""
 
     def seconds(self, host_ns: int) -> float:
-        """Return a time of the monotonic clock in s from the first sample."""
+        """Convert a time of the monotonic clock to s from the first sample."""
         return (host_ns - self.zero_ns) / 1e9
 
 
@@ -143,6 +147,7 @@ def gap_of(message: Any, clock: Clock) -> Gap:
         t=clock.seconds(message.t_from_ns),
         u_held_v=message.u_held_v,
         reason=message.reason,
+        code=message.code or version_1.gap_code(message.reason),
     )
 
 
@@ -151,11 +156,18 @@ def event_of(message: Any, clock: Clock) -> Event:
     stamp = message.timestamp
     real_ns = stamp.seconds * 1_000_000_000 + stamp.nanos
     level = _LEVELS[message.level] if 0 <= message.level < len(_LEVELS) else str(message.level)
-    return Event(t=clock.seconds(real_ns - clock.offset_ns), level=level, message=message.message)
+    text = message.message
+    known = message.HasField(protobuf.EMULATOR_STALL_NS)
+    return Event(
+        t=clock.seconds(real_ns - clock.offset_ns),
+        level=level,
+        message=text,
+        emulator_stall_ns=message.emulator_stall_ns if known else version_1.emulator_stall_ns(text),
+    )
 
 
 def is_note(message: Any) -> bool:
-    """Return whether a person wrote a log record, by its `name`."""
+    """Return whether a person wrote a log record, judged by its `name`."""
     return bool(message.name == protobuf.NOTE)
 
 
@@ -172,7 +184,7 @@ def timing_of(message: Any, clock: Clock) -> Timing:
         device_tick_error_us=_distribution(message.device_tick_error_us),
         link_round_trip_us=_distribution(message.link_round_trip_us),
         queue_depth=_distribution(message.queue_depth),
-        collections=-1 if message.collections == _NOT_SAID else message.collections,
+        collections=-1 if message.collections == _ABSENT_COUNT else message.collections,
         cpu_pressure_percent=message.cpu_pressure_percent,
         run_queue=message.run_queue,
     )
@@ -195,7 +207,7 @@ def device_clock_of(message: Any, clock: Clock) -> DeviceClock:
 
 
 def gap_lines(gaps: Iterable[Gap]) -> list[str]:
-    """Return what is missing, at most one line a second; the counts are whole."""
+    """Return lines of text that list the gaps; all gaps that begin in one second share a line."""
     return [_gap_line(list(some)) for _, some in groupby(gaps, key=lambda gap: floor(gap.t))]
 
 

@@ -1,6 +1,6 @@
-"""A recording for other programs: CSV, MATLAB, Parquet, pandas, xarray; the same columns for all.
+"""Export of a recording: CSV, MATLAB, Parquet, pandas and xarray, with the same columns.
 
-A row is a sample that was due. Where one is missing, or shows no angle, its angle is NaN.
+Each sample that was due has a row. If the sample is missing, or shows no angle, the angle is NaN.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
 
-_AT_ONCE = 65_536  # rows of a CSV file that are made into text at once
-_ARM_ABOVE_M = 0.1  # so that both frames are seen; the rig's own height is not known
+_BLOCK_ROWS = 65_536  # of a CSV file, converted to text at once
+_ARM_HEIGHT_M = 0.1  # makes both frames visible; the real height is unknown
 _NS = 1_000_000_000
-_END_NS = 2**32 * _NS  # of Foxglove's timestamps
+_END_NS = 2**32 * _NS  # end of Foxglove's timestamps
 
 
 def columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any]]:
     """Return the columns, each (N,): k, t, u, theta_1, alpha, valid, valid_alpha and present.
 
-    Other channels of the rig follow alpha, and valid_alpha.
+    Columns of further channels follow alpha, and their masks follow valid_alpha.
 
     Parameters
     ----------
     raw : bool
-        Whether the readings and times as recorded follow, 0 where a sample is missing.
+        Add columns of the recorded readings and times, with 0 for a missing sample.
     """
     channels = [(c, recording.channel(c.name)) for c in telemetry.CHANNELS]
     found: dict[str, NDArray[Any]] = {
@@ -61,15 +61,15 @@ def columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any
 
 
 def write_csv(recording: Recording, path: Path, *, raw: bool = False) -> None:
-    """Write the columns as text, with their names in the first line; nan where there is no value.
+    """Write the columns as CSV, with their names in the first line; a missing value is nan.
 
-    Floats are written so that they come back to the last bit; `armrig identify` reads the file.
+    A number that is read back is equal to the last bit. `armrig identify` reads the file.
     """
     found = columns(recording, raw=raw)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(",".join(found) + "\n")
-        for begin in range(0, recording.N, _AT_ONCE):
-            some = [_texts(column[begin : begin + _AT_ONCE]) for column in found.values()]
+        for begin in range(0, recording.N, _BLOCK_ROWS):
+            some = [_texts(column[begin : begin + _BLOCK_ROWS]) for column in found.values()]
             file.writelines(",".join(row) + "\n" for row in zip(*some, strict=True))
 
 
@@ -85,10 +85,10 @@ def write_mat(
     output: ChannelName = THETA_1,
     raw: bool = False,
 ) -> None:
-    """Write a MAT-file of version 5: u, y and Ts as iddata takes them, and all columns.
+    """Write a MAT-file of version 5: u, y and Ts for iddata, and all columns.
 
-    In MATLAB `load run.mat; z = iddata(y, u, Ts);`. Each column is (N, 1); y is the output, NaN
-    where it is not known; the hash of the recording is `sha256`.
+    Use it in MATLAB with `load run.mat; z = iddata(y, u, Ts);`. Each column is (N, 1). y is the
+    output, NaN where it is unknown. `sha256` is the hash of the recording.
     """
     from scipy.io import savemat
 
@@ -101,12 +101,12 @@ def write_mat(
 
 
 def _mat_type(column: NDArray[Any]) -> Any:
-    # Octave and MATLAB compute with doubles alone; truth values they take as such.
+    # Octave and MATLAB compute with doubles and logical values only.
     return np.bool_ if column.dtype == np.bool_ else np.float64
 
 
 def write_parquet(recording: Recording, path: Path, *, raw: bool = False) -> None:
-    """Write the columns as a Parquet file, whose metadata hold units, Ts, hash and run.
+    """Write the columns as a Parquet file, with units, Ts, hash and run in its metadata.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def write_parquet(recording: Recording, path: Path, *, raw: bool = False) -> Non
 
 
 def to_pandas(recording: Recording) -> DataFrame:
-    """Return the columns as a DataFrame by t; `attrs` hold units, Ts, hash and run."""
+    """Return the columns as a DataFrame indexed by t; `attrs` contains units, Ts, hash and run."""
     pandas = imported("pandas", "pandas")
     frame: DataFrame = pandas.DataFrame(columns(recording)).set_index("t")
     frame.attrs.update(_about(recording))
@@ -157,7 +157,7 @@ def _about(recording: Recording) -> dict[str, str]:
 
 
 def imported(module: str, extra: str) -> Any:
-    """Return a module that an extra of armrig brings; MissingPackageError says how to have it."""
+    """Import and return a module of an optional extra; raise MissingPackageError without it."""
     try:
         return import_module(module)
     except ImportError as err:
@@ -169,7 +169,7 @@ def imported(module: str, extra: str) -> Any:
 
 
 class MissingPackageError(InputError, ImportError):
-    """A package that is not needed otherwise is not installed; says how to install it."""
+    """An optional package is not installed; the message contains the install command."""
 
     def __init__(self, msg: str, name: str) -> None:
         ImportError.__init__(self, msg, name=name)
@@ -188,14 +188,14 @@ def transforms_channel(rig: str, context: Any) -> Any:
 
 
 def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
-    """Return the frames of a sample: `chassis` turned by θ₁ in `rig`, `arm` by α in `chassis`.
+    """Return the frames of a sample: `chassis` is turned by θ₁ in `rig`, `arm` by α in `chassis`.
 
-    Both turn about z, so that the arm's angle in `rig` is θ₁ + α. A frame whose angle is not
-    finite is left out. `t_ns` is the time on the wall clock.
+    Both rotations are about z, so that the arm's angle in `rig` is θ₁ + α. A frame is left out if
+    its angle is not finite. `t_ns` is the time on the wall clock.
     """
     messages = imported("foxglove.messages", "foxglove")
     stamp = messages.Timestamp(*divmod(t_ns, _NS))
-    frames = (("rig", "chassis", theta_1, 0.0), ("chassis", "arm", alpha, _ARM_ABOVE_M))
+    frames = (("rig", "chassis", theta_1, 0.0), ("chassis", "arm", alpha, _ARM_HEIGHT_M))
     return messages.FrameTransforms(
         transforms=[
             messages.FrameTransform(
@@ -212,14 +212,14 @@ def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
 
 
 def write_transforms(recording: Recording, path: Path) -> None:
-    """Write the frames of each sample as an MCAP file, at the times of the recording's own.
+    """Write the frames of each sample as an MCAP file, at the times of the recording.
 
-    A viewer opens it together with the recording, from which nothing is repeated.
+    The file does not repeat the recording; open both files in the viewer.
 
     Raises
     ------
     ValueError
-        The wall clock of the rig's machine was before 1970, or after 2106.
+        The wall clock of the rig's machine was before 1970 or after 2106.
     """
     sdk = imported("foxglove", "foxglove")
     context = sdk.Context()

@@ -10,8 +10,7 @@ from armrig_core.telemetry import ALPHA, THETA_1, VELOCITY
 from numpy.typing import NDArray
 
 from armrig.plots.captions import NAMES, legend, short, sign
-from armrig.plots.layout import BLUE, INK, SKY, VERMILION, axes, finish, rows, shade
-from armrig.plots.scales import logarithmic
+from armrig.plots.layout import BLUE, INK, SKY, VERMILION, axes, finish, logarithmic, rows, shade
 from armrig.recordings.jitter import jitter_us, lateness_us
 
 if TYPE_CHECKING:
@@ -32,14 +31,14 @@ def plot_timing(
     quantity: Literal["jitter", "lateness"] = "jitter",
     ax: Axes | None = None,
 ) -> Axes:
-    """Show the histogram of a time, both axes logarithmic, with its p50, p99 and maximum.
+    """Plot the histogram of a time, both axes logarithmic, with its p50, p99 and maximum.
 
-    Where all times are the same to the clock's resolution, that is written instead.
+    If all times are the same to the clock's resolution, the figure contains the time as text.
 
     Parameters
     ----------
     quantity : {"jitter", "lateness"}
-        |interval - Ts| on the device's clock, or how late the host asked for each sample.
+        "jitter": |interval - Ts| on the device's clock. "lateness": lateness of the host.
     """
     ax = axes(ax)
     if quantity == "jitter":
@@ -49,13 +48,13 @@ def plot_timing(
     if x.size == 0 or np.ptp(x) < _RESOLUTION_US:
         return _write_the_same(ax, recording, x, label)
     marks = np.percentile(x, (50, 99, 100))
-    # Times below the clock's resolution stand at the left edge.
+    # Times below the clock's resolution are drawn at the left edge.
     least = 0.5 if quantity == "jitter" else 0.1
     floor = max(least, 0.5 * float(x.min()))
     x = np.maximum(x, floor)
     top = max(float(x.max()) * 1.3, floor * 20)
     edges = np.geomspace(floor, top, 41)
-    # The device's clock ticks in µs. Bins between two ticks would be empty and show a comb.
+    # The device's clock ticks in µs: bins between two ticks would be empty.
     bins = np.unique(np.round(edges)) + 0.5 if quantity == "jitter" else edges
     bins = np.insert(bins, 0, floor) if bins[0] > floor else bins
     ax.hist(x, bins=bins.tolist(), color=SKY, edgecolor=BLUE, lw=0.5)
@@ -73,7 +72,7 @@ def plot_timing(
 
 
 def _write_the_same(ax: Axes, recording: Recording, x: Vector, label: str) -> Axes:
-    """Write that all times are the same: a histogram would be one bar."""
+    """Write the common value of all times instead of a histogram, which would be a single bar."""
     text = "no samples"
     if x.size:
         text = f"{x.size} samples, all\n{short(float(np.median(x)))} µs, to the microsecond"
@@ -84,15 +83,15 @@ def _write_the_same(ax: Axes, recording: Recording, x: Vector, label: str) -> Ax
 
 
 def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
-    """Show u, theta_1, its rate and alpha against time.
+    """Plot u, theta_1, its rate and alpha against time.
 
-    Shaded is where a sample is missing or shows no angle, at u of either angle; outliers are
-    ringed.
+    In each panel of an angle, times without a valid value are shaded. In the panel of u, times
+    without a valid value of either angle are shaded. Rings mark outliers.
     """
     rec = found.recording
     if not rec.N:
         raise InputError(
-            f"{rec.path}: it has no samples, so there is nothing to draw; record again"
+            f"{rec.path}: contains no samples, so there is nothing to draw; record again"
         )
     every = rows(ax, 4)
     ax, first, last = every[0], float(rec.t[0]), float(rec.t[-1])

@@ -1,4 +1,4 @@
-"""What is checked in a recording's data, and what was found."""
+"""Checks of a recording's data, and their findings."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ if TYPE_CHECKING:
 
 
 LEAST_RATIO, NO_RATIO = 3.0, 0.3
-"""Signal over noise below which 30 s give inertias to some per cent only, and nothing at all."""
+"""Signal to noise below which 30 s determine inertias only to some per cent, or not at all."""
 MOST_HIDDEN = 0.15
-"""Share of the samples without theta_1 that no dead band, an eighth of a turn at most, makes."""
+"""Largest share of samples without theta_1 that a dead band of an eighth of a turn causes."""
 MOST_MISSING = 0.01
 TOO_FEW = 20
-"""Samples that no model of this rig is estimated from."""
+"""Least number of samples for an estimate of a model of this rig."""
 LONGEST_UNSEEN_S = 1.0
-"""A chassis that turns is out of its dead band in less, whatever the voltage."""
-_AT_REST = 6  # steps of the converter by which readings of a joint that stands still differ at most
-_BEYOND = 1.5  # rad between the dead band and where the next step is to begin
-_EARLIEST_S = 0.5
-_FEWEST = 8  # samples of a line
-_MOVES = 0.05  # rad/s from which on the chassis turns before the step
+"""Longest time in s that a turning chassis is in its dead band, at any voltage."""
+_MAX_REST_STEPS = 6  # range of readings of a resting joint, in steps of the converter
+_MARGIN_RAD = 1.5  # from the dead band to the beginning of the next step
+_EARLIEST_STEP_S = 0.5
+_MIN_LINE_SAMPLES = 8
+_MIN_SPEED_RAD_S = 0.05  # of a chassis that turns before the step
 
 
 def _good(about: str, text: str) -> Finding:
@@ -50,41 +50,40 @@ def _unusable(about: str, text: str) -> Finding:
 
 
 def check_run(r: Recording) -> Iterator[Finding]:
-    """Check how the run ended, and whether the file is whole."""
+    """Check how the run ended, and that the file is complete."""
     if r.cut_off:
-        text = f"the file is cut off: it holds {r.N * r.Ts:g} of {r.asked_s:g} s"
+        text = f"the file is cut off: it contains {r.N * r.Ts:g} of {r.asked_s:g} s"
         yield _warning("run", text)
     elif r.truncated:
-        yield _warning("run", f"the file is not whole: {r.damage}")
+        yield _warning("run", f"the file is damaged: {r.damage}")
     elif r.outcome is None or r.outcome.code != OutcomeCode.COMPLETE:
-        why = r.outcome.outcome if r.outcome else "the file does not say why"
+        why = r.outcome.outcome if r.outcome else "the file does not contain the reason"
         yield _warning("run", f"the run ended early: {why}")
 
 
 def check_input(r: Recording) -> Iterator[Finding]:
-    """Check whether the input moves at all."""
+    """Check that the input changes."""
     u = r.u[np.isfinite(r.u)]
     if not u.size or np.ptp(u) == 0:
-        text = "the input never changes, so no dynamics show; play one that switches"
+        text = "the input never changes, so the data show no dynamics; use an input that switches"
         yield _unusable("input", text)
     else:
         yield _good("input", f"{u.min():.3g} to {u.max():.3g} V")
 
 
 def check_angle(r: Recording) -> Iterator[Finding]:
-    """Check how much of theta_1 is hidden, and for how long on end."""
+    """Check the share of samples without theta_1, and their longest consecutive stretch."""
     came = r.samples.size
     if not r.valid.any():
-        text = (
-            f"no sample of {came} shows theta_1: a wire is broken, or it stands in the dead band; "
-        )
+        text = f"no sample of {came} shows theta_1: a wire is broken, or the wiper is in the "
+        text += "dead band; "
         yield _unusable("angle", text + "look at `armrig watch` while you turn the chassis by hand")
         return
     share, unseen = r.hidden / came, longest(r.present & ~r.valid) * r.Ts
-    text = f"theta_1 is hidden in {percent(100 * share)} of the samples (dead band, and the one "
-    text += "after)"
+    text = f"theta_1 is hidden in {percent(100 * share)} of the samples (dead band, and the sample "
+    text += "after it)"
     if unseen > LONGEST_UNSEEN_S:
-        text = f"theta_1 is hidden for {unseen:.1f} s at a stretch: the chassis stood in the dead "
+        text = f"theta_1 is hidden for {unseen:.1f} s without a break: the chassis was in the dead "
         yield _warning("angle", text + "band, or a wire is loose")
     elif share > MOST_HIDDEN:
         yield _warning("angle", f"{text}: too many for a dead band; check the potentiometer")
@@ -93,12 +92,12 @@ def check_angle(r: Recording) -> Iterator[Finding]:
 
 
 def check_step(r: Recording) -> Iterator[Finding]:
-    """Check whether the dead band hides the rise of a step."""
+    """Check that the dead band does not hide the rise of a step."""
     hidden = hidden_step(r) if r.manifest.experiment.partition("-")[0] == "step" else None
     if hidden is None:
         return
     text = f"theta_1 is hidden from {1e3 * hidden.begins_s:.0f} to {1e3 * hidden.ends_s:.0f} ms "
-    text += "after the step, on the rise: the 63 % time is poorly known. Repeat with "
+    text += "after the step, on the rise: the 63 % time is inaccurate. Repeat with "
     if np.isfinite(hidden.at_s):
         text += f"`--at {hidden.at_s:g} --seconds {hidden.seconds:g}`, which steps away from the "
         yield _warning("step", f"{text}dead band")
@@ -107,20 +106,21 @@ def check_step(r: Recording) -> Iterator[Finding]:
 
 
 def check_arm(r: Recording) -> Iterator[Finding]:
-    """Check alpha, which has no dead band to pass through; without the arm it must rest."""
+    """Check that alpha is not at an end of its track; in a greybox run, check that it rests."""
     if _is_greybox(r):
         yield from _check_removed_arm(r)
         return
     clipped = int(np.count_nonzero(r.samples["flags"] & Flag.ADC1_RAIL))
     if clipped:
-        text = f"alpha was at the end of its track in {clipped} of {r.samples.size} samples, which "
-        yield _warning("arm", text + "count as missing in alpha; theta_1 is not affected")
+        text = f"alpha was at the end of its track in {clipped} of {r.samples.size} samples. "
+        text += "These samples count as missing in alpha; theta_1 is not affected"
+        yield _warning("arm", text)
 
 
 def alpha_moves(r: Recording) -> bool:
-    """Return whether alpha moved by more than its noise: then the arm was on."""
+    """Return whether alpha moved by more than its noise, so that the arm was attached."""
     counts = r.samples["alpha_counts"][(r.samples["flags"] & Flag.ADC1_RAIL) == 0]
-    return counts.size > 0 and int(np.ptp(counts)) > _AT_REST * converter_step(r)
+    return counts.size > 0 and int(np.ptp(counts)) > _MAX_REST_STEPS * converter_step(r)
 
 
 def _check_removed_arm(r: Recording) -> Iterator[Finding]:
@@ -128,68 +128,71 @@ def _check_removed_arm(r: Recording) -> Iterator[Finding]:
     rehearsed = r.manifest.rehearsal
     configured_on = rehearsed is not None and rehearsed.alpha_rad > 0
     if moved and configured_on:
-        text = "alpha moves, and the daemon was told that the arm is on: take the rotating part "
-        yield _unusable("arm", text + "off (handout, figure 6) and set [arm] removed = true")
+        text = "alpha moves, and the daemon's configuration has an arm: remove the rotating "
+        yield _unusable("arm", text + "part (handout, figure 6) and set [arm] removed = true")
     elif moved:
-        text = "alpha moves, although the rotating part is to be off: see that it is"
+        text = "alpha moves, although the rotating part must be removed: remove the rotating part"
         yield _warning("arm", text)
     elif configured_on:
-        text = "alpha rests, but the daemon's configuration still has the arm on: set [arm] "
-        yield _warning("arm", text + "removed = true, or its rehearsal is of another rig")
+        text = "alpha rests, but the daemon's configuration has an arm: set [arm] removed = "
+        yield _warning("arm", text + "true, or the rehearsal uses the model of another rig")
     else:
-        yield _good("arm", "the rotating part is off")
+        yield _good("arm", "the rotating part is removed")
 
 
 def check_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
-    """Check what theta_1 does against its noise and the step of the converter, in rad."""
+    """Check the signal in theta_1, in rad, against its noise and the step of the converter."""
     ratio = signal / noise
-    text = f"signal to noise {ratio:.2g} to 1: theta_1 departs from steady turning by "
-    text += f"{error(signal, 'rad')} rms, and what its past and u "
-    text += f"do not foretell is {error(noise, 'rad')} "
-    text += f"({noise / step:.2g} steps of the converter)"
+    text = f"signal to noise {ratio:.2g} to 1: theta_1 deviates from a steady rotation by "
+    text += f"{error(signal, 'rad')} rms, and the noise that its past and u do not explain is "
+    text += f"{error(noise, 'rad')} ({noise / step:.2g} steps of the converter)"
     if ratio < NO_RATIO:
-        yield _unusable("signal", f"{text}; nothing but noise: set the levels further apart")
+        yield _unusable(
+            "signal", f"{text}; the signal is only noise: use levels with a larger difference"
+        )
     elif ratio < LEAST_RATIO:
-        yield _warning("signal", f"{text}; too quiet: set the levels further apart")
+        yield _warning("signal", f"{text}; use levels with a larger difference")
     else:
         yield _good("signal", text)
 
 
 def check_samples(r: Recording) -> Iterator[Finding]:
-    """Check how many samples came."""
+    """Check the number of samples that arrived."""
     came = r.samples.size
     if came < TOO_FEW:
-        yield _unusable("samples", f"{came} samples are no data; record {TOO_FEW} or more")
+        yield _unusable("samples", f"{came} samples are too few; record {TOO_FEW} or more")
     elif not r.missing:
-        yield _good("samples", f"all {r.N} samples came")
+        yield _good("samples", f"all {r.N} samples arrived")
     elif r.missing > MOST_MISSING * r.N:
         text = f"{r.missing} of {r.N} samples are missing: `armrig info` and `armrig doctor` "
-        yield _warning("samples", f"{text}say why")
+        yield _warning("samples", f"{text}show why")
     else:
-        yield _good("samples", f"{r.missing} of {r.N} samples are missing, and marked so")
+        yield _good("samples", f"{r.missing} of {r.N} samples are missing and marked missing")
 
 
 def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:
-    """Check what the jitter did to theta_1, in rad, against its noise."""
+    """Check the effect of jitter on theta_1, in rad, against its noise."""
     timing = sampling_statistics(r)
     if not np.isfinite(timing.std_us):
         return
     angle = angle_of_jitter(timing, data)
     text = f"the sampling interval varies by {microseconds(timing.std_us)}"
     if angle > noise:
-        text += f", which moves theta_1 by {error(angle, 'rad')}, more than its noise: let the "
+        text += f" and moves theta_1 by {error(angle, 'rad')}, more than its noise: let the "
         yield _warning("timing", f"{text}device pace the samples (--pacing scheduled)")
     else:
-        yield _good("timing", f"{text}, too little to matter")
+        yield _good("timing", f"{text}, too little to affect theta_1")
 
 
 def check_turns(r: Recording) -> Iterator[Finding]:
-    """Check where the number of turns was lost."""
+    """Check that the number of turns is known everywhere."""
     if r.turns_unknown:
         at = ", ".join(f"{r.t[i]:.2f}" for i in r.turns_unknown[:3])
         more = ", …" if len(r.turns_unknown) > 3 else ""
-        text = f"the number of turns is lost at {at}{more} s, where too many samples in a row are "
-        text += "missing (or Ts is too long): the data are cut there"
+        text = (
+            f"the number of turns is unknown from {at}{more} s on, after too many missing samples "
+        )
+        text += "in a row (or Ts is too long): the data are divided there"
         yield _warning("turns", text)
 
 
@@ -198,31 +201,34 @@ def _is_greybox(r: Recording) -> bool:
 
 
 def converter_step(r: Recording) -> int:
-    """Return one step of the converter in counts of 65536."""
+    """Return the step of the converter, in counts of 65536."""
     bits = r.manifest.device.get("adc_bits")
     return 1 << (16 - bits) if isinstance(bits, int) and 0 < bits <= 16 else 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HiddenStep:
-    """Where the rise of a step is not seen."""
+    """Interval of a step's rise that the dead band hides."""
 
     begins_s: float
-    """Last sample before the gap, in s from the step."""
+    """Time of the last sample before the interval, in s from the step."""
     ends_s: float
-    """First sample after it, in s from the step."""
+    """Time of the first sample after the interval, in s from the step."""
     at_s: float
-    """When the next run is to step, if nobody turns the chassis meanwhile; NaN where it rests
-    before the step, so that no time is better than another."""
+    """Time of the step in the next run, in s, if nobody turns the chassis before the next run.
+
+    NaN if the chassis rests before the step: the time then has no effect.
+    """
     seconds: float
-    """Length of that run with as long a time after the step."""
+    """Length of the next run in s, with as much time after the step as in this run."""
 
 
 def hidden_step(r: Recording) -> HiddenStep | None:
-    """Return what is hidden of the rise, None where all of it is seen, or there is no step.
+    """Return the hidden interval of the rise; None if the rise is visible, or without one step.
 
-    The rise is taken to last for the equivalent time (`armrig.numerics.step_times`), by which the
-    angle lags the straight line that it ends up on: it needs no sample of the rise.
+    The duration of the rise is taken as the equivalent time (`armrig.numerics.step_times`). This
+    time is the lag of the angle relative to its final straight line. It can be computed without
+    samples of the rise.
     """
     edges = np.flatnonzero(np.diff(r.u) != 0)
     if edges.size != 1:
@@ -230,24 +236,24 @@ def hidden_step(r: Recording) -> HiddenStep | None:
     at = int(edges[0]) + 1
     k, known = np.arange(r.N) - at, r.valid
     before, after = known & (k < 0) & (k > -at // 2 - 2), known & (k > (r.N - at) // 2)
-    if min(np.count_nonzero(before), np.count_nonzero(after)) < _FEWEST:
+    if min(np.count_nonzero(before), np.count_nonzero(after)) < _MIN_LINE_SAMPLES:
         return None
     v0, y0 = np.polyfit(r.Ts * k[before], r.theta_1[before], 1)
     since = r.theta_1 - y0 - v0 * r.Ts * k
     v1 = v0 + float(np.polyfit(r.Ts * k[after], since[after], 1)[0])
-    behind = ramp_lag(np.asarray(r.Ts * k[after], np.float64), since[after])
-    if np.isnan(behind):
+    lag = ramp_lag(np.asarray(r.Ts * k[after], np.float64), since[after])
+    if np.isnan(lag):
         return None
-    gaps = [g for g in stretches(~known) if g.stop > at + 1 and (g.start - at) * r.Ts < behind]
+    gaps = [g for g in stretches(~known) if g.stop > at + 1 and (g.start - at) * r.Ts < lag]
     gap = max(gaps, key=lambda g: g.stop - g.start, default=None)
     if gap is None or gap.stop - gap.start < 2 or gap.stop >= r.N:
         return None
-    # From where the chassis came to rest, about, on to well beyond the dead band.
-    begin = r.theta_1[gap.stop] + np.copysign(_BEYOND, v0)
-    way = (begin - r.theta_1[known][-1] - v1 * behind) % (2 * np.pi)
-    turns = abs(v0) > _MOVES
+    # The chassis turns from where this run ended to `_MARGIN_RAD` after the dead band.
+    begin = r.theta_1[gap.stop] + np.copysign(_MARGIN_RAD, v0)
+    way = (begin - r.theta_1[known][-1] - v1 * lag) % (2 * np.pi)
+    turns = abs(v0) > _MIN_SPEED_RAD_S
     later = way / v0 if v0 > 0 else (way - 2 * np.pi) / v0 if turns else float("nan")
-    later = later + 2 * np.pi / abs(v0) if later < _EARLIEST_S else later
+    later = later + 2 * np.pi / abs(v0) if later < _EARLIEST_STEP_S else later
     moment = float(np.ceil(10 * later) / 10) if turns else float("nan")
     return HiddenStep(
         begins_s=float((gap.start - 1 - at) * r.Ts),

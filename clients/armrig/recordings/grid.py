@@ -1,4 +1,4 @@
-"""The complete grid of a run's samples: a row for each that was due, whether it came or not."""
+"""Complete grid of a run's samples: a row for each sample that was due, also if it is missing."""
 
 from __future__ import annotations
 
@@ -14,47 +14,47 @@ from armrig_core.recording_file.budget import SAMPLES_LIMIT, DamageError
 from numpy.typing import NDArray
 
 MISSING_LIMIT, _MISSING_PER_SAMPLE = 200_000, 10
-"""Samples that may be missing, and so many more for each that came.
+"""Limit of missing samples: a fixed number, plus a number for each sample that arrived.
 
-The grid has rows for them: a file of two samples must not ask for 10^18 rows.
+Without a limit, a file of two samples could demand a grid of 10^18 rows.
 """
 TS_LEAST_S, TS_LIMIT_S = 1e-6, 86_400.0
-"""No sampling time is shorter than the first, or as long as the second, in s."""
+"""Shortest sampling time, and exclusive upper limit of the sampling time, in s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
-    """Where the samples that came stand among those that were due."""
+    """Positions of the samples that arrived among those that were due."""
 
     k_first: int
     """Index of the first row."""
     N: int
-    """Rows."""
+    """Number of rows."""
     present: NDArray[np.bool_]
-    """(N,): the sample came."""
+    """Mask (N,), True if the sample arrived."""
     taken: slice
-    """Which of the samples given those are."""
+    """Slice of the samples `k` that are in the grid."""
 
     def filled(self, gaps: Iterable[tuple[int, int, float]]) -> NDArray[np.float64]:
-        """Return (N,): the value of the gap that a row lies in, NaN outside of all.
+        """Return (N,): for each row the value of the gap that contains it, NaN outside all gaps.
 
-        What lies outside the grid is left out. Of gaps that overlap the last given counts. Each row
-        is written once, however many gaps claim it.
+        Parts of gaps outside the grid are ignored. If gaps overlap, the last gap in `gaps` counts.
+        Each row is written once, even if several gaps contain it.
 
         Parameters
         ----------
         gaps : iterable of (int, int, float)
-            First index, number of samples, and value of each.
+            First index, number of samples and value of each gap.
         """
         values = np.full(self.N, np.nan)
-        # Rows where a gap begins or ends, rising; between two of them the latest open one counts.
+        # Rows where a gap begins, sorted. Between two beginnings, the last given open gap counts.
         edges: list[tuple[int, int, int, float]] = []
         for i, (k_gap, count, value) in enumerate(gaps):
             begin, end = (min(max(k - self.k_first, 0), self.N) for k in (k_gap, k_gap + count))
             if begin < end:
                 edges.append((begin, -i, end, value))
         edges.sort()
-        open_gaps: list[tuple[int, int, float]] = []  # a heap: the last given first
+        open_gaps: list[tuple[int, int, float]] = []  # a heap, the last given gap first
         row = 0
         for begin, order, end, value in [*edges, (self.N, 1, self.N, np.nan)]:
             while open_gaps and row < begin:
@@ -76,31 +76,32 @@ def grid(
     gaps: Iterable[tuple[int, int]],
     between: tuple[int, int] = (0, 1 << 63),
 ) -> Grid:
-    """Return the grid of the samples `k` (n,), which rise strictly.
+    """Return the grid of the samples `k` (n,), which must increase strictly.
 
-    It begins with the run, at the manifest's `k_first`, and ends with the last sample that was
-    due: that of a complete run is the manifest's, a run that was stopped counts its own, and where
-    the file was cut off it is the last of those in its samples and gap records. A manifest without
-    `k_first` is older: then the grid is from the first sample to the last.
+    The grid begins with the manifest's `k_first` and ends with the last sample that was due. For a
+    complete run, the manifest contains the last sample. For a run that was stopped, the outcome
+    contains the number of samples. If the file is cut off, the grid ends with the last sample or
+    gap record. In an older recording, whose manifest has no `k_first`, the grid reaches from the
+    first sample in `k` to the last.
 
     Parameters
     ----------
     gaps : iterable of (int, int)
-        First index and number of the missing samples that were recorded.
+        First index and number of missing samples of each gap record.
     between : (int, int)
-        First row wanted, and the one behind the last; the grid has no others.
+        Index of the first row, and of the row after the last, to which the grid is limited.
 
     Raises
     ------
     ValueError
-        A sample lies outside the run, or far too many are missing.
+        A sample is outside the run, or more samples are missing than the limit allows.
     """
     begin, end = (int(k[0]), int(k[-1]) + 1) if k.size else (0, 0)
     if manifest.k_first >= 0:
         first, last = first_of(manifest), manifest.k_first + max(manifest.samples, 0)
         if k.size and not (first <= begin and end <= last):
             raise InputError(
-                f"its samples run from k={begin} to {end - 1}, those of the run from {first} to "
+                f"its samples are k={begin} to {end - 1}, but those of the run are {first} to "
                 f"{last - 1}"
             )
         ends = [end, *(k_gap + count for k_gap, count in gaps), first]
@@ -115,7 +116,7 @@ def grid(
     missing_limit = MISSING_LIMIT + _MISSING_PER_SAMPLE * k.size
     if end - begin - k.size > missing_limit or end - begin > SAMPLES_LIMIT:
         raise InputError(
-            f"of the samples from k={begin} to {end - 1} {end - begin - k.size} are missing: too "
+            f"{end - begin - k.size} of the samples from k={begin} to {end - 1} are missing: too "
             "many for a recording"
         )
     present = np.ones(end - begin, np.bool_)
@@ -126,13 +127,13 @@ def grid(
 
 
 def first_of(manifest: Manifest) -> int:
-    """Return the index of the first sample that was due in a file; -1 where it does not say."""
+    """Return the index of the first sample that was due in a file; -1 if it is not recorded."""
     return manifest.part_k_first if manifest.part > 1 else manifest.k_first
 
 
 def check_sampling_time(manifest: Manifest) -> None:
-    """Raise DamageError where a recording says of a sampling time that none has."""
+    """Raise DamageError if the sampling time in a manifest is outside the limits."""
     if not TS_LEAST_S <= manifest.Ts < TS_LIMIT_S:
         raise DamageError(
-            f"its manifest says Ts={manifest.Ts!r} s, which must be from 1 µs to below a day"
+            f"its manifest contains Ts={manifest.Ts!r} s, which must be from 1 µs to below a day"
         )

@@ -1,4 +1,4 @@
-"""How regularly a recording was sampled."""
+"""Regularity of the sampling of a recording."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from math import isnan, nan
 from typing import TYPE_CHECKING
 
 import numpy as np
-from armrig_core.emulator_stall import held_up_ms
 from numpy.typing import NDArray
 
 from armrig.numerics.quantities import NBSP, fixed
@@ -28,7 +27,7 @@ class Spread:
     """Percentiles of a time, in µs."""
 
     n: int
-    """How many there were."""
+    """Number of values."""
     p50: float
     p90: float
     p99: float
@@ -41,7 +40,7 @@ class SamplingStatistics:
     """Sampling time and jitter of one recording."""
 
     Ts_us: float
-    """Sampling time asked for, in µs."""
+    """Requested sampling time, in µs."""
     mean_us: float
     """Mean interval between samples on the device's clock, in µs."""
     std_us: float
@@ -49,33 +48,33 @@ class SamplingStatistics:
     least_us: float
     """Shortest interval, in µs."""
     greatest_us: float
-    """Longest interval between samples that follow each other, in µs."""
+    """Longest interval between consecutive samples, in µs."""
     jitter: Spread
     """|interval - Ts| on the device's clock, in µs."""
     lateness: Spread
-    """When the host asked (exchange) or had it (scheduled), less when it was due, in µs."""
+    """Lateness of the host's request (exchange) or of the sample's arrival (scheduled), in µs."""
     samples: int
-    """Samples that came."""
+    """Number of samples that arrived."""
     missing: int
-    """Samples that did not."""
+    """Number of missing samples."""
     longest_gap: int
-    """Most samples missing in a row, those before the first and after the last that came too."""
+    """Largest number of consecutive missing samples, also at the beginning and end of the run."""
 
 
 def intervals_us(recording: Recording) -> Vector:
-    """Return the times between samples that follow each other, on the device's clock, in µs."""
+    """Return the times between consecutive samples, on the device's clock, in µs."""
     samples = recording.samples
     t = np.diff(samples["t_device_us"].astype(np.int64)).astype(np.float64)
     return np.asarray(t[np.diff(samples["k"].astype(np.int64)) == 1])
 
 
 def jitter_us(recording: Recording) -> Vector:
-    """Return |interval - Ts| of each interval, in µs."""
+    """Return |interval - Ts| of each interval between consecutive samples, in µs."""
     return np.abs(intervals_us(recording) - recording.Ts * 1e6)
 
 
 def lateness_us(recording: Recording) -> Vector:
-    """Return how late the host asked for each sample, or had it where the device paced, in µs."""
+    """Return the lateness in µs of each sample's request, or of its arrival if the device paces."""
     samples = recording.samples
     return np.asarray((samples["t_host_ns"] - samples["t_sched_ns"]) / 1e3)
 
@@ -86,12 +85,12 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
     Parameters
     ----------
     recording : Recording
-        Its intervals count where neither sample is missing.
+        Recording; an interval is used if neither of its two samples is missing.
 
     Returns
     -------
     SamplingStatistics
-        Times in µs, NaN where there are too few samples, and counts of samples.
+        Times in µs, and numbers of samples. Times are NaN if there are too few samples.
     """
     t = intervals_us(recording)
     some = t if t.size else np.full(1, np.nan)
@@ -110,16 +109,16 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
 
 
 def angle_of_jitter(timing: SamplingStatistics, data: Dataset) -> float:
-    """Return what the jitter can have done to an angle: it is read at another time than k Ts.
+    """Return the error of an angle because jitter shifts its reading from k Ts.
 
-    Standard deviation of the interval times the rate that 99 % of the data stay below, in the
-    data's unit.
+    The error, in the unit of the data, is the product of the standard deviation of the interval and
+    `fastest_rate`.
     """
     return timing.std_us * 1e-6 * fastest_rate(data)
 
 
 def fastest_rate(data: Dataset) -> float:
-    """Return the rate of y that 99 % of its differences stay below, in y's unit per s."""
+    """Return the rate of y that 99 % of its differences do not exceed, in y's unit per s."""
     return float(np.nanpercentile(np.abs(np.diff(data.y)) / data.Ts, 99))
 
 
@@ -132,29 +131,29 @@ def _spread(x: Vector) -> Spread:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Disturbances:
-    """What the host did meanwhile, and how the device's clock ran."""
+    """Load of the host, and drift of the device's clock, during a recording."""
 
     seconds: int
-    """Reports in the recording, one a second."""
+    """Number of reports in the recording, one a second."""
     collections: int
-    """Garbage collections of the loop, from the first report to the last; -1: unknown."""
+    """Number of garbage collections between the first report and the last; -1: unknown."""
     cpu_pressure_percent: float
-    """Share of the worst second in which some task waited for a processor; NaN: unknown."""
+    """Largest percentage of a second in which a task waited for a processor; NaN: unknown."""
     run_queue: int
-    """Most tasks that were runnable; -1: unknown."""
+    """Largest number of runnable tasks; -1: unknown."""
     round_trip_us: float
-    """Longest round trip to the device, in µs; NaN: none was reported."""
+    """Longest round trip to the device, in µs; NaN without a report."""
     drift_ppm: float
-    """How slow the device's clock is, in parts per million, as known at the end; NaN: unknown."""
+    """Drift at the end, in parts per million; positive if the device's clock is slow."""
     drift_std_ppm: float
     """Standard deviation of the drift, in parts per million."""
     offset_std_us: float
     """Standard deviation of the offset between the clocks at the end, in µs."""
     held_up_ms: int = 0
-    """How long the clock of an emulated rig stood still as its machine stalled, in ms."""
+    """Time for which an emulated rig's clock stopped because its computer stalled, in ms."""
 
     def texts(self) -> dict[str, str]:
-        """Return in words what was reported, by its name; nothing where nothing was."""
+        """Return the reported disturbances as text with units, by the name of the disturbance."""
         found = {}
         if self.seconds and self.collections >= 0:
             found["garbage collections of the loop"] = str(self.collections)
@@ -175,8 +174,8 @@ class Disturbances:
 
 
 def disturbances(recording: Recording) -> Disturbances:
-    """Return what disturbed the timing of a recording."""
-    timing, last = recording.timing, recording.clock[-1] if recording.clock else _UNKNOWN
+    """Return the disturbances of a recording's timing."""
+    timing, last = recording.timing, recording.clock[-1] if recording.clock else _UNKNOWN_CLOCK
     counted = [t.collections for t in timing if t.collections >= 0]
     collections = counted[-1] - counted[0] if counted else -1 if timing else 0
     pressures = [t.cpu_pressure_percent for t in timing if not isnan(t.cpu_pressure_percent)]
@@ -189,11 +188,11 @@ def disturbances(recording: Recording) -> Disturbances:
         drift_ppm=last.drift_ppm,
         drift_std_ppm=last.drift_std_ppm,
         offset_std_us=last.offset_std_ns / 1e3,
-        held_up_ms=sum(held_up_ms(event.message) for event in recording.events),
+        held_up_ms=round(sum(event.emulator_stall_ns for event in recording.events) / 1e6),
     )
 
 
-_UNKNOWN = DeviceClock(
+_UNKNOWN_CLOCK = DeviceClock(
     t=nan, offset_ns=0, offset_std_ns=nan, drift_ppm=nan, drift_std_ppm=nan, bound_ns=nan
 )
 

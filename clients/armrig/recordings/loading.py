@@ -1,4 +1,4 @@
-"""Loading: from a file's samples, gaps and reports to a recording on a complete grid."""
+"""Loading: conversion of a file's samples, gaps and reports to a recording on a complete grid."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ from armrig.recordings.grid import Grid, check_sampling_time, grid
 from armrig.recordings.recording import Recording, Vector
 
 EVERYTHING = (0, 1 << 63)
-"""Between which indices all samples are."""
+"""Range of indices that contains all samples."""
 _BEGINNING = Part(from_ns=0, to_ns=-1, k_end=0)  # up to the first chunk with samples
-_LATE_NS = 1_000_000_000  # by how much reports may be written before or after the samples they tell
-_LATEST = 1e15  # s, and samples: later than any, and still whole numbers
-_ROUNDING = 1e-6  # of a sample: 0.3 / 0.1 is not 3
+_REPORT_DELAY_NS = 1_000_000_000  # between a sample and a report about it, before or after
+_MAX_TIME = 1e15  # s, and samples: later than any, and still exact integers
+_ROUNDING_SAMPLES = 1e-6  # of a sample: 0.3 / 0.1 is not 3
 
 
 def load(
@@ -52,21 +52,23 @@ def load(
     start: float | None = None,
     stop: float | None = None,
 ) -> Recording:
-    """Return the recording in a file, or in the parts of one run.
+    """Load the recording in a file, or in the parts of one run.
 
-    A file that was cut off or damaged gives what is whole at its beginning, with `truncated`.
+    Of a truncated or damaged file, the part before the damage is loaded, and `truncated` is True.
 
     Parameters
     ----------
     path : str or Path, or a sequence of them
-        An MCAP file of armrigd's, also an unfinished one (*.mcap.active). Of a run recorded in
-        parts: the name of the run for all of them, that of a part, or those of consecutive parts.
+        MCAP file of armrigd, finished or unfinished (*.mcap.active). A run in several files is
+        selected by the name of the run (all parts), the name of one part, or the names of
+        consecutive parts.
     calibration : Calibration, str or Path, optional
-        What to read the counts and codes with, or the TOML of `armrig calibrate` that says it; left
-        out, the calibration that the daemon attached.
+        Calibration for the counts and codes, or its TOML file of `armrig calibrate`; by default the
+        calibration that the daemon attached.
     start, stop : float, optional
-        Only the samples due in start <= t < stop, in s from the first sample of the run, as `t`
-        counts; the rest is not unpacked. `theta_1` counts its turns from the first of them.
+        Range of samples, start <= t < stop, in s from the first sample of the run, as in `t`.
+        Samples outside the range are not loaded. `theta_1` counts its turns from the first sample
+        in the range.
 
     Returns
     -------
@@ -76,18 +78,18 @@ def load(
     Raises
     ------
     FileError
-        The file is no MCAP, no recording, or damaged before its first sample; the calibration
-        cannot be read; the parts are not of one run; or nothing lies between start and stop.
+        The file is not a recording or is damaged before its first sample. The calibration cannot be
+        read. The parts belong to different runs, or the range contains no sample.
     OSError
         The file cannot be opened or read.
     """
     given = [path] if isinstance(path, str | Path) else path
     if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):
-        msg = f'path is a {type(path).__name__}: give the name of a file, armrig.load("F.mcap"), '
+        msg = f'path is a {type(path).__name__}: pass the name of a file, armrig.load("F.mcap"), '
         raise InputTypeError(msg + "or a list of the parts of a run, in their order")
     if str(given[0] if given else "").startswith("@") and not Path(given[0]).exists():
         raise FileError(
-            f"{given[0]}: such names are the command line's; `armrig ls --json` says the paths"
+            f"{given[0]}: only commands accept names with @; `armrig ls --json` prints paths"
         )
     paths = [part for one in given for part in files_of(Path(one))]
     if not paths:
@@ -99,7 +101,7 @@ def load(
     found = run_content(paths, start, stop)
     recording = _assembled(name, found, calibration or found.calibration)
     if found.between != EVERYTHING and not recording.N:
-        msg = f"{name}: nothing of it lies from {start or 0:g} s"
+        msg = f"{name}: it contains no sample from {start or 0:g} s"
         msg += f" to {stop:g} s" if stop is not None else " on"
         asked_s = found.manifest.samples * found.manifest.Ts
         raise FileError(f"{msg}; its run has {asked_s:g} s" if asked_s > 0 else msg)
@@ -107,9 +109,9 @@ def load(
 
 
 def files_of(path: Path) -> list[Path]:
-    """Return the files that a path stands for; raises FileError where a part is missing.
+    """Return the files of the run at a path; raise FileError if a part is missing.
 
-    The last ones may be missing all the same: the outcome is then that the run is continued.
+    Missing last parts cause no error, but the outcome then says that the run is continued.
     """
     paths = part_paths(path)
     if paths == [path]:
@@ -117,26 +119,26 @@ def files_of(path: Path) -> list[Path]:
     numbers = [part_number(part) for part in paths]
     for number in range(1, numbers[-1]):
         if number not in numbers:
-            msg = f"{path}: part {number} of this run is missing; those that are there are read by "
-            raise FileError(f"{msg}their own names, such as {paths[0].name}")
+            msg = f"{path}: part {number} of this run is missing; read the other parts by their "
+            raise FileError(f"{msg}own names, such as {paths[0].name}")
     return paths
 
 
 def _check_is_calibration(path: Path, first: Path) -> None:
     if RECORDING in path.suffixes:
-        msg = f"{path}: a recording, where a calibration is wanted; the parts of a run are given "
-        raise FileError(f'{msg}as a list, armrig.load(["{first.name}", "{path.name}"])')
+        msg = f"{path}: is a recording, not a calibration; give the parts of a run as a list, "
+        raise FileError(f'{msg}armrig.load(["{first.name}", "{path.name}"])')
 
 
 class RunContent(NamedTuple):
-    """What the files of a run hold, or the part of it that was asked for."""
+    """Content of the files of a run, or of a range of samples of the run."""
 
     content: Content
     manifest: Manifest
     outcome: Outcome | None
     calibration: Calibration | None
     between: tuple[int, int]
-    """Index of the first sample wanted, and behind the last; content may hold a few more."""
+    """First index, and the index after the last; `content` may have further samples."""
 
 
 def run_content(
@@ -146,7 +148,7 @@ def run_content(
     *,
     digest: bool = True,
 ) -> RunContent:
-    """Return what the files of a run hold from `start` to `stop`; raises as `load`."""
+    """Return the content of a run's files from `start` to `stop`; raises as `load` does."""
     between, part = EVERYTHING, None
     if start is not None or stop is not None:
         between, part = _part(paths[0], start or 0.0, inf if stop is None else stop)
@@ -161,33 +163,33 @@ def run_content(
     return RunContent(content, manifest, ended, attached, between)
 
 
-_READ = (
-    f"a recording of armrigd's (*{RECORDING}) is wanted; sampling, hints, identify, validate and "
-    f"check read {OTHER_DATA}, too"
+_READABLE_FILES = (
+    f"give a recording of armrigd (*{RECORDING}); the commands sampling, hints, identify, validate "
+    f"and check also read {OTHER_DATA}"
 )
-_OF_A_TABLE = (
-    f"a recording of the rig is wanted here (*{RECORDING}, or @NAME of `armrig ls`), and this is "
-    f"none; {OTHER_DATA} are read by sampling, hints, identify, validate and check, such as "
+_TABLE_REFUSAL = (
+    f"is not a recording of the rig; give a recording (*{RECORDING}, or @NAME of `armrig ls`); "
+    f"{OTHER_DATA} can be read by sampling, hints, identify, validate and check, such as "
     "`armrig hints {path}`"
 )
 _File = tuple[Content, Manifest, Outcome | None, Calibration | None]
 
 
 def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
-    """Return what is in a file, its manifest, outcome and calibration; raises as `load`."""
+    """Return the content, manifest, outcome and calibration of a file; raises as `load` does."""
     try:
         content = read(path, part=part, digest=digest)
     except DamageError as err:
-        raise FileError(f"{path}: {err}; {_READ}") from err
+        raise FileError(f"{path}: {err}; {_READABLE_FILES}") from err
     if content is None and not path.stat().st_size:
         raise FileError(f"{path}: is empty, 0 B: nothing was recorded; record again")
     if content is None:
         table = path.suffix.lower() in DATA
-        why = _OF_A_TABLE.format(path=path) if table else f"not an MCAP file; {_READ}"
+        why = _TABLE_REFUSAL.format(path=path) if table else f"not an MCAP file; {_READABLE_FILES}"
         raise FileError(f"{path}: {why}")
     entries = content.metadata.get(records.RUN)
     if entries is None:
-        why = content.damage or "it holds no metadata named armrig.run"
+        why = content.damage or "it contains no metadata named armrig.run"
         raise FileError(f"{path}: not a recording of a run: {why}")
     try:
         manifest = records.manifest_of(entries)
@@ -211,22 +213,24 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
 
 
 def beginning(path: Path) -> tuple[Path, Content]:
-    """Return the first file that a path stands for, and what it holds before its samples."""
+    """Return the first file of the run at a path, and its content before the samples."""
     first = part_paths(path)[0]
     return first, _read(first, _BEGINNING, digest=False)[0]
 
 
 def _part(path: Path, start: float, stop: float) -> tuple[tuple[int, int], Part]:
-    """Return the indices of the samples in a range of time, and what to read for them."""
+    """Convert a range of time to the indices of its samples and the part of the file to read."""
     if not 0 <= start < stop:
         raise FileError(f"start={start:g} s and stop={stop:g} s: 0 <= start < stop is needed")
     content, manifest, _, _ = _read(path, _BEGINNING, digest=False)
     k_first = origin_of(content, manifest)
-    first, end = (k_first + ceil(min(t / manifest.Ts, _LATEST) - _ROUNDING) for t in (start, stop))
+    first, end = (
+        k_first + ceil(min(t / manifest.Ts, _MAX_TIME) - _ROUNDING_SAMPLES) for t in (start, stop)
+    )
     clock = clock_of(content, manifest, k_first)
-    zero_ns = clock.zero_ns + clock.offset_ns - _LATE_NS
-    from_ns = zero_ns + round(min(start, _LATEST) * 1e9)
-    to_ns = zero_ns + round(min(stop, _LATEST) * 1e9) + 2 * _LATE_NS
+    zero_ns = clock.zero_ns + clock.offset_ns - _REPORT_DELAY_NS
+    from_ns = zero_ns + round(min(start, _MAX_TIME) * 1e9)
+    to_ns = zero_ns + round(min(stop, _MAX_TIME) * 1e9) + 2 * _REPORT_DELAY_NS
     return (first, end), Part(from_ns=from_ns, to_ns=to_ns, k_end=end)
 
 
@@ -256,7 +260,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     messages = content.messages
     try:
         spots = [(int(m.k_first), int(m.count)) for m in messages.get("gap", [])]
-        # The rest of a damaged file is not missing: its samples may have come, but are not here.
+        # Samples after the damage of a file do not count as missing: they may have arrived.
         ended = None if content.damage else outcome
         rows = grid(content.samples["k"], manifest, ended, spots, between)
     except ValueError as err:
@@ -273,7 +277,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     logs = messages.get("event", [])
     reports: dict[str, Any] = {
         "gaps": gaps,
-        # Only the daemon's own lines: some are read for what disturbed the timing.
+        # Notes are left out, because events are searched for disturbances of the timing.
         "events": tuple(event_of(message, clock) for message in logs if not is_note(message)),
         "notes": tuple(note_of(message, clock) for message in logs if is_note(message)),
         "timing": tuple(timing_of(message, clock) for message in messages.get("timing", [])),
@@ -309,7 +313,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
 
 
 def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:
-    """Return the reports of the time of these rows."""
+    """Return the reports from the first time in `t` to one sampling time after the last."""
     if not t.size:
         return ()
     begin, end = float(t[0]), float(t[-1]) + Ts
@@ -317,7 +321,7 @@ def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:
 
 
 def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:
-    """Return the clock whose zero is when sample `k_first` was due."""
+    """Return the clock whose zero is the time at which sample `k_first` was due."""
     if content.samples.size:
         k, due_ns = (int(content.samples[name][0]) for name in ("k", "t_sched_ns"))
     elif content.messages.get("gap"):
@@ -330,7 +334,7 @@ def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:
 
 
 def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vector:
-    """Return u (N,) in V: as applied, or as held while samples were missing, else NaN."""
+    """Return u (N,) in V: applied, or held during a gap; NaN for a missing sample without a gap."""
     applied = samples["u_applied_v"]
     if applied.size == rows.N:
         return applied.copy()
@@ -340,19 +344,19 @@ def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vect
 
 
 def _terminal(u: Vector, driver: Driver) -> Vector:
-    """Return the voltage at the motor's terminals for that of the codes, in V; 0 V is off."""
+    """Convert the voltage of the codes to the voltage at the terminals, in V; 0 V remains 0 V."""
     terminal = driver.gain * u + driver.offset_v
     terminal[u == 0] = 0.0
     return terminal
 
 
 def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Content:
-    """Return what consecutive parts of one run hold together.
+    """Join the contents of consecutive parts of one run into one content.
 
     Raises
     ------
     ValueError
-        They are of different runs, or one is missing.
+        The parts belong to different runs, a part is missing, or k does not increase.
     """
     for before, after in pairwise(manifests):
         if (before.rig, before.run_id) != (after.rig, after.run_id):
@@ -389,5 +393,5 @@ def joined(contents: Sequence[Content], manifests: Sequence[Manifest]) -> Conten
         whole.metadata[OUTCOME] = contents[-1].metadata[OUTCOME]
     k = whole.samples["k"]
     if k.size and not (k[1:] > k[:-1]).all():
-        raise InputError("the samples of one part do not stand behind those of the part before")
+        raise InputError("the samples of a part do not follow the samples of the previous part")
     return whole

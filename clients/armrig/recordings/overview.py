@@ -1,4 +1,4 @@
-"""What to look at first in a recording (handout, 3.1.4): missing samples, outliers, drift."""
+"""Overview of a recording (handout, 3.1.4): missing samples, outliers, drift."""
 
 from __future__ import annotations
 
@@ -22,37 +22,45 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Vector = NDArray[np.float64]
-_SEARCHED: tuple[OutputName, ...] = (THETA_1, ALPHA)
-_DRIFTING: tuple[OutputName, ...] = (VELOCITY, ALPHA)
-_FEWEST_CHANGES = 20  # of u: the coefficients of u in the model that outliers are found by
+_SEARCHED_OUTPUTS: tuple[OutputName, ...] = (THETA_1, ALPHA)
+_DRIFTING_OUTPUTS: tuple[OutputName, ...] = (VELOCITY, ALPHA)
+_MIN_INPUT_CHANGES = 20  # number of coefficients of u in the model of the search for outliers
 
-_RATE_S = 0.1
-"""Length over which the range of the rate is taken: one step of the converter is 0.06 rad/s then,
-and 3 rad/s from one sample to the next at 2 ms."""
+_RATE_INTERVAL_S = 0.1
+"""Interval in s for the rate of theta_1: one step of the converter changes the rate by 0.06 rad/s.
+
+Over an interval of 2 ms, one step would change the rate by 3 rad/s.
+"""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Overview:
-    """A recording, and what is wrong with single samples of it or with its level."""
+    """A recording, with its outliers and the drift of its signals."""
 
     recording: Recording
-    """What was looked at."""
+    """Recording of the overview."""
     outliers: Mapping[str, Vector]
-    """Times of the outliers in s, by output; an output that could not be searched is left out."""
+    """Times of the outliers in s, by output; outputs that could not be searched are left out."""
     drift: Mapping[str, Drift]
-    """By output: of the rate of theta_1, which integrates, and of alpha. A recording in several
-    experiments, as after samples of unknown u, has "alpha 1", "alpha 2" …"""
+    """Drift of the rate of theta_1 and drift of alpha, by output.
+
+    If samples of unknown u divide the recording into experiments, the names are "alpha 1",
+    "alpha 2" …
+    """
     reasons: Mapping[str, str]
-    """Why an output could not be searched, by output; "outliers" where no output could be."""
+    """Reasons why outputs were not searched, by output; the name "outliers" means all outputs."""
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return names and values for a person."""
+        """Return the rows of a table: the name of a quantity and its value as text."""
         rec = self.recording
         speed = f"{_range(_rate(rec))} rad/s"
         turned = np.ptp(rec.theta_1[rec.valid]) / tau if rec.valid.any() else 0.0
         return [
             ("u", f"{_range(rec.u)} V, {np.nanmean(rec.u):.3g} V on average"),
-            (THETA_1, f"the chassis turned {turned:.1f} times, at {speed} over {_RATE_S:g} s"),
+            (
+                THETA_1,
+                f"the chassis turned {turned:.1f} times, at {speed} over {_RATE_INTERVAL_S:g} s",
+            ),
             (ALPHA, f"{_range(rec.alpha)} rad"),
             ("missing", f"{rec.missing} of {plural(rec.N, 'sample')}"),
             ("dead band", f"{plural(rec.hidden, 'sample')} without theta_1"),
@@ -62,7 +70,7 @@ class Overview:
         ]
 
     def facts(self) -> dict[str, Any]:
-        """Return it for a program."""
+        """Return the overview as a dict for JSON."""
         rec = self.recording
         return {
             "sha256": rec.sha256,
@@ -78,7 +86,7 @@ class Overview:
         }
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of u, theta_1, its rate and alpha against time, with what was found."""
+        """Return a figure of u, theta_1, its rate and alpha against time, with the outliers."""
         from armrig.plots.layout import figure_of
         from armrig.recordings.figures import plot_overview
 
@@ -86,21 +94,26 @@ class Overview:
 
 
 def overview(recording: Recording) -> Overview:
-    """Look for outliers in both angles, and for a drift of the rate of theta_1 and of alpha.
+    """Search both angles for outliers, and the rate of theta_1 and alpha for a drift.
 
-    The angle itself does not drift: it integrates, and its line answers the mean of u.
+    The angle theta_1 is not searched for a drift: its slope is the response to the mean of u.
     """
     outliers: dict[str, Vector] = {}
     drifts: dict[str, Drift] = {}
     reasons: dict[str, str] = {}
-    if not alpha_moves(recording):  # of a reading that hardly changes each step looks like one
-        reasons[ALPHA] = "it rests: the arm was off, or held"
+    if not alpha_moves(recording):  # each step of a reading at rest looks like an outlier
+        reasons[ALPHA] = "alpha is constant: the arm was removed or held"
     known = np.isfinite(recording.u)
-    if poor := _poor_input(recording.u[known]):
-        reasons["outliers"] = poor
-        # Of 40 emulated steps without a drift 13 showed one of the rate, all of them a rising one.
-        reasons[VELOCITY] = "of so few changes what the model lacks looks like a drift"
-    searched = () if poor else _SEARCHED
+    changes = int(np.count_nonzero(np.diff(recording.u[known])))
+    poor = changes < _MIN_INPUT_CHANGES
+    if poor:
+        reasons["outliers"] = (
+            f"u changes {plural(changes, 'time')}; with fewer than {_MIN_INPUT_CHANGES} changes a "
+            "model cannot distinguish an outlier from the swing after a change: look at the figure"
+        )
+        # Of 40 emulated steps without a drift, 13 showed a drift of the rate, all of them positive.
+        reasons[VELOCITY] = "u changes too rarely: the errors of the model would look like a drift"
+    searched = () if poor else _SEARCHED_OUTPUTS
     for output in (name for name in searched if name not in reasons):
         try:
             data = recording.dataset(output)
@@ -109,10 +122,10 @@ def overview(recording: Recording) -> Overview:
             reasons[output] = str(err)
         else:
             outliers[output] = recording.t[known][marked]
-    for output in (name for name in _DRIFTING if name not in reasons):
+    for output in (name for name in _DRIFTING_OUTPUTS if name not in reasons):
         try:
-            # Neither integrates: springs hold alpha, and the back-EMF the rate. A swing after a
-            # step is too short a record for a test to see that.
+            # Neither signal integrates: springs hold alpha, and the back-EMF limits the rate. A
+            # test for an integrator fails on a record as short as the swing after a step.
             found = drift(recording.dataset(output), integrator=False)
         except ValueError as err:
             reasons.setdefault(output, str(err))
@@ -127,20 +140,9 @@ def overview(recording: Recording) -> Overview:
     )
 
 
-def _poor_input(u: Vector) -> str:
-    """Return why u teaches too little to tell an outlier from a swing, "" where it does not."""
-    changes = int(np.count_nonzero(np.diff(u)))
-    if changes >= _FEWEST_CHANGES:
-        return ""
-    return (
-        f"u changes {plural(changes, 'time')}; fewer than {_FEWEST_CHANGES} teach no model that "
-        "tells an outlier from the swing after a change: look at the figure"
-    )
-
-
 def _rate(recording: Recording) -> Vector:
-    """Return the rate of theta_1 over `_RATE_S`, in rad/s; NaN where it is not known."""
-    n = max(1, round(_RATE_S / recording.Ts))
+    """Return the rate of theta_1 over `_RATE_INTERVAL_S`, in rad/s; NaN without valid angles."""
+    n = max(1, round(_RATE_INTERVAL_S / recording.Ts))
     angle = recording.theta_1
     return (angle[n:] - angle[:-n]) / (n * recording.Ts)
 

@@ -1,4 +1,4 @@
-"""What a recording's daemon published during the run, message after message."""
+"""Messages that the daemon published during a recorded run."""
 
 from __future__ import annotations
 
@@ -18,34 +18,34 @@ from armrig.recordings.container import Content
 from armrig.recordings.daemon_reports import Clock
 from armrig.recordings.loading import EVERYTHING, clock_of, files_of, origin_of, run_content
 
-_AT_ONCE = 4096  # samples that are made into Python's numbers at once
+_BLOCK_SAMPLES = 4096  # converted to Python's numbers at once
 
 
 class Published(NamedTuple):
-    """One message as it was published."""
+    """A message of the daemon, with its stream and its time of publication."""
 
     t: float
-    """When, in s from the run's first sample; before it for what was said at the start."""
+    """Time of publication in s from the run's first sample; negative for messages before it."""
     stream: str
-    """Such as sample."""
+    """Name of the stream, such as sample."""
     data: bytes
-    """The message."""
+    """Encoded message."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedRun:
-    """The messages of a run, in the order in which they were published."""
+    """Messages of a run, in the order in which they were published."""
 
     manifest: Manifest
-    """How the run was made."""
+    """Manifest of the run."""
     damage: str
-    """Why the file could not be read to its end; "" for a whole one."""
+    """Reason why the file could not be read to its end; "" for a complete file."""
     samples: NDArray[np.void]
-    """Its samples, as recorded."""
+    """Samples, as recorded."""
     others: tuple[Published, ...]
     """All other messages, in their order."""
     clock: Clock
-    """Of the host, from which `t` counts."""
+    """Clock of the host, on which `t` is."""
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -53,7 +53,7 @@ class PublishedRun:
 
     @property
     def seconds(self) -> float:
-        """From the first message to the last, in s."""
+        """Time from the first message to the last, in s."""
         ends = [self.others[0].t, self.others[-1].t] if self.others else []
         ends += [self._t(int(row["t_host_ns"])) for row in self.samples[[0, -1]]] * (
             self.samples.size > 0
@@ -61,12 +61,12 @@ class PublishedRun:
         return max(ends) - min(ends) if ends else 0.0
 
     def messages(self) -> Iterator[Published]:
-        """Give all messages; a gap stands before the sample behind it."""
+        """Yield all messages by time; a gap is before the sample that follows the gap."""
         return heapq.merge(self.others, self._samples(), key=lambda message: message.t)
 
     def _samples(self) -> Iterator[Published]:
-        for begin in range(0, self.samples.size, _AT_ONCE):
-            for row in self.samples[begin : begin + _AT_ONCE].tolist():
+        for begin in range(0, self.samples.size, _BLOCK_SAMPLES):
+            for row in self.samples[begin : begin + _BLOCK_SAMPLES].tolist():
                 sample = Sample._make(row)
                 yield Published(self._t(sample.t_host_ns), "sample", encode_sample(sample))
 
@@ -75,17 +75,17 @@ class PublishedRun:
 
 
 def published(path: Path, start: float | None = None, stop: float | None = None) -> PublishedRun:
-    """Return what was published during the run in a file, or in the parts of one.
+    """Return the messages of a recorded run, from a file or from the parts of the run.
 
     Parameters
     ----------
     start, stop : float, optional
-        Only what is of start <= t < stop, in s from the run's first sample.
+        Range of messages, start <= t < stop, in s from the run's first sample.
 
     Raises
     ------
     FileError
-        As of `armrig.load`, or there is nothing to publish.
+        `armrig.load` would raise it, or the range contains no message.
     OSError
         The file cannot be opened or read.
     """
@@ -100,7 +100,7 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
         low, high = start or 0.0, np.inf if stop is None else stop
         others = [message for message in others if low <= message.t < high]
     if not (samples.size or others):
-        raise FileError(f"{path}: there is nothing in it to publish")
+        raise FileError(f"{path}: contains nothing to publish")
     return PublishedRun(
         manifest=manifest,
         damage=content.damage,
@@ -118,13 +118,13 @@ def _others(content: Content, clock: Clock) -> Iterator[Published]:
 
 
 def _host_ns(stream: str, message: Any, content: Content, clock: Clock) -> int:
-    """Return when a message was published, on the host's monotonic clock."""
+    """Return the time at which a message was published, on the host's monotonic clock."""
     if stream == "event":
         stamp = message.timestamp
         return int(stamp.seconds) * 1_000_000_000 + int(stamp.nanos) - clock.offset_ns
     if stream != "gap":
         return int(message.t_host_ns)
-    behind = np.searchsorted(content.samples["k"], min(message.k_first, (1 << 63) - 1))
-    if behind == content.samples.size:
+    after = np.searchsorted(content.samples["k"], min(message.k_first, (1 << 63) - 1))
+    if after == content.samples.size:
         return int(message.t_to_ns)
-    return min(int(message.t_to_ns), int(content.samples["t_host_ns"][behind]))
+    return min(int(message.t_to_ns), int(content.samples["t_host_ns"][after]))

@@ -1,4 +1,4 @@
-"""A recording: what the rig did in one run, on a complete grid of samples."""
+"""Recording of one run, on a complete grid of samples."""
 
 from __future__ import annotations
 
@@ -31,85 +31,87 @@ Vector = NDArray[np.float64]
 
 
 class Channel(NamedTuple):
-    """What a recording shows of a channel of the rig."""
+    """Values of a channel of the rig, and their validity."""
 
     y: Vector
-    """In the channel's unit, (N,); NaN where it is not valid."""
+    """Values in the channel's unit, (N,); NaN where they are not valid."""
     valid: Mask
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Recording:
-    """What the rig did in one run; row i of every array is the sample `k_first` + i.
+    """Recording of one run; row i of every array is the sample `k_first` + i.
 
-    The grid is complete, from the first sample that was due to the last: where a sample is missing
-    its row is there, with `theta_1` and `alpha` NaN, so that no formula can use it unseen.
+    The grid is complete, from the first sample that was due to the last. In the row of a missing
+    sample, `theta_1` and `alpha` are NaN. Every formula that uses them then returns NaN.
     """
 
     path: Path
-    """Where it was read from."""
+    """Path of the file."""
     sha256: str
-    """Hash of the file, all of it."""
+    """Hash of the whole file."""
     manifest: Manifest
-    """How the run was made."""
+    """Manifest of the run."""
     outcome: Outcome | None
-    """How the run ended, which a file may tell before its own end; None where it does not."""
+    """Outcome of the run, also if the rest of the file is damaged; None if it is missing."""
     recovered: Recovered | None
-    """How the file was completed after its daemon had died; None where that was not needed."""
+    """Record of the file's recovery after its daemon died; None if no recovery was needed."""
     calibration: Calibration | None
-    """Counts to angles, codes to volts; None where it is missing: the daemon's are used then.
+    """Conversion of counts to angles and of codes to volts; None if missing.
 
-    It was applied to the counts and codes when the recording was read; `made` says how it was made.
+    The angles and voltages are computed with this calibration from counts and codes. Without a
+    calibration, they are the daemon's values. The field `made` contains the origin of the
+    calibration.
     """
     k_first: int
-    """Index of the first row; older files begin with their first sample that came."""
+    """Index of the first row; in older files the first sample that arrived."""
     t: Vector
     """Time in s from the first sample that was due, (N,)."""
     u: Vector
-    """Voltage in V at the motor's terminals from `t` on, (N,): what the device held, calibrated.
+    """Voltage in V at the motor's terminals from `t` on, (N,): as held by the device, calibrated.
 
-    Where a sample is missing: what its gap record says was held; NaN without a record.
+    For a missing sample, u is the voltage in its gap record; NaN without a record.
     """
     theta_1: Vector
     """Angle of the chassis in rad with its turns counted, (N,); NaN where it is not `valid`."""
     alpha: Vector
     """Angle of the arm against the chassis in rad, (N,); NaN where it is not `valid_alpha`."""
     valid: Mask
-    """(N,): False for theta_1 in the dead band, at the first sample after it, and where missing."""
+    """Mask (N,) of theta_1: False in the dead band, at the next sample, and if missing."""
     valid_alpha: Mask
-    """(N,): False for alpha at a rail and where the sample is missing.
+    """Mask (N,) of alpha: False at a rail, and if the sample is missing.
 
-    The dead band of theta_1 does not matter to it; and as alpha does not turn on, the sample after
-    a rail is as good as any.
+    The dead band of theta_1 has no effect on alpha. The sample after a rail is valid, because alpha
+    does not make whole turns.
     """
     others: Mapping[str, Channel]
-    """Channels of `armrig_core.telemetry.CHANNELS` besides these two, by name; today none."""
+    """Further channels of `armrig_core.telemetry.CHANNELS`, by name; currently none."""
     present: Mask
-    """(N,): the sample came."""
+    """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]
-    """Rows from which on theta_1 may be wrong by whole turns: samples were missing for too long."""
+    """Rows from which on theta_1 may be wrong by whole turns, because many samples are missing."""
     samples: NDArray[np.void]
-    """The samples as recorded, raw counts and all times, a structured array of those that came."""
+    """Structured array of the samples that arrived, with raw counts and all times."""
     gaps: tuple[Gap, ...]
     """Missing samples, as the daemon recorded them."""
     events: tuple[Event, ...]
-    """What the daemon had to say."""
+    """Log messages of the daemon."""
     notes: tuple[Note, ...]
-    """What people wrote during the run."""
+    """Notes that people wrote during the run."""
     timing: tuple[Timing, ...]
-    """Timing, once a second."""
+    """Reports of the timing, one per second."""
     clock: tuple[DeviceClock, ...]
-    """The device's clock against the host's, once a second."""
+    """Comparisons of the device's clock with the host's, one per second."""
     truncated: bool
-    """The file is not whole: see `damage`."""
+    """True if the file is incomplete or damaged: see `damage`."""
     cut_off: bool
-    """It ends too early, and nothing before its end is wrong."""
+    """True if the file is truncated, without another error."""
     damage: str
-    """What is wrong with the file and how much was saved; "" for a whole one."""
+    """Damage of the file, and the amount of saved data; "" for a complete file."""
 
     @property
     def N(self) -> int:
-        """Number of samples, missing ones included."""
+        """Number of samples, including missing samples."""
         return int(self.t.size)
 
     @property
@@ -119,46 +121,47 @@ class Recording:
 
     @property
     def asked_s(self) -> float:
-        """Length of the input that was asked for, in s."""
+        """Length of the requested input, in s."""
         return max(self.manifest.samples, 0) * self.Ts
 
     @property
     def missing(self) -> int:
-        """Number of samples that did not come, as far as the file goes."""
+        """Number of samples that were due, up to the end of the file, and did not arrive."""
         return self.N - int(self.samples.size)
 
     @property
     def hidden(self) -> int:
-        """Number of samples that came and show no theta_1: in the dead band, and just after it."""
+        """Number of arrived samples without a valid theta_1: in the dead band, or just after it."""
         return int(np.count_nonzero(self.present & ~self.valid))
 
     @property
     def short_hash(self) -> str:
-        """First twelve digits of the hash, as figures carry it."""
+        """First twelve digits of the hash, which figures show."""
         return self.sha256[:12]
 
     def channel(self, name: str) -> Channel:
-        """Return what it shows of a channel of the rig, such as "alpha"."""
+        """Return the values of a channel of the rig, such as "alpha"."""
         if name in self.others:
             return self.others[name]
         (valid,) = (c.valid for c in telemetry.CHANNELS if c.name == name)
         return Channel(getattr(self, name), getattr(self, valid))
 
     def dataset(self, output: OutputName = THETA_1) -> Dataset:
-        """Return u and one output to identify from, with what is missing marked.
+        """Return the dataset of u and one output for identification, with missing samples marked.
 
-        A sample whose input is not known is left out, and after it, as where the number of turns
-        is not known, a new experiment begins.
+        A sample with an unknown input is left out, and a new experiment begins after it. For
+        theta_1, a new experiment also begins where the number of turns is unknown.
 
         Parameters
         ----------
         output : {"theta_1", "alpha", "velocity"}
-            The angle of the chassis, that of the arm, or the rate of the first from differences.
+            Angle of the chassis, angle of the arm, or rate of the chassis from differences of
+            theta_1.
 
         Raises
         ------
         FileError
-            There is no valid sample, or no such output.
+            There is no valid sample, or the output does not exist.
         """
         outputs = {c.name: c for c in telemetry.CHANNELS}
         outputs |= {c.rate: c for c in telemetry.CHANNELS if c.rate}
@@ -189,7 +192,7 @@ class Recording:
         return difference(data) if output == measured.rate else data
 
     def to_pandas(self) -> DataFrame:
-        """Return u, theta_1, alpha and where they are valid, a row for each sample, by time in s.
+        """Return the columns of the export as a DataFrame: one row per sample, indexed by t in s.
 
         Raises
         ------
@@ -201,7 +204,7 @@ class Recording:
         return to_pandas(self)
 
     def to_xarray(self) -> XarrayDataset:
-        """Return the same as an xarray.Dataset over t, with units; raises as `to_pandas`."""
+        """Return the columns of the export as an xarray.Dataset over t in s, with units."""
         from armrig.recordings.export import to_xarray
 
         return to_xarray(self)
@@ -214,13 +217,13 @@ class Recording:
         return figure_of(plot_data(self, ax=ax))
 
     def _repr_html_(self) -> str:
-        """Show itself in a notebook: what it says, and its figure."""
+        """Return text and figure as HTML for a notebook."""
         from armrig.plots.notebook import html
 
         return html(self)
 
     def __repr__(self) -> str:
-        """Say it in a line."""
+        """Describe the recording in one line."""
         parts = [f"{self.manifest.experiment}, {self.N} samples at {self.Ts:g} s"]
         parts += [f"{self.missing} missing"] if self.missing else []
         parts += [f"{self.hidden} in the dead band or just after"] if self.hidden else []

@@ -1,4 +1,4 @@
-"""What a whole recording says of how it came about, read without its samples."""
+"""Summary of a complete recording, read without its samples."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ from mcap.records import Metadata, MetadataIndex
 from armrig.recordings.grid import check_sampling_time
 
 VALIDATION_OF = "validation_of"
-"""Key of a run's details: the id of the run that it was recorded to validate."""
+"""Key in a run's details: its value is the id of the run that this run validates."""
 KINDS = ("blackbox", "greybox", "step", "staircase", "bla")
-"""What `armrig collect` records; a name that a person gave stands behind it."""
+"""Kinds of experiments of `armrig collect`; a name that a person chose may follow the kind."""
 REMOTE = "remote"
-"""What `armrig record` records: whatever the rig did."""
+"""Kind of all recordings of `armrig record`."""
 TEXT_LIMIT = 4096
-"""Longest text that a recording may say of itself, in characters; a name or a reason has fewer."""
+"""Longest text in a summary, in characters."""
 
 _EXPERIMENT = re.compile(rf"({'|'.join(KINDS)})(-validation)?(?:-(.+))?")
 _FOOTER = Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, CRC
@@ -47,53 +47,53 @@ _FOOTER_BODY = 8 + 8 + 4
 
 
 class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=True):
-    """What a whole recording says of how it came about."""
+    """Summary of a complete recording."""
 
     folder: Path
-    """Where the file is."""
+    """Folder of the file."""
     file: str
-    """Its name."""
+    """Name of the file."""
     size: int
-    """Of the file, in B."""
+    """Size of the file, in B."""
     rig: str
     """Id of the rig."""
     run_id: str
     """Id of the run."""
     experiment: str
-    """Kind of experiment, with a person's name for it behind, such as blackbox-monday."""
+    """Kind of experiment, followed by the name that a person chose, such as blackbox-monday."""
     validation_of: str
-    """Id of the run that it validates, "" where it does not or does not say."""
+    """Id of the run that this run validates; "" without a recorded id."""
     started: str
     """Wall-clock time of the start, ISO 8601 with the offset from UTC."""
     Ts: float
     """Sampling time, in s."""
     samples: int
-    """Samples recorded, in this file."""
+    """Number of samples in this file."""
     missing: int
-    """Samples that the gaps are short of, in this file."""
+    """Number of missing samples in this file."""
     outcome: str
-    """`complete`, or why the run ended early; `continued` in a part that another one follows."""
+    """`complete`, or the reason for an early end; `continued` if another part follows."""
     part: int
-    """Number of the file among those of a long run, from 1; 0 where one file holds all of it."""
+    """Number of the file in a long run, from 1; 0 if one file contains the whole run."""
     pacing: str
-    """Who made the samples: `scheduled`, the device's timer, or `exchange`, the host."""
+    """Source of the sampling: `scheduled`, the device's timer, or `exchange`, the host."""
     device: str
-    """Unique id of the device, "" where it has none."""
+    """Unique id of the device; "" if it has none."""
     calibration_sha256: str
     """Hash of the attached calibration."""
     armrig: str
-    """Version of armrig that recorded it."""
+    """Version of armrig that made the recording."""
     outcome_code: str
-    """How the run ended, for programs: an `armrig_core.codes.OutcomeCode`."""
+    """Code of the outcome: an `armrig_core.codes.OutcomeCode`."""
 
     @property
     def is_complete(self) -> bool:
-        """Whether the run ended with the last sample of its input."""
+        """True if the run ended with the last sample of its input."""
         return self.outcome_code == OutcomeCode.COMPLETE
 
     @property
     def path(self) -> Path:
-        """The file."""
+        """Path of the file."""
         return self.folder / self.file
 
     @property
@@ -103,24 +103,24 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
 
     @property
     def is_validation(self) -> bool:
-        """Whether it was recorded to validate what another one gives."""
+        """True if the run was recorded to validate the model of another run."""
         return _parts(self.experiment)[1]
 
     @property
     def name(self) -> str:
-        """Name that a person gave, "" where nobody did."""
+        """Name that a person gave to the experiment; "" without a name."""
         return _parts(self.experiment)[2]
 
     @property
     def seconds(self) -> float:
-        """Length of what was recorded, missing samples included, in s."""
+        """Length of the recording in s, including missing samples."""
         return (self.samples + self.missing) * self.Ts
 
     def names(self, *, validation: bool) -> set[str]:
-        """Return what it is meant by: its own name, its run's id, its experiment, its file's name.
+        """Return all names that select the recording: its name, run id, experiment and file name.
 
-        A validation is meant by what the recording that it validates is called, with `validation`,
-        and by its own id or experiment.
+        A validation is selected by its own id and experiment. With `validation`, it is selected by
+        the names of the recording that it validates.
         """
         if not validation:
             own = {self.name} if self.name and not self.is_validation else set()
@@ -133,25 +133,25 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
 
 @lru_cache(maxsize=1000)
 def _parts(experiment: str) -> tuple[str, bool, str]:
-    """Return the kind of an experiment, whether it is a validation, and its name."""
+    """Split an experiment into its kind, whether it is a validation, and the name it was given."""
     found = _EXPERIMENT.fullmatch(experiment)
     return (found[1], bool(found[2]), found[3] or "") if found else (experiment, False, "")
 
 
 def summary_of(path: Path) -> RecordingSummary:
-    """Return what a recording says of itself; a few kilobytes of it are read.
+    """Return the summary of a recording; only a few kilobytes of the file are read.
 
     Raises
     ------
     OSError
         The file cannot be read.
     DamageError
-        It is not whole, or no recording of armrig.
+        The file is incomplete, or not a recording of armrig.
     """
     metadata = read_metadata(path)
     for name in (RUN, OUTCOME):
         if name not in metadata:
-            raise DamageError(f"it holds no metadata named {name}")
+            raise DamageError(f"it contains no metadata named {name}")
     try:
         manifest, outcome = manifest_of(metadata[RUN]), outcome_of(metadata[OUTCOME])
         check_whole_numbers(manifest)
@@ -177,9 +177,7 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
     }
     for name, text in texts.items():
         if len(text) > TEXT_LIMIT:
-            raise DamageError(
-                f"its {name} has {len(text)} characters, at most {TEXT_LIMIT} are allowed"
-            )
+            raise DamageError(f"its {name} has {len(text)} characters, more than {TEXT_LIMIT}")
     check_sampling_time(manifest)
     return RecordingSummary(
         folder=path.parent,
@@ -194,22 +192,22 @@ def _summary(path: Path, manifest: Manifest, outcome: Outcome) -> RecordingSumma
 
 
 def shown_path(path: Path) -> str:
-    """Return a path as text; of a name that is none in this system's encoding the bytes escaped."""
+    """Return a path as text, with bytes that are not valid in this system's encoding escaped."""
     return str(path).encode("utf-8", "backslashreplace").decode()
 
 
 def read_metadata(path: Path) -> dict[str, dict[str, str]]:
-    """Return the metadata records of a run and of its outcome, by name; what is there of them.
+    """Return the metadata records of the run and of its outcome, if they exist, by name.
 
-    Three short reads, however long the recording is. The samples are not looked at, so nothing is
-    said of whether they are whole.
+    A few short reads suffice for a recording of any length. Damaged samples are not detected,
+    because the samples are not read.
 
     Raises
     ------
     OSError
         The file cannot be opened or read.
     DamageError
-        It is no MCAP file, or has no end that says where the records are.
+        The file is not an MCAP file, or the summary at its end is missing or damaged.
     """
     with regular_file(path) as stream:
         if stream.read(len(MAGIC)) != MAGIC:
@@ -223,28 +221,28 @@ def read_metadata(path: Path) -> dict[str, dict[str, str]]:
 def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
     found: dict[str, dict[str, str]] = {}
     for index in _indexes(stream, size):
-        # The first of each name, as whoever reads the whole file takes it; and an index of a
-        # hundred thousand of them must not have us read as many records.
+        # Only the first record of each name is read, as in a read of the whole file. An index of a
+        # hundred thousand entries must not cause a hundred thousand reads.
         if index.name in (RUN, OUTCOME) and index.name not in found:
             opcode, body = _record(stream, index.offset)
             if opcode != Opcode.METADATA:
-                raise DamageError("its index points to something else than metadata")
+                raise DamageError("its index points to a record other than metadata")
             found[index.name] = Metadata.read(_bytes(body)).metadata
     return found
 
 
 def _indexes(stream: IO[bytes], size: int) -> Iterator[MetadataIndex]:
-    """Give what the summary, between the data and the footer, says of where metadata are."""
+    """Yield the indexes of the metadata records, from the summary between data and footer."""
     end = size - _FOOTER.size - len(MAGIC)
     if end < len(MAGIC):
-        raise CutOffError("without its footer")
+        raise CutOffError("it ends without its footer")
     stream.seek(end)
     tail = stream.read(_FOOTER.size + len(MAGIC))
     opcode, length, start, _, _ = _FOOTER.unpack(tail[: _FOOTER.size])
     if (opcode, length, tail[_FOOTER.size :]) != (Opcode.FOOTER, _FOOTER_BODY, MAGIC):
-        raise CutOffError("without its footer")
+        raise CutOffError("it ends without its footer")
     if not len(MAGIC) <= start <= end or end - start > RECORD_LIMIT:
-        raise DamageError("its footer says of no summary")
+        raise DamageError("its footer does not point to a summary")
     stream.seek(start)
     summary, at = stream.read(end - start), 0
     while at + RECORD_HEAD.size <= len(summary):

@@ -1,4 +1,4 @@
-"""The samples of a file: rows of constant layout taken many at once, others one by one."""
+"""Samples of a file: rows of constant layout are read together, other rows one by one."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from numpy.typing import NDArray
 
 _FORMATS = {"fixed64": "<u8", "sfixed64": "<i8", "double": "<f8", "fixed32": "<u4"}
 SAMPLE_DTYPE = np.dtype([(name, _FORMATS[kind]) for name, kind in telemetry.SAMPLE_FIELDS])
-"""One sample as a numpy record: the fields of `armrig_core.telemetry.Sample`."""
+"""Type of one sample as a numpy record, with the fields of `armrig_core.telemetry.Sample`."""
 
 ROW_LENGTH = MESSAGE_HEAD.size + telemetry.SAMPLE_LENGTH
-"""Length that the record of a sample of constant layout says."""
+"""Length of the record of a sample with constant layout, in B."""
 
-_PENDING_LIMIT = 1 << 19  # bytes of rows kept before they are turned into samples
+_MAX_PENDING_BYTES = 1 << 19  # of rows, before they are turned into samples
 _K_LIMIT = np.uint64(1 << 62)
-_MARGIN = 1.1  # of room, beyond what the rest of the file should need
-_LEAST_GROWTH, _MOST_GROWTH = 1.5, 64  # times as much room, once there is none
+_ROOM_MARGIN = 1.1  # relative to the estimated size of the rest of the file
+_MIN_GROWTH, _MAX_GROWTH = 1.5, 64  # factors of a new allocation
 
 
 class SampleRows:
-    """Collects samples, whose k must rise."""
+    """Collector of a file's samples; k must increase from sample to sample."""
 
     def __init__(self, spend: Callable[[], None] = lambda: None) -> None:
-        """Call `spend` for each sample that is read by itself; it may raise DamageError."""
+        """Call `spend` for each sample that is read individually; it may raise DamageError."""
         self.size = 0
         self.last_k = -1
         self._spend = spend
         self._share = 1.0
         self._samples = np.empty(0, SAMPLE_DTYPE)
-        self._views: list[memoryview] = []  # rows of the chunk in hand, which they keep
+        self._views: list[memoryview] = []  # rows of the current chunk, which they keep alive
         self._pending: list[bytes] = []
         self._pending_size = 0
 
     def add_run(self, chunk: memoryview, at: int) -> int:
-        """Add the message records as long as a sample's that begin at `at`; return their size in B.
+        """Add the consecutive message records at `at` of a sample's length; return their size in B.
 
-        All are of the channel of the first. Whether their layout is the constant one is seen later,
-        in many at once. `settle` is to be called before another chunk's.
+        All these records are of the channel of the first record. Their layout is checked later, for
+        many records together. Call `settle` before adding the run of another chunk.
         """
         found = _RUN.match(chunk, at)
         end = found.end() if found else at
@@ -54,33 +54,34 @@ class SampleRows:
         return end - at
 
     def add(self, message: bytes) -> None:
-        """Add one sample of any layout; raises DecodeError where it is none."""
+        """Add one sample of any layout; raises DecodeError if the message is not a sample."""
         self._spend()
         row = _HEAD + telemetry.encode_sample(telemetry.Sample(*_values(message)))
         self._views.append(memoryview(row))
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing was added yet."""
+        """True if no sample was added yet."""
         return not self.size and not self._pending and not self._views
 
     def finish(self) -> NDArray[np.void]:
-        """Return what was added, `SAMPLE_DTYPE`, k rising strictly, and forget it."""
+        """Remove and return the samples, `SAMPLE_DTYPE`; k increases strictly."""
         samples, self._samples = self._samples, np.empty(0, SAMPLE_DTYPE)
         samples.resize(self.size, refcheck=False)
         return samples
 
     def settle(self, share: float = 1.0) -> None:
-        """Let go of the chunk; turn rows into samples once they are many. Raises as `pack`.
+        """Release the chunk; convert its rows to samples if there are many. Raises as `pack` does.
 
         Parameters
         ----------
         share : float
-            How much of the file's chunks was read, in (0, 1]: says how much room they all need.
+            Share of the file's chunks that was read, in (0, 1]. The memory for all samples is
+            estimated from this share.
         """
         self._share = share
         self._copy()
-        if self._pending_size > _PENDING_LIMIT:
+        if self._pending_size > _MAX_PENDING_BYTES:
             self.pack()
 
     def _copy(self) -> None:
@@ -91,12 +92,12 @@ class SampleRows:
             self._pending_size += len(rows)
 
     def pack(self) -> None:
-        """Turn the rows collected into samples.
+        """Convert the collected rows to samples.
 
         Raises
         ------
         DamageError, DecodeError
-            One cannot be read, or k does not rise; what stands before it is kept.
+            A row cannot be read, or k does not increase; the samples before it are kept.
         """
         self._copy()
         if not self._pending:
@@ -121,18 +122,19 @@ class SampleRows:
             raise DamageError(f"more than {SAMPLES_LIMIT} samples")
 
     def _room(self, n: int) -> NDArray[np.void]:
-        """Return room for n samples behind those that are kept."""
+        """Return memory for n samples, directly after the samples that are kept."""
         needed = self.size + n
         if needed > self._samples.size:
-            # Room that is not used yet takes no memory; to copy what is there does, and time.
-            growth = min(max(_MARGIN / self._share, _LEAST_GROWTH), _MOST_GROWTH)
+            # Unused memory that is reserved costs nothing. A copy of the samples costs memory and
+            # time.
+            growth = min(max(_ROOM_MARGIN / self._share, _MIN_GROWTH), _MAX_GROWTH)
             room = np.empty(min(int(growth * needed), SAMPLES_LIMIT), SAMPLE_DTYPE)
             room[: self.size] = self._samples[: self.size]
             self._samples = room
         return self._samples[self.size : self.size + n]
 
     def _keep(self, samples: NDArray[np.void]) -> None:
-        """Count the samples, which stand in their room, as kept."""
+        """Count the samples, which are already in place, as kept; raise if k does not increase."""
         if not samples.size:
             return
         k = samples["k"]
@@ -146,20 +148,21 @@ class SampleRows:
             self.size += good
         if good < k.size:
             raise DamageError(
-                f"sample {k[good]} follows sample {self.last_k}: k must rise, and end before 2^62"
+                f"sample {k[good]} follows sample {self.last_k}: k must rise, below 2^62"
             )
 
 
 def _values(message: bytes) -> tuple[Any, ...]:
-    """Return the fields of a sample of any layout; those that it lacks are `protobuf.ABSENT`."""
+    """Return the fields of a sample of any layout; missing fields are `protobuf.ABSENT`."""
     fields: tuple[Any, ...] = _field_values(protobuf.decoded(protobuf.SAMPLE, message))
     return fields
 
 
 def _copy_fields(data: bytes, samples: NDArray[np.void]) -> None:
-    """Copy the fields of the first rows to samples.
+    """Copy the fields of the first rows of `data` to `samples`.
 
-    Those of one size that follow each other at once: each by itself would take three times as long.
+    Consecutive fields of one size are copied together. Copies of single fields take three times as
+    long.
     """
     n = samples.size
     for count, size, at, place in _BLOCKS if n else ():
@@ -170,15 +173,15 @@ def _copy_fields(data: bytes, samples: NDArray[np.void]) -> None:
 
 
 def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.uint8]]:
-    """Return the layout of a sample's message record: opcode, length, the message's head, message.
+    """Return the layout of a sample's message record: opcode, length, head and message.
 
     Returns
     -------
     blocks : list of (int, int, int, int)
-        Fields of one size that follow each other: how many, their size, where the first one is in
-        the row, and in a sample.
+        Blocks of consecutive fields of one size. Each tuple contains the number of fields, their
+        size, and the place of the first field in the row and in a sample.
     places, tags : list of int, array of uint8
-        Where the tag of a byte is before each field, and what it is.
+        Places of the tag bytes before the fields, and their values.
     """
     at, place = len(_HEAD), 0
     blocks: list[tuple[int, int, int, int]] = []
@@ -194,18 +197,19 @@ def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.ui
 
 
 def _run() -> re.Pattern[bytes]:
-    """Return what matches records one after the other, as long as a sample's and of one channel.
+    """Return a pattern that matches consecutive records of a sample's length and of one channel.
 
-    A run is short, about 35 samples between two messages of another stream: there a pattern takes a
-    quarter of the time of numpy. It never goes back (`*+`), so that it needs no memory.
+    There are only about 35 samples between two messages of other streams. For so few samples, a
+    pattern is four times as fast as numpy. The pattern never backtracks (`*+`), so that it needs no
+    memory.
     """
     head = re.escape(RECORD_HEAD.pack(Opcode.MESSAGE, ROW_LENGTH))
-    rest = b".{%d}" % (ROW_LENGTH - 2)  # behind the channel
+    rest = b".{%d}" % (ROW_LENGTH - 2)  # after the channel
     return re.compile(head + b"(..)" + rest + b"(?:" + head + rb"\1" + rest + b")*+", re.DOTALL)
 
 
 _field_values = attrgetter(*telemetry.Sample._fields)
-# Before a sample that was made from a message; nobody reads it.
+# Head of a row that was made from a single message; nothing reads its bytes.
 _HEAD = bytes(RECORD_HEAD.size + MESSAGE_HEAD.size)
 _ROW_SIZE = RECORD_HEAD.size + ROW_LENGTH
 _BLOCKS, _TAG_PLACES, _TAGS = _layout()

@@ -1,15 +1,18 @@
-"""What a recording's data are good for, before anything is identified from them."""
+"""Judgement of whether a recording's data can be used for an identification."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from armrig_core.codes import OutcomeCode
 
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
 from armrig.data.treatment.whitening import whitening
+from armrig.numerics.quantities import listed
 from armrig.recordings.findings import (
     TOO_FEW,
     check_angle,
@@ -27,30 +30,39 @@ from armrig.recordings.findings import (
 if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
-_STRETCH_S = 1.0  # length of a stretch that one straight line is fitted to
-_STARTED_S = 3.0  # a longer run is judged without its first second, in which the chassis starts
-_FEWEST = 4  # samples that a line is fitted to
-_ORDER = 10
+
+_STRETCH_S = 1.0  # length of a stretch to which a straight line is fitted
+_START_S = (
+    3.0  # runs longer than this are judged without the first second, the start of the chassis
+)
+_MIN_LINE_SAMPLES = 4
+_NOISE_ORDER = 10
+FEW = 300
+"""With fewer samples, the standard deviations of a model of the rig are inaccurate."""
+_NORMAL_ENDS = (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED)
+_MIN_TURN_RAD = 0.5  # before the direction of the chassis is judged
+NO_MODEL = ("step", "staircase")
+"""Kinds of experiments with little excitation; reports show them but estimate no models."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class DataVerdict:
-    """What `data_verdict` found; its repr says it in words."""
+    """Result of `data_verdict`; its repr is a text with all findings."""
 
     recording: str
     """Hash of the recording."""
     findings: tuple[Finding, ...]
-    """What each check found."""
+    """Findings of the checks, in the order of the checks."""
     signal_rad: float
-    """Effective value of theta_1 about a straight line over each second, in rad."""
+    """Effective value of theta_1 about a straight line over each second, without noise, in rad."""
     noise_rad: float
-    """Standard deviation of what the past and the input do not explain in theta_1, in rad."""
+    """Standard deviation of the part of theta_1 that its past and u do not explain, in rad."""
     step_rad: float
-    """One step of the converter, in rad."""
+    """One step of the converter, in rad of theta_1."""
     hidden_share: float
-    """Share of the samples that came and show no theta_1: dead band, and the sample after."""
+    """Share of the arrived samples without theta_1: in the dead band, or just after it."""
     missing_share: float
-    """Share of the samples that did not come."""
+    """Share of the samples that did not arrive."""
 
     @property
     def usable(self) -> bool:
@@ -59,13 +71,13 @@ class DataVerdict:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What is not good, unusable first."""
+        """Findings with a level other than good; unusable findings first."""
         ranked = [f for level in ("unusable", "warning") for f in self.findings if f.level == level]
         return tuple(f.text for f in ranked)
 
     @property
     def summary(self) -> str:
-        """The outcome in one line."""
+        """Verdict in one line."""
         if not self.usable:
             return f"the data cannot be used: {self.warnings[0]}"
         if self.warnings:
@@ -73,11 +85,11 @@ class DataVerdict:
         return f"the data are good: signal to noise {self.signal_rad / self.noise_rad:.2g} to 1"
 
     def facts(self) -> dict[str, Any]:
-        """Return all of it, for JSON."""
+        """Return all fields, for JSON."""
         return {"usable": self.usable, **asdict(self)}
 
     def __repr__(self) -> str:
-        """Say it in a few lines."""
+        """Describe the verdict and all findings, one finding per line."""
         outcome = "can be used" if self.usable else "cannot be used"
         if self.usable and self.warnings:
             outcome += ", with care"
@@ -90,21 +102,21 @@ class DataVerdict:
 def data_verdict(recording: Recording) -> DataVerdict:
     """Judge the data of a recording: run, rails, signal against noise, samples, timing, turns.
 
-    The signal is what theta_1 does beside turning steadily: its effective value about a straight
-    line, over stretches of 1 s, with the noise's power taken off and without the first second, in
-    which the chassis starts. The noise is what an ARX model of order 10 leaves of theta_1, which
-    for white noise on the angle comes near to that noise, or, if that is more, a step of the
-    converter over sqrt(12).
+    The signal is the effective value of theta_1 about a straight line, over stretches of 1 s. The
+    power of the noise is subtracted. The first second, in which the chassis starts, is left out.
+    The noise is the standard deviation of the residuals of an ARX model of order 10 or less. For
+    white noise on the angle, this value is close to the noise's standard deviation. Its least value
+    is a step of the converter divided by sqrt(12).
 
     Parameters
     ----------
     recording : Recording
-        Any; a damaged one is judged by what is whole.
+        Recording to judge. If its file is damaged, the samples before the damage are judged.
 
     Returns
     -------
     DataVerdict
-        `usable`, `warnings`, and its figures; the repr says it in words.
+        Findings, with `usable` and `warnings`, and the numbers from which they follow.
     """
     came = recording.samples.size
     known = np.count_nonzero(recording.valid & np.isfinite(recording.u))
@@ -135,7 +147,7 @@ def data_verdict(recording: Recording) -> DataVerdict:
 
 
 def _step(r: Recording) -> float:
-    """Return one step of the converter in rad of theta_1; by the default calibration if unknown."""
+    """Return the converter's step in rad of theta_1; without a calibration, use the default."""
     from armrig_core.calibration import Potentiometer
 
     pot = r.calibration.theta_1 if r.calibration else Potentiometer()
@@ -143,16 +155,16 @@ def _step(r: Recording) -> float:
 
 
 def _signal(data: Dataset, noise: float) -> float:
-    """Return the effective value about a line over each second, less the noise's power."""
+    """Return the effective value of y about a line over each second, without the noise's power."""
     n = max(8, round(_STRETCH_S / data.Ts))
-    moving = data[n:] if data.N * data.Ts > _STARTED_S else data
+    moving = data[n:] if data.N * data.Ts > _START_S else data
     squares, known = 0.0, 0
     for part in moving.experiments():
-        # Stretches overlap by half: a step at the edge of one lies in the middle of another.
+        # Stretches overlap by half: a step at the edge of a stretch is in the middle of another.
         for a in range(0, max(part.N - n // 2, 1), n // 2):
             y, t = part.y[a : a + n], part.t[a : a + n]
             there = np.isfinite(y)
-            if np.count_nonzero(there) < _FEWEST:
+            if np.count_nonzero(there) < _MIN_LINE_SAMPLES:
                 continue
             t, y = t[there] - t[there].mean(), y[there] - y[there].mean()
             squares += float(np.sum((y - (t @ y) / (t @ t) * t) ** 2))
@@ -163,7 +175,141 @@ def _signal(data: Dataset, noise: float) -> float:
 def _noise(data: Dataset) -> float:
     """Return the standard deviation of the residuals of an ARX model; 0 for too few samples."""
     parts = [(d.u, d.y - np.nanmean(d.y)) for d in data.experiments() if d.valid.any()]
-    model = whitening(parts, min(_ORDER, max(1, data.N // 20)))
+    model = whitening(parts, min(_NOISE_ORDER, max(1, data.N // 20)))
     e = np.concatenate([model.residuals(u, y) for u, y in parts])
     e = e[np.isfinite(e)]
-    return float(np.sqrt(np.mean(e**2))) if e.size > 4 * _ORDER else 0.0
+    return float(np.sqrt(np.mean(e**2))) if e.size > 4 * _NOISE_ORDER else 0.0
+
+
+def doubts(recording: Recording) -> list[str]:
+    """Return a sentence for each doubt about a recording; an empty list for a good recording."""
+    name = recording.path.name
+    found = []
+    if 0 < recording.samples.size < FEW:
+        found.append(
+            f"{name} has {recording.samples.size} samples: models from so few samples are poor; "
+            f"record {FEW} or more"
+        )
+    if _reversed(recording):
+        found.append(
+            f"{name}: theta_1 falls although the voltage is positive, so its potentiometer "
+            "or the motor's wires are reversed; run `armrig calibrate`"
+        )
+    return found
+
+
+def emulation(recordings: Sequence[Recording]) -> list[str]:
+    """Return a sentence that names the recordings of an emulated rig; an empty list without any."""
+    names = [r.path.name for r in recordings if r.manifest.emulated]
+    if not names:
+        return []
+    if len(names) == len(recordings):
+        return ["The rig was emulated: these are not measurements of a real rig."]
+    return [f"The rig was emulated in {listed(names)}: these are not measurements of a real rig."]
+
+
+def ended_early(recording: Recording) -> bool:
+    """Return True if a run ended before the end of its input, or its outcome is unknown."""
+    return recording.outcome is None or recording.outcome.code not in _NORMAL_ENDS
+
+
+def early_ends(recordings: Sequence[Recording]) -> list[str]:
+    """Return a sentence for each recording that ended early, with the reason.
+
+    A recording without a fixed length (`armrig record`) cannot end early.
+    """
+    return [
+        f"{r.path.name} ended early, after {r.samples.size} of {r.manifest.samples} samples: "
+        f"{r.outcome.outcome if r.outcome else 'the reason is not recorded'}."
+        for r in recordings
+        if ended_early(r) and r.manifest.samples
+    ]
+
+
+def different_calibrations(recordings: Sequence[Recording]) -> list[str]:
+    """Return a sentence that groups the recordings by calibration; an empty list for only one."""
+    of: dict[tuple[object, ...] | None, list[str]] = {}
+    for r in recordings:
+        of.setdefault(_values(r), []).append(r.path.name)
+    if len(of) < 2:
+        return []
+    groups = "; ".join(listed(names) for names in of.values())
+    return [
+        f"The recordings were made with {len(of)} different calibrations ({groups}): their angles "
+        "and voltages cannot be compared. Read all recordings with one calibration, "
+        "`--calibration FILE`."
+    ]
+
+
+def doubts_of_estimation(recording: Recording) -> list[str]:
+    """Return the doubts about estimating a model of any order from a recording."""
+    kind = recording.manifest.experiment.partition("-")[0]
+    if kind not in NO_MODEL:
+        return []
+    return [
+        f"{recording.path.name} is a {kind}, which excites few frequencies: a model from it is "
+        "poor; identify from a telegraph (`armrig collect blackbox`)"
+    ]
+
+
+def doubts_of_pair(first: Recording, other: Recording, *, one_plant: bool = True) -> list[str]:
+    """Return a sentence for each doubt about the validation of models of `first` with `other`.
+
+    Without `one_plant`, one recording may be of the chassis alone and the other of the whole rig.
+    """
+    a, b = first.manifest, other.manifest
+    name = other.path.name
+    found = []
+    kind = b.experiment.partition("-")[0]
+    if kind in NO_MODEL:
+        found.append(
+            f"{name} is a {kind}, which excites few frequencies: a fit on it says little; "
+            "validate on another telegraph (`armrig collect blackbox --validation`)"
+        )
+    if a.rig != b.rig or a.device.get("uid") != b.device.get("uid"):
+        found.append(
+            f"{first.path.name} is of {_rig(first)}, {name} of {_rig(other)}: a model of one rig "
+            "does not describe another rig"
+        )
+    elif _values(first) != _values(other):
+        found.append(
+            f"{first.path.name} and {name} were made with different calibrations: read both "
+            "recordings with one calibration (--calibration TOML)"
+        )
+    if one_plant and _experiment(first) != _experiment(other):
+        found.append(
+            f"{first.path.name} is of {_experiment(first)}, {name} of {_experiment(other)}: the "
+            "chassis alone and the whole rig are two plants"
+        )
+    return found
+
+
+def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[str]:
+    """Return the doubts about each recording, and about each pair with the first exciting one."""
+    found = [text for r in recordings for text in doubts(r)]
+    excited = [r for r in recordings if r.manifest.experiment.partition("-")[0] not in NO_MODEL]
+    for n, other in enumerate(excited[1:]):
+        # Only the second recording validates the first. Later recordings may be of the chassis
+        # alone.
+        found += doubts_of_pair(excited[0], other, one_plant=one_plant and n == 0)
+    return found
+
+
+def _reversed(r: Recording) -> bool:
+    """Return True if the angle decreases; the voltage is never negative, so it should increase."""
+    angle = r.theta_1[np.isfinite(r.theta_1)]
+    return angle.size > 1 and float(angle[-1] - angle[0]) < -_MIN_TURN_RAD
+
+
+def _rig(r: Recording) -> str:
+    uid = r.manifest.device.get("uid")
+    return f"rig {r.manifest.rig}" + (f" (device {uid})" if uid else "")
+
+
+def _experiment(r: Recording) -> str:
+    return "the chassis alone" if r.manifest.experiment.startswith("greybox") else "the whole rig"
+
+
+def _values(r: Recording) -> tuple[object, ...] | None:
+    c = r.calibration
+    return None if c is None else (c.theta_1, c.alpha, c.driver)

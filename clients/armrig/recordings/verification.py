@@ -1,6 +1,6 @@
-"""Whether a recording is what its run was: nothing missing unseen, no voltage that was not asked.
+"""Verification of a recording: no unreported gap, and no voltage that was not requested.
 
-What fails here can be loaded and exported all the same.
+A recording that fails the verification can still be loaded and exported.
 """
 
 from __future__ import annotations
@@ -34,43 +34,43 @@ from armrig.recordings.recording_summary import REMOTE
 Vector = NDArray[np.float64]
 
 _CODE_V = U_MAX_V / CODE_FULL_SCALE
-"""One step of the code on the wire, in V: what a voltage asked for is rounded to."""
-_MOST_DRIFT_PPM = 6_000.0
-"""A ceramic resonator is good to 5 000 ppm, a crystal to 100; with more the times are wrong."""
-_SIGMAS = 6.0
-_BLOCK = 1 << 20  # B
-_TIMES = 8 + 8  # B, before the name in an attachment
-_LINE_LIMIT = 64  # B; a voltage takes 24 at most
+"""Step of the code on the wire, in V, to which a requested voltage is rounded."""
+MAX_DRIFT_PPM = 6_000.0
+"""Largest drift, in ppm. A ceramic resonator is accurate to 5 000 ppm, a crystal to 100 ppm."""
+_MAX_JUMP_SIGMAS = 6.0
+_BLOCK_BYTES = 1 << 20
+_TIMES_BYTES = 8 + 8  # before the name in an attachment
+_MAX_LINE_BYTES = 64  # a voltage takes at most 24
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Check:
-    """One thing that was checked."""
+    """Result of one check."""
 
     about: str
-    """file, samples, envelope, input, timing, configuration or clock."""
+    """Subject of the check: file, samples, envelope, input, timing, configuration or clock."""
     result: Literal["passed", "failed", "not checked"]
-    """`not checked` where the recording does not hold what is needed."""
+    """Result of the check; `not checked` if the recording does not contain the necessary data."""
     text: str
-    """What was found."""
+    """Description of the result, as text."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Verification:
-    """What `verify` found; its repr is a table."""
+    """Result of `verify`; its repr is a table."""
 
     path: Path
-    """The recording."""
+    """Path of the recording."""
     sha256: str
-    """Its hash, as `sha256sum` prints it."""
+    """Hash of the recording, as `sha256sum` prints it."""
     checks: tuple[Check, ...]
-    """In the order in which they were made."""
+    """Checks, in the order in which they were made."""
     samples: int = 0
-    """How many could be read."""
+    """Number of samples that could be read."""
 
     @property
     def passed(self) -> bool:
-        """No check failed."""
+        """True if no check failed."""
         return all(check.result != "failed" for check in self.checks)
 
     def __repr__(self) -> str:
@@ -80,28 +80,28 @@ class Verification:
 
 
 def verify(path: str | Path) -> Verification:
-    """Check a recording against what it says of its run.
+    """Check a recording against its own reports about the run.
 
     Parameters
     ----------
     path : str or Path
-        As for `load`.
+        Path as for `load`.
 
     Returns
     -------
     Verification
-        `passed`, and the checks as rows.
+        `passed`, and the checks.
 
     Raises
     ------
     FileError, OSError
-        It cannot be loaded at all.
+        The recording cannot be loaded.
     """
     return verify_recording(load(path))
 
 
 def verify_recording(recording: Recording) -> Verification:
-    """Check a recording that is loaded already, as `verify` does."""
+    """Check a loaded recording, as `verify` does."""
     checks = (
         check_file(recording),
         check_samples(recording),
@@ -117,50 +117,58 @@ def verify_recording(recording: Recording) -> Verification:
 
 
 def check_file(r: Recording) -> Check:
-    """Check that the file is whole, with all its checksums, and holds as much as it says."""
+    """Check that the file is complete, with the right checksums and number of samples."""
     if r.truncated:
         return _failed("file", r.damage)
     if r.outcome is None:
-        return _failed("file", "it does not say how the run ended")
+        return _failed("file", "it does not contain the outcome of the run")
     whole_run = r.manifest.part > 0 and not part_number(r.path)
     if whole_run and r.outcome.code == OutcomeCode.CONTINUED:
-        return _failed("file", "its last part is missing: that before it says another follows")
+        return _failed(
+            "file", "its last part is missing: the outcome of the previous part is continued"
+        )
     came, missing = r.samples.size, r.missing
     if r.manifest.part == 0 and (r.outcome.samples, r.outcome.missing) != (came, missing):
-        text = f"it says {r.outcome.samples} samples and {r.outcome.missing} missing, and holds "
+        text = (
+            f"it reports {r.outcome.samples} samples and {r.outcome.missing} missing, and contains "
+        )
         return _failed("file", f"{text}{came} and {missing}")
-    return _passed("file", f"whole, all checksums right; the run: {r.outcome.outcome}")
+    return _passed(
+        "file", f"complete, all checksums correct; outcome of the run: {r.outcome.outcome}"
+    )
 
 
 def check_samples(r: Recording) -> Check:
-    """Check that k has no break but those that gap records tell."""
+    """Check that each missing sample is in a gap record."""
     if not r.N:
         return _not_checked("samples", "no sample was due")
-    # One more where a gap begins, one less where it ends: all of them may lie over each other.
+    # Gaps may overlap. The cumulative sum of `change` is the number of gaps that contain a row.
     change = np.zeros(r.N + 1, np.int64)
     for gap in r.gaps:
         for k, step in ((gap.k_first, 1), (gap.k_first + gap.count, -1)):
             change[min(max(k - r.k_first, 0), r.N)] += step
-    untold = ~r.present & (np.cumsum(change[:-1]) == 0)
-    if untold.any():
-        k = r.k_first + int(untold.argmax())
-        count = int(np.count_nonzero(untold))
+    unreported = ~r.present & (np.cumsum(change[:-1]) == 0)
+    if unreported.any():
+        k = r.k_first + int(unreported.argmax())
+        count = int(np.count_nonzero(unreported))
         verb = "is" if count == 1 else "are"
         text = f"{plural(count, 'sample')} {verb} missing without a gap record, from k={k} on"
         return _failed("samples", text)
     if r.missing:
-        text = f"{r.samples.size} of {r.N}; each of the {r.missing} missing is in a gap record"
+        text = (
+            f"{r.samples.size} of {r.N}; each of the {r.missing} missing samples is in a gap record"
+        )
         return _passed("samples", text)
     return _passed("samples", f"all {r.N} from k={r.k_first} on")
 
 
 def check_envelope(r: Recording) -> Check:
-    """Check that no voltage asked for, applied, or held in a gap was outside 0 to 5 V."""
+    """Check that no requested, applied or held voltage was outside 0 to 5 V."""
     held = np.array([gap.u_held_v for gap in r.gaps], np.float64)
-    # Who records from afar cannot know it where he missed what the daemon said.
+    # A remote recorder does not know the voltage of a gap whose report it missed.
     known = ~np.isnan(held) if r.manifest.experiment == REMOTE else np.ones(held.size, np.bool_)
     volts = {
-        "asked for": r.samples["u_cmd_v"],
+        "requested": r.samples["u_cmd_v"],
         "applied": r.samples["u_applied_v"],
         "held in a gap": held[known],
     }
@@ -177,27 +185,27 @@ def check_envelope(r: Recording) -> Check:
         return _not_checked("envelope", "no sample")
     seen = f"{u.min():.4g} to {u.max():.4g} V applied"
     unknown = int(np.count_nonzero(~known))
-    what = f"; not known in {plural(unknown, 'gap')} that the recorder missed" if unknown else ""
+    what = f"; unknown in {plural(unknown, 'gap')} that the recorder missed" if unknown else ""
     return _passed("envelope", f"{seen}, inside 0 to {U_MAX_V:g} V{what}")
 
 
 def check_input(r: Recording, u: Vector) -> Check:
-    """Check that each sample has the voltage of its index in the input `u` (N,), in V."""
+    """Check that the voltage of each sample k is that of index k in the input `u` (N,), in V."""
     at = r.samples["k"].astype(np.int64) - max(r.manifest.k_first, 0)
     if u.size != r.manifest.samples:
-        text = f"{u.size} voltages are attached, the run has {r.manifest.samples} samples"
+        text = f"{u.size} voltages are attached, but the run has {r.manifest.samples} samples"
         return _failed("input", text)
     outside = (at < 0) | (at >= u.size)
     if outside.any():
         k = r.samples["k"][outside.argmax()]
-        return _failed("input", f"sample k={k} has none of the {u.size} voltages attached")
+        return _failed("input", f"sample k={k} is outside the {u.size} attached voltages")
     if not at.size:
         return _not_checked("input", "no sample")
     # A device with n bits applies the nearest of its 2^n steps.
     bits = r.manifest.device.get("pwm_bits")
     step = U_MAX_V / (1 << bits) if isinstance(bits, int) and 0 < bits <= 16 else _CODE_V
     for name, field, most in (
-        ("asked for", "u_cmd_v", 0.5 * _CODE_V),
+        ("requested", "u_cmd_v", 0.5 * _CODE_V),
         ("applied", "u_applied_v", 0.5 * step + _CODE_V),
     ):
         wrong = ~(np.abs(r.samples[field] - u[at]) <= most * (1 + 1e-9))
@@ -206,18 +214,20 @@ def check_input(r: Recording, u: Vector) -> Check:
             text = f"{plural(int(np.count_nonzero(wrong)), 'sample')} with another voltage {name}, "
             text += f"the first at k={r.samples['k'][i]}: {r.samples[field][i]:.6g} V for "
             return _failed("input", f"{text}{u[at[i]]:.6g} V")
-    text = f"u is the experiment's at each sample, applied in steps of {step * 1e3:.3g}{NBSP}mV"
+    text = (
+        f"u is the experiment's input at each sample, applied in steps of {step * 1e3:.3g}{NBSP}mV"
+    )
     return _passed("input", text)
 
 
 def check_timing(r: Recording) -> Check:
-    """Check that both clocks go forward; say how regular the samples were."""
+    """Check that the times of both clocks increase, and report jitter and lateness."""
     for name, field in (("device", "t_device_us"), ("host", "t_sched_ns")):
         t = r.samples[field].astype(np.int64)
         back = np.flatnonzero(t[1:] <= t[:-1])
         if back.size:
             k = r.samples["k"][back[0] + 1]
-            return _failed("timing", f"the {name}'s time does not go forward at k={k}")
+            return _failed("timing", f"the time of the {name}'s clock does not increase at k={k}")
     s = sampling_statistics(r)
     if not s.jitter.n:
         return _not_checked("timing", "too few samples")
@@ -229,15 +239,15 @@ def check_timing(r: Recording) -> Check:
 
 
 def check_clock(r: Recording) -> Check:
-    """Check that the device's clock ran as the comparisons of the clocks say."""
+    """Check the drift of the device's clock, and that no comparison shows a jump of the offset."""
     if r.samples.size < 2:
         return _not_checked("clock", "too few samples")
-    # Over all of the run, in ns; what one stamp is off by counts for little.
+    # The drift is computed over the whole run, in ns, so that the error of a time stamp is small.
     host = int(r.samples["t_sched_ns"][-1]) - int(r.samples["t_sched_ns"][0])
     device = 1000 * (int(r.samples["t_device_us"][-1]) - int(r.samples["t_device_us"][0]))
     ppm = (device / host - 1) * 1e6
-    # Either end may be up to a sample off.
-    allowed = _MOST_DRIFT_PPM + 2 * (r.Ts * 1e9) / host * 1e6
+    # The times at both ends may be wrong by a sampling time each.
+    allowed = MAX_DRIFT_PPM + 2 * (r.Ts * 1e9) / host * 1e6
     if abs(ppm) > allowed:
         text = f"the device's clock is {ppm:.0f} ppm off the host's over the run, more than "
         return _failed("clock", f"{text}{allowed:.0f}")
@@ -246,7 +256,10 @@ def check_clock(r: Recording) -> Check:
         expected = before.drift_ppm * 1e3 * (after.t - before.t)
         spread = np.hypot(before.offset_std_ns, after.offset_std_ns)
         spread = np.hypot(spread, before.drift_std_ppm * 1e3 * (after.t - before.t))
-        if not abs(change - expected) <= _SIGMAS * spread + before.bound_ns + after.bound_ns:
+        if (
+            not abs(change - expected)
+            <= _MAX_JUMP_SIGMAS * spread + before.bound_ns + after.bound_ns
+        ):
             text = f"the offset of the clocks jumps by {(change - expected) / 1e3:.0f} µs at "
             return _failed("clock", f"{text}{after.t:.1f} s, against ± {spread / 1e3:.0f} µs")
     if not r.clock:
@@ -271,14 +284,14 @@ def _check_attached_input(r: Recording) -> Check:
 
 
 def _check_configuration(r: Recording) -> Check:
-    """Check the hash of the attached configuration, and that its limits were kept."""
+    """Check the hash of the attached configuration, and that its limits were observed."""
     _, content = beginning(r.path)
     text = content.attachments.get(CONFIG)
     if text is None or not r.manifest.config_sha256:
-        why = "no configuration is attached, or its hash is not told"
+        why = "no configuration is attached, or its hash is not recorded"
         return _not_checked("configuration", why)
     if hashlib.sha256(text).hexdigest() != r.manifest.config_sha256:
-        return _failed("configuration", "its hash is not the one in the manifest")
+        return _failed("configuration", "its hash differs from the hash in the manifest")
     try:
         limits = msgspec.json.decode(text, type=_Config).limits
     except msgspec.DecodeError as err:
@@ -286,9 +299,9 @@ def _check_configuration(r: Recording) -> Check:
     u = r.samples["u_cmd_v"]
     low, high = limits.u_min_v - 0.5 * _CODE_V, limits.u_max_v + 0.5 * _CODE_V
     if u.size and not (low <= u.min() and u.max() <= high):
-        found = f"{u.min():.4g} to {u.max():.4g} V were asked for, outside its limits "
+        found = f"{u.min():.4g} to {u.max():.4g} V were requested, outside its limits "
         return _failed("configuration", f"{found}{limits.u_min_v:g} to {limits.u_max_v:g} V")
-    return _passed("configuration", "its hash is right, and its limits were kept")
+    return _passed("configuration", "its hash is correct, and its limits were observed")
 
 
 class _Limits(msgspec.Struct, frozen=True):
@@ -321,7 +334,7 @@ def _verdict(found: Verification) -> str:
 
 
 def rows(found: Verification) -> Iterator[tuple[str, str]]:
-    """Give what was checked, for a person: names and values."""
+    """Yield the rows of a table: the subject of a check and its result as text."""
     yield "verdict", _verdict(found)
     yield "recording", str(found.path)
     yield "sha256", found.sha256
@@ -330,36 +343,37 @@ def rows(found: Verification) -> Iterator[tuple[str, str]]:
 
 
 def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
-    """Return the voltages, (n,) in V, of the attachment at `place`; an hour at 1 kHz has 20 MB.
+    """Return the voltages, (n,) in V, of the attachment at `place`, read block by block.
 
     Parameters
     ----------
     most : int
-        How many there may be.
+        Largest allowed number of voltages.
 
     Raises
     ------
     DamageError
-        It is no list of voltages, its checksum is wrong, or there are more than `most`.
+        The attachment is not a list of voltages, its checksum is wrong, or it contains more than
+        `most` voltages.
     """
     parts: list[NDArray[np.float64]] = []
     found = 0
     with regular_file(path) as file:
         file.seek(place.at)
-        head, size = _head(file.read(min(place.length, _TIMES + 2 * 128)))
+        head, size = _head(file.read(min(place.length, _TIMES_BYTES + 2 * 128)))
         if head + size + 4 != place.length:
-            raise DamageError("the attached input has not the form of one")
+            raise DamageError("the attached input does not have the form of an input")
         file.seek(place.at)
         crc, rest = zlib.crc32(file.read(head)), b""
         while size > 0:
-            block = file.read(min(size, _BLOCK))
+            block = file.read(min(size, _BLOCK_BYTES))
             size = size - len(block) if block else 0
             crc = zlib.crc32(block, crc)
             lines = (rest + block).split(b"\n")
             rest = lines.pop() if size else b""
             parts.append(_voltages(lines, first=not parts))
             found += parts[-1].size
-            if found > most or len(rest) > _LINE_LIMIT:
+            if found > most or len(rest) > _MAX_LINE_BYTES:
                 raise DamageError(
                     f"the attached input is longer than the {most} samples of the run"
                 )
@@ -370,8 +384,8 @@ def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
 
 
 def _head(begin: bytes) -> tuple[int, int]:
-    """Return where the data of an attachment begin, and their length, in B."""
-    at = _TIMES
+    """Return the place and the length of the data in an attachment, both in B."""
+    at = _TIMES_BYTES
     for _ in range(2):  # name and media type
         at += 4 + int.from_bytes(begin[at : at + 4], "little")
     return at + 8, int.from_bytes(begin[at : at + 8], "little")
@@ -383,4 +397,4 @@ def _voltages(lines: list[bytes], *, first: bool) -> NDArray[np.float64]:
     try:
         return np.array([float(line) for line in lines if line], np.float64)
     except ValueError as err:
-        raise DamageError(f"the attached input is no list of voltages ({err})") from err
+        raise DamageError(f"the attached input is not a list of voltages ({err})") from err

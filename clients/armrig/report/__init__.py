@@ -1,4 +1,4 @@
-"""A study of recordings, told as a document."""
+"""Study of recordings, and its report as a document."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ __all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name; only now typst is loaded, which a study does without."""
+    """Return a public name; typst is loaded only here, because a study does not need it."""
     return public(__name__, name)

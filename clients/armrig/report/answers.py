@@ -1,4 +1,4 @@
-"""What students add to the handout's report: their names, and their reasons."""
+"""Names and reasons that students add to the handout's report."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from armrig_core.printable import printable
 from armrig_core.toml_file import read_toml
 
 MAX_STUDENTS: Final = 2
-"""As many as the handout's cover has lines for."""
+"""Largest number of students: the handout's cover has this number of lines for names."""
 MAX_NAME, MAX_REASONS = 80, 4000
-"""In characters; ten pages hold no more."""
+"""Largest numbers of characters of a name and of an assignment's reasons, to fit on ten pages."""
 _KEYS: Final = ("name", "registration_number")
 _QUOTED: Final = 'each value is a text in quotes, such as registration_number = "900101-1234"'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Student:
-    """Who hands the report in."""
+    """A student who hands the report in."""
 
     name: str = ""
     registration_number: str = ""
@@ -29,26 +29,26 @@ class Student:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answers:
-    """Names on the cover, and a text for each assignment."""
+    """Names of the students, and their reasons for each assignment."""
 
     students: tuple[Student, ...] = ()
     reasons: dict[str, str] = field(default_factory=dict)
-    """By the handout's number of the assignment; what is not answered is left out."""
+    """Reasons by the handout's number of the assignment; empty reasons are left out."""
 
 
 def read_answers(path: Path) -> Answers:
-    """Return the answers in a file, as `armrig report --handout --questions` begins it.
+    """Read the answers in a file that `armrig report --handout --questions` wrote.
 
     Raises
     ------
     FileError
-        The file cannot be read, has an unknown key, or a value is no text or too long.
+        The file cannot be read, has an unknown key, or a value is not a text or is too long.
     """
     try:
         tables = read_toml(path, CONFIGURATION_LIMIT)
     except FileNotFoundError as err:
         msg = f"{path}: there is no such file; `armrig report --handout --questions {path}` "
-        raise FileError(f"{msg}writes one") from err
+        raise FileError(f"{msg}writes it") from err
     except FileError as err:
         raise FileError(f"{path}: {err}; {_QUOTED}") from err
     except OSError as err:
@@ -90,7 +90,7 @@ def _check_keys(table: dict[str, Any], known: tuple[str, ...], where: str) -> No
 
 
 def _text(table: dict[str, Any], key: str, most: int) -> str:
-    """Return a text without the space around it."""
+    """Return a value of `table` as text without surrounding space; raise FileError if not text."""
     value = table[key]
     if not isinstance(value, str):
         raise FileError(f"{key} = {value!r:.40}: {_QUOTED}, of at most {most} characters")
@@ -104,12 +104,12 @@ def _text(table: dict[str, Any], key: str, most: int) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Question:
-    """An assignment, and the reasons that the student has to give."""
+    """An assignment, and the reasons that the student has to write."""
 
     title: str
     """Subject of the assignment."""
     asks: str
-    """Reasons that armrig cannot give."""
+    """Reasons that the student writes, because armrig cannot."""
 
 
 QUESTIONS: Final = {
@@ -131,15 +131,15 @@ QUESTIONS: Final = {
     ),
     "3.2": Question(
         title="Choice of parametrisation",
-        asks="the structure and orders that you take, and what speaks for them",
+        asks="the structure and orders that you choose, and the evidence for them",
     ),
     "3.3": Question(
         title="Black box",
         asks="the model that you choose, and those that you tried (`armrig identify --search`)",
     ),
     "3.4": Question(
-        title="Against the physics",
-        asks="which model is best, for what; differences and similarities",
+        title="Comparison with the physics",
+        asks="which model is best for which purpose; differences and similarities",
     ),
     "3.5": Question(
         title="Grey box: the inertia J",
@@ -151,30 +151,30 @@ QUESTIONS: Final = {
     ),
     "3.7": Question(
         title="Open loop",
-        asks="what in the input and output data you infer it from",
+        asks="the evidence for open loop in the input and output data",
     ),
     "3.8": Question(
         title="No input delay",
-        asks="what in the input and output data you infer it from",
+        asks="the evidence against a delay in the input and output data",
     ),
     "4.1": Question(
         title="Forward Euler",
-        asks="your choice of the step, and what varying it shows",
+        asks="your choice of the step, and the effect of other steps",
     ),
     "4.2": Question(
         title="AB(2)",
-        asks="your choice of the step, and what varying it shows",
+        asks="your choice of the step, and the effect of other steps",
     ),
     "4.3": Question(
         title="Trapezoidal rule",
-        asks="your choice of the step, and what varying it shows",
+        asks="your choice of the step, and the effect of other steps",
     ),
     "4.4": Question(
         title="Heun, RK(2)",
-        asks="your choice of the step, and what varying it shows",
+        asks="your choice of the step, and the effect of other steps",
     ),
 }
-"""By the handout's number of the assignment, in its order."""
+"""Questions by the number of the assignment, in the order of the handout."""
 
 _HEAD = '''\
 # Names and reasons for the handout's report. After filling them in:
@@ -194,12 +194,12 @@ registration_number = ""
 
 
 def questions_toml(file: str) -> str:
-    """Return the text of a file with all questions of the handout, and room for the answers.
+    """Return the text of a file with all questions of the handout and space for the answers.
 
     Parameters
     ----------
     file : str
-        Name of the file, as its first lines give it to the next command.
+        Name of the file; its first lines contain the command that reads the file.
     """
     asked = (
         f'\n# {number} {question.title}: {question.asks}\n"{number}" = """\n"""\n'

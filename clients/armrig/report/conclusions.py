@@ -1,4 +1,4 @@
-"""What a study comes to, in words."""
+"""Conclusions of a study, in words."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from armrig.recordings.jitter import angle_of_jitter, fastest_rate
 from armrig.recordings.recording import Recording
 from armrig.report.study import AssessedFit, Study
 
-_FAR = 3.0  # times the best model's rms error, from which on an ARX model is another one
+MIN_BIASED_RMS_RATIO = 3.0
+"""An ARX model is called biased above this ratio of its rms error to that of the best model."""
 
 
 def conclusions(study: Study) -> list[str]:
-    """Return what the study comes to, one sentence or two a point."""
+    """Return the conclusions of a study, each in a few sentences."""
     points = [
         _simulation_verdict(study),
         *(_residual_verdict(model) for model in study.ranked),
@@ -38,22 +39,22 @@ def conclusions(study: Study) -> list[str]:
     missing = sum(r.missing for r in study.recordings)
     if missing:
         points.append(
-            f"{missing} samples are missing. They are marked so, and no estimate uses a value in "
-            "their place."
+            f"{missing} samples are missing. They are marked as missing, and no estimate uses a "
+            "value in their place."
         )
     return points
 
 
 def _simulation_verdict(study: Study) -> str:
-    """Return how far each model is off, the best of the estimated ones first."""
-    unit = study.validation.unit
-    first, *others = (f"{m.name} model" for m in study.ranked)
-    best, *rest = (error(m.comparison.rms_error, unit) for m in study.ranked)
-    off = [f"the {name} by {size}" for name, size in zip(others, rest, strict=True)]
-    off.append(f"the physics of the handout by {error(study.reference.comparison.rms_error, unit)}")
+    """Return a sentence with the rms error of each model, the best estimated model first."""
+    names = [*(m.name for m in study.ranked), "the physics of the handout"]
+    errors = ", ".join(
+        f"{error(m.comparison.rms_error, study.validation.unit)} ({name})"
+        for m, name in zip([*study.ranked, study.reference], names, strict=True)
+    )
     return (
-        f"Simulated over {study.validation.t[-1]:.0f} s that it has not seen, the {first} is off "
-        f"by {best} rms, {', '.join(off)}."
+        f"In a simulation of the {study.validation.t[-1]:.0f} s of validation data the rms error "
+        f"is {errors}."
     )
 
 
@@ -66,23 +67,23 @@ def _physics_verdict(study: Study) -> str:
 
 
 def _structure_verdicts(study: Study) -> Iterator[str]:
-    """Say of each ARX model that simulates far worse than the best what is wrong with it."""
+    """Yield an explanation for each ARX model that simulates far worse than the best model."""
     best = study.best
-    farthest = _FAR * best.comparison.rms_error
+    limit = MIN_BIASED_RMS_RATIO * best.comparison.rms_error
     for m in study.estimated if best.fit.structure != "arx" else ():
-        if m.fit.structure == "arx" and m.comparison.rms_error > farthest:
+        if m.fit.structure == "arx" and m.comparison.rms_error > limit:
             yield (
-                f"{m.name} and {best.name} disagree. ARX assumes noise that passes through 1/A, "
-                "and here it is added to the angle, so its transfer function is biased, although "
-                "it predicts one step ahead well. For simulation and for control use "
-                f"the {best.name} model."
+                f"{m.name} and {best.name} disagree. ARX assumes that the noise passes through "
+                "1/A. Here the noise is added to the angle, so the ARX transfer function is "
+                "biased, although ARX predicts one step ahead well. For simulation and control "
+                f"use the {best.name} model."
             )
 
 
 def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
-    """Return what speaks against the calibration of any recording, each sentence once.
+    """Return the doubts about the calibrations of recordings, without repeated sentences.
 
-    What is not said of all names the files that it is said of.
+    A sentence that is not true for all recordings begins with the names of its files.
     """
     of: dict[str, list[str]] = {}
     for r in recordings:
@@ -97,14 +98,15 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
 
 
 def _jitter_verdict(study: Study) -> str:
-    """Return what the jitter can have done to the angle of the validation data."""
+    """Return the jitter of the validation data, and the error of the angle that it causes."""
     data = study.validation
     timing = study.timing[study.recordings.index(study.recording_of(data.source))]
     return (
         "The sampling interval of the validation data has a standard deviation of "
-        f"{microseconds(timing.std_us)}; at {number(fastest_rate(data))} {data.unit}/s, hardly "
-        f"ever exceeded, that moves θ₁ by {error(angle_of_jitter(timing, data), data.unit)}, "
-        "in the measurement and in what the input has done by then."
+        f"{microseconds(timing.std_us)}. At {number(fastest_rate(data))} {data.unit}/s, the "
+        "rate that 99 % of the data do not exceed, this jitter moves θ₁ by "
+        f"{error(angle_of_jitter(timing, data), data.unit)}. It affects both the measurement and "
+        "the response to the input."
     )
 
 
@@ -117,7 +119,7 @@ def _residual_verdict(model: AssessedFit) -> str:
         return f"The residual tests of {model.name} have no power: {tests.powerless}."
     said = f"{tests.white} and "
     said += (
-        f"{'free of' if free else 'tied to'} past input (p {p_relation(tests.missing_dynamics)})"
+        f"{'un' if free else ''}correlated with past input (p {p_relation(tests.missing_dynamics)})"
     )
     ending = "nothing speaks against its structure"
     if not (white and free):
@@ -128,7 +130,7 @@ def _residual_verdict(model: AssessedFit) -> str:
 
 
 def abstract(study: Study) -> str:
-    """Return the outcome in three sentences."""
+    """Return the result of a study in three sentences."""
     best = study.best
     N, Ts = study.estimation.N, study.estimation.Ts
     deviation = 100 * float(np.median(best.deviation))
@@ -136,8 +138,8 @@ def abstract(study: Study) -> str:
     names = listed([with_article(m.name) for m in study.estimated])
     were = "were" if len(study.estimated) > 1 else "was"
     return (
-        f"From {N} samples at {milliseconds(Ts)} {names} model from the motor's voltage "
-        f"to the chassis angle {were} estimated. On data that it has not seen the {best.name} "
-        f"model simulates the angle with an rms error of {rms}, and its frequency response differs "
-        f"from that of the physical model by a median of {percent(deviation)}."
+        f"{names[0].upper()}{names[1:]} model from the motor's voltage to the chassis angle "
+        f"{were} estimated from {N} samples at {milliseconds(Ts)}. On validation data the "
+        f"{best.name} model simulates the angle with an rms error of {rms}. Its frequency response "
+        f"differs from that of the physical model by a median of {percent(deviation)}."
     )

@@ -1,4 +1,4 @@
-"""A study as a typeset PDF; figures are matplotlib's, text and tables are typst's."""
+"""Report of a study as a PDF: matplotlib draws the figures, typst sets text and tables."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from string import ascii_lowercase
 from typing import Any
 
 from armrig.numerics.quantities import error, percent
-from armrig.recordings.doubts import different_calibrations, emulation
+from armrig.recordings.usability import different_calibrations, emulation
 from armrig.report.conclusions import abstract, conclusions
 from armrig.report.figures import DETAIL_S, write_figures
 from armrig.report.model_facts import (
@@ -50,20 +50,20 @@ def report(
     Parameters
     ----------
     remarks : sequence of str
-        Sentences that a reader must know, in addition to those of the recordings.
+        Warnings for the reader, in addition to the warnings about the recordings.
     figures : Path, optional
-        Directory to leave the figures in, as SVG.
+        Directory for copies of the figures, as SVG.
     source : Path, optional
         New folder for the report's Typst source, its values and its figures.
 
-    The PDF's bytes follow from the study, the remarks and the versions of armrig, matplotlib and
-    typst: no time of day enters.
+    The bytes of the PDF depend only on the study, the remarks, and the versions of armrig,
+    matplotlib and typst.
 
     Raises
     ------
     OperationError
-        The compiler refuses, which is a fault of this module; or the folder of the source contains
-        files already.
+        The folder of the source already contains files; or the compiler refuses the document, which
+        is a fault of this module.
     OSError
         The PDF cannot be written.
     """
@@ -80,10 +80,10 @@ def report(
 
 
 def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
-    """Return what the template says as text: see report.typ."""
+    """Return the values for the template report.typ, with all numbers as text."""
     manifest = study.recording_of(study.estimation.source).manifest
     truncated = [
-        f"{r.path.name} is not whole: {r.damage}." for r in study.recordings if r.truncated
+        f"{r.path.name} is incomplete: {r.damage}." for r in study.recordings if r.truncated
     ]
     return {
         "title": "Black-box identification of the rig",
@@ -131,7 +131,7 @@ def _step_caption(study: Study) -> str | None:
     if not steps:
         return None
     return (
-        f"(a) Chassis angle after a step of the motor's voltage (b); recording "
+        f"(a) Chassis angle after a step of the motor's voltage; (b) the voltage; recording "
         f"{run_name(steps[0])}."
     )
 
@@ -141,30 +141,31 @@ def _captions(study: Study) -> dict[str, str]:
         run_name(study.recording_of(data.source)) for data in (study.estimation, study.validation)
     )
     marks = ascii_lowercase[: 2 * len(study.estimated)]
-    halves = ": first and second half of one recording" if study.halves else ""
+    halves = ", the first and the second half of one recording" if study.halves else ""
     return {
         "data": f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
-        f"recording {validation}){halves}: chassis angle with its turns counted, less the ramp of "
-        "its mean speed (a, c), and the voltage that the device applied (b, d). Shaded: "
-        "dead band, or a missing sample.",
+        f"recording {validation}){halves}. (a, c) Chassis angle with its turns counted, minus the "
+        "ramp of its mean speed; (b, d) voltage that the device applied. Shaded: dead band or "
+        "missing sample.",
         "fits": f"Simulation of the validation data (recording {validation}). "
         f"{study.note[0].upper()}{study.note[1:]}.",
-        "compare": "(a) Angle measured and simulated on the validation data (recording "
-        f"{validation}), less the ramp of its mean speed; (b) data (dots) and models less the best "
-        "model. If another model is far off, the scale is logarithmic beyond the dotted "
-        "lines.",
-        "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle from differences (recording "
-        f"{validation}). The models are simulated from the beginning of the data, as above.",
-        "bode": "Frequency response from voltage to angle, with 95 % bands, linearised or, where "
-        "that is poor, sampled from the covariance of the parameters; dots: spectral analysis of "
-        f"the estimation data, 95 % bars. Recording {estimation}.",
-        "step_poles": "(a) Answer to a unit step with 95 % bands; (b) poles (×) and zeros "
-        "(○) with 95 % regions (bars for real roots, ellipses, dotted where sampled); a square "
-        "holds a pole and a zero that cannot be told apart (1 %). "
-        f"Models from recording {estimation}.",
-        "tests": f"Tests of the one-step residuals on the validation data (recording {validation}),"
-        " with the uncertainty of the estimated models allowed for.",
+        "compare": "(a) Measured and simulated angle of the validation data (recording "
+        f"{validation}), minus the ramp of its mean speed; (b) data (dots) and models, minus the "
+        "best model. If a model has a much larger error, the scale is logarithmic beyond the "
+        "dotted lines.",
+        "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle, from differences (recording "
+        f"{validation}). The simulation of the models starts at the beginning of the data.",
+        "bode": "Frequency response from voltage to angle with 95 % bands. A band is linearised "
+        "or, if a linearisation is poor, sampled from the covariance of the parameters. Dots: "
+        "spectral analysis of the estimation data with 95 % bars. Recording "
+        f"{estimation}.",
+        "step_poles": "(a) Response to a unit step with 95 % bands; (b) poles (×) and zeros (○) "
+        "with 95 % regions: bars for real roots, ellipses for complex roots, dotted if sampled. A "
+        "square marks a pole and a zero that are not significantly different (1 %). Models from "
+        f"recording {estimation}.",
+        "tests": "Tests of the one-step residuals on the validation data (recording "
+        f"{validation}). The tests allow for the uncertainty of the estimated models.",
         "residuals": f"Correlation of the residuals with themselves ({', '.join(marks[::2])}) "
-        f"and with the input ({', '.join(marks[1::2])}) on recording {validation}. Grey: 99 % of "
-        "the values if the hypothesis is true.",
+        f"and with the input ({', '.join(marks[1::2])}) on recording {validation}. Grey: range "
+        "of 99 % of the values if the hypothesis is true.",
     }

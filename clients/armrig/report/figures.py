@@ -1,24 +1,29 @@
-"""The figures of a report."""
+"""Figures of a report."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import matplotlib as mpl
 import numpy as np
+from armrig_core.arm import arm_matrices
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from armrig import plots
 from armrig.estimation.nonparametric.spectral import spectral_reference
+from armrig.physics.integrators.accuracy import convergence
+from armrig.physics.systems import ArmParameters
 from armrig.plots.captions import legend, named_by_run
 from armrig.plots.layout import pens, save
+from armrig.report.handout_study import METHODS, HandoutStudy
 from armrig.report.study import STEP, Study, kind_of
 
 STYLE: Any = {
     "svg.fonttype": "none",
-    "font.family": ["STIXGeneral", "DejaVu Sans"],  # the second where the first has no glyph
+    "font.family": ["STIXGeneral", "DejaVu Sans"],  # the second if the first lacks a glyph
     "mathtext.fontset": "stix",
     "font.size": 8.5,
     "axes.linewidth": 0.6,
@@ -28,8 +33,14 @@ STYLE: Any = {
     "axes.unicode_minus": True,
 }
 WIDTH = 6.4
-_RESIDUALS = 3.4  # height of one row of residual tests
 DETAIL_S = 4.0
+_RESIDUALS_ROW_HEIGHT = 3.4
+_LOW_HEIGHT, _HEIGHT = 1.35, 1.55
+_TWO_PANELS_HEIGHT, _LEGENDS_HEIGHT = 1.95, 1.75
+"""Heights, in inches: for two panels below each other, and for a panel with long legends."""
+_STEP_HEIGHT = 2.6
+"""Height, in inches: the slope at t = 0, for assignment 2.2, must be visible below the legend."""
+Draw = Callable[[Axes], object]
 
 
 def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
@@ -122,9 +133,9 @@ def _step_poles_figure(study: Study) -> Figure:
 
 
 def _residuals_figure(study: Study) -> Figure:
-    """Draw the tests of all estimated models, two in a row."""
+    """Draw the residual tests of all estimated models, two panels in a row."""
     rows = (len(study.estimated) + 1) // 2
-    figure, axes = _canvas(_RESIDUALS * rows, min(2, len(study.estimated)), rows)
+    figure, axes = _canvas(_RESIDUALS_ROW_HEIGHT * rows, min(2, len(study.estimated)), rows)
     for ax in axes[len(study.estimated) :]:
         ax.remove()
     for ax, model in zip(axes, study.estimated, strict=False):
@@ -143,3 +154,99 @@ _FIGURES: dict[str, Callable[[Study], Figure | None]] = {
     "step_poles": _step_poles_figure,
     "residuals": _residuals_figure,
 }
+
+
+class Shown(Protocol):
+    """A result with a method that draws it."""
+
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Draw into `ax`, or into a new figure."""
+
+
+def write_handout_figures(study: HandoutStudy, directory: Path) -> frozenset[str]:
+    """Write the figures for which the study has data as SVG files, and return their names."""
+    drawn = _drawn(study)
+    look = STYLE | {"font.size": 7.5, "xtick.labelsize": 7, "ytick.labelsize": 7}
+    runs = {r.sha256: r.manifest.run_id for r in study.recordings}
+    with mpl.rc_context(look), named_by_run(runs):
+        for name, (height, draws) in drawn.items():
+            figure = Figure(figsize=(WIDTH, height), layout="constrained")
+            columns = figure.subplots(1, len(draws), squeeze=False)[0]
+            for ax, draw in zip(columns, draws, strict=True):
+                draw(ax)
+            save(figure, directory / f"{name}.svg")
+    return frozenset(drawn)
+
+
+def _drawn(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
+    """Return the height, in inches, and the panels of each figure."""
+    A, _, _ = arm_matrices(ArmParameters())
+    studies = [convergence(study.problem, m) for m in METHODS.values()]
+    found: dict[str, tuple[float, list[Draw]]] = {
+        "rig": (_LOW_HEIGHT, [lambda ax: plots.plot_rig(ax=ax)]),
+        "step": (
+            _STEP_HEIGHT,
+            [lambda ax: plots.plot_physical_step(study.cases, seconds=0.5, ax=ax)],
+        ),
+        "integrators": (
+            2.4,
+            [
+                lambda ax: plots.plot_stability_regions(A, methods=tuple(METHODS.values()), ax=ax),
+                lambda ax: plots.plot_convergence(studies, ax=ax),
+            ],
+        ),
+        "solution": (
+            _TWO_PANELS_HEIGHT,
+            [
+                lambda ax: plots.plot_solution(
+                    study.problem,
+                    0.02,
+                    methods=tuple(METHODS.values()),
+                    state=2,
+                    label=r"$\dot\theta_1$ [rad/s]",
+                    ax=ax,
+                )
+            ],
+        ),
+    }
+    return found | _of_data(study)
+
+
+def _drawing(value: Shown) -> Draw:
+    return lambda ax: value.plot(ax=ax)
+
+
+def _of_data(study: HandoutStudy) -> dict[str, tuple[float, list[Draw]]]:
+    values: dict[str, Shown | None] = {
+        "sampling": study.sampling,
+        "structure": study.hints,
+        "split": study.split,
+        "loop": study.loop,
+        "delay": study.delay,
+    }
+    heights = {
+        "sampling": _TWO_PANELS_HEIGHT,
+        "structure": _TWO_PANELS_HEIGHT,
+        "loop": _LOW_HEIGHT,
+    }
+    found = {
+        name: (heights.get(name, _HEIGHT), [_drawing(value)])
+        for name, value in values.items()
+        if value is not None
+    }
+    black, grey, chassis = study.black, study.grey, study.chassis
+    if black is not None:
+        names = [m.name for m in black.models]
+        models = [m.model for m in black.models]
+        fit, data = black.best.fit, black.validation
+        found["residuals"] = (_LEGENDS_HEIGHT, [lambda ax: plots.plot_residuals(fit, data, ax=ax)])
+        found["compare"] = (
+            2.75,
+            [lambda ax: plots.plot_compare(data, *models, labels=names, ax=ax)],
+        )
+    if grey is not None and chassis is not None:
+        found["greybox"] = (
+            _TWO_PANELS_HEIGHT,
+            [lambda ax: plots.plot_greybox(grey, chassis, ax=ax)],
+        )
+    return found

@@ -1,4 +1,4 @@
-"""The handout's report: cover, a section for each assignment, and at most ten pages."""
+"""Report for the handout: a cover and a section for each assignment, on at most ten pages."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from typing import Any
 from armrig_core.errors import OperationError
 
 from armrig.numerics.quantities import milliseconds
-from armrig.recordings.doubts import different_calibrations, early_ends, emulation
+from armrig.recordings.usability import different_calibrations, early_ends, emulation
 from armrig.report.answers import QUESTIONS, Answers
 from armrig.report.conclusions import calibration_sentences
-from armrig.report.handout_figures import write_handout_figures
+from armrig.report.figures import write_handout_figures
 from armrig.report.handout_study import HandoutStudy
 from armrig.report.identification_sections import identification_sections
 from armrig.report.physical_sections import numerical_sections, physical_sections
@@ -26,8 +26,8 @@ from armrig.report.typesetting import recorded, source_folder, typeset
 
 TEMPLATE = "handout.typ"
 MOST_PAGES = 10
-"""Of the handout, its cover included (section 5)."""
-_NAMED = 3  # sections that are named where there are too many pages
+"""Number of pages that the handout allows, including the cover (section 5)."""
+_MAX_NAMED_SECTIONS = 3
 
 
 def handout_report(
@@ -39,23 +39,23 @@ def handout_report(
 ) -> Path:
     """Typeset the handout's report at `output`, and return the path.
 
-    Each assignment from 2.1 to 4.4 has a section with the handout's number: the result, the method,
-    and the student's reasons, or a blank for them. A section without a recording names the command
-    that makes one. The cover has the handout's fields.
+    Each assignment from 2.1 to 4.4 has a section: the result, the method, and the student's reasons
+    or a blank for them. If a recording is missing, its section contains the command that makes the
+    recording. The cover has the fields of the handout.
 
     Parameters
     ----------
     answers : Answers, optional
-        Names for the cover, and reasons.
+        Names for the cover, and reasons for the sections.
     source : Path, optional
         New folder for the report's Typst source, its values and its figures.
 
     Raises
     ------
     OperationError
-        There are more than `MOST_PAGES`; the source is written all the same.
+        The report has more than `MOST_PAGES` pages; its source is written nevertheless.
     OperationError
-        The folder of the source contains files already.
+        The folder of the source already contains files.
     OSError
         The PDF cannot be written.
     """
@@ -80,7 +80,7 @@ def _values(
     figures: frozenset[str],
     answers: Answers,
 ) -> dict[str, Any]:
-    """Return what the template says, as text: see handout.typ."""
+    """Return the values for the template handout.typ, with all numbers as text."""
     return {
         "version": version("armrig"),
         "sections": [
@@ -115,30 +115,31 @@ def _values(
 
 
 def _paragraphs(text: str) -> list[str]:
-    """Return the paragraphs of a text, each in one line; an empty line begins a paragraph."""
+    """Split a text into paragraphs at its empty lines, and return each paragraph as one line."""
     return [" ".join(part.split()) for part in re.split(r"\n\s*\n", text) if part.strip()]
 
 
 def check_length(places: Sequence[tuple[str, float]]) -> None:
-    """Refuse more than `MOST_PAGES`, and name the longest sections.
+    """Raise OperationError, with the longest sections, if there are more than `MOST_PAGES` pages.
 
     Parameters
     ----------
     places : sequence of (str, float)
-        Where each section begins, and last where the document ends: page, from 1, and the share of
-        it that is above.
+        Name and beginning of each section, in pages from 1; the fraction is the share of the page
+        above the beginning. The last entry is the end of the document.
     """
     if not places:
         raise OperationError(
-            f"{TEMPLATE}: has no #mark of a section, which tells how long it is: leave them in"
+            f"{TEMPLATE}: the #mark of each section is missing: keep the marks, which the lengths "
+            "of the sections are computed from"
         )
     pages = int(places[-1][1])
     if pages <= MOST_PAGES:
         return
     lengths = {name: end - begin for (name, begin), (_, end) in pairwise(places)}
-    longest = sorted(lengths, key=lambda name: -lengths[name])[:_NAMED]
+    longest = sorted(lengths, key=lambda name: -lengths[name])[:_MAX_NAMED_SECTIONS]
     named = ", ".join(f"{name} ({lengths[name]:.1f})" for name in longest)
     raise OperationError(
         f"the report has {pages} pages, and the handout allows {MOST_PAGES}; the longest sections "
-        f"are {named}: shorten your reasons, or give models of lower order (--na, --nb, --nf)"
+        f"are {named}: shorten your reasons, or choose lower orders (--na, --nb, --nf)"
     )

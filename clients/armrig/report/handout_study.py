@@ -1,4 +1,4 @@
-"""What the handout's assignments come to, from whatever recordings there are."""
+"""Results for the handout's assignments, as far as there are recordings."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from armrig.physics.grey_box.split_study import SplitStudy, split_study
 from armrig.physics.integrators.accuracy import Sinusoid, sinusoid
 from armrig.physics.integrators.step_choice import Recommendation, recommend_step
 from armrig.physics.systems import HANDOUT, chassis
-from armrig.recordings.doubts import ended_early
 from armrig.recordings.recording import Recording
+from armrig.recordings.usability import ended_early
 from armrig.report.study import STAIRCASE, STEP, Orders, Study, kind_of, study
 from armrig.validation.feedback_and_delay.delay import delay
 from armrig.validation.feedback_and_delay.delay_result import Delay
@@ -29,39 +29,39 @@ T = TypeVar("T")
 
 GREYBOX, CALIBRATION, BLA = "greybox", "calibrate", "bla"
 OTHERS = (STEP, STAIRCASE, GREYBOX, CALIBRATION, BLA)
-"""Kinds of experiments that no black-box model is estimated from."""
+"""Kinds of experiments from which no black-box model is estimated."""
 METHODS = {"4.1": "forward_euler", "4.2": "ab2", "4.3": "trapezoidal", "4.4": "heun"}
-"""The method of each assignment."""
+"""Integration method of each assignment."""
 AMPLITUDE_V, OMEGA, TOLERANCE = 2.5, 10.0, 1e-3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HandoutStudy:
-    """Everything that the handout's report tells; None for what the recordings cannot say."""
+    """Results of the handout's report; None for a result that the recordings do not allow."""
 
     recordings: tuple[Recording, ...]
-    """All that were given, in their order."""
+    """Given recordings, complete recordings first."""
     parameters: ArmParameters
-    """The handout's own."""
+    """Parameters of the handout."""
     cases: dict[str, ArmParameters]
-    """Parameters that assignment 2.3 compares, the handout's first, by what was changed."""
+    """Sets of parameters that assignment 2.3 compares, by name; the first is the handout's set."""
     problem: Sinusoid
-    """The arm with a sinusoid, for the numerical integration."""
+    """Arm with a sinusoidal input, for the numerical integration."""
     steps: Recommendation
-    """A step for each method."""
+    """Recommended step of each method."""
     step: StepAnalysis | None = None
     sampling: SamplingTime | None = None
     hints: StructureHints | None = None
     black: Study | None = None
     """Models of the whole rig."""
     chassis: Dataset | None = None
-    """The data without the rotating part."""
+    """Data of the chassis without the rotating part."""
     grey: GreyFit | None = None
     split: SplitStudy | None = None
     loop: OpenLoop | None = None
     delay: Delay | None = None
     refused: dict[str, str]
-    """Why there is no result though there are data, by the result's name."""
+    """Reason why there are recordings but no result, by the result's name."""
 
 
 def handout_study(
@@ -72,20 +72,21 @@ def handout_study(
     amplitude: float = AMPLITUDE_V,
     omega: float = OMEGA,
 ) -> HandoutStudy:
-    """Answer what the recordings can answer; the physics and the integrators need none.
+    """Compute the results for the assignments; only sections 2 and 4 need no recordings.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        Of any kind: the first step, the first two that are made for black-box models, and the
-        first of the chassis alone are used, complete ones before those that ended early.
+        Recordings of any kind. Three kinds are used: the first step, the first two recordings for
+        black-box models, and the first recording of the chassis alone. Complete recordings precede
+        recordings that ended early.
     orders : Orders, optional
-        Of the black-box models.
+        Orders of the black-box models.
     cases : dict of str to ArmParameters, optional
-        Parameters that assignment 2.3 compares, the handout's first, by what was changed; J_1 and
-        K_lin doubled by default.
+        Sets of parameters that assignment 2.3 compares, by name; the first is the handout's set. By
+        default, J_1 and K_lin are doubled.
     amplitude, omega : float
-        Sinusoid of assignments 4.1 to 4.4, in V and rad/s.
+        Amplitude in V and angular frequency in rad/s of the input in assignments 4.1 to 4.4.
     """
     p = ArmParameters()
     A, B, _ = arm_matrices(p)
@@ -98,7 +99,7 @@ def handout_study(
             refused[name] = str(err)
             return None
 
-    # One that ended early counts only where no complete one was given.
+    # A recording that ended early counts only if no complete recording was given.
     recordings = sorted(recordings, key=ended_early)
     excited = [r for r in recordings if kind_of(r) not in OTHERS]
     stepped, alone = _first(recordings, STEP), _first(recordings, GREYBOX)
@@ -132,7 +133,7 @@ def handout_study(
 
 
 def _doubled(p: ArmParameters) -> dict[str, ArmParameters]:
-    """Return the handout's parameters, and two of them doubled, each alone."""
+    """Return the handout's parameters, and two variants with one parameter doubled."""
     return {
         HANDOUT: p,
         "J_1 doubled": replace(p, J_1=2 * p.J_1),

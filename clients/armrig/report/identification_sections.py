@@ -1,4 +1,4 @@
-"""The handout's section 3: what the recordings say."""
+"""Section 3 of the handout: results from the recordings."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _GREYBOX = "armrig collect greybox"
 
 
 def identification_sections(study: HandoutStudy) -> list[Section]:
-    """Return 3.1 to 3.8; those without a result say what is missing."""
+    """Return sections 3.1 to 3.8; a section without a result contains the reason."""
     return [
         _sampling(study),
         _hints(study),
@@ -46,11 +46,11 @@ def identification_sections(study: HandoutStudy) -> list[Section]:
 
 
 def _lacking(study: HandoutStudy, number_: str, name: str, command: str) -> Section:
-    """Return a section without a result."""
+    """Return a section without a result, with the reason and the command for the recording."""
     refused = study.refused.get(name, "")
     lack = f"No result: {refused}." if refused else "No recording for this assignment yet."
     if command == _GREYBOX:
-        lack += " For it the rotating part is taken off (handout, figure 6)."
+        lack += " Remove the rotating part before recording (handout, figure 6)."
     return Section(number=number_, lack=lack, fill=command)
 
 
@@ -64,20 +64,21 @@ def _sampling(study: HandoutStudy) -> Section:
         tau, std = 1e3 * study.step.tau, 1e3 * study.step.tau_std
         measured = f"the time to 63 % is {with_std(tau, std)} ms (one standard deviation)"
     used = "" if study.black is None else milliseconds(study.black.estimation.Ts)
-    other = f" The models below have {used}." if used not in ("", milliseconds(found.Ts)) else ""
-    how = "a step response" if found.from_step else "an impulse response, no step being recorded"
+    other = f" The models below use {used}." if used not in ("", milliseconds(found.Ts)) else ""
+    how = "a step response" if found.from_step else "an impulse response (no step was recorded)"
     return Section(
         number="3.1",
         answer=(
-            f"A sampling time of {milliseconds(found.Ts)} is recommended. From {how}, {measured}: "
-            f"ω_s = 20/τ gives {number(1e3 * found.Ts_step)} ms. By the spectrum, −3 dB at "
-            f"{number(found.omega_spectrum)} rad/s, it is {number(1e3 * found.Ts_spectrum)} ms; 7 "
-            f"to 10 samples in the transient of {number(1e3 * found.settling)} ms would be "
-            f"{number(1e3 * low)} to {number(1e3 * high)} ms.{other}",
+            f"The recommended sampling time is {milliseconds(found.Ts)}. From {how}, {measured}. "
+            f"ω_s = 20/τ then corresponds to {number(1e3 * found.Ts_step)} ms. The spectrum is at "
+            f"−3 dB at {number(found.omega_spectrum)} rad/s, which corresponds to "
+            f"{number(1e3 * found.Ts_spectrum)} ms. 7 to 10 samples in the transient of "
+            f"{number(1e3 * found.settling)} ms correspond to {number(1e3 * low)} to "
+            f"{number(1e3 * high)} ms.{other}",
         ),
         figure="sampling",
-        caption="(a) Rate of θ₁ after a step, over its final value, at the recommended instants; "
-        "(b) frequency response and the power of the output.",
+        caption="(a) Rate of θ₁ after a step, divided by its final value, at the recommended "
+        "instants; (b) frequency response and power of the output.",
     )
 
 
@@ -94,17 +95,17 @@ def _hints(study: HandoutStudy) -> Section:
     )
     slope = ""
     if found.low_slope is not None:
-        slope = f"At low frequency |G| falls by {minus(f'{-found.low_slope:.1f}')} dB a decade, "
-        slope += "by 20 with an integrator. "
+        slope = f"At low frequency |G| falls by {minus(f'{-found.low_slope:.1f}')} dB per decade "
+        slope += "(an integrator: 20 dB). "
     return Section(
         number="3.2",
         answer=(
-            f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}; output "
-            "error, because the noise is the potentiometer's.",
-            f"{slope}Resonances, two "
-            f"poles each: {peaks}; antiresonances, two zeros each: {dips}. Of the Hankel "
-            f"singular values {shown} … uncertainty makes {found.threshold:.2g}: "
-            f"{found.order - apart} stand out.",
+            f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}. The "
+            "structure is output error, because the noise is the potentiometer's.",
+            f"{slope}Resonances, two poles each: {peaks}; antiresonances, two zeros each: {dips}. "
+            f"The Hankel singular values are {shown} …; uncertainty alone explains values up to "
+            f"{found.threshold:.2g}, and {plural(found.order - apart, 'value')} above this limit "
+            "determine the order.",
         ),
         figure="structure",
         caption="(a) Spectral analysis with slopes and resonances; (b) Hankel singular values.",
@@ -135,27 +136,27 @@ def _black_box(study: HandoutStudy) -> Section:
                 p_value(tests.missing_dynamics),
             )
         )
-    halves = " (the second half of the one recording)" if black.halves else ""
+    halves = " (the second half of the recording)" if black.halves else ""
     nb, nf = (best.fit.orders.get(name) for name in ("nb", "nf"))
     hints = study.hints
     other = ""
     if hints is not None and nf is not None and (nb, nf) != (hints.nb, hints.nf):
         other = (
-            f" It has nb = {nb} and nf = {nf}, not the orders of 3.2: they are chosen by `--nb` "
+            f" It has nb = {nb} and nf = {nf}, not the orders of 3.2; `--nb` and `--nf` set the "
         )
-        other += "and `--nf`."
+        other += "orders."
     return Section(
         number="3.3",
         answer=(
-            f"The {best.name} model: simulated on data that it has not seen{halves} it is off by "
-            f"{error(best.comparison.rms_error, black.validation.unit)} rms. It is estimated from "
-            f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}, "
-            f"those whose angle and past are known; ± is one standard deviation.{other}",
-            f"The equation is that of the {best.name} model, in the delay q⁻¹ and white noise "
-            f"e(t); the table has the coefficients of its polynomials.{_fixed_root(black)} The "
-            "rms error is that of the simulated angle on the validation data. p white and p "
-            "dynamics are the p values of two tests of the residuals: that they are white, and "
-            "that past input does not explain them. Below 0.01 they speak against the model.",
+            f"The {best.name} model simulates the validation data{halves} with an rms error of "
+            f"{error(best.comparison.rms_error, black.validation.unit)}. It is estimated from "
+            f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}: "
+            f"the samples with known angle and past. ± is one standard deviation.{other}",
+            f"The equation is that of the {best.name} model, with the delay q⁻¹ and white noise "
+            f"e(t). The table contains the coefficients of the polynomials.{_fixed_root(black)} "
+            "The rms error is that of the simulated angle on the validation data. p white and p "
+            "dynamics are the p values of two hypotheses: the residuals are white, and past input "
+            "does not explain the residuals. A value below 0.01 speaks against the model.",
         ),
         formula=typst_form(best.fit),
         table=Table(
@@ -168,13 +169,13 @@ def _black_box(study: HandoutStudy) -> Section:
 
 
 def _fixed_root(black: Study) -> str:
-    """Return which models integrate by construction."""
+    """Return a sentence on the models with a fixed integrator; "" if no model has one."""
     names = [m.name for m in black.estimated if m.fit.integrator]
     if not names:
         return ""
     return (
         f" {listed(names)} {'has' if len(names) == 1 else 'have'} the factor 1 − q⁻¹, the "
-        "integrator from speed to angle: its root at 1 is fixed, not estimated."
+        "integrator from speed to angle. Its root at 1 is fixed, not estimated."
     )
 
 
@@ -212,9 +213,10 @@ def _comparison(study: HandoutStudy) -> Section:
             f"On the validation data {listed(closest)} {are}, with an rms error of "
             f"{off[best.name]}. {_difference(black)}",
             "The fit of the rate is 100 (1 − |v − w|/|v − mean v|) %, v measured and w simulated. "
-            "It is below 0 % if a constant fits better, and below 100 % even for the true system, "
-            "since v has the converter's noise twice. Gain, times and overshoot are those of the "
-            "rate after a step; the equivalent time is the area above it, over its final value.",
+            "This fit is below 0 % if a constant fits better. It is below 100 % even for the true "
+            "system, since v contains the converter's noise twice. Gain, times and overshoot "
+            "describe the rate after a step. The equivalent time is the area above the rate, "
+            "divided by its final value.",
         ),
         table=Table(
             header=(
@@ -230,8 +232,8 @@ def _comparison(study: HandoutStudy) -> Section:
             rows=tuple(rows),
         ),
         figure="compare",
-        caption="(a) Validation data and models, less the ramp of the mean speed; (b) data (dots) "
-        "and models less the best model.",
+        caption="(a) Validation data and models, minus the ramp of the mean speed; (b) data (dots) "
+        "and models, minus the best model.",
     )
 
 
@@ -242,14 +244,14 @@ def _figure(x: float, std: float, scale: float) -> str:
 
 
 def _difference(black: Study) -> str:
-    """Return how far the best estimated model is from the physics."""
+    """Return a sentence with the distance of the best estimated model to the physics."""
     import numpy as np
 
     median = percent(100 * float(np.median(black.best.deviation)))
     return (
         f"From {black.omega[0]:g} to {black.omega[-1]:.0f} rad/s the frequency response of "
-        f"{black.best.name} differs from the physics, nothing of which was fitted, by a median of "
-        f"{median}.{arm_at_rest(black)}"
+        f"{black.best.name} differs from the physics by a median of {median}. Nothing in the "
+        f"physics was fitted.{arm_at_rest(black)}"
     )
 
 
@@ -261,19 +263,17 @@ def _grey_box(study: HandoutStudy) -> Section:
     handout = study.parameters.J_1
     influence = found.influence.get("J_1", {})
     moved = ", ".join(f"{n} {minus(f'{x:+.2f}')} %" for n, x in influence.items())
-    fixed_ones = (
-        f" On these data 1 % more of what was held fixed moves it: {moved}." if moved else ""
-    )
+    fixed_ones = f" An increase of a fixed parameter by 1 % changes J: {moved}." if moved else ""
     return Section(
         number="3.5",
         answer=(
             f"J = {scaled(J, std, 'kg m²')} (one standard deviation), "
             f"{minus(f'{100 * (J / handout - 1):+.2f}')} % from the handout's J₁.",
-            "The chassis alone obeys J θ₁″ = N K_m (u − N K_m θ₁′)/R_m, without friction; J is "
-            f"what makes the simulated angle fit {found.N} samples best.{fixed_ones}",
+            "The chassis alone obeys J θ₁″ = N K_m (u − N K_m θ₁′)/R_m, without friction. With "
+            f"this J the simulated angle fits {found.N} samples best.{fixed_ones}",
         ),
         figure="greybox",
-        caption="(a) Measured and simulated angle of the chassis alone, less the ramp of its mean "
+        caption="(a) Measured and simulated angle of the chassis alone, minus the ramp of its mean "
         "speed; (b) the error.",
     )
 
@@ -300,15 +300,14 @@ def _split(study: HandoutStudy) -> Section:
         number="3.6",
         answer=(
             f"From the whole to {plural(last.k, 'part')} the variance of J grows by a factor of "
-            f"{found.std_growth**2:.2f}; with 1/N it would grow by "
+            f"{found.std_growth**2:.2f}. A variance proportional to 1/N would grow by a factor of "
             f"{first.N.mean() / last.N.mean():.2f}. "
-            "Each sample adds its share to the information, Σ ψψᵀ/λ, and the covariance is its "
-            "inverse.",
+            "Each sample adds to the information Σ ψψᵀ/λ, and the covariance is the inverse of the "
+            "information.",
         ),
         table=Table(header=("", "samples each", "J [kg m²]"), rows=rows),
         figure="split",
-        caption="(a) Each estimate with ±2 σ; band: all of them together. (b) σ against N"
-        f"{crosses}.",
+        caption=f"(a) Each estimate with ±2 σ; band: all parts together. (b) σ against N{crosses}.",
     )
 
 
@@ -326,11 +325,13 @@ def _loop(study: HandoutStudy) -> Section:
             f"p {p_relation(found.p_value)} in Sims' F-test (F = {s.F:.3g} with {s.q} and "
             f"{s.degrees} degrees of freedom): {verdict}.",
             "θ₁(t) is regressed on its own past, past u, and u(t) … u(t + 4). θ₁ is read before u "
-            "is applied: in open loop no u from t on knows of θ₁(t) what its past does not.",
+            "is applied. In open loop u(t) and later inputs therefore contain no information on "
+            "θ₁(t) in addition to the past.",
         ),
         figure="loop",
-        caption="Coefficients of u in the regression of θ₁(t), with the band that holds 99 % of "
-        "each if it is 0. Lags from 1 on are past input, which may leave the band.",
+        caption="Coefficients of u in the regression of θ₁(t). The band contains 99 % of the "
+        "estimates of a coefficient that is 0. Coefficients of past input, lags from 1 on, may "
+        "be outside the band.",
     )
 
 
@@ -338,7 +339,9 @@ def _delay(study: HandoutStudy) -> Section:
     found = study.delay
     if found is None:
         return _lacking(study, "3.8", "delay", _BLACKBOX)
-    samples = "no delay" if found.delay <= 0 else f"a delay of {plural(found.delay, 'sample')}"
+    samples = "no delay: u acts one sample later, as with every zero-order hold"
+    if found.delay > 0:
+        samples = f"a delay of {plural(found.delay, 'sample')} in addition to the zero-order hold"
     g, std = found.response.decaying
     lags = range(min(found.nk + 2, g.size))
     sizes = ", ".join(f"{minus(f'{g[k] / std[k]:+.1f}')} σ at lag {k}" for k in lags if std[k] > 0)
@@ -346,12 +349,12 @@ def _delay(study: HandoutStudy) -> Section:
     return Section(
         number="3.8",
         answer=(
-            f"{found.nk_range}, {samples}: u acts one sample later, as behind a zero-order hold.",
-            f"The first coefficients of u in an ARX model, tested together: {ps}. The impulse "
+            f"{found.nk_range}, {samples}.",
+            f"Joint tests of the first coefficients of u in an ARX model: {ps}. The impulse "
             f"response of θ₁'s rate is {sizes}.",
         ),
         figure="delay",
-        caption="(a) Impulse response, with the band that holds 99.9 % of each coefficient if it "
-        "is 0; (b) the loss of ARX models by nk: below the dotted line none is worse than the "
-        "best, at a level of 0.1 %.",
+        caption="(a) Impulse response. The band contains 99.9 % of the estimates of a coefficient "
+        "that is 0. (b) Loss of ARX models against nk. A model below the dotted line is not worse "
+        "than the best, at a level of 0.1 %.",
     )

@@ -1,4 +1,4 @@
-"""The handout's sections 2 and 4: what follows from the equations alone."""
+"""Sections 2 and 4 of the handout: results from the equations alone."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from armrig.report.section import Section, Table
 
 
 def physical_sections(study: HandoutStudy) -> list[Section]:
-    """Return 2.1 to 2.3."""
+    """Return sections 2.1 to 2.3."""
     p = study.parameters
     found = characteristics(p)
     return [_model(p), _step(found), _other_parameters(study.cases)]
@@ -33,9 +33,10 @@ def _model(p: ArmParameters) -> Section:
             "x′ = A x + B u. With k = N K_m and the handout's values:",
             "Structure: circuit, motor, gear, chassis, spring and arm. Equations: R_m i = u − u_m, "
             "u_m = k θ₁′, Q_E = k i, Q_s = K_lin α, J₁ θ₁″ = Q_E + Q_s, J₂ (θ₁″ + α″) = −Q_s. "
-            "State space: two inertias and a spring store energy, θ₁ itself is the fourth state; "
-            "i and the torques follow from the states and u. Left out are the inductance, friction "
-            "(b₁ = 0), play and elasticity of the gear, bending of the arm and the springs' mass.",
+            "State space: three states are needed for the energy of two inertias and a spring, and "
+            "θ₁ is the fourth state. i and the torques follow from the states and u. Left out are "
+            "the inductance, friction (b₁ = 0), play and elasticity of the gear, bending of the "
+            "arm and the springs' mass.",
         ),
         formula=(
             'x\' = mat(0, 0, 1, 0; 0, 0, 0, 1; 0, K_"lin"/J_1, -k^2/(R_m J_1), 0; '
@@ -52,9 +53,9 @@ def _matrix(M: NDArray[Any]) -> str:
     return f"mat({rows})"
 
 
-_TOGETHER = {"both": "Changing both", "all": "Changing all"}
-_SAME = 5e-4
-"""Relative change that three digits do not show."""
+_CHANGE_WORDS = {"both": "Changing both", "all": "Changing all"}
+MAX_HIDDEN_CHANGE = 5e-4
+"""Relative change below which a number with three digits does not change."""
 
 
 def _step(found: Characteristics) -> Section:
@@ -63,21 +64,21 @@ def _step(found: Characteristics) -> Section:
     return Section(
         number="2.2",
         answer=(
-            f"After a step of 1 V the simulated speed settles at {settled:.4f} rad/s; the model "
-            f"says 1/(N K_m) = {found.steady_speed:.4f} rad/(s V). The slope at t = 0 is "
-            f"{found.initial_slope:.2f} rad/s² = N K_m/(R_m J₁).",
-            "Steady state: nothing accelerates, so there is no torque and no current: u = u_m. "
-            "The slope: at t = 0 the chassis stands, so there is no back-EMF, and the spring is "
-            "not wound, so that the torque turns J₁ alone; with the arm screwed on it would be "
-            f"{found.rigid_slope:.2f} rad/s². Then the arm swings: poles at {_pole(w)} 1/s.",
-            f"The speed reaches 63 % after {1e3 * found.rise_time:.1f} ms; the equivalent time, "
-            f"the area above the response, is {1e3 * found.equivalent_time:.1f} ms, and that of "
-            f"the slowest pole, 1/|Re s|, {1e3 * found.slowest_time:.1f} ms: of a first-order "
-            "system all three would be one.",
+            f"After a step of 1 V the simulated speed settles at {settled:.4f} rad/s. The "
+            f"steady speed is 1/(N K_m) = {found.steady_speed:.4f} rad/(s V). The slope at t = 0 "
+            f"is N K_m/(R_m J₁) = {found.initial_slope:.2f} rad/s².",
+            "In steady state nothing accelerates, so torque and current are 0 and u = u_m. At "
+            "t = 0 the chassis is at rest, so there is no back-EMF. The spring is not wound, so "
+            "the torque accelerates J₁ alone. With a rigid arm the slope would be "
+            f"{found.rigid_slope:.2f} rad/s². Then the arm swings, with poles at {_pole(w)} 1/s.",
+            f"The speed reaches 63 % after {1e3 * found.rise_time:.1f} ms. The equivalent time, "
+            f"the area above the response, is {1e3 * found.equivalent_time:.1f} ms. The time "
+            f"constant of the slowest pole, 1/|Re s|, is {1e3 * found.slowest_time:.1f} ms. In a "
+            "first-order system all three times are equal.",
         ),
         figure="step",
-        caption="Speed of the chassis after a step of 1 V: the handout's parameters, and two of "
-        "them changed (2.3). Grey: steady speed and slope at 0.",
+        caption="Speed of the chassis after a step of 1 V, with the handout's parameters and with "
+        "two of them changed (2.3). Grey: steady speed and slope at 0.",
     )
 
 
@@ -89,17 +90,17 @@ def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
     found = {name: characteristics(p) for name, p in cases.items()}
     first, *changed = found.values()
     effects = "; ".join(
-        f"{_TOGETHER.get(name, name)} {_effect(after, first)}"
+        f"{_CHANGE_WORDS.get(name, name)} {_effect(after, first)}"
         for name, after in zip([*found][1:], changed, strict=True)
     )
     return Section(
         number="2.3",
         answer=(
             f"{effects[0].upper()}{effects[1:]}.",
-            "The steady speed is 1/(N K_m) without friction: inertias, spring and R_m do not enter "
-            "it. The slope at t = 0 is N K_m/(R_m J₁): J₂ and K_lin do not enter it, since the "
-            "spring is not yet wound. All parameters move the poles: a larger |Re s| lets the "
-            "swing die out sooner.",
+            "Without friction the steady speed is 1/(N K_m), independent of inertias, spring and "
+            "R_m. The slope at t = 0 is N K_m/(R_m J₁), independent of J₂ and K_lin, since the "
+            "spring is not yet wound. All parameters move the poles: the larger |Re s|, the sooner "
+            "the swing dies out.",
         ),
         table=Table(
             header=("parameters", "steady speed [rad/(s V)]", "slope [rad/(s² V)]", "poles [1/s]"),
@@ -117,15 +118,17 @@ def _other_parameters(cases: dict[str, ArmParameters]) -> Section:
 
 
 def _effect(after: Characteristics, before: Characteristics) -> str:
-    """Return what a change of the parameters does to the step response."""
+    """Return a text on the effect of a change of the parameters on the step response."""
     ratios = {
         "steady speed": after.steady_speed / before.steady_speed,
         "slope": after.initial_slope / before.initial_slope,
     }
     moved = [
-        f"multiplies the {name} by {r:.3g}" for name, r in ratios.items() if abs(r - 1) > _SAME
+        f"multiplies the {name} by {r:.3g}"
+        for name, r in ratios.items()
+        if abs(r - 1) > MAX_HIDDEN_CHANGE
     ]
-    kept = [f"the {name}" for name, r in ratios.items() if abs(r - 1) <= _SAME]
+    kept = [f"the {name}" for name, r in ratios.items() if abs(r - 1) <= MAX_HIDDEN_CHANGE]
     swing, was = (_pole(max(c.poles, key=lambda z: z.imag)) for c in (after, before))
     if kept:
         moved.append(f"does not change {' or '.join(kept)}")
@@ -133,22 +136,23 @@ def _effect(after: Characteristics, before: Characteristics) -> str:
     return listed([*moved, faster])
 
 
-_WORDS = {
-    "forward_euler": "Each step is x(t+h) = x(t) + h f(t), of order 1; stable inside |1 + hλ| ≤ 1. "
-    "The handout asks for a minimum step: it is a maximum, beyond which hλ leaves the region for "
-    "one of the poles.",
-    "ab2": "Each step is x(t+h) = x(t) + h (3 f(t) − f(t−h))/2, of order 2, with one f a step; the "
-    "first step is one of Heun's.",
-    "trapezoidal": "Each step is x(t+h) = x(t) + h (f(t) + f(t+h))/2, of order 2, implicit: a "
-    "linear system is solved in each. Its region is the whole left half-plane, so that accuracy "
-    "alone decides.",
-    "heun": "Two stages: an Euler step, then x(t+h) = x(t) + h (f(t) + f*(t+h))/2, of order 2, "
-    "with two f a step.",
+_METHOD_TEXTS = {
+    "forward_euler": "Each step is x(t+h) = x(t) + h f(t). The order is 1, and the region of "
+    "stability is |1 + hλ| ≤ 1. The handout asks for a minimum step, but the limit is a maximum: "
+    "with a larger step, hλ of one of the poles is outside the region.",
+    "ab2": "Each step is x(t+h) = x(t) + h (3 f(t) − f(t−h))/2. The order is 2, with one "
+    "evaluation of f per step. The first step is a Heun step.",
+    "trapezoidal": "Each step is x(t+h) = x(t) + h (f(t) + f(t+h))/2. The order is 2. The "
+    "method is implicit: each step solves a linear system. The region of stability is the whole "
+    "left half-plane, so accuracy alone limits the step.",
+    "heun": "Each step has two stages: an Euler step, then "
+    "x(t+h) = x(t) + h (f(t) + f*(t+h))/2. f* is f after the Euler step. The order is 2, with two "
+    "evaluations of f per step.",
 }
 
 
 def numerical_sections(study: HandoutStudy) -> list[Section]:
-    """Return 4.1 to 4.4."""
+    """Return sections 4.1 to 4.4."""
     return [_integrator(study, number, name) for number, name in METHODS.items()]
 
 
@@ -162,11 +166,11 @@ def _integrator(study: HandoutStudy, number_: str, name: str) -> Section:
     return Section(
         number=number_,
         answer=(
-            f"{edge}; {number(1e3 * advice.h)} ms keeps the error of each state below "
-            f"{100 * study.steps.tolerance:g} % of its largest value ({advice.steps} steps over "
-            f"{problem.span:.3g} s, u = {problem.amplitude:g} sin({problem.omega:g} t) V, against "
-            "the exact solution).",
-            _WORDS[name],
+            f"{edge}. A step of {number(1e3 * advice.h)} ms keeps the error of each state below "
+            f"{100 * study.steps.tolerance:g} % of its largest value. The error is computed for "
+            f"{advice.steps} steps over {problem.span:.3g} s with u = "
+            f"{problem.amplitude:g} sin({problem.omega:g} t) V, against the exact solution.",
+            _METHOD_TEXTS[name],
         ),
         table=_errors(study, name, _steps(advice.h, limit), limit),
         figure="integrators" if first else "solution" if number_ == "4.4" else "",
@@ -183,12 +187,12 @@ def _steps(h: float, limit: float) -> Sequence[float]:
 
 
 def _marked(h: float, limit: float) -> str:
-    """Return a step in ms, and whether it is unstable."""
+    """Return a step in ms as text, marked if the step is unstable."""
     return f"{number(1e3 * h)}{'' if h <= limit else ' (unstable)'}"
 
 
 def _errors(study: HandoutStudy, name: str, steps: Sequence[float], limit: float) -> Table:
-    """Return the largest errors at some steps, a column each, relative to the states' largest."""
+    """Return a table of the largest errors, relative to the states' largest values, by step."""
     errors = [study.problem.error(h, name) for h in steps]
     return Table(
         header=("h [ms]", *(_marked(h, limit) for h in steps)),

@@ -1,4 +1,4 @@
-"""What a report says of its recordings: their roles, what they are of, and their timing."""
+"""Facts about the recordings of a report: their roles, their contents and their timing."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from armrig.recordings.jitter import Disturbances, SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
 from armrig.report.study import STAIRCASE, STEP, Study, kind_of
 
-_MOST_NOTES = 20  # of a recording
-_SCALE = "theta_1_rad_per_count"
+_MAX_NOTES = 20  # of a recording
+_ANGLE_SCALE = "theta_1_rad_per_count"
 
 
 def role(study: Study, recording: Recording) -> str:
-    """Return what a recording was used for."""
+    """Return the use of a recording in the study."""
     if kind_of(recording) in (STEP, STAIRCASE):
         return kind_of(recording)
     if recording.sha256 == study.estimation.source:
@@ -28,13 +28,13 @@ def role(study: Study, recording: Recording) -> str:
 
 
 def run_name(recording: Recording) -> str:
-    """Return the run's id as `@RUN`, which figures and commands show; without one, the hash."""
+    """Return the run's id as `@RUN`, as figures and commands do; without an id, the hash."""
     run = recording.manifest.run_id
     return f"@{run}" if run else recording.short_hash
 
 
 def facts(study: Study) -> list[list[str]]:
-    """Return the table of the recordings, a column each."""
+    """Return the table of the recordings, one column for each recording."""
     rows: list[list[str]] = []
     recordings = study.recordings
 
@@ -46,7 +46,7 @@ def facts(study: Study) -> list[list[str]]:
     row("run", run_name)
     row("SHA-256", lambda r: r.short_hash)
     row("experiment", lambda r: r.manifest.experiment)
-    row("made of", lambda r: ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()))
+    row("made with", lambda r: ", ".join(f"{k} = {v}" for k, v in r.manifest.details.items()))
     row("started", lambda r: r.manifest.started.replace("T", " ")[:19])
     row("paced by", lambda r: {"scheduled": "the device"}.get(r.manifest.pacing, "the host"))
     row("samples at Ts", lambda r: f"{r.N} at {milliseconds(r.Ts)}")
@@ -60,13 +60,13 @@ def facts(study: Study) -> list[list[str]]:
 
 
 def notes(recordings: Sequence[Recording]) -> list[str]:
-    """Return the notes of the recordings: which, when, who and what."""
+    """Return the notes of the recordings: run, time, owner and text."""
     said = []
     for recording in recordings:
         name, found = run_name(recording), recording.notes
-        said += [f"{name} at {n.t:.2f}{NBSP}s, {n.owner}: {n.text}" for n in found[:_MOST_NOTES]]
-        if len(found) > _MOST_NOTES:
-            said.append(f"{name}: {len(found) - _MOST_NOTES} more notes")
+        said += [f"{name} at {n.t:.2f}{NBSP}s, {n.owner}: {n.text}" for n in found[:_MAX_NOTES]]
+        if len(found) > _MAX_NOTES:
+            said.append(f"{name}: {len(found) - _MAX_NOTES} more notes")
     return said
 
 
@@ -84,7 +84,7 @@ def _input_range(recording: Recording) -> str:
 
 
 def shared_facts(study: Study) -> list[str]:
-    """Return what all recordings share: device, host and versions."""
+    """Return sentences on the device, the host and the versions of the estimation data."""
     manifest = study.recording_of(study.estimation.source).manifest
     said = []
     for what, facts in (("Device", manifest.device), ("Host", manifest.host)):
@@ -96,13 +96,13 @@ def shared_facts(study: Study) -> list[str]:
 
 
 def timing_rows(timing: Sequence[SamplingStatistics]) -> list[list[str]]:
-    """Return the table of sampling times, a column a recording."""
+    """Return the rows of a table of sampling times, one column for each recording."""
 
     def row(name: str, value: Callable[[SamplingStatistics], str]) -> list[str]:
         return [name, *(value(s) for s in timing)]
 
     return [
-        row("sampling time asked for", lambda s: microseconds(s.Ts_us)),
+        row("requested sampling time", lambda s: microseconds(s.Ts_us)),
         row("mean interval", lambda s: f"{s.mean_us:.2f} µs"),
         row("standard deviation of the interval", lambda s: microseconds(s.std_us)),
         row(
@@ -113,12 +113,12 @@ def timing_rows(timing: Sequence[SamplingStatistics]) -> list[list[str]]:
         row("largest jitter", lambda s: microseconds(s.jitter.max)),
         row("lateness p50, p99, p99.9", lambda s: _percentiles(s.lateness)),
         row("largest lateness", lambda s: microseconds(s.lateness.max)),
-        row("missing samples, most in a row", lambda s: f"{s.missing}, {s.longest_gap}"),
+        row("missing samples, longest gap", lambda s: f"{s.missing}, {s.longest_gap}"),
     ]
 
 
 def disturbance_rows(found: Sequence[Disturbances]) -> list[list[str]]:
-    """Return what disturbed the timing, a column a recording."""
+    """Return the rows of a table of disturbances of the timing, one column for each recording."""
     texts = [d.texts() for d in found]
     names = dict.fromkeys(name for text in texts for name in text)
     return [[name, *(text.get(name, "–") for text in texts)] for name in names]
@@ -129,21 +129,21 @@ def _percentiles(spread: Spread) -> str:
 
 
 def data_text(study: Study) -> str:
-    """Return what angle and voltage are, and how much of the angle is missing."""
+    """Return a text on the sources of angle and voltage, and the percentage of missing angles."""
     hidden = 100 * study.estimation.missing / study.estimation.N
     steps = len(study.estimation.history)
-    cut = 1 if study.halves else 0  # to have been cut in two is no treatment
-    untouched = ": nothing is removed from it, no mean and no trend" if steps <= cut else ""
+    cut = 1 if study.halves else 0  # a split into halves is no treatment
+    untouched = ". No mean and no trend is removed from it" if steps <= cut else ""
     return (
-        "The voltage is the one that the device says it applied, the angle is unwrapped from the "
-        "raw counts. It grows without end, because the voltage is never negative"
+        "The voltage is the applied voltage that the device reports. The angle is unwrapped from "
+        "the raw counts. The angle grows without limit, because the voltage is never negative"
         f"{untouched}. {hidden:.1f}{NBSP}% "
         f"of the estimation data have no angle. {_units(study)}"
     )
 
 
 def _units(study: Study) -> str:
-    """Return what the rad and the volt of the models rest on."""
+    """Return a text on the sources of the radian and the volt in the models."""
     calibrations = {
         calibrated(r.calibration): r.calibration
         for r in (study.recording_of(d.source) for d in (study.estimation, study.validation))
@@ -152,25 +152,25 @@ def _units(study: Study) -> str:
     made = [c.made for c in measured if c.made]
     if len(made) < len(calibrations):
         return (
-            "Angles and voltages rest on configured values that were never measured: what is in "
-            "these units, the gain of a model too, is as good as they are."
+            "The scales of angle and voltage are configured values that were never measured. "
+            "Results in these units, such as a model's gain, are only as accurate as these values."
         )
-    scales = [m.figures[_SCALE] for m in made if _SCALE in m.figures]
+    scales = [m.figures[_ANGLE_SCALE] for m in made if _ANGLE_SCALE in m.figures]
     known = max((s.std / abs(s.value) for s in scales if s.value), default=None)
-    angle = f"The rad is that of the calibration of {' and of '.join(calibrations)}"
+    angle = f"The radian is from the calibration of {' and of '.join(calibrations)}"
     if known is not None:
-        angle += f", known to {percent(100 * known)} (one standard deviation)"
-    volt = "the volt that of a meter at the motor's terminals"
+        angle += f", accurate to {percent(100 * known)} (one standard deviation)"
+    volt = "the volt is from a meter at the motor's terminals"
     if not all("driver_gain" in m.figures for m in made):
         of = "the codes" if all(c.driver == Driver() for c in measured) else "a configured driver"
-        volt = f"the volt that of {of}: no meter was read at the motor's terminals"
+        volt = f"the volt is from {of}: no meter was read at the motor's terminals"
     return f"{angle}; {volt}."
 
 
 def treatment(study: Study) -> list[str]:
-    """Return what was done to the data and what was taken from them, a sentence a step.
+    """Return a sentence for each step of the data's treatment, and for each removed trend.
 
-    What was done alike to both is told once.
+    If both datasets had the same treatment, each step is reported once.
     """
     ours, theirs = study.estimation, study.validation
     if ours.history == theirs.history and not (ours.trends or theirs.trends):
@@ -186,7 +186,7 @@ def treatment(study: Study) -> list[str]:
 
 
 def _trends(name: str, data: Dataset) -> list[str]:
-    """Return what `detrend` took from each experiment, so that it can be put back."""
+    """Return a sentence for each experiment, with the means and slopes that `detrend` removed."""
     said = []
     for i, trend in enumerate(data.trends, 1):
         which = f"experiment {i} of {len(data.trends)}" if len(data.trends) > 1 else "the data"
@@ -197,7 +197,7 @@ def _trends(name: str, data: Dataset) -> list[str]:
                 (data.output, trend.y_level, trend.y_slope, data.unit),
             )
         ]
-        said.append(f"{name}: from {which} were taken {' and '.join(parts)}.")
+        said.append(f"{name}: {' and '.join(parts)} removed from {which}.")
     return said
 
 

@@ -7,31 +7,31 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Table:
-    """Numbers under headings."""
+    """Table of texts, with a heading for each column."""
 
     header: tuple[str, ...]
     """A heading for each column."""
     rows: tuple[tuple[str, ...], ...]
-    """Texts, as many in each row."""
+    """Rows of the table; each row has a text for each column."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """What is said of one assignment; the answer comes first."""
+    """Section on one assignment: paragraphs, formula, table and figure, or why they are missing."""
 
     number: str
-    """The handout's, such as 3.5."""
+    """Number of the assignment in the handout, such as 3.5."""
     answer: tuple[str, ...] = ()
-    """Paragraphs; the first has the numbers."""
+    """Paragraphs; the first contains the numbers."""
     formula: str = ""
-    """In Typst's mathematics, after the first paragraph."""
+    """Formula after the first paragraph, in Typst's mathematics."""
     table: Table | None = None
-    """After the paragraphs."""
+    """Table after the paragraphs."""
     figure: str = ""
-    """Name of the figure, or none."""
+    """Name of the figure; "" for no figure."""
     caption: str = ""
-    """Of the figure."""
+    """Caption of the figure."""
     fill: str = ""
-    """Command that makes what the section lacks; without an answer only."""
+    """Command that makes the missing recording; "" if there is an answer."""
     lack: str = ""
-    """Why there is no answer."""
+    """Reason why there is no answer; "" if there is an answer."""

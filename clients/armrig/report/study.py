@@ -1,4 +1,4 @@
-"""The course of a black-box study: what to identify from, with what, and how it is judged."""
+"""Black-box study: choice of the data, estimation of the models, comparison with other data."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from armrig.validation.comparison import Comparison, compare
 from armrig.validation.residuals import ResidualTest, residuals
 
 STEP = "step"
-"""Kind of an experiment that is shown, and not identified from."""
+"""Kind of experiment that a report shows, but from which it estimates no model."""
 STAIRCASE = "staircase"
-"""Another one."""
+"""Another kind of experiment that a report shows, but from which it estimates no model."""
 
 
 def kind_of(recording: Recording) -> str:
-    """Return the kind of a recording's experiment, without the name that it was given."""
+    """Return the kind of a recording's experiment, without the name that a person chose."""
     return recording.manifest.experiment.partition("-")[0]
 
 
@@ -44,27 +44,27 @@ class Orders:
     """Orders of the models; the arm has four poles, one of them an integrator."""
 
     na: int = ARM_POLES
-    """Number of a's of the ARX model."""
+    """Number of a coefficients of the ARX model."""
     nb: int = ARM_POLES
-    """Number of b's of both."""
+    """Number of b coefficients of both models."""
     nf: int = ARM_POLES
-    """Number of all f's of the OE model, the integrator's included."""
+    """Number of f coefficients of the OE model, including the integrator's."""
     nk: int = 1
-    """Samples before u reaches y, of both."""
+    """Number of samples before u acts on y, in both models."""
     integrator: bool = True
-    """Of the OE model; an ARX model finds its own."""
+    """Fix an integrator in the OE model; the ARX model estimates all its poles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Assessed:
-    """A model, and how it simulates data that it has not seen."""
+    """A model, and its simulation of the validation data."""
 
     comparison: Comparison
-    """The model against the validation data."""
+    """Comparison of the model with the validation data."""
 
     @property
     def name(self) -> str:
-        """What the report calls it: ARX, OE or physics."""
+        """Name of the model in the report: ARX, OE or physics."""
         return self.comparison.name
 
     @property
@@ -75,44 +75,44 @@ class Assessed:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class AssessedFit(Assessed):
-    """An estimated model, its residuals on data that it has not seen, and the physics beside it."""
+    """An estimated model, its residuals on the validation data, and its distance to the physics."""
 
     fit: Fit
-    """The model, with what it was estimated from."""
+    """The estimated model, with the results of its estimation."""
     tests: ResidualTest
-    """Of its residuals on the validation data."""
+    """Tests of the model's residuals on the validation data."""
     deviation: Vector
     """|G - G_physics| / |G_physics| at the study's frequencies, (n,)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Study:
-    """Everything that a report tells."""
+    """Data, models and statistics of a report."""
 
     recordings: tuple[Recording, ...]
-    """All that were given, in their order."""
+    """Given recordings, in their order."""
     estimation: Dataset
-    """What the models were estimated from: u in V, theta_1 in rad."""
+    """Data that the models were estimated from: u in V, theta_1 in rad."""
     validation: Dataset
-    """What they were judged by, in the same units."""
+    """Data with which the models are compared, in the same units."""
     halves: bool
-    """There was one recording: its first half estimates, its second half validates."""
+    """True if estimation and validation data are the first and the second half of one recording."""
     estimated: tuple[AssessedFit, ...]
-    """The models of the data."""
+    """Models that were estimated from the estimation data."""
     reference: Assessed
-    """The physics, nothing of which was estimated."""
+    """The physical model, of which nothing was estimated."""
     note: str
-    """What the comparisons estimated from the validation data themselves."""
+    """Quantities that the comparisons estimated from the validation data."""
     timing: tuple[SamplingStatistics, ...]
-    """Of each recording, times in µs."""
+    """Statistics of each recording, times in µs."""
     disturbances: tuple[Disturbances, ...]
-    """What disturbed the timing of each recording."""
+    """Disturbances of the timing of each recording."""
     omega: Vector
-    """Frequencies at which the models are held against the physics, in rad/s, (n,)."""
+    """Frequencies at which the models are compared with the physics, in rad/s, (n,)."""
 
     @property
     def models(self) -> tuple[Assessed, ...]:
-        """The models of the data, then the physics."""
+        """The estimated models, then the physical model."""
         return (*self.estimated, self.reference)
 
     @property
@@ -122,11 +122,11 @@ class Study:
 
     @property
     def ranked(self) -> tuple[AssessedFit, ...]:
-        """The estimated models, the one that simulates best first."""
+        """The estimated models, sorted by rms error, the best first."""
         return tuple(sorted(self.estimated, key=lambda m: m.comparison.rms_error))
 
     def model(self, name: str) -> Assessed:
-        """Return the model that the report calls by this name."""
+        """Return the model with this name in the report."""
         return next(m for m in self.models if m.name == name)
 
     def recording_of(self, sha256: str) -> Recording:
@@ -140,20 +140,21 @@ def study(
     orders: Orders | None = None,
     treat: Callable[[Dataset], Dataset] | None = None,
 ) -> Study:
-    """Identify ARX and OE models and judge them, with the physics, on other data.
+    """Estimate ARX and OE models, and compare them and the physical model with validation data.
 
-    The first recording that is no step and no staircase estimates, the next one validates; where
-    there is only one, its second half validates.
+    No model is estimated from a step or a staircase, or validated on it. The models are estimated
+    from the first other recording, and validated on the second. If there is only one, its first
+    half is for estimation and its second half for validation.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        At least one that is no step and no staircase.
+        At least one recording that is neither a step nor a staircase.
     orders : Orders, optional
-        Of the models; the arm's by default.
+        Orders of the models; by default the orders of the arm.
     treat : callable, optional
-        What is done to the data of each recording first, such as `armrig.hampel`; the report
-        prints every step. The models are of what it leaves.
+        Treatment of the data of each recording before the estimation, such as `armrig.hampel`.
+        The report prints every step of the treatment.
 
     Returns
     -------
@@ -163,14 +164,14 @@ def study(
     Raises
     ------
     ValueError
-        There is nothing to identify from, or the orders are too high for it.
+        There are no data to estimate from, or the orders are too high for the data.
     """
     orders = orders or Orders()
     excited = [r for r in recordings if kind_of(r) not in (STEP, STAIRCASE)]
     if not excited:
         raise FileError(
-            "nothing to identify from: give a recording whose input is no single step, such as "
-            "one of `armrig collect blackbox`"
+            "nothing to identify from: give a recording whose input is not a single step, such as "
+            "a recording of `armrig collect blackbox`"
         )
     data = [r.dataset() if treat is None else treat(r.dataset()) for r in excited[:2]]
     estimation, validation = data if len(data) > 1 else data[0].split(2)
@@ -195,14 +196,14 @@ def study(
 
 
 def assessed(fits: Mapping[str, Fit], physics: Model, validation: Dataset) -> dict[str, Any]:
-    """Return models and physics held against each other and the data, as fields of a `Study`.
+    """Compare the models and the physics with the validation data; return fields of a `Study`.
 
     Parameters
     ----------
     fits : mapping of str to Fit
-        What the report calls each, and the model.
+        Models by their names in the report.
     """
-    # First: a model of another sampling time has no response at these frequencies.
+    # The comparison is first: it refuses a model of another sampling time.
     table = compare(validation, *fits.values(), physics, labels=(*fits, physics.label))
     omega = np.geomspace(0.5, min(100.0, np.pi / validation.Ts), 200)
     G = physics.frequency_response(omega).G

@@ -1,4 +1,4 @@
-"""Typst's part of a report: a template, its values as JSON and figures beside it, to a PDF."""
+"""Typesetting of a report: a Typst template, values as JSON and figures are compiled to a PDF."""
 
 from __future__ import annotations
 
@@ -21,31 +21,30 @@ from armrig_core.errors import OperationError
 from armrig.recordings.recording import Recording
 
 Places = list[tuple[str, float]]
-"""Begin of each section: page, from 1, and the share of the page above it."""
-_NEVER = datetime(1970, 1, 1, tzinfo=UTC)
+"""Name and start of each section: the page, from 1, plus the share of the page above the start."""
+_UNKNOWN_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def recorded(recordings: Iterable[Recording]) -> datetime:
-    """Return when the newest recording was begun; 1970 where none says.
+    """Return the time at which the newest recording started; 1970 if no recording contains it.
 
-    A report bears this date and not the day on which it was typeset: the same recordings give the
-    same bytes.
+    This time is the date of a report, so that a report of the same recordings has the same bytes.
     """
-    return max((_started(r) for r in recordings), default=_NEVER)
+    return max((_started(r) for r in recordings), default=_UNKNOWN_DATE)
 
 
 def _started(recording: Recording) -> datetime:
     try:
         started = datetime.fromisoformat(recording.manifest.started)
     except ValueError:
-        return _NEVER
+        return _UNKNOWN_DATE
     return started.replace(tzinfo=started.tzinfo or UTC).astimezone(UTC)
 
 
 def typeset(
     root: Path, template: str, values: Mapping[str, Any], made: datetime
 ) -> tuple[bytes, Places]:
-    """Return the PDF of a template of this package, and where its sections begin.
+    """Write a template of this package and its values into a folder, and compile them to a PDF.
 
     Parameters
     ----------
@@ -54,14 +53,14 @@ def typeset(
     values : mapping of str to anything
         Values that the template reads from data.json.
     made : datetime
-        Date of the document.
+        Date of the document, without its time of day.
 
     Raises
     ------
     OperationError
-        The compiler refuses, which is a fault of this package.
+        The compiler refuses the document, which is a fault of this package.
     """
-    made_on = [made.year, made.month, made.day]  # without it typst takes the time of day
+    made_on = [made.year, made.month, made.day]  # typst's default is the time of day
     data = json.dumps({**values, "made_on": made_on}, indent=1, ensure_ascii=False)
     (root / "data.json").write_text(data, encoding="utf-8")
     text = resources.files("armrig.report").joinpath(template).read_text(encoding="utf-8")
@@ -71,12 +70,12 @@ def typeset(
 
 @contextmanager
 def source_folder(folder: Path | None) -> Iterator[Path]:
-    """Give the folder in which a report is made: one that stays, or one that is removed after.
+    """Yield the folder for a report's source: `folder`, or a temporary folder if it is None.
 
     Raises
     ------
     OperationError
-        The folder contains something, or cannot be made.
+        The folder is not empty, or cannot be created.
     """
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="armrig-report-") as directory:
@@ -94,38 +93,38 @@ def source_folder(folder: Path | None) -> Iterator[Path]:
 
 
 def compiled(source: Path) -> tuple[bytes, Places]:
-    """Return the PDF of a Typst file, and where its sections begin.
+    """Compile a Typst file; return the PDF and the starts of its sections.
 
-    The compiler reads files in the folder of the source alone, and packages of Typst.
+    The compiler can read only files in the folder of the source, and packages of Typst.
 
     Raises
     ------
     OperationError
-        The compiler refuses, a link leads out of the folder, or a mark of a section is another one
-        than the template's.
+        The compiler refuses the file, a link points out of the folder, or somebody changed the mark
+        of a section.
     """
     _check_links(source.parent)
-    pdf, told = _interruptible(lambda: _compiled(source))
+    pdf, marks = _interruptible(lambda: _compiled(source))
     try:
-        return pdf, [(str(name), float(page)) for name, page in json.loads(told)]
+        return pdf, [(str(name), float(page)) for name, page in json.loads(marks)]
     except (TypeError, ValueError) as err:
         raise OperationError(
-            f"{source}: a <place> there is not the template's: leave #mark as it was written"
+            f"{source}: somebody changed a <place> of the template: leave #mark unchanged"
         ) from err
 
 
 def _check_links(folder: Path) -> None:
-    """Refuse a link that leads out of a folder: the compiler follows it."""
+    """Raise OperationError for a link that points out of a folder: the compiler follows links."""
     inside = folder.resolve()
     for path in folder.rglob("*"):
         if path.is_symlink() and not path.resolve().is_relative_to(inside):
             raise OperationError(
-                f"{path}: a link that leads out of the folder: give a copy of its file"
+                f"{path}: this link points out of the folder: replace it by a copy of its file"
             )
 
 
 def _interruptible(work: Callable[[], tuple[bytes, str]]) -> tuple[bytes, str]:
-    """Return what a thread returns; Ctrl-C, which the compiler never sees, ends the wait."""
+    """Run `work` in a thread, so that Ctrl-C ends the wait although the compiler ignores it."""
     done: Future[tuple[bytes, str]] = Future()
 
     def run() -> None:
@@ -139,7 +138,7 @@ def _interruptible(work: Callable[[], tuple[bytes, str]]) -> tuple[bytes, str]:
 
 
 def _compiled(source: Path) -> tuple[bytes, str]:
-    """Return the PDF of a Typst file, and its marks as JSON."""
+    """Compile a Typst file; return the PDF and the marks of its sections as JSON."""
     fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
     try:
         compiler = typst.Compiler(
@@ -149,7 +148,7 @@ def _compiled(source: Path) -> tuple[bytes, str]:
             ignore_system_fonts=True,
         )
         pdf = compiler.compile()
-        if not isinstance(pdf, bytes):  # never: a list is of pictures, None of a file
+        if not isinstance(pdf, bytes):  # never: typst returns a list for pictures, None for a file
             raise OperationError(source.name)
         return pdf, compiler.query("<place>", field="value")
     except RuntimeError as err:

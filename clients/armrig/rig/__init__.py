@@ -1,4 +1,4 @@
-"""What opens a session to a daemon."""
+"""Sessions to a daemon."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ __all__ = list(homes(__name__))  # in the stub, `__init__.pyi`
 
 
 def __getattr__(name: str) -> Any:
-    """Return a public name; zenoh is loaded only now."""
+    """Return a public name; zenoh is loaded only when a name is used."""
     return public(__name__, name)

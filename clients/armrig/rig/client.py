@@ -1,4 +1,4 @@
-"""The client of a rig: it asks the daemon, commands it, and listens to it."""
+"""Client of a rig's daemon: it sends queries and commands, and receives messages."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from armrig.rig.replies import (
 )
 from armrig.rig.session import (
     RigError,
+    ServiceStoppedError,
     configured_endpoint,
     no_daemon,
     no_reply,
@@ -38,37 +39,38 @@ from armrig.rig.session import (
 )
 from armrig.rig.telemetry_stream import arrivals, listen
 
-REPLY_S = 5.0  # how long a reply may take
-_REPLY_PER_SAMPLE_S = 5e-6  # longer: each sample of a run is read, checked and rehearsed first
-_POLL_S = 0.1
-_AGAIN_S = 0.02  # until a command that was refused for the moment is repeated
-# How long a command is repeated that the daemon refuses only until it, or the device, is ready. The
-# daemon reports its timing once a second, and a stall may spoil two reports: the next one is clean.
-_SETTLE_S = 2.5
+REPLY_S = 5.0  # longest time of a reply
+_REPLY_PER_SAMPLE_S = 5e-6  # more: each sample of a run is read, checked and rehearsed first
+_POLL_INTERVAL_S = 0.1
+_REPEAT_INTERVAL_S = 0.02  # of a command that was refused temporarily
+# Time for which a temporarily refused command is repeated: the daemon reports its timing once a
+# second, and after a stall that spoils two reports the next report is clean.
+_REPEAT_S = 2.5
 _R = TypeVar("_R")
-_TIMEOUT = b"Timeout"  # of zenoh: the daemon's own answers are JSON
+_TIMEOUT = b"Timeout"  # an error of zenoh; the daemon's own errors are JSON
 
 
 class Rig:
-    """One rig, through the daemon that runs it; to be used in a `with` block.
+    """Client of one rig's daemon; use it in a `with` block.
 
     Parameters
     ----------
     rig : str, default "1"
-        Its id.
+        Id of the rig.
     connect : str, optional
-        Endpoint of the daemon; by default that of `[client]` in the configuration, else the socket
-        of this user's daemon, else that of this machine's service.
+        Endpoint of the daemon. The default is the endpoint in `[client]` of the configuration.
+        Without it, the sockets of this user's daemon and of this machine's service are tried in
+        this order.
     certificate : str or Path, optional
-        Our credential, for an endpoint such as tls/lab-1.local:7447; by default that of `[client]`.
+        Credential for an endpoint such as tls/lab-1.local:7447; by default the one in `[client]`.
 
     Raises
     ------
     NoReplyError
-        On entering: there is no daemon at the endpoint, or it does not let us in.
+        At the start of the block: there is no daemon at the endpoint, or it refuses the client.
     RigError
-        On entering: the directory of that socket may be another user's, or the credential cannot
-        be used.
+        At the start of the block: another user may own the socket's directory, or the credential
+        cannot be used.
     ValueError
         The id is not valid.
     """
@@ -84,14 +86,14 @@ class Rig:
         self.endpoint = connect or configured_endpoint(rig)
         self._connect = connect
         self._certificate = certificate
-        self._name = ""  # that in the certificate, which stands in the keys of our commands
+        self._name = ""  # name in the certificate, which the keys of commands contain
         self._session: zenoh.Session | None = None
         self._lease = ""
         self._owner = ""
         self._n = 0
         self._limits_v = (0.0, U_MAX_V)
         self.last_run: commands.LastRun | None = None
-        """What the daemon said of the newest run that `run` has waited for."""
+        """Report of the daemon on the newest run that `run` played."""
 
     def __enter__(self) -> Self:
         """Connect."""
@@ -101,12 +103,12 @@ class Rig:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give the rig back where it is ours, and disconnect."""
+        """Release the rig if this client has the lease, and disconnect."""
         if self._session is None:
             return
         try:
             if self._lease:
-                # Where the lease or the daemon is gone, there is nothing left to give back.
+                # If the lease or the daemon is gone, there is no rig to return.
                 with suppress(RigError):
                     self.disarm()
         finally:
@@ -114,29 +116,29 @@ class Rig:
             self._session = None
 
     def status(self) -> commands.StatusReport:
-        """Return how the daemon is; asks again, for up to 2.5 s, where others ask too much."""
+        """Return the daemon's status; repeat the query for up to 2.5 s if the daemon is busy."""
         return self._ask_again(commands.Status(), commands.StatusReport)
 
     def arm(self, owner: str, Ts: float | None = None) -> commands.LeaseGranted:
-        """Take the rig, at 0 V; repeats a command refused for the moment only, for up to 2.5 s.
+        """Take the lease of the rig, at 0 V; repeat a temporarily refused command for up to 2.5 s.
 
         Parameters
         ----------
         owner : str
-            Who takes it, for others to read; 1 to 80 characters.
+            Name of the owner, which other users see; 1 to 80 characters.
         Ts : float, optional
-            Sampling time in s; the configured one where it is left out.
+            Sampling time in s; by default the configured one.
 
         Returns
         -------
         LeaseGranted
-            The sampling time in force, in s, and the voltages allowed, in V: `u_min`, `u_max`.
+            Sampling time, in s, and allowed voltages, in V: `u_min`, `u_max`.
 
         Raises
         ------
         RefusedError
-            Somebody else has the rig, it is in a fault, or `Ts` is not possible; a `BusyError`
-            where the rig, or its host, was not ready in all that time.
+            Another client has the lease, the rig is in a fault, or `Ts` is not possible. The
+            exception is a `BusyError` if the rig or its host was not ready within 2.5 s.
         NoReplyError
             The daemon does not answer.
         """
@@ -156,46 +158,49 @@ class Rig:
         accepted: Callable[[commands.RunAccepted], None] | None = None,
         progress: Progress | None = None,
     ) -> Path:
-        """Play `u`, wait until it is recorded, and return the recording's path.
+        """Play `u`, wait until the run is recorded, and return the recording's path.
 
-        Whatever ends the wait early, Ctrl-C too, stops the rig. With the run the lease ends: `arm`
-        again for the next one.
+        Every exception during the wait, also Ctrl-C, stops the rig. The lease ends with the run:
+        call `arm` again before the next run.
 
         Parameters
         ----------
         u : array_like, shape (N,)
-            Motor voltage at each sample, in V, inside what `arm` granted; N from 1 to 4 000 000.
+            Motor voltage at each sample, in V, inside the limits of `arm`; N from 1 to 4 000 000.
         pacing : {"scheduled", "exchange"}
-            Who makes the samples: the device's timer, or the host at each tick, which shows the
-            host's jitter as data.
+            Source of the sampling: the device's timer, or the host at each tick. With the host, the
+            data contain its jitter.
         experiment : str, default "run"
             Kind of experiment, of a-z, 0-9 and -; part of the recording's name.
         details : mapping, optional
-            What the experiment was made of, such as its seed; kept in the recording.
+            Settings of the experiment, such as its seed; the recording contains them.
         dead_man : float, optional
-            The daemon stops the run when this process has given no sign for so long, in s, 0.5 to
-            60: killed, frozen, or cut off. Left out, the run plays on without this process. A sign
-            is given after each call of `progress`, so a call that takes longer ends the run.
+            The daemon stops the run if this process sends no sign of life for this time, in s, 0.5
+            to 60. The process may be killed, frozen or disconnected. By default the run continues
+            without this process. A sign of life is sent after each call of `progress`. A call that
+            takes longer than `dead_man` therefore ends the run.
         accepted : callable, optional
-            Called once with the daemon's answer, when the run begins: its `rehearsal` says what
-            the model of the rig does.
+            Called once with the daemon's answer when the run begins; its `rehearsal` contains the
+            prediction of the rig's model.
         progress : callable, optional
-            Called with the samples taken and the samples asked for, some ten times a second.
+            Called about ten times a second with two numbers: the samples taken so far, and the
+            samples of the run.
 
         Returns
         -------
         Path
-            The recording, complete on the disk of the daemon, which is asked for it: what is
-            returned survives a loss of power. `last_run` counts its samples.
+            The recording, complete on the daemon's disk and synchronised, so that it survives a
+            loss of power. `last_run` contains the number of samples.
 
         Raises
         ------
         RunEndedError
-            The run ended before its last sample; the recording holds what there was.
+            The run ended before its last sample; the recording contains the samples up to this end.
         RefusedError
-            The rig is not armed, a value is not allowed, or the rehearsal leaves the limits.
+            The rig is not armed, a value is not allowed, or the rehearsal exceeds the limits.
         ValueError
-            `u` is not (N,), or a voltage is not allowed or no number; nothing was sent.
+            `u` does not have the shape (N,), or a voltage is not allowed or not a number. Nothing
+            was sent.
         """
         voltage = self._allowed(u)
         request = commands.Run(
@@ -215,7 +220,7 @@ class Rig:
             self.last_run = last
         except BaseException as err:
             if run is None and isinstance(err, RefusedError):
-                raise  # nothing began
+                raise  # no run began
             self._lease = ""
             with suppress(RigError):
                 self.stop()
@@ -227,28 +232,28 @@ class Rig:
         self, request: commands.Run, run: commands.RunAccepted, progress: Progress
     ) -> commands.LastRun:
         while True:
-            wait_s = _AGAIN_S
-            # In a flood of others' commands ours may be refused. The run goes on, and so do we, one
-            # try at a time: a sign of life must not wait behind several.
+            wait_s = _REPEAT_INTERVAL_S
+            # If other clients send many commands, this one may be refused. The run continues, and
+            # this loop repeats one request at a time: a sign of life must not wait for several.
             with suppress(BusyError):
                 status = self._ask(commands.Status(), commands.StatusReport)
-                wait_s = _POLL_S
+                wait_s = _POLL_INTERVAL_S
                 last = status.last_run
                 if last is None or last.run_id != run.run_id:
-                    if stopped := service_has_stopped(self.rig, self.endpoint):
-                        raise RigError(stopped)
+                    if service_has_stopped(self.rig, self.endpoint):
+                        raise ServiceStoppedError(self.rig)
                     raise RigError(
                         f"the daemon does not know the run {run.run_id} any more: it was "
-                        "started anew meanwhile; `armrig ls` shows what it had recorded"
+                        "restarted during the run; `armrig ls` shows what it had recorded"
                     )
-                # A complete run may lack samples that are missing; it has ended all the same.
+                # A complete run may have missing samples; it has ended nevertheless.
                 total = len(request.u)
                 progress(total if last.is_complete else last.samples, total)
                 if last.finished and status.phase != "active":
                     return last
             if request.dead_man is not None:
-                # The sign comes from this very wait: a thread would go on for a client that hangs.
-                with suppress(RefusedError):  # it has just ended
+                # The sign comes from this loop: a thread would continue in a client that hangs.
+                with suppress(RefusedError):  # the run has just ended
                     self._ask(commands.Renew(**self._stamp()), commands.Done)
             time.sleep(wait_s)
 
@@ -258,70 +263,71 @@ class Rig:
         Parameters
         ----------
         u : float
-            Motor voltage in V, inside what `arm` granted.
+            Motor voltage in V, inside the limits of `arm`.
 
         Raises
         ------
         RefusedError
-            The rig is not armed, or not ours any more.
+            The rig is not armed, or another client has it.
         ValueError
-            The voltage is not allowed or no number; nothing was sent.
+            The voltage is not allowed or not a number; nothing was sent.
         """
         (volts,) = self._allowed([u])
         self._ask(commands.Set(**self._stamp(), u=float(volts)), commands.Done)
 
     def stop(self, by: str = "") -> None:
-        """Go to 0 V; needs no lease, and ends whatever runs.
+        """Set the motor to 0 V and end every run; no lease is needed.
 
         Parameters
         ----------
         by : str, optional
-            Who stops it, as the recording will say; by default the owner whom the rig was armed
-            for, or this user.
+            Name that the recording contains; by default the owner given to `arm`, or this user.
 
         Raises
         ------
         NoReplyError
-            The daemon does not answer; the device itself stops soon after a daemon that is gone.
+            The daemon does not answer. Without its daemon, a device stops the motor by itself.
         RigError
-            What answers does not confirm the stop: pull the motor's plug.
+            The answer does not confirm the stop: pull the motor's plug.
         """
         who = by or self._owner or this_user()
         try:
             reply = self._ask(commands.Stop(by=who), commands.Done)
         except RefusedError:
-            # A daemon of an earlier version takes a stop of nobody only.
+            # A daemon of an earlier version accepts only a stop without a name.
             reply = self._ask(commands.Stop(), commands.Done)
         if not reply.done:
-            raise no_daemon(self.rig, self.endpoint, "the answer to 'stop' does not say done")
+            raise no_daemon(
+                self.rig, self.endpoint, "the answer to 'stop' does not confirm the stop"
+            )
 
     def note(self, text: str, owner: str = "") -> bool:
-        """Write a note into the recording of the run in hand; needs no lease.
+        """Write a note into the current run's recording; no lease is needed.
 
-        Repeats a note that is refused for the moment only, for up to 2.5 s.
+        A note that is refused temporarily is sent again for up to 2.5 s.
 
         Parameters
         ----------
         text : str
-            What happened, such as that somebody touched the arm; 1 to 500 characters that print.
+            Text, such as that somebody touched the arm; 1 to 500 printable characters.
         owner : str, optional
-            Author; by default the owner whom the rig was armed for, or this user.
+            Author; by default the owner given to `arm`, or this user.
 
         Returns
         -------
         bool
-            Whether a recording is being written, and so contains the note.
+            True if a recording is in progress and contains the note.
 
         Raises
         ------
         RefusedError
-            The daemon is older than notes; a `BusyError` after too many notes.
+            The daemon is too old for notes; a `BusyError` after too many notes.
         NoReplyError
             The daemon does not answer.
         ValueError
             The text is not allowed; nothing was sent.
         """
-        commands.check_note(text)  # a network drops what is too long, and nobody would answer
+        commands.check_note(text)  # a network drops a long message without an answer
         request = commands.Note(text=text, owner=(owner or self._owner or this_user())[:80])
         try:
             return self._ask_again(request, commands.Done).done
@@ -335,70 +341,70 @@ class Rig:
             ) from err
 
     def reset(self) -> bool:
-        """Leave a latched fault, disarmed; return whether there was one."""
+        """Clear a latched fault; the rig is then disarmed. Return True if there was a fault."""
         return self._ask_again(commands.Reset(), commands.Done).done
 
     def calibrate(self, path: str | Path) -> None:
-        """Have the daemon use the calibration in a TOML of `armrig calibrate` until it ends.
+        """Make the daemon use a calibration from a TOML file of `armrig calibrate` until it ends.
 
-        It is taken while the rig is safe only, and converts the samples from the next one on;
-        repeats a command refused for the moment only, for up to 2.5 s.
+        The daemon accepts a calibration only if the rig is safe. It applies the calibration from
+        the next sample on. A command that is refused temporarily is sent again for up to 2.5 s.
 
         Parameters
         ----------
         path : str or Path
-            The file; the samples that it was estimated from lie beside it.
+            Path of the file; the samples from which it was estimated must be in the same folder.
 
         Raises
         ------
         FileError
-            The file holds no calibration; a ValueError.
+            The file contains no calibration; this exception is a ValueError.
         RefusedError
-            Somebody has the rig, it is in a fault, or the calibration is of another one.
+            A client has the lease, the rig is in a fault, or the calibration is of another rig.
         """
         found = read_calibration(Path(path))
         request = commands.Calibrate(calibration=found, raw=raw_samples(found))
         self._ask_again(request, commands.Done)
 
     def disarm(self) -> None:
-        """Give the rig back, at 0 V."""
+        """Give up the lease of the rig, at 0 V."""
         stamp = self._stamp()
         self._lease = ""
         self._ask(commands.Disarm(**stamp), commands.Done)
 
     def stream(self, name: str = "sample") -> Iterator[Any]:
-        """Iterate over what the rig publishes from now on: see `armrig.stream`."""
+        """Iterate over the messages that the rig publishes after this call: see `armrig.stream`."""
         return listen(self._connected(), topics.stream_key(self.rig, name), self.endpoint)
 
     def arrivals(self, name: str) -> AbstractContextManager[Callable[[], list[Any]]]:
-        """Give, in a `with` block, a function that returns at once what a stream has brought."""
+        """Yield, in a `with` block, a function that returns the new messages without waiting."""
         return arrivals(self._connected(), topics.stream_key(self.rig, name))
 
     def _allowed(self, u: ArrayLike) -> NDArray[np.float64]:
-        """Return the voltages (N,), or refuse them: they are never clamped."""
+        """Return the voltages (N,); raise ValueError if one is outside the limits."""
         volts = np.asarray(u, dtype=np.float64)
         if volts.ndim != 1 or volts.size == 0:
             raise InputError(
-                f"u has shape {volts.shape}, it must be (N,) with N >= 1: one voltage a sample"
+                f"u has shape {volts.shape}, it must be (N,) with N >= 1: one voltage per sample"
             )
         lowest, highest = self._limits_v
         outside = ~((volts >= lowest) & (volts <= highest))  # NaN is outside, too
         if outside.any():
             k = int(np.argmax(outside))
             raise InputError(
-                f"u[{k}] = {volts[k]:g} V is outside {lowest:g} … {highest:g} V, what rig "
-                f"{self.rig} allows; beyond 0 … {U_MAX_V:g} V it is destroyed"
+                f"u[{k}] = {volts[k]:g} V is outside {lowest:g} … {highest:g} V, the limits of rig "
+                f"{self.rig}; a voltage outside 0 … {U_MAX_V:g} V destroys it"
             )
         return volts
 
     def _stamp(self) -> dict[str, Any]:
         if not self._lease:
-            raise RefusedError(f"rig {self.rig} is not ours: call arm(owner) first")
+            raise RefusedError(f"rig {self.rig} is not armed by this client: call arm(owner) first")
         self._n += 1
         return {"lease": self._lease, "n": self._n}
 
     def _has_command(self, name: str) -> bool:
-        """Return whether the daemon serves the schema of a command."""
+        """Return whether the daemon publishes the schema of a command."""
         key = topics.schema_key(self.rig, f"cmd/{name}")
         return any(reply.ok for reply in self._connected().get(key, timeout=REPLY_S))
 
@@ -408,15 +414,15 @@ class Rig:
         return self._session
 
     def _ask_again(self, request: commands.Request, answer: type[_R]) -> _R:
-        """Repeat a command that is refused for the moment only, for up to `_SETTLE_S`."""
-        until = time.monotonic() + _SETTLE_S
+        """Send a command, and repeat it for up to `_REPEAT_S` while it is refused temporarily."""
+        until = time.monotonic() + _REPEAT_S
         while True:
             try:
                 return self._ask(request, answer)
             except BusyError:
                 if time.monotonic() > until:
                     raise
-            time.sleep(_AGAIN_S)
+            time.sleep(_REPEAT_INTERVAL_S)
 
     def _ask(self, request: commands.Request, answer: type[_R]) -> _R:
         key = topics.command_key(self.rig, request.name, self._name)
@@ -445,6 +451,6 @@ class Rig:
 
 
 def longest_reply_s(request: commands.Request) -> float:
-    """Return how long the reply to a command may take, in s."""
+    """Return the longest time, in s, to wait for the reply to a command."""
     samples = len(request.u) if isinstance(request, commands.Run) else 0
     return REPLY_S + _REPLY_PER_SAMPLE_S * samples

@@ -1,7 +1,8 @@
-"""One collection: arm, play, record; and the reason where it does not end well."""
+"""Collection of data: arm the rig, play an input and record, or report the reason for a failure."""
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -11,96 +12,102 @@ from math import floor, isclose, isfinite
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+import zenoh
+from armrig_core import protobuf
 from armrig_core.codes import RefusalCode
 from armrig_core.commands import MOST_SAMPLES, LastRun, RunAccepted, StatusReport
-from armrig_core.errors import InputError
+from armrig_core.errors import ParameterError
+from armrig_core.group_socket import group_may_open
+from armrig_core.owned_session import owned_session
 from armrig_core.recording_file.part_names import part_paths
 from armrig_core.rehearsal import Rehearsal, sentence
+from armrig_core.topics import STREAMS, alive_key, schema_key, stream_key
 from numpy.typing import NDArray
 
 from armrig.recordings.loading import load
+from armrig.recordings.published import Published, PublishedRun
 from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig.rig.client import Rig
 from armrig.rig.progress import bar, timing_note
 from armrig.rig.replies import Progress, RefusedError, RunEndedError
-from armrig.rig.session import NoReplyError, RigError, service_has_stopped
+from armrig.rig.session import NoReplyError, RigError, ServiceStoppedError, service_has_stopped
 
 Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]
-"""Takes the rig, the kind of experiment and N; gives, in a `with` block, what is told of progress.
-"""
+"""Function of a rig, a kind of experiment and N that returns a context with a progress callback."""
 
 LONGEST_TS = 1.0
-"""Longest sampling time that the daemon takes, in s."""
+"""Longest sampling time that the daemon allows, in s."""
 LONGEST_OWNER = 80
 DEAD_MAN_S = (0.5, 60.0)
-"""Shortest and longest dead-man that the daemon takes."""
-_FINISHED_S = 2.0  # how long a stopped run may take to be complete on the disk
-_POLL_S = 0.05
+"""Shortest and longest dead-man time that the daemon allows, in s."""
+_FINISH_TIMEOUT_S = 2.0  # until a stopped run is complete on the disk
+_POLL_INTERVAL_S = 0.05
+_MAX_RECEIVED_BYTES = 1 << 16  # a listener sends its subscriptions only
+_MAX_SLEEP_S = 1.0  # a pause is slept in pieces, because a file may ask for one beyond any float
+_LISTENER_INTERVAL_S = 0.05
+Publish = Callable[[str, bytes], None]
 
 
 class InterruptedRunError(KeyboardInterrupt):
-    """Ctrl-C in a collection; the message says how the rig was left and where the recording is."""
+    """Ctrl-C during a collection; the message contains the rig's state and the recording's path."""
 
 
 class Collected(NamedTuple):
-    """A collection that ended well."""
+    """A successful collection."""
 
     path: Path
     samples: int
-    """Samples asked for."""
+    """Number of requested samples."""
     Ts: float
     """Sampling time, in s."""
     verdict: DataVerdict | None
-    """What the data are good for; None where the daemon's disk is not ours to read."""
+    """Verdict on the data; None if the recording cannot be read on this machine."""
     run_id: str
-    """Id of the run, part of the recording's name."""
+    """Id of the run, which is part of the recording's name."""
     rehearsal: Rehearsal | None
-    """What the daemon's model of the rig did; None from a daemon that rehearses nothing."""
+    """Prediction of the daemon's model of the rig; None from a daemon without a rehearsal."""
     synced: int = 0
-    """Samples that are on the disk; 0 from a daemon that does not say."""
+    """Number of samples on the disk; 0 if the daemon does not report this number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """What to play, and for whom."""
+    """Input to play, and its settings."""
 
     experiment: str
     """Kind of experiment, part of the recording's name."""
     make: Callable[[int, float], NDArray[Any]]
-    """N and Ts in s -> u in V; (N,), or whatever whole periods in N or a file make."""
+    """Function of N and Ts in s that returns u in V, (N,); periods or a file may change N."""
     details: Mapping[str, Any]
-    """What the input was made of, so that the same can be made again."""
+    """Settings from which the input can be computed again."""
     seconds: float | None
-    """Length, in s; None is the input's own, and N is then 0."""
+    """Length of the input, in s; if None, `make` is called with N = 0 and determines the length."""
     Ts: float | None
-    """Sampling time in s; None is the daemon's."""
+    """Sampling time in s; None for the daemon's sampling time."""
     pacing: Literal["scheduled", "exchange"]
-    """Who makes the samples."""
+    """Source of the sampling: the device's timer, or the host."""
     owner: str
-    """Who takes the rig."""
+    """Name of the owner of the rig during the run."""
     dead_man: float | None = None
-    """Silence of this process after which the daemon stops the run, in s; None plays on."""
+    """Time in s without a sign of life after which the daemon stops the run; None for no limit."""
     without_arm: bool = False
-    """The experiment is for the chassis alone."""
+    """True if the experiment needs the chassis alone."""
 
     def __post_init__(self) -> None:
-        """Refuse, before the daemon is asked, what is possible at no sampling time."""
-        for name, value in (("--seconds", self.seconds), ("--Ts", self.Ts)):
+        """Raise ParameterError for settings that are not possible at any sampling time."""
+        for name, value in (("seconds", self.seconds), ("Ts", self.Ts)):
             if value is not None and not (isfinite(value) and value > 0):
-                raise InputError(f"{name} {value:g}: must be a number of seconds, more than 0")
+                raise ParameterError(name, f"{value:g}", "must be a number of seconds, more than 0")
         low, high = DEAD_MAN_S
         if self.dead_man is not None and not low <= self.dead_man <= high:
-            raise InputError(
-                f"--dead-man {self.dead_man:g}: must be {low:g} to {high:g} s, or 0 for none"
-            )
+            allowed = f"must be {low:g} to {high:g} s, or 0 for none"
+            raise ParameterError("dead_man", f"{self.dead_man:g}", allowed)
         if self.Ts is not None and self.Ts > LONGEST_TS:
-            raise InputError(
-                f"--Ts {self.Ts:g}: at most {LONGEST_TS:g}, in seconds; of 10 ms it is --Ts 0.01"
-            )
+            allowed = f"must be at most {LONGEST_TS:g}, in seconds; 10 ms are 0.01"
+            raise ParameterError("Ts", f"{self.Ts:g}", allowed)
         if not 1 <= len(self.owner) <= LONGEST_OWNER:
-            raise InputError(
-                f"--owner has {len(self.owner)} characters: 1 to {LONGEST_OWNER} are allowed"
-            )
+            count = f"{len(self.owner)} characters"
+            raise ParameterError("owner", f"of {count}", f"must have 1 to {LONGEST_OWNER}")
         if self.seconds is None:
             return
         if self.Ts is not None or self.seconds > MOST_SAMPLES * LONGEST_TS:
@@ -108,29 +115,26 @@ class Plan:
 
 
 def number_of_samples(seconds: float, Ts: float) -> int:
-    """Return the whole number of samples nearest to a length.
+    """Return the number of samples whose length is nearest to `seconds`.
 
     Raises
     ------
     ValueError
-        There is not one sample, or there are more than one run may have.
+        There would be no sample, or more samples than a run may have.
     """
     N = floor(seconds / Ts + 0.5)
     if N < 1:
-        raise InputError(
-            f"--seconds {seconds:g}: too short for one sample of {Ts:g} s; at least {Ts:g}"
-        )
+        reason = f"too short for a sample of {Ts:g} s; must be at least {Ts:g}"
+        raise ParameterError("seconds", f"{seconds:g}", reason)
     if N > MOST_SAMPLES:
-        raise InputError(
-            f"--seconds {seconds:g}: at most {MOST_SAMPLES} samples, that is "
-            f"{MOST_SAMPLES * Ts:g} s at Ts = {Ts:g} s"
-        )
+        most = f"must be at most {MOST_SAMPLES * Ts:g} s at Ts = {Ts:g} s ({MOST_SAMPLES} samples)"
+        raise ParameterError("seconds", f"{seconds:g}", most)
     return N
 
 
 @contextmanager
 def on_the_terminal(rig: Rig, experiment: str, N: int) -> Iterator[Progress]:
-    """Show the progress of a run of N samples as a bar, its timing behind it."""
+    """Show the progress of a run of N samples as a bar, followed by its timing."""
     with timing_note(rig, N) as note, bar(experiment, note=note) as progress:
         yield progress
 
@@ -144,21 +148,21 @@ def collect(
     shown: Shown = on_the_terminal,
     way_out: str = "",
 ) -> Collected:
-    """Arm, play, record, and return what was recorded; tell the rehearsal when the run begins.
+    """Arm the rig, play a plan's input, and record; report the rehearsal when the run begins.
 
     Parameters
     ----------
     way_out : str, optional
-        What a person does to leave a fault; by default the command that resets this rig.
+        Text with the remedy for a fault; by default the command that resets this rig.
 
     Raises
     ------
     InterruptedRunError
-        Ctrl-C after the rig was armed; the rig has been told to stop.
+        Ctrl-C after the rig was armed; the rig was stopped.
     RigError
-        The run was refused, or ended early; the message says why, and what to do.
+        The run was refused or ended early; the message contains the reason and the remedy.
     ValueError
-        The length is not possible at the sampling time in force. The rig is given back.
+        The length is not possible at the sampling time. The rig is disarmed.
     """
     with Rig(rig, connect=connect) as opened:
         status = opened.status()
@@ -186,17 +190,17 @@ def collect(
 
 
 def _is_readable(path: Path) -> bool:
-    """Tell whether a recording is on this machine, and ours to read: who drives need not be."""
+    """Return True if a recording is on this machine and this user may read it."""
     try:
         return all(part.is_file() and os.access(part, os.R_OK) for part in part_paths(path))
-    except PermissionError:  # not even its folder
+    except PermissionError:  # not even the folder is readable
         return False
 
 
 def _played(
     rig: Rig, plan: Plan, u: NDArray[Any], tell: Callable[[str], None], shown: Shown
 ) -> tuple[Path, str, Rehearsal | None]:
-    """Play an input, show its progress; return recording, run id, and what was rehearsed."""
+    """Play an input and show its progress; return the recording, the run id and the rehearsal."""
     rehearsal: Rehearsal | None = None
     run_id, taken = "", 0
 
@@ -233,22 +237,23 @@ def _played(
 
 
 ARM_OFF = (
-    "take the rotating part off (handout, figure 6), set [arm] removed = true in armrigd's "
-    "configuration (of an emulated rig [emulator] arm_removed = true, too), and start it anew"
+    "remove the rotating part (handout, figure 6), set [arm] removed = true in armrigd's "
+    "configuration (for an emulated rig also [emulator] arm_removed = true), and restart armrigd"
 )
-"""What a person does before an experiment on the chassis alone."""
+"""Preparation of an experiment on the chassis alone."""
 
 
 def _require_arm_off(status: StatusReport) -> None:
-    """Refuse a rig whose daemon was not told that the arm is off."""
+    """Raise RigError if the rig's configuration has an arm."""
     if not status.arm_removed:
         raise RigError(
-            f"this is for the chassis alone, and rig {status.rig} has its arm on: {ARM_OFF}"
+            f"this experiment needs the chassis alone, but rig {status.rig} has its arm on: "
+            f"{ARM_OFF}"
         )
 
 
 def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray[Any]:
-    """Return the input at the sampling time in force, and tell where its length is not as asked."""
+    """Return the input of a plan at Ts; report a length that differs from the requested length."""
     if plan.seconds is None:
         u = plan.make(0, Ts)
         number_of_samples(u.size * Ts, Ts)
@@ -263,14 +268,14 @@ def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray
 
 
 def refusal_sentence(err: RigError, way_out: str) -> str:
-    """Return why a command was refused; of a latched fault with the whole way out of it."""
+    """Return the reason for the refusal of a command; for a latched fault, with the remedy."""
     if isinstance(err, RefusedError) and err.code == RefusalCode.IN_FAULT:
-        return f"in fault ({err.parameters.get('reason', '')}): mend it, then {way_out}"
+        return f"in fault ({err.parameters.get('reason', '')}): repair it, then {way_out}"
     return str(err)
 
 
 def reset_command(rig: str, connect: str | None) -> str:
-    """Return what a person types to reset this very rig."""
+    """Return the command that resets this rig."""
     words = ["armrig", "reset"]
     if rig != "1":
         words += ["--rig", rig]
@@ -280,36 +285,132 @@ def reset_command(rig: str, connect: str | None) -> str:
 
 
 def _reason(rig: Rig, err: RigError, way_out: str) -> str:
-    """Return why a collection failed. Of a trip the error shows only that lease or run are gone."""
+    """Return the reason why a collection failed; after a trip, `err` reports only a lost lease."""
     try:
         status = rig.status()
     except NoReplyError as gone:
         stopped = service_has_stopped(rig.rig, rig.endpoint)
-        return f"{err}; {gone}" if stopped and stopped not in str(err) else str(err)
+        is_said = isinstance(err, ServiceStoppedError)
+        return f"{err}; {gone}" if stopped and not is_said else str(err)
     except RigError:
         return str(err)
     if status.phase != "fault":
-        again = "; nothing is latched: repeat the command" if isinstance(err, RunEndedError) else ""
+        again = (
+            "; no fault is latched: repeat the command" if isinstance(err, RunEndedError) else ""
+        )
         return refusal_sentence(err, way_out) + again
-    remedy = f"{status.remedy or 'mend it'}; then {way_out}"
+    remedy = f"{status.remedy or 'repair it'}; then {way_out}"
     if isinstance(err, RunEndedError):
         return f"{err}; {remedy}"
     return f"rig {rig.rig} is in fault: {status.reason}; {remedy}"
 
 
 def _interrupted_sentence(rig: Rig, before: LastRun | None) -> str:
-    """Return how an interrupted run has left the rig, once its recording is finished."""
-    stopped = f"interrupted: rig {rig.rig} was told to stop (0 V)"
-    until = time.monotonic() + _FINISHED_S
+    """Wait for the recording of an interrupted run, and return a sentence on its state."""
+    stopped = f"interrupted: a stop (0 V) was sent to rig {rig.rig}"
+    until = time.monotonic() + _FINISH_TIMEOUT_S
     try:
         while True:
             last = rig.status().last_run
             if last is None or (before is not None and last.run_id == before.run_id):
                 return f"{stopped}; nothing was recorded"
             if last.finished:
-                return f"{stopped}; the {last.samples} samples until then are in {last.recording}"
+                return (
+                    f"{stopped}; the {last.samples} samples before the stop are in {last.recording}"
+                )
             if time.monotonic() > until:
                 return f"{stopped}; its recording is still being written: {last.recording}"
-            time.sleep(_POLL_S)
+            time.sleep(_POLL_INTERVAL_S)
     except RigError:
         return f"{stopped}, but its daemon does not answer: look at the rig"
+
+
+class Stage:
+    """Session that publishes the messages of a recording; `staged` creates it."""
+
+    def __init__(self, session: zenoh.Session, rig: str) -> None:
+        self._session = session
+        self._publishers = {
+            stream: session.declare_publisher(
+                stream_key(rig, stream),
+                encoding=f"application/protobuf;{protobuf.OF_STREAM[stream]}",
+                congestion_control=zenoh.CongestionControl.DROP,
+            )
+            for stream in STREAMS
+        }
+        self._served = {
+            schema_key(rig, name): protobuf.descriptor_set(name)
+            for name in protobuf.OF_STREAM.values()
+        }
+        # Other queries are not answered, because a status would pretend to be a rig.
+        session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
+        self._alive = session.liveliness().declare_token(alive_key(rig))
+
+    def wait_for_listener(self) -> None:
+        """Wait until a client listens to the samples."""
+        while not self._is_heard():
+            time.sleep(_LISTENER_INTERVAL_S)
+
+    def _is_heard(self) -> bool:
+        status: Any = self._publishers["sample"].matching_status
+        return bool(getattr(status, "matching", status))  # an object, but a bool in the stubs
+
+    def publish(self, stream: str, data: bytes) -> None:
+        """Publish a message; zenoh drops it if a subscriber is too slow."""
+        self._publishers[stream].put(data)
+
+    def _serve_schema(self, query: zenoh.Query) -> None:
+        with query:
+            for key, data in self._served.items():
+                if query.key_expr.intersects(zenoh.KeyExpr(key)):
+                    query.reply(key, data)
+
+
+@contextmanager
+def staged(where: str, rig: str) -> Iterator[Stage]:
+    """Yield a session that listens at an endpoint; other clients cannot publish or answer in it.
+
+    Raises
+    ------
+    RigError
+        The endpoint is not valid, is in use, or cannot be created.
+    """
+    config = owned_session(where, most_received=_MAX_RECEIVED_BYTES)
+    try:
+        with group_may_open():
+            session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
+    except zenoh.ZError as err:
+        raise RigError(
+            f"{where} cannot be listened at: {rig} is played there already, or {where} is not a "
+            "zenoh endpoint, such as tcp/127.0.0.1:7447; choose another endpoint with --listen"
+        ) from err
+    with session:
+        yield Stage(session, rig)
+
+
+def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Published]:
+    """Publish the messages of a run when they are due; yield each message after its publication.
+
+    Parameters
+    ----------
+    publish : callable
+        Called with the stream and the bytes of each message.
+    speed : float
+        Speed of the playing divided by the speed of the recording.
+    """
+    began_s, first_t = time.monotonic(), None
+    for message in run.messages():
+        first_t = message.t if first_t is None else first_t
+        _sleep_until(began_s + (message.t - first_t) / speed)
+        publish(message.stream, message.data)
+        yield message
+
+
+def rest(run: PublishedRun, *, speed: float) -> None:
+    """Wait for one sampling time, after which the run may be played again."""
+    _sleep_until(time.monotonic() + run.manifest.Ts / speed)
+
+
+def _sleep_until(due_s: float) -> None:
+    while (left_s := due_s - time.monotonic()) > 0:
+        time.sleep(min(left_s, _MAX_SLEEP_S))

@@ -1,4 +1,4 @@
-"""Breaks among live samples, told as values: by the daemon, or as what this listener missed."""
+"""Gaps between live samples, reported by the daemon or detected by the listener."""
 
 from __future__ import annotations
 
@@ -9,67 +9,71 @@ from math import nan
 from threading import Lock
 from typing import Any, Generic, TypeVar
 
+from armrig_core import version_1
+from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample
 
-MISSED = "the listener, or the way to it, did not keep up"
-"""Reason of a gap that the daemon knows nothing of."""
 MOST_TOLD, MOST_TOLD_BYTES = 10_000, 1 << 20
-"""Gaps told that are kept until the sample behind them comes; a daemon's has 60 B."""
+"""Limits of the reported gaps that are stored until a later sample arrives; a gap has 60 B."""
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveGap:
-    """Samples that a listener does not get; it stands where they would have stood."""
+    """Consecutive samples that a listener does not receive; a stream yields it in their place."""
 
     k_first: int
-    """Index of the first of them, counted as `Sample.k`."""
+    """Index of the first missing sample, as in `Sample.k`."""
     count: int
-    """How many in a row."""
+    """Number of missing samples."""
     t_from_ns: int
-    """From when, on the host's monotonic clock."""
+    """Beginning of the gap, in ns of the host's monotonic clock."""
     t_to_ns: int
-    """Until when."""
+    """End of the gap, in ns of the host's monotonic clock."""
     u_held_v: float
-    """Voltage that the motor kept meanwhile, in V; NaN where the listener cannot know."""
+    """Voltage that the motor kept during the gap, in V; NaN if the listener cannot know it."""
     reason: str
-    """Why they are missing."""
+    """Reason for the gap."""
     published: bool
-    """Whether they were published, and only this listener missed them: a recording has them."""
+    """True if the samples were published, but this listener missed them."""
+    code: str
+    """Code of the reason: an `armrig_core.codes.GapCode`."""
 
 
 def told_gaps() -> Newest[Any]:
-    """Return what keeps the gaps that a daemon tells, `armrig.v1.Gap`; the oldest are forgotten."""
+    """Return a bounded store for the gaps that a daemon reports (`armrig.v1.Gap`)."""
     return Newest(MOST_TOLD, MOST_TOLD_BYTES)
 
 
 def gaps_between(before: Sample, after: Sample, told: Iterable[Any]) -> Iterator[LiveGap]:
-    """Give what is missing between two samples that came one after the other, in order.
+    """Yield the gaps between two consecutively received samples, in order.
 
     Parameters
     ----------
     before, after : Sample
-        Where `after` is not later than `before` the daemon counts anew, and nothing is missing.
+        Two consecutively received samples. If `k` does not increase, the daemon was restarted, and
+        nothing is missing.
     told : iterable of armrig.v1.Gap
-        What the daemon has told, in any order.
+        Gaps that the daemon reported, in any order.
     """
     k, end = before.k + 1, after.k
     for gap in sorted(told, key=lambda gap: int(gap.k_first)):
-        first, behind = max(gap.k_first, k), min(gap.k_first + gap.count, end)
-        if first >= behind:
+        first, after_last = max(gap.k_first, k), min(gap.k_first + gap.count, end)
+        if first >= after_last:
             continue
         if first > k:
             yield _missed(before, after, k, first)
         yield LiveGap(
             k_first=first,
-            count=behind - first,
+            count=after_last - first,
             t_from_ns=gap.t_from_ns,
             t_to_ns=gap.t_to_ns,
             u_held_v=gap.u_held_v,
             reason=gap.reason,
             published=False,
+            code=gap.code or version_1.gap_code(gap.reason),
         )
-        k = behind
+        k = after_last
     if k < end:
         yield _missed(before, after, k, end)
 
@@ -81,31 +85,32 @@ def _missed(before: Sample, after: Sample, first: int, end: int) -> LiveGap:
         t_from_ns=before.t_host_ns,
         t_to_ns=after.t_host_ns,
         u_held_v=nan,
-        reason=MISSED,
+        reason=GapCode.LISTENER_LATE.sentence,
         published=True,
+        code=GapCode.LISTENER_LATE,
     )
 
 
 class Newest(Generic[_T]):
-    """Forgets the oldest where there is too much; one thread may add while another takes."""
+    """Bounded store that drops the oldest values; one thread may add while another takes."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
-        """Keep at most so many, and of so many B together."""
+        """Create a store of at most `most` values with a total size of at most `most_bytes`."""
         self._most, self._most_bytes = most, most_bytes
         self._kept: deque[tuple[_T, int]] = deque()
         self._size = 0
         self._lock = Lock()
 
     def __len__(self) -> int:
-        """Return how many are kept."""
+        """Return the number of kept values."""
         return len(self._kept)
 
     def __iter__(self) -> Iterator[_T]:
-        """Give those that are kept, the oldest first; none is to be added meanwhile."""
+        """Iterate over the kept values, oldest first; do not add a value during the iteration."""
         return (value for value, _ in self._kept)
 
     def add(self, value: _T, size: int) -> None:
-        """Add one of `size` B; one longer than all may be is forgotten at once."""
+        """Add a value of `size` B, and drop the oldest values above the limits."""
         with self._lock:
             self._kept.append((value, size))
             self._size += size
@@ -113,13 +118,13 @@ class Newest(Generic[_T]):
                 self._forget_oldest()
 
     def take(self) -> list[_T]:
-        """Return all, the oldest first, and forget them."""
+        """Remove all values, and return them in order, the oldest first."""
         with self._lock:
             kept, self._kept, self._size = self._kept, deque(), 0
         return [value for value, _ in kept]
 
     def forget_while(self, is_over: Callable[[_T], bool]) -> None:
-        """Forget the oldest up to one that is not over."""
+        """Remove the oldest values, up to the first value for which `is_over` is False."""
         with self._lock:
             while self._kept and is_over(self._kept[0][0]):
                 self._forget_oldest()

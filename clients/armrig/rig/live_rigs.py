@@ -1,4 +1,4 @@
-"""The rigs that are there now: found by their liveliness tokens, and asked how they are."""
+"""Rigs whose daemons run now: their ids from liveliness tokens, and their status."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ from armrig.rig.session import (
 )
 
 MOST_RIGS = 500
-"""More are not listed: what is connected there is no lab's router."""
-_LOOK_S = 2.0
-_STATUS_S = 2.0
+"""Largest number of listed rigs; the router of a lab has fewer rigs."""
+_LOOK_TIMEOUT_S = 2.0
+_STATUS_TIMEOUT_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveRig:
-    """A rig that is there."""
+    """A rig whose daemon runs."""
 
     rig: str
     endpoint: str
-    """Where it was found."""
+    """Endpoint at which the rig was found."""
     status: StatusReport | None
-    """None where it does not answer."""
+    """Status of the rig; None if the rig does not answer."""
     why: str = ""
-    """Why there is no status."""
+    """Reason for a missing status."""
 
 
 def live_rigs(connect: str | None) -> tuple[str, list[LiveRig]]:
-    """Return where was looked, and the rigs that are there, by their ids.
+    """Return where rigs were searched, and the rigs that were found, sorted by id.
 
     Parameters
     ----------
     connect : str, optional
-        Endpoint of a router or a daemon; None is that of `[client]`, and where that names none all
-        daemons of this machine.
+        Endpoint of a router or a daemon; by default the endpoint in `[client]`. Without either, all
+        daemons of this machine are queried.
 
     Raises
     ------
     RigError
-        Nobody listens there, or the way there cannot be used.
+        Nobody listens at the endpoint, or the connection cannot be used.
     """
     if where := connect or configured_connect():
         connection = open_endpoint(where)
@@ -74,25 +74,27 @@ def live_rigs(connect: str | None) -> tuple[str, list[LiveRig]]:
 
 
 def ids_alive(session: zenoh.Session) -> list[str]:
-    """Return the ids of the rigs that are there now."""
-    replies = session.liveliness().get(alive_key(EVERY_RIG), timeout=_LOOK_S)
+    """Return the ids of the rigs whose daemons run now."""
+    replies = session.liveliness().get(alive_key(EVERY_RIG), timeout=_LOOK_TIMEOUT_S)
     keys = [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
     return sorted({rig for key in keys if (rig := rig_of_alive(key))})[:MOST_RIGS]
 
 
 def _all_of(connection: Connection) -> list[LiveRig]:
-    """Return the rigs at an endpoint; all are asked before the first is waited for."""
+    """Return the rigs at an endpoint; all queries are sent before the first reply is awaited."""
     ids = ids_alive(connection.session)
     question = msgspec.json.encode(Status())
-    asked = [
+    pending = [
         connection.session.get(
-            command_key(rig, Status.name, connection.name), payload=question, timeout=_STATUS_S
+            command_key(rig, Status.name, connection.name),
+            payload=question,
+            timeout=_STATUS_TIMEOUT_S,
         )
         for rig in ids
     ]
     return [
         _answered(rig, connection.endpoint, replies)
-        for rig, replies in zip(ids, asked, strict=True)
+        for rig, replies in zip(ids, pending, strict=True)
     ]
 
 
@@ -106,5 +108,5 @@ def _answered(rig: str, endpoint: str, replies: Iterable[zenoh.Reply]) -> LiveRi
             if reply.err is not None and str(reply.err.payload) != "Timeout":
                 why = refusal_of(Status.name, reply.err.payload.to_bytes()).error
     except MalformedReplyError as err:
-        why = f"is no armrigd of this version: {err}"
+        why = f"is not an armrigd of this version: {err}"
     return LiveRig(rig=rig, endpoint=endpoint, status=None, why=why)

@@ -1,4 +1,4 @@
-"""A daemon of this machine as a child: started, waited for, and ended whatever happens."""
+"""A daemon of this machine as a child process that always ends with its block."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ from pathlib import Path
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError
 
-_START_S = 60.0  # the daemon itself waits 30 s for the rig that it emulates
-_STOP_S = 5.0
-_POLL_S = 0.1
+_START_TIMEOUT_S = 60.0  # the daemon itself waits 30 s for the rig that it emulates
+_STOP_TIMEOUT_S = 5.0
+_POLL_INTERVAL_S = 0.1
 
 
 @contextmanager
 def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run `armrigd run` with these arguments until the block ends; the motor is then at 0 V.
+    """Run `armrigd run` until the block ends, which sets the motor to 0 V.
 
-    The daemon ends in the same good order where this process is killed, or the thread that called
-    ends: the kernel tells it.
+    The daemon also sets the motor to 0 V and ends if this process is killed or the calling thread
+    ends. In this case the kernel sends the daemon a signal.
 
     Parameters
     ----------
     rig : str
-        Its id, by which it is waited for until it answers.
+        Id of the rig; the block begins after the rig's first answer.
     log : Path
-        Where all that it says goes.
+        File for all output of the daemon.
 
     Yields
     ------
     Popen
-        The daemon, which answers.
+        Process of the daemon, after its first answer.
 
     Raises
     ------
     RigError
-        Another daemon answers for this rig; or ours ended, or does not answer: quotes its last
-        line.
+        Another daemon answers for this rig, or the new daemon ended or does not answer. The message
+        contains its last line.
     """
     _require_none(rig)
     program = [sys.executable, "-m", "armrig_daemon", "run", "--parent", str(os.getpid())]
-    log.unlink(missing_ok=True)  # and not emptied: another daemon may still write to it
+    log.unlink(missing_ok=True)  # not truncated: another daemon may still write to it
     with log.open("wb") as output:
-        # A session of its own: Ctrl-C is ours, and we stop it in order.
+        # A new session: Ctrl-C reaches this process only, which stops the daemon in order.
         daemon = subprocess.Popen(
             [*program, *arguments],
             stdin=subprocess.DEVNULL,
@@ -64,7 +64,7 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
 
 
 def _require_none(rig: str) -> None:
-    """Refuse where another daemon answers: what is shown as ours would be its."""
+    """Raise RigError if another daemon of the rig answers, so that the two are not confused."""
     try:
         with Rig(rig) as opened:
             opened.status()
@@ -74,19 +74,19 @@ def _require_none(rig: str) -> None:
 
 
 def stop(daemon: subprocess.Popen[bytes]) -> None:
-    """Ask the daemon to end, which brings the motor to 0 V; kill it where it does not.
+    """Signal the daemon to set the motor to 0 V and end; kill the daemon if it does not end.
 
-    A second Ctrl-C does not keep it from that.
+    Ctrl-C does not interrupt the wait for the daemon's end.
     """
     if daemon.poll() is not None:
         return
     daemon.send_signal(signal.SIGTERM)
     try:
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not the main thread, which no signal interrupts
+    except ValueError:  # not the main thread, and no signal interrupts another thread
         before = None
     try:
-        daemon.wait(_STOP_S)
+        daemon.wait(_STOP_TIMEOUT_S)
     except subprocess.TimeoutExpired:
         daemon.kill()
         daemon.wait()
@@ -96,7 +96,7 @@ def stop(daemon: subprocess.Popen[bytes]) -> None:
 
 
 def require_running(daemon: subprocess.Popen[bytes], log: Path) -> None:
-    """Raise RigError with the daemon's last line where it has ended."""
+    """Raise RigError with the daemon's last line if it has ended."""
     if daemon.poll() is None:
         return
     raise RigError(f"the daemon ended with exit code {daemon.returncode}: {_last_line(log)}")
@@ -105,20 +105,20 @@ def require_running(daemon: subprocess.Popen[bytes], log: Path) -> None:
 def _last_line(log: Path) -> str:
     """Return the last line of a log."""
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    return lines[-1].removeprefix("armrigd: ") if lines else f"it said nothing in {log}"
+    return lines[-1].removeprefix("armrigd: ") if lines else f"it printed nothing in {log}"
 
 
 def _wait_until_it_answers(daemon: subprocess.Popen[bytes], rig: str, log: Path) -> None:
-    until = time.monotonic() + _START_S
+    until = time.monotonic() + _START_TIMEOUT_S
     while time.monotonic() < until:
         require_running(daemon, log)
         try:
             with Rig(rig) as opened:
                 opened.status()
         except NoReplyError:
-            time.sleep(_POLL_S)  # not yet
+            time.sleep(_POLL_INTERVAL_S)  # not yet
         else:
-            require_running(daemon, log)  # who answered may be another one, which ours gave way to
+            require_running(daemon, log)  # another daemon may have answered, so that this one ended
             return
-    msg = f"the daemon did not answer within {_START_S:g} s; its last line: {_last_line(log)}; if "
-    raise RigError(f"{msg}this host is busy, close other programs and try again ({log})")
+    msg = f"the daemon did not answer within {_START_TIMEOUT_S:g} s; last line: {_last_line(log)}; "
+    raise RigError(f"{msg}if this host is busy, close other programs and try again ({log})")

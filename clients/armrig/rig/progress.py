@@ -1,4 +1,4 @@
-"""A progress bar on standard error, so that standard output stays what a program can read."""
+"""Progress bar on standard error, so that programs can read standard output."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _WINDOW_NS = 1_000_000_000
 def bar(
     name: str, console: Console | None = None, *, note: Callable[[], str] = str
 ) -> Iterator[Callback]:
-    """Show a bar and give the function that moves it: done, total.
+    """Show a progress bar, and yield the function that updates it with the numbers done and total.
 
-    At each move `note` returns the text that stands behind it.
+    At each update, the text that `note` returns is shown after the bar.
     """
     columns = (
         TextColumn("{task.description:12}", markup=False),
@@ -41,10 +41,10 @@ def bar(
 
 
 class TimingNote:
-    """The timing of a run so far, from the rig's streams, in the words of `armrig info`."""
+    """Text on the timing of a run so far, computed from the rig's streams."""
 
     def __init__(self, N: int, samples: _Arrived, gaps: _Arrived, reports: _Arrived) -> None:
-        """Take the run's length, and a function for each stream that returns what has arrived."""
+        """Store the run's length in samples, and a function of each stream for new messages."""
         self._N = N
         self._samples, self._gaps, self._reports = samples, gaps, reports
         self._late: NDArray[np.int64] = np.zeros((0, 2), np.int64)
@@ -53,7 +53,7 @@ class TimingNote:
         self._queue = ""
 
     def __call__(self) -> str:
-        """Return the last second's lateness, all samples missing, and the setpoints held ahead."""
+        """Return a text on lateness in the last second, missing samples, and the queue."""
         arrived = [s for s in self._samples() if s.flags & Flag.RUN]
         if arrived and self._k_first is None:
             self._k_first = arrived[0].k
@@ -62,7 +62,7 @@ class TimingNote:
         late = [(s.t_sched_ns, s.t_host_ns - s.t_sched_ns) for s in arrived]
         self._late = np.concatenate([self._late, np.array(late, np.int64).reshape(-1, 2)])
         self._late = self._late[self._late[:, 0] > self._late[-1, 0] - _WINDOW_NS]
-        # As the recording counts them: what is missing before and after the run is none of its.
+        # As in the recording: samples missing before and after the run do not count.
         end = self._k_first + self._N
         for gap in self._gaps():
             first = max(gap.k_first, self._k_first)
@@ -76,7 +76,7 @@ class TimingNote:
 
 @contextmanager
 def timing_note(rig: Rig, N: int) -> Iterator[TimingNote]:
-    """Give the note of a run of N samples for as long as the rig is listened to."""
+    """Yield a `TimingNote` for a run of N samples, and receive the rig's streams in the block."""
     with (
         rig.arrivals("sample") as samples,
         rig.arrivals("gap") as gaps,

@@ -1,4 +1,4 @@
-"""A rig recorded from afar: what its daemon publishes, in the same files as the daemon's own."""
+"""Recording of a rig over a network: published messages are stored in files like the daemon's."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
+import zenoh
 from armrig_core import protobuf
-from armrig_core.codes import CONTINUED, Ending, OutcomeCode
+from armrig_core.codes import CONTINUED, Ending, GapCode, OutcomeCode
 from armrig_core.errors import InputError
 from armrig_core.manifest import Manifest, check_whole_numbers
 from armrig_core.recording_file.outgoing import Outgoing
@@ -28,30 +29,32 @@ from google.protobuf.message import DecodeError
 from armrig.recordings.grid import MISSING_LIMIT, TS_LEAST_S, TS_LIMIT_S
 from armrig.recordings.recording_summary import REMOTE
 from armrig.rig.live_gaps import LiveGap, Newest, gaps_between, told_gaps
-from armrig.rig.remote_source import Piece
-from armrig.rig.session import RigError
+from armrig.rig.remote_source import Piece, RemoteSource
+from armrig.rig.session import RigError, service_has_stopped, stopped_sentence
 from armrig.rig.telemetry_stream import decoded
 
-CUT_OFF = "the recorder was cut off for longer than the daemon keeps what it published"
-STARTED_ANEW = "the daemon was started anew, and counts anew"
+STARTED_ANEW = "the daemon was restarted, and its counts begin again"
 MOST_ROWS = 1 << 23
-"""Samples of a file, missing ones too: 2.3 hours at 1 kHz; one may be loaded with twice as many."""
-_FINISH_S = 60.0
-_FILES, _FILES_S = 60, 60.0  # so many files in such a time are no daemon's
-_MOST_WAITING, _OVERHEAD = 16 << 20, 200  # B until a state says Ts, which it does once a second
-_MOST_BEHIND, _LOOK_S = 16, 0.01  # pieces that the disk may be behind
+"""Largest number of a file's samples, including missing samples: 2.3 hours at 1 kHz."""
+_FINISH_TIMEOUT_S = 60.0
+_MAX_FILES, _MAX_FILES_PERIOD_S = 60, 60.0  # more files in this time are not a daemon's
+_MAX_WAITING_BYTES, _OVERHEAD_BYTES = 16 << 20, 200  # until a state, one a second, contains Ts
+_MAX_PENDING_PIECES, _DISK_INTERVAL_S = 16, 0.01  # that the disk has not written
 Tell = Callable[[str], None]
 _LIMIT = 1 << 62
-"""Above any time in ns, and any index of a sample."""
+"""Number above every valid time in ns and every valid index of a sample."""
+_QUERY_INTERVAL_S = 0.2
+_MAX_SILENCE_S = 2.0
+_MAX_LAST_PIECES = 64
 
 
 class DiskError(RigError):
-    """The disk refuses a file, or the rest of it; the message says which and what to do."""
+    """A file cannot be created or completed; the message contains the path and the remedy."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedFile:
-    """A file that is complete."""
+    """A complete file."""
 
     path: Path
     outcome: str
@@ -61,20 +64,21 @@ class RecordedFile:
 
 @dataclass(slots=True, kw_only=True)
 class RemoteRecording:
-    """Writes what comes into a file, or several.
+    """Writer of a rig's messages into one or several files.
 
-    A new one begins where samples count anew, come at another rate, or where with the next ones it
-    could not be loaded: too many are missing, or there are too many.
+    A new file begins if the index of the samples begins again, or if their sampling time changes. A
+    new file also begins if the current file would contain too many samples or missing samples to be
+    loaded.
     """
 
     path: Path
-    """Of the first file; the second is NAME-2.mcap."""
+    """Path of the first file, NAME.mcap; the second file is NAME-2.mcap."""
     rig: str
     endpoint: str
     tell: Tell
-    """Called with a line for a person."""
+    """Called with a message for people."""
     done: list[RecordedFile] = field(default_factory=list)
-    """Files that are complete."""
+    """Complete files."""
     _file: Recording | None = None
     _first: Sample | None = None
     _last: Sample | None = None
@@ -85,15 +89,15 @@ class RemoteRecording:
     _state: Any = None
     _offset_ns: int = 0
     _number: int = 0
-    _begun: deque[float] = field(default_factory=lambda: deque(maxlen=_FILES))
+    _begun: deque[float] = field(default_factory=lambda: deque(maxlen=_MAX_FILES))
 
     def add(self, piece: Piece) -> None:
-        """Record what came; wait for the disk where it is behind.
+        """Record a piece; wait if the disk is slower than the messages.
 
         Raises
         ------
         RigError
-            A message is not armrigd's, or nothing more can be written.
+            A message is not from an armrigd, or the disk cannot be written.
         """
         self._offset_ns = piece.past.clock_offset_ns
         if piece.is_new_life:
@@ -101,28 +105,28 @@ class RemoteRecording:
             self._end(Ending(OutcomeCode.RECORDER, STARTED_ANEW))
             self._state = None
         if piece.lost:
-            self._warn(f"{CUT_OFF}: {piece.lost} messages are lost")
+            self._warn(f"{GapCode.RECORDER_CUT_OFF.sentence}: {piece.lost} messages are lost")
         for stream, data in piece.past.messages:
             self._take(remote_message(stream, data, self._offset_ns))
         self._hand_over()
 
     def finish(self, ended: Ending) -> None:
-        """Complete the file."""
+        """Complete the current file with this outcome."""
         self._end(ended)
 
     def _hand_over(self) -> None:
         file = self._file
         if file is None:
-            if self._waiting_size > _MOST_WAITING:
+            if self._waiting_size > _MAX_WAITING_BYTES:
                 raise RigError(
                     f"rig {self.rig}: no state came with {len(self._waiting)} messages, so its "
-                    "sampling time is not known; what answers there is no armrigd"
+                    "sampling time is unknown; the sender is not an armrigd"
                 )
             return
         file.add(self._taken())
-        # What waits meanwhile is kept by the daemon; nothing is dropped, as it is by a full queue.
-        while file.behind > _MOST_BEHIND and not file.error:
-            time.sleep(_LOOK_S)
+        # The daemon keeps later messages; none is dropped, as a full queue would.
+        while file.behind > _MAX_PENDING_PIECES and not file.error:
+            time.sleep(_DISK_INTERVAL_S)
         if file.error:
             raise DiskError(file.error)
 
@@ -131,11 +135,14 @@ class RemoteRecording:
         return waiting
 
     def _warn(self, text: str) -> None:
-        """Say something to the person, and in the file."""
+        """Report a warning to people, and write it into the file."""
         self.tell(text)
         now_ns = time.time_ns()
         message = protobuf.message_class(protobuf.LOG)(
-            level=protobuf.LEVELS["warning"], message=text, name="armrig record"
+            level=protobuf.LEVELS["warning"],
+            message=text,
+            name="armrig record",
+            emulator_stall_ns=0,
         )
         message.timestamp.FromNanoseconds(now_ns)
         t_ns = max(now_ns - self._offset_ns, 0)
@@ -143,7 +150,7 @@ class RemoteRecording:
 
     def _take(self, message: RemoteMessage) -> None:
         if message.stream == "gap":
-            # Written before the sample behind it: only then is it between two of the file's.
+            # Written before the sample after it: only then both samples around it are in the file.
             self._told.add(message.value, len(message.data))
             return
         if message.stream == "sample":
@@ -156,7 +163,7 @@ class RemoteRecording:
         self._write(message.outgoing())
 
     def _go_on(self, sample: Sample) -> None:
-        """Write what is missing before a sample, or begin a file with it."""
+        """Write the gap before a sample, or begin a file with the sample."""
         if self._first is not None and self._last is not None:
             self._follow(self._first, self._last, sample)
         self._first = self._first or sample
@@ -168,11 +175,11 @@ class RemoteRecording:
 
     def _follow(self, first: Sample, last: Sample, sample: Sample) -> None:
         if sample.k <= last.k:
-            msg = f"rig {self.rig}: sample {sample.k} came behind sample {last.k}; what answers "
-            raise RigError(msg + "there is no armrigd")
+            msg = f"rig {self.rig}: sample {sample.k} came after sample {last.k}; the sender "
+            raise RigError(msg + "is not an armrigd")
         self._missing += sample.k - last.k - 1
         if self._missing > MISSING_LIMIT:
-            text = f"{sample.k - last.k - 1} samples are missing behind its last"
+            text = f"{sample.k - last.k - 1} samples are missing after its last"
             self._end(Ending(OutcomeCode.RECORDER, text))
         elif sample.k - first.k >= MOST_ROWS:
             self._end(CONTINUED)
@@ -182,13 +189,14 @@ class RemoteRecording:
 
     def _write(self, message: Outgoing) -> None:
         self._waiting.append(message)
-        self._waiting_size += len(message.data) + _OVERHEAD
+        self._waiting_size += len(message.data) + _OVERHEAD_BYTES
 
     def _begin(self, first: Sample) -> None:
         now_s = time.monotonic()
-        if len(self._begun) == _FILES and now_s - self._begun[0] < _FILES_S:
-            msg = f"rig {self.rig}: {_FILES} files in a minute: its samples count anew, or change "
-            raise RigError(msg + "their rate, all the time; what answers there is no armrigd")
+        if len(self._begun) == _MAX_FILES and now_s - self._begun[0] < _MAX_FILES_PERIOD_S:
+            msg = f"rig {self.rig}: {_MAX_FILES} files in a minute, because the index of its "
+            msg += "samples begins again, or their rate changes, again and again; "
+            raise RigError(msg + "the sender is not an armrigd")
         self._begun.append(now_s)
         path = self._free_path()
         manifest = remote_manifest(self.rig, self.endpoint, self._state, self._offset_ns)
@@ -198,10 +206,10 @@ class RemoteRecording:
             )
         except RecordingError as err:
             why = getattr(err.__cause__, "strerror", "") or err
-            raise DiskError(f"{path}: {why}; give a place with room by -o") from err
+            raise DiskError(f"{path}: {why}; give a folder with free space by -o") from err
 
     def _free_path(self) -> Path:
-        """Return where the next file goes: nothing is there that it could replace."""
+        """Return the path of the next file, at which no file exists."""
         while True:
             self._number += 1
             end = f"-{self._number}" if self._number > 1 else ""
@@ -219,8 +227,8 @@ class RemoteRecording:
             return
         file.add(waiting)
         file.finish(ended)
-        file.join(_FINISH_S)
-        if not file.kept.name.endswith(ACTIVE):  # whole, though the disk may have ended it
+        file.join(_FINISH_TIMEOUT_S)
+        if not file.kept.name.endswith(ACTIVE):  # complete, though perhaps ended by the disk
             how = "its recording ended early" if file.error else ended.text
             self.done.append(
                 RecordedFile(path=file.kept, outcome=how, samples=file.synced, missing=file.missing)
@@ -230,31 +238,34 @@ class RemoteRecording:
 
 
 def recorder_ended(err: Exception) -> Ending:
-    """Return how a file ends whose recorder failed."""
+    """Return the outcome of a file whose recorder failed."""
     return Ending(OutcomeCode.RECORDER, f"the recorder ended: {err}")
 
 
 def _gap(gap: LiveGap) -> bytes:
+    missed = GapCode.RECORDER_CUT_OFF
     message = protobuf.message_class(protobuf.GAP)(
         k_first=gap.k_first,
         count=gap.count,
         t_from_ns=gap.t_from_ns,
         t_to_ns=gap.t_to_ns,
         u_held_v=gap.u_held_v,
-        reason=CUT_OFF if gap.published else gap.reason,
+        reason=missed.sentence if gap.published else gap.reason,
+        code=missed if gap.published else gap.code,
     )
     return bytes(message.SerializeToString())
 
 
 def remote_manifest(rig: str, endpoint: str, state: Any, clock_offset_ns: int) -> Manifest:
-    """Return the manifest of a recording that begins now.
+    """Return the manifest of a recording that begins at the time of the call.
 
     Parameters
     ----------
     state : armrig.v1.State
-        What the daemon last said; of its device only what fits into a manifest is taken.
+        State that the daemon last published. Its facts about the device are included if a manifest
+        can contain them.
     clock_offset_ns : int
-        Real-time clock less monotonic clock, where the samples are made.
+        Real-time clock minus monotonic clock, in ns, on the host of the samples.
     """
     uname = platform.uname()
     manifest = Manifest(
@@ -263,7 +274,7 @@ def remote_manifest(rig: str, endpoint: str, state: Any, clock_offset_ns: int) -
         experiment=REMOTE,
         details={"recorded_from": endpoint},
         Ts=state.Ts_s,
-        samples=0,  # nobody asked for a number of them
+        samples=0,  # the length was not requested
         started=datetime.now(UTC).astimezone().isoformat(timespec="milliseconds"),
         clock_offset_ns=clock_offset_ns,
         armrig=version("armrig"),
@@ -272,26 +283,26 @@ def remote_manifest(rig: str, endpoint: str, state: Any, clock_offset_ns: int) -
     )
     try:
         device = msgspec.json.decode(state.device, type=dict[str, Any])
-        told = msgspec.structs.replace(manifest, device=device)
-        check_whole_numbers(told)
-        told.metadata()
+        complete = msgspec.structs.replace(manifest, device=device)
+        check_whole_numbers(complete)
+        complete.metadata()
     except (ValueError, OverflowError, RecursionError):  # a DecodeError is a ValueError
         return manifest
-    return told
+    return complete
 
 
 class RemoteMessage(NamedTuple):
-    """A message, and when it was published."""
+    """A message of a rig, with its stream and the time of its publication."""
 
     stream: str
     data: bytes
     value: Any
     """A `Sample`, or a protobuf message."""
     t_ns: int
-    """On the host's monotonic clock."""
+    """Time of the publication, in ns of the host's monotonic clock."""
 
     def outgoing(self) -> Outgoing:
-        """Return it as a recorder takes it."""
+        """Return the message in the form that a recorder accepts."""
         due_ns, number = self.t_ns, 0
         if self.stream == "sample":
             due_ns, number = self.value.t_sched_ns, self.value.k
@@ -299,17 +310,17 @@ class RemoteMessage(NamedTuple):
 
 
 def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMessage:
-    """Return a message as it came.
+    """Decode a received message, and check its values.
 
     Parameters
     ----------
     clock_offset_ns : int
-        Real-time clock less monotonic clock, where it was made.
+        Real-time clock minus monotonic clock, in ns, on the host of the message.
 
     Raises
     ------
     RigError
-        It is none that a daemon sends.
+        The message is not a valid message of a daemon.
     """
     try:
         if not 0 <= clock_offset_ns < _LIMIT:
@@ -318,13 +329,13 @@ def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMess
         _check(stream, value)
     except (ValueError, DecodeError) as err:
         raise RigError(
-            f"{len(data)} B of the stream {stream!r} are no message of armrigd's ({err})"
+            f"{len(data)} B of the stream {stream!r} are not a message of armrigd ({err})"
         ) from err
     return RemoteMessage(stream, data, value, _host_ns(stream, value, clock_offset_ns))
 
 
 def _check(stream: str, value: Any) -> None:
-    """Refuse what no recording can hold, or no reader of one would take."""
+    """Raise RigError for values that a recording cannot contain, or that its readers refuse."""
     times: list[int] = []
     if stream == "sample":
         times = [value.t_host_ns, value.t_sched_ns, value.k]
@@ -335,7 +346,7 @@ def _check(stream: str, value: Any) -> None:
     for ns in times:
         if not 0 <= ns < _LIMIT:
             raise InputError(f"a time or an index of {ns}")
-    # Until a rig is there it has no sampling time.
+    # Without a rig there is no sampling time yet.
     if stream == "state" and value.Ts_s != 0 and not TS_LEAST_S <= value.Ts_s < TS_LIMIT_S:
         raise InputError(f"a sampling time of {value.Ts_s:g} s")
 
@@ -343,6 +354,79 @@ def _check(stream: str, value: Any) -> None:
 def _host_ns(stream: str, value: Any, clock_offset_ns: int) -> int:
     if stream == "event":
         stamp = value.timestamp
-        told_ns = int(stamp.seconds) * 1_000_000_000 + int(stamp.nanos) - clock_offset_ns
-        return min(max(told_ns, 0), _LIMIT)  # the real-time clock may have been set
+        event_ns = int(stamp.seconds) * 1_000_000_000 + int(stamp.nanos) - clock_offset_ns
+        return min(max(event_ns, 0), _LIMIT)  # the real-time clock may have been set
     return int(value.t_to_ns if stream == "gap" else value.t_host_ns)
+
+
+class Ended(Protocol):
+    """Signal that ends a recorder, such as a process signal or an Event of another thread."""
+
+    def is_set(self) -> bool:
+        """Return whether the recorder must end."""
+
+    def wait(self, timeout: float) -> bool:
+        """Wait for the signal, at most `timeout` seconds; return whether the recorder must end."""
+
+
+class RemoteRecorder:
+    """Recorder of all messages that a rig's daemon keeps."""
+
+    def __init__(self, session: zenoh.Session, recording: RemoteRecording) -> None:
+        """Prepare a recorder; no query is sent yet."""
+        self.recording = recording
+        self._row = RemoteSource(session, recording.rig)
+
+    def begin(self) -> bool:
+        """Record the oldest messages that the daemon keeps; return True if the daemon answers.
+
+        Raises
+        ------
+        RigError
+            The sender is not an armrigd, or the disk cannot be written.
+        """
+        piece = self._row.next_piece()
+        if piece is not None:
+            self.recording.add(piece)
+        return piece is not None
+
+    def record(self, ended: Ended, seconds: float | None = None) -> None:
+        """Record all messages that are published until `ended` is set or `seconds` have passed.
+
+        Raises
+        ------
+        RigError
+            The sender is not an armrigd, or the disk cannot be written.
+        """
+        rig, tell = self.recording.rig, self.recording.tell
+        stopped = service_has_stopped(rig, self.recording.endpoint) and stopped_sentence(rig)
+        begun = heard = time.monotonic()
+        silent = False
+        while not ended.is_set() and (seconds is None or time.monotonic() - begun < seconds):
+            piece = self._row.next_piece()
+            now = time.monotonic()
+            if piece is None:
+                if now - heard > _MAX_SILENCE_S and not silent:
+                    tell(f"{stopped or f'rig {rig} does not answer'}; waiting for it")
+                    silent = True
+                ended.wait(_QUERY_INTERVAL_S)
+                continue
+            if silent:
+                tell(f"rig {rig} answers again, after {now - heard:.1f} s")
+            elif piece.is_new_life and stopped:
+                tell(stopped)
+            heard, silent = now, False
+            self.recording.add(piece)
+            if not piece.is_full:  # otherwise more messages are waiting
+                ended.wait(_QUERY_INTERVAL_S)
+        self._catch_up()
+
+    def _catch_up(self) -> None:
+        """Record the messages published before the call, at most as many as a daemon keeps."""
+        for _ in range(_MAX_LAST_PIECES):
+            piece = self._row.next_piece()
+            if piece is None:
+                break
+            self.recording.add(piece)
+            if not piece.is_full:
+                break

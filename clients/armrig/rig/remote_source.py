@@ -1,8 +1,8 @@
-"""All that a rig publishes, message after message and none twice, from a daemon that may go away.
+"""Source of all messages of a rig, without repetition, even if its daemon is restarted.
 
-Nothing is subscribed to: the daemon keeps what it published of late, in one numbered row, and is
-asked for what follows the last message that came. A slow line, a lost one and a late beginning are
-then the same: the next question begins where the last answer ended.
+The source uses no subscription. The daemon keeps its recent messages in one numbered sequence. The
+source queries the messages after the last received message. A slow connection, a lost connection
+and a late start therefore need no special cases.
 """
 
 from __future__ import annotations
@@ -17,73 +17,74 @@ from armrig_core.topics import history_key
 
 from armrig.rig.session import RigError
 
-_REPLY_S = 1.0
-_NO_DAEMON = "what answers there is no armrigd"
+_REPLY_TIMEOUT_S = 1.0
+_NO_DAEMON = "the sender is not an armrigd"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """What came by one question."""
+    """Messages in the answer to one query."""
 
     past: Past
-    """The messages, which follow those of the piece before."""
+    """Messages that follow the messages of the previous piece."""
     is_new_life: bool
-    """The daemon was started anew: its numbers, and the samples', begin again."""
+    """True if the daemon was restarted: the numbers of messages and samples begin again."""
     lost: int
-    """Messages that are gone for good between the piece before and this one."""
+    """Number of messages lost between the previous piece and this one."""
 
     @property
     def is_full(self) -> bool:
-        """Whether there was more than one answer takes."""
+        """True if the answer is full, so that more messages may be available."""
         return sum(len(data) for _, data in self.past.messages) >= REPLY_LIMIT
 
 
 class RemoteSource:
-    """A place in the row of what a daemon has published."""
+    """Position in the sequence of a daemon's messages."""
 
     def __init__(self, session: zenoh.Session, rig: str) -> None:
-        """Begin with the oldest message that the daemon keeps."""
+        """Prepare queries, beginning with the oldest message that the daemon keeps."""
         self._session, self._key = session, history_key(rig)
         self._life = b""
         self._next = 0
 
     def next_piece(self) -> Piece | None:
-        """Return what follows, perhaps nothing; None where the daemon does not answer now.
+        """Return the next messages, which may be none; None if the daemon does not answer.
 
         Raises
         ------
         RigError
-            What answers is no daemon of this version.
+            The sender is not a daemon of this version.
         """
         past = self._asked(self._next, self._life)
         if past is None:
             return None
         is_new, began = past.life != self._life, bool(self._life)
         if is_new and self._next:
-            # What was asked for is a number of another row; this one is taken from its beginning.
+            # The query had a number of another sequence; the new sequence is read from its
+            # beginning.
             past = self._asked(0, past.life)
             if past is None:
                 return None
         lost = past.first if is_new else past.first - self._next
         if lost < 0:
-            msg = f"{self._key}: the messages from {self._next} on were asked for, and those from "
-            raise RigError(f"{msg}{past.first} on came; {_NO_DAEMON}")
+            msg = f"{self._key}: messages from number {self._next} on were requested, but messages "
+            raise RigError(f"{msg}from {past.first} on arrived; {_NO_DAEMON}")
         self._life, self._next = past.life, past.first + len(past.messages)
         return Piece(past=past, is_new_life=is_new and began, lost=lost if began else 0)
 
     def _asked(self, first: int, life: bytes) -> Past | None:
-        """Return the answer of the daemon with this life, or of the only one there is."""
+        """Return the answer of the daemon with the id `life`, or of the only answering daemon."""
         question = msgspec.json.encode(HistoryRequest(first=first))
         others: dict[bytes, Past] = {}
         refused = False
         for reply in self._session.get(
             self._key,
             payload=question,
-            timeout=_REPLY_S,
-            # Else one of several answers would be chosen for us, now this one and now that one.
+            timeout=_REPLY_TIMEOUT_S,
+            # With consolidation, zenoh would choose one of several answers at random.
             consolidation=zenoh.ConsolidationMode.NONE,
         ):
-            if reply.ok is None:  # too many ask just now, or it came too late
+            if reply.ok is None:  # too many queries at the moment, or the answer came too late
                 refused = True
                 continue
             try:
@@ -94,7 +95,7 @@ class RemoteSource:
                 return past
             others[past.life] = past
         if len(others) > 1:
-            msg = f"{self._key}: {len(others)} daemons answer, which is which cannot be told; end "
+            msg = f"{self._key}: {len(others)} daemons answer and cannot be distinguished; end "
             raise RigError(msg + "all but one, or give each rig an id of its own")
-        # One that answers where another has no time to may not be ours.
+            # An answer may be of another daemon if the right one is too busy to answer.
         return None if refused else next(iter(others.values()), None)

@@ -1,4 +1,4 @@
-"""The replies of a daemon: decoded, or refused where no daemon of this version replies so."""
+"""Replies of a daemon: they are decoded, or refused if they are not of this version."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from msgspec.structs import replace
 from armrig.rig.session import RigError
 
 MOST_BYTES = 1 << 20
-"""Longest reply that is read, in B; a daemon's longest have a few thousand."""
-_LONGEST_ERROR = 1000  # characters that are shown
+"""Longest reply that is read, in B; a daemon's longest replies have a few thousand B."""
+_MAX_ERROR_CHARACTERS = 1000
 
 _R = TypeVar("_R")
 
 Progress = Callable[[int, int], None]
-"""Called with the samples taken and the samples asked for."""
+"""Callback with two numbers: the samples taken so far, and the samples of the run."""
 
 
 def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
-    """Return the reply to the command `name`.
+    """Decode the reply to the command `name`.
 
     Raises
     ------
     MalformedReplyError
-        It is too long, is not JSON, or a field is missing or of another type; the message says
-        which.
+        The reply is too long or not JSON, or a field is missing or of another type. The message
+        contains the name of the field.
     """
     _check_length(name, payload)
     try:
         return msgspec.json.decode(payload, type=answer)
-    except (msgspec.DecodeError, UnicodeDecodeError) as err:  # ValidationError is one of the first
+    except (msgspec.DecodeError, UnicodeDecodeError) as err:  # includes ValidationError
         raise MalformedReplyError(f"the answer to {name!r} cannot be read: {err}") from err
     except RecursionError as err:
         raise MalformedReplyError(
@@ -46,10 +46,10 @@ def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
 
 
 def refusal_of(name: str, payload: bytes) -> commands.Refused:
-    """Return why the command `name` was refused; raises as `reply_of`, but not for plain text.
+    """Decode the refusal of the command `name`; raises as `reply_of`, but accepts plain text.
 
-    A daemon of an earlier release sends a sentence alone: of that one `version_1` says whether it
-    passes by itself, and its code stays empty.
+    A daemon of an earlier release sends only a sentence. In this case the code of the refusal is
+    empty, and `version_1` decides if the refusal is temporary.
     """
     _check_length(name, payload)
     try:
@@ -58,8 +58,8 @@ def refusal_of(name: str, payload: bytes) -> commands.Refused:
         refusal = commands.Refused(error=f"{name}: {payload[:200].decode(errors='replace')}")
     if refusal.passes is None:
         refusal = replace(refusal, passes=version_1.passes(refusal.error))
-    if len(refusal.error) > _LONGEST_ERROR:
-        refusal = replace(refusal, error=f"{refusal.error[:_LONGEST_ERROR]} …")
+    if len(refusal.error) > _MAX_ERROR_CHARACTERS:
+        refusal = replace(refusal, error=f"{refusal.error[:_MAX_ERROR_CHARACTERS]} …")
     return refusal
 
 
@@ -71,36 +71,36 @@ def _check_length(name: str, payload: bytes) -> None:
 
 
 class RefusedError(RigError):
-    """The daemon refuses a command, which had no effect."""
+    """The daemon refused a command; the command had no effect."""
 
     def __init__(
         self, message: str, code: str = "", parameters: Mapping[str, commands.Fact] | None = None
     ) -> None:
-        """Take the message, and what a daemon of today says beside it."""
+        """Store the message, and the code and parameters that a daemon of this version sends."""
         super().__init__(message)
         self.code = code
-        """Why, for programs: an `armrig_core.codes.RefusalCode`; "" where it is not known."""
+        """Code of the reason: an `armrig_core.codes.RefusalCode`; "" if unknown."""
         self.parameters = parameters or {}
-        """What the message is about, by name."""
+        """Values in the message, by name."""
 
 
 class BusyError(RefusedError):
-    """The daemon refuses a command for the moment, and may take the same a little later."""
+    """The daemon refused a command temporarily; the same command may succeed shortly after."""
 
 
 class RunEndedError(RigError):
     """A run ended before its last sample."""
 
     def __init__(self, why: str, recording: Path, *, is_named: bool = False) -> None:
-        """Take the reason; the message says where the recording is, unless the reason does."""
+        """Store the reason; add the recording's path to the message unless `why` contains it."""
         super().__init__(why if is_named else f"{why}; recorded in {recording}")
         self.why = why
-        """How many samples were taken, and why the run ended."""
+        """Number of samples taken, and the reason for the end of the run."""
         self.recording = recording
 
 
 def this_user() -> str:
-    """Return the login name; "" where there is none."""
+    """Return the login name of this user; "" if the name is unknown."""
     try:
         return getpass.getuser()
     except (OSError, KeyError):  # the latter before Python 3.13
@@ -108,16 +108,16 @@ def this_user() -> str:
 
 
 def refused(refusal: commands.Refused) -> RefusedError:
-    """Return what is raised for a refusal."""
+    """Return the exception for a refusal."""
     kind = BusyError if refusal.passes else RefusedError
     return kind(refusal.error, refusal.code, refusal.parameters)
 
 
 def complete_recording(last: commands.LastRun, asked: int) -> Path:
-    """Return the recording of a run that has played all samples asked for."""
+    """Return the recording of a complete run; raise RunEndedError if the run ended early."""
     recording = Path(last.recording)
     if not last.is_complete:
         why = f"the run ended after {last.samples} of {asked} samples: {last.outcome}"
-        # Where the file failed, the outcome says what became of it, and where it is.
+        # If the file failed, the outcome contains its state and its path.
         raise RunEndedError(why, recording, is_named=last.code == OutcomeCode.RECORDING)
     return recording

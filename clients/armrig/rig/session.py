@@ -1,4 +1,4 @@
-"""The way to a daemon: its endpoint, a zenoh session, and the errors where nobody replies."""
+"""Connection to a daemon: its endpoint, a zenoh session, and the errors without a reply."""
 
 from __future__ import annotations
 
@@ -19,39 +19,46 @@ from armrig_core.credential import Credential, read_credential
 from armrig_core.endpoint import (
     SERVICE_USER,
     SERVICES,
-    distrust,
     endpoint,
     network_address,
+    require_trusted,
     socket_directory,
 )
-from armrig_core.errors import FileError, OperationError
+from armrig_core.errors import FileError, InputError, OperationError
 from armrig_core.passwords import read_users
 from armrig_core.printable import printable
 from armrig_core.recording_directory import installed, of_rig
 from armrig_core.topics import PLAYED, check_rig_id, is_rig_id
 
 UNIT = Path("/etc/systemd/system/armrigd@.service")
-"""The services of this machine, where they are installed."""
+"""systemd unit of this machine's services, if they are installed."""
 MOST_RECEIVED = 16 << 20
-"""Longest message that is received, in B; beyond it the connection ends."""
+"""Longest received message, in B; a longer message ends the connection."""
 LONGEST_S = 3.0
-"""How long each step may take."""
-_LISTENS_S = 1.0  # a certificate is refused after the handshake, in TLS 1.3
+"""Longest time of each step of a test connection, in s."""
+_ANSWER_TIMEOUT_S = 1.0  # TLS 1.3 refuses a certificate after the handshake
 # X509_V_ERR_… of OpenSSL, x509_vfy.h
 _EXPIRED, _OTHER_HOST = 10, (62, 64)
-_SILENT = "nothing answers: see that the host is on, and that no firewall stands between"
+_SILENT = "no answer: check that the host is on, and that no firewall blocks the connection"
 
 
 class RigError(OperationError):
-    """A rig, or the way to it, refuses; the message says what to do."""
+    """A rig refuses, or the connection to a rig fails; the message contains the remedy."""
 
     def __init__(self, message: str) -> None:
-        """Take the message; characters that do not print, as others may write them, are escaped."""
+        """Store the message; unprintable characters, which others may write, are escaped."""
         super().__init__(printable(message))
 
 
 class NoReplyError(RigError):
-    """Nobody replies."""
+    """The daemon does not reply."""
+
+
+class ServiceStoppedError(RigError):
+    """The service of a rig of this machine stopped during a run."""
+
+    def __init__(self, rig: str) -> None:
+        super().__init__(stopped_sentence(rig))
 
 
 class Connection(NamedTuple):
@@ -60,32 +67,32 @@ class Connection(NamedTuple):
     session: zenoh.Session
     endpoint: str
     name: str
-    """Under which commands are sent: that in our certificate, or of the user; "" on a socket."""
+    """Name for commands: the name in the certificate, or the user's name; "" for a socket."""
 
 
 class _Way(NamedTuple):
-    """A way to a daemon that has not been tried yet."""
+    """A possible connection to a daemon."""
 
     endpoint: str
     name: str = ""
     proof: tuple[tuple[str, Any], ...] = ()
-    """What of zenoh's configuration shows who we are."""
+    """Part of zenoh's configuration that proves the client's identity."""
     fault: Callable[[], str] = str
-    """Returns why it came to nothing, "" where that is not known."""
+    """Function that returns why the connection failed; "" if the reason is unknown."""
 
 
 def default_endpoint(rig: str) -> str:
-    """Return where the daemon of this user and rig listens."""
+    """Return the endpoint of the daemon of a rig that this user runs."""
     return endpoint(rig, _socket_directory())
 
 
 def own_endpoint(rig: str) -> str:
-    """Return where we listen ourselves under the id `rig`, in a directory of this user's alone.
+    """Return an endpoint for this process with the id `rig`, in a directory of this user only.
 
     Raises
     ------
     RigError
-        The directory may be another user's, or there is no place for one.
+        Another user may own the directory, or the directory cannot be created.
     """
     directory = Path(_socket_directory())
     try:
@@ -100,37 +107,37 @@ def own_endpoint(rig: str) -> str:
 
 
 def configured_endpoint(rig: str) -> str:
-    """Return the endpoint that `[client]` names, or that of this user's daemon."""
+    """Return the endpoint in `[client]`; without it, the endpoint of this user's daemon."""
     return _settings(rig).connect or default_endpoint(rig)
 
 
 def configured_connect() -> str:
-    """Return the endpoint that `[client]` names; "" where it names none."""
+    """Return the endpoint in `[client]`; "" if it is not configured."""
     return _settings("").connect
 
 
 def local_rigs() -> list[str]:
-    """Return the ids of which there is a socket on this machine, of this user or of a service."""
+    """Return the ids of the rigs with a socket on this machine, of this user or of a service."""
     places = [Path(_socket_directory()), *Path(SERVICES).glob("*")]
     names = {path.stem for place in places for path in place.glob("*.sock")}
     return sorted(name for name in names if is_rig_id(name) and not name.startswith(PLAYED))
 
 
 def open_endpoint(where: str) -> Connection:
-    """Connect to an endpoint where there may be several rigs, as at a router.
+    """Connect to an endpoint with several rigs, such as a router.
 
     Raises
     ------
     NoReplyError
-        Nobody listens there.
+        Nobody listens at the endpoint.
     RigError
-        `where` is not an endpoint, or the credential that `[client]` names cannot be used.
+        `where` is not an endpoint, or the credential in `[client]` cannot be used.
     """
     way = _way(where, None, _settings(""))
     try:
         return Connection(zenoh.open(_config(way)), way.endpoint, way.name)
     except zenoh.ZError as err:
-        fault = way.fault() or "see that `armrig router` or armrigd runs there"
+        fault = way.fault() or "check that `armrig router` or armrigd runs there"
         raise NoReplyError(f"nobody answers at {where}: {fault}") from err
 
 
@@ -149,19 +156,19 @@ def open_connection(
     Parameters
     ----------
     connect : str, optional
-        Endpoint; None is that of `[client]`, and where that names none the socket of this user's
-        daemon, then that of the service of this machine. Nobody but its owner may be able to put a
-        socket into its directory.
+        Endpoint; by default the endpoint in `[client]`. Without either, the sockets of this user's
+        daemon and of this machine's service are tried. Their directories must be writable for their
+        owners only.
     certificate : str or Path, optional
-        Our credential, for an endpoint tls/HOST:PORT; that of `[client]` where it is left out.
+        Credential of the client, for an endpoint tls/HOST:PORT; by default the one in `[client]`.
 
     Raises
     ------
     NoReplyError
-        Nobody listens there.
+        Nobody listens at the endpoint.
     RigError
-        `connect` is not an endpoint, the credential cannot be used, or the directory may be
-        another user's.
+        `connect` is not an endpoint, the credential cannot be used, or another user may own the
+        directory.
     """
     settings = _settings(rig)
     where = connect or settings.connect
@@ -179,11 +186,12 @@ def _config(way: _Way) -> zenoh.Config:
     for key, value in (
         ("mode", "client"),
         ("connect/endpoints", [way.endpoint]),
-        # Only the endpoint asked for: zenoh looks for nobody else, and tells nobody of us.
+        # zenoh uses only the given endpoint, without discovery.
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
         ("transport/shared_memory/enabled", False),
-        # Longer than anything that a daemon sends. What listens there may not be a daemon.
+        # This limit exceeds all messages of a daemon. It is needed because the listener may be
+        # another program.
         ("transport/link/rx/max_message_size", MOST_RECEIVED),
         *way.proof,
     ):
@@ -191,7 +199,7 @@ def _config(way: _Way) -> zenoh.Config:
             config.insert_json5(key, json.dumps(value))
         except zenoh.ZError as err:
             raise RigError(
-                f"{way.endpoint!r} is no zenoh endpoint, such as unixsock-stream/run/armrig/1.sock"
+                f"{way.endpoint!r}: not a zenoh endpoint, such as unixsock-stream/run/armrig/1.sock"
             ) from err
     return config
 
@@ -206,7 +214,7 @@ def _settings(rig: str) -> ClientSettings:
 
 
 def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -> _Way:
-    """Return the way to an endpoint, with what is needed there to be let in."""
+    """Return the connection to an endpoint, with the necessary proof of identity."""
     try:
         if where.startswith("tls/"):
             return _way_by_certificate(where, certificate or settings.certificate)
@@ -214,7 +222,7 @@ def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -
             ((user, password), *others) = read_users(Path(settings.password)).items()
             if others:
                 raise RigError(
-                    f"{settings.password}: {1 + len(others)} users: your own line alone is needed"
+                    f"{settings.password}: {1 + len(others)} users: keep only your own line"
                 )
             proof = ("transport/auth/usrpwd", {"user": user, "password": password})
             return _Way(where, user, (proof,))
@@ -235,7 +243,7 @@ def _way_by_certificate(where: str, certificate: str | Path) -> _Way:
     address = network_address(where)
     if address is None:
         raise RigError(
-            f"{where!r} is no endpoint: it must be tls/HOST:PORT, such as tls/lab-1.local:7447"
+            f"{where!r} is not an endpoint: it must be tls/HOST:PORT, such as tls/lab-1.local:7447"
         )
     return _Way(
         where, credential.name, (proof,), partial(why_not_connected, *address, credential, path)
@@ -243,9 +251,10 @@ def _way_by_certificate(where: str, certificate: str | Path) -> _Way:
 
 
 def _local_ways(rig: str) -> list[_Way]:
-    """Return the sockets of this machine that there are: of this user's daemon, then a service's.
+    """Return connections to this machine's sockets: of this user's daemon, then of the service.
 
-    Where there is none, that of the service if this machine has one, else the first of them.
+    If no socket exists, return the service's socket if the service is installed, otherwise the
+    user's socket.
     """
     own, services = Path(_socket_directory()), Path(SERVICES)
     ways = []
@@ -260,7 +269,7 @@ def _local_ways(rig: str) -> list[_Way]:
             if directory != own and not os.access(directory, os.X_OK):
                 raise RigError(
                     f"{directory}: only the group {SERVICE_USER} may operate rig {rig}: "
-                    f"`sudo usermod -aG {SERVICE_USER} $USER`, then log in anew"
+                    f"`sudo usermod -aG {SERVICE_USER} $USER`, then log in again"
                 )
             if (directory / f"{rig}.sock").exists():
                 ways.append(_Way(where))
@@ -272,15 +281,15 @@ def _service_endpoint(rig: str) -> str:
 
 
 def is_served(rig: str) -> bool:
-    """Tell whether a service of this machine is to serve a rig."""
+    """Return whether a service of this machine is configured for a rig."""
     return UNIT.exists() and of_rig(rig).exists()
 
 
 def _service_owners() -> set[int]:
-    """Return who may own the folder of a service: root, and the user that runs it."""
+    """Return the allowed owners of a service's folder: root, and the user that runs it."""
     from pwd import getpwnam
 
-    with suppress(KeyError):  # there is no such user
+    with suppress(KeyError):  # the user does not exist
         return {0, getpwnam(SERVICE_USER).pw_uid}
     return {0}
 
@@ -294,33 +303,33 @@ def _socket_directory() -> PurePosixPath:
 
 
 def _check_directory(directory: Path, owners: Collection[int]) -> None:
-    """Refuse a directory that others may have made, as anybody could in a temporary one."""
-    wrong = distrust(directory.lstat(), owners=owners)
-    if wrong:
+    """Raise RigError for a directory that another user may have created."""
+    try:
+        require_trusted(directory.lstat(), owners=owners)
+    except InputError as err:
         raise RigError(
-            f"{directory}: {wrong}, so what listens there may be a stranger's; set "
-            "XDG_RUNTIME_DIR to a directory of yours, for armrigd too, or name the endpoint "
-            "with --connect"
-        )
+            f"{directory}: {err}, so a stranger may listen there; set XDG_RUNTIME_DIR to a "
+            "directory of yours, for armrigd too, or name the endpoint with --connect"
+        ) from err
 
 
 def not_permitted(rig: str, where: str, name: str, command: str) -> NoReplyError:
-    """Return the error of a daemon over a network that is connected, and passes a command over."""
+    """Return the error for a daemon over a network that does not answer a client's command."""
     return NoReplyError(
         f"no reply from rig {rig} at {where} to {command!r}: not running, or not permitted: its "
-        f"access list says what {name} may do"
+        f"access list contains the rights of {name}"
     )
 
 
 def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
-    """Return the error of a daemon that does not answer; `fault` says why, where that is known."""
+    """Return the error for a daemon that does not answer; `fault` is a known reason."""
     if rig.startswith(PLAYED):
         return NoReplyError(
-            f"no reply from {rig} at {where}: a recording that is played again takes no commands; "
+            f"no reply from {rig} at {where}: a played recording takes no commands; "
             f"start it with `armrig play F`, watch it with `armrig watch --rig {rig}`"
         )
-    if stopped := service_has_stopped(rig, where):
-        return NoReplyError(stopped)
+    if service_has_stopped(rig, where):
+        return NoReplyError(stopped_sentence(rig))
     if fault:
         return NoReplyError(f"no reply from rig {rig} at {where}: {fault}")
     return NoReplyError(
@@ -329,11 +338,17 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
     )
 
 
-def service_has_stopped(rig: str, where: str) -> str:
-    """Return what is said of a daemon that is gone; "" unless it is a service of this machine."""
+def service_has_stopped(rig: str, where: str) -> bool:
+    """Return True if an endpoint that does not answer is of a service of this machine.
+
+    If this user may not enter the service's folder, the answer is False.
+    """
     folder = Path(SERVICES) / rig
-    if where != _service_endpoint(rig) or (folder.exists() and not os.access(folder, os.X_OK)):
-        return ""
+    return where == _service_endpoint(rig) and (not folder.exists() or os.access(folder, os.X_OK))
+
+
+def stopped_sentence(rig: str) -> str:
+    """Return a sentence on a stopped service of this machine, with the remedy."""
     return (
         f"the service of rig {rig} has stopped; `systemctl status armrigd@{rig}`; what was "
         "recorded is in `armrig ls`"
@@ -341,42 +356,40 @@ def service_has_stopped(rig: str, where: str) -> str:
 
 
 def no_daemon(rig: str, where: str, what: str) -> RigError:
-    """Return the error where the replies are not those of a daemon of this version."""
-    return RigError(
-        f"rig {rig} at {where}: {what}; what listens there is no armrigd, or one of another version"
-    )
+    """Return the error for replies that do not come from a daemon of this version."""
+    return RigError(f"rig {rig} at {where}: {what}; the listener is not an armrigd of this version")
 
 
 def why_not_connected(host: str, port: int, credential: Credential, path: Path) -> str:
-    """Return what is wrong and what to do, found by a handshake of our own; "" where it goes well.
+    """Try a TLS handshake, and return its fault and the remedy; "" if the handshake succeeds.
 
     Parameters
     ----------
     host, port
-        Of the rig's daemon.
+        Address of the rig's daemon.
     credential : Credential
-        What is shown to it.
+        Credential of the client.
     path : Path
-        Its file.
+        File of the credential.
     """
     try:
         line = socket.create_connection((host, port), timeout=LONGEST_S)
     except socket.gaierror:
-        return f"there is no host {host}: see how it is spelt"
+        return f"there is no host {host}: check its spelling"
     except ConnectionRefusedError:
         listener = "armrigd runs, with [access], or `armrig router`"
-        return f"nobody listens at port {port} of {host}: see that {listener}"
+        return f"nobody listens at port {port} of {host}: check that {listener}"
     except TimeoutError:
         return _SILENT
     except OSError as err:
-        return f"{err.strerror or err}: see that {host} can be reached from here"
+        return f"{err.strerror or err}: check that {host} can be reached from here"
     with line:
         try:
             connected = _context(credential, path).wrap_socket(line, server_hostname=host)
         except ssl.SSLCertVerificationError as err:
             return _of_its_certificate(err, host)
-        except OSError:  # ssl.SSLError and TimeoutError are of them
-            return "what listens there does not speak TLS 1.3: see that its [access] listen is tls/"
+        except OSError:  # includes ssl.SSLError and TimeoutError
+            return "the listener does not speak TLS 1.3: check that its [access] listen is tls/"
         with connected:
             return _answer_to_ours(connected, credential)
 
@@ -390,8 +403,8 @@ def _context(credential: Credential, path: Path) -> ssl.SSLContext:
 
 
 def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
-    """Return why it refuses our certificate; "" where it waits for what we have to say."""
-    connected.settimeout(_LISTENS_S)
+    """Return why the daemon refuses the client's certificate; "" if the daemon accepts it."""
+    connected.settimeout(_ANSWER_TIMEOUT_S)
     try:
         connected.recv(1)
     except TimeoutError:
@@ -399,8 +412,8 @@ def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
     except ssl.SSLError as err:
         alert = (err.reason or "").rpartition("ALERT_")[2].replace("_", " ").lower()
         return (
-            f"it refuses the certificate of {credential.name} ({alert}): see whether both are of "
-            "the same authority, and whether its clock is set"
+            f"it refuses the certificate of {credential.name} ({alert}): check that both "
+            "certificates are of the same authority, and that the clock of its machine is set"
         )
     except OSError:
         return ""
@@ -410,8 +423,8 @@ def _answer_to_ours(connected: ssl.SSLSocket, credential: Credential) -> str:
 def _of_its_certificate(err: ssl.SSLCertVerificationError, host: str) -> str:
     if err.verify_code in _OTHER_HOST:
         return (
-            f"its certificate is not for {host}: take a name that is in it, or have another made "
-            f"by `armrig pki rig ID --host {host}`"
+            f"its certificate is not for {host}: use a name in this certificate, or make another "
+            f"certificate by `armrig pki rig ID --host {host}`"
         )
     if err.verify_code == _EXPIRED:
         return "its certificate has expired: `armrig pki renew` makes a new one"

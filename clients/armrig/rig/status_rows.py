@@ -1,4 +1,4 @@
-"""How a daemon is, in rows for a person: the words of `armrig status` and of the dashboard."""
+"""Status of a daemon as rows of text, for `armrig status` and the dashboard."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from armrig_core.commands import StatusReport
 
 
 def status_rows(report: StatusReport) -> list[tuple[str, str]]:
-    """Return what there is to know, each with its name before it; of a fault its cause and remedy.
+    """Return the names and values of a status as text; for a fault, also its cause and remedy.
 
-    The texts may hold characters that do not print: who shows them escapes them.
+    The texts may contain unprintable characters: escape them before printing.
     """
     last = report.last_run
     device = ", ".join(f"{name} {value}" for name, value in report.device.items())
@@ -36,17 +36,17 @@ def status_rows(report: StatusReport) -> list[tuple[str, str]]:
         ("recordings", report.recordings),
         ("Ts", f"{report.Ts:g} s"),
         ("limits", f"{report.u_min:g} to {report.u_max:g} V"),
-        ("calibration", report.calibration or "not said by this daemon"),
-        ("arm", "taken off, says [arm] removed" if report.arm_removed else "mounted"),
+        ("calibration", report.calibration or "not reported by this daemon"),
+        ("arm", "removed, according to [arm] removed" if report.arm_removed else "mounted"),
         ("host", "; ".join(scheduling_sentences(report.host))),
         *([("device", device)] if not silent else []),
     ]
 
 
 def scheduling_sentences(host: dict[str, Any]) -> list[str]:
-    """Return what the daemon reports of real-time scheduling, a sentence each."""
+    """Return the daemon's report on real-time scheduling as text."""
     if not host:
-        return ["nothing known yet"]
+        return ["not known yet"]
     fifo = host.get("fifo")
     sentences = [f"real-time scheduling at priority {fifo}" if fifo else "no real-time scheduling"]
     refused = host.get("refused", [])

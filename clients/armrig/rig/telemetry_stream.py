@@ -1,4 +1,4 @@
-"""What a rig publishes, live."""
+"""Live messages of a rig."""
 
 from __future__ import annotations
 
@@ -21,14 +21,15 @@ from armrig.rig.session import (
     RigError,
     open_connection,
     service_has_stopped,
+    stopped_sentence,
 )
 
 SILENCE_S = 1.0
-"""After so long without a message the daemon is looked for, in s."""
-_LOOK_S = 1.0  # how long a daemon may take to show that it is there
-_LISTEN_S = 0.002
-_RING = 10_000  # messages that a slow listener may be behind before it misses the oldest
-_RING_BYTES = MOST_RECEIVED  # of them; a stranger's may be as long as that each
+"""Time without a message after which the daemon's presence is checked, in s."""
+_LOOK_TIMEOUT_S = 1.0
+_LISTEN_INTERVAL_S = 0.002
+_RING_MESSAGES = 10_000  # that a slow listener may lag before it misses the oldest
+_RING_BYTES = MOST_RECEIVED  # of all; a single message of a stranger may be as long
 
 
 def stream(
@@ -36,31 +37,31 @@ def stream(
 ) -> Iterator[Any]:
     """Iterate over the live messages of a key such as `rig/1/sample`.
 
-    A stream of samples has no silent break: where some are missing, a `LiveGap` stands in their
-    place, with the reason that the daemon tells, or that this listener fell behind and missed the
-    oldest ones.
+    In a stream of samples, a `LiveGap` replaces missing samples. Its reason is the reason that the
+    daemon reports. If the daemon reports none, this listener was too slow and missed the oldest
+    samples.
 
     Parameters
     ----------
     key : str
-        `rig/<id>/` and one of sample, gap, event, timing, clock and state.
+        `rig/<id>/STREAM`; STREAM is sample, gap, event, timing, clock or state.
     connect : str, optional
-        zenoh endpoint of the daemon; found as by `armrig.Rig`.
+        zenoh endpoint of the daemon; the default is as for `armrig.Rig`.
     certificate : str or Path, optional
-        Our credential, for an endpoint such as tls/lab-1.local:7447.
+        Credential of the client, for an endpoint such as tls/lab-1.local:7447.
 
     Yields
     ------
     Sample, LiveGap or protobuf message
-        Samples as named tuples whose fields carry their unit (`u_applied_v`, `theta_1_rad`), and
-        between them gaps; everything else as `armrig.v1` messages.
+        Samples as named tuples whose fields contain their unit (`u_applied_v`, `theta_1_rad`), and
+        gaps between them; all other messages as `armrig.v1` messages.
 
     Raises
     ------
     NoReplyError
-        There is no daemon, or it went away.
+        There is no daemon, or the daemon stopped.
     RigError
-        The directory of this user's socket may be another user's, or a message is not armrigd's.
+        The socket's directory may belong to another user, or a message did not come from armrigd.
     ValueError
         The key is not a stream of a rig.
     """
@@ -73,31 +74,31 @@ def stream(
 def listen(session: zenoh.Session, key: str, where: str) -> Iterator[Any]:
     """Iterate over the messages of a key in an open session: see `stream`."""
     rig, name = _stream_of(key)
-    with arrivals(session, key) as messages_since, _gaps_told(session, rig, name) as gaps_since:
+    with arrivals(session, key) as messages_since, _reported_gaps(session, rig, name) as gaps_since:
         before: telemetry.Sample | None = None
-        told = told_gaps()
+        reported = told_gaps()
         for messages in _until_gone(session, rig, where, messages_since):
-            # A gap is published before the sample behind it: if that is here, so is the gap.
+            # A gap is published before the sample after it, so it has arrived before this sample.
             for gap in gaps_since():
-                told.add(gap, gap.ByteSize())
+                reported.add(gap, gap.ByteSize())
             for message in messages:
                 if name == "sample":
                     if before is not None:
-                        yield from gaps_between(before, message, told)
+                        yield from gaps_between(before, message, reported)
                     before = message
-                    told.forget_while(partial(_is_over, message.k))
+                    reported.forget_while(partial(_is_over, message.k))
                 yield message
 
 
 def _is_over(k: int, gap: Any) -> bool:
-    """Return whether a gap lies before sample k."""
+    """Return True if all missing samples of a gap are before sample k."""
     return bool(gap.k_first + gap.count <= k)
 
 
-def _gaps_told(
+def _reported_gaps(
     session: zenoh.Session, rig: str, name: str
 ) -> AbstractContextManager[Callable[[], list[Any]]]:
-    """Give what returns the gaps told among the samples since its last call; else nothing."""
+    """Yield a function that returns newly reported gaps; for other streams than samples, none."""
     if name != "sample":
         return nullcontext(list)
     return arrivals(session, topics.stream_key(rig, "gap"))
@@ -106,7 +107,7 @@ def _gaps_told(
 def _until_gone(
     session: zenoh.Session, rig: str, where: str, messages_since: Callable[[], list[Any]]
 ) -> Iterator[list[Any]]:
-    """Give the messages as they come; raises NoReplyError when their daemon has gone."""
+    """Yield lists of messages as they arrive; raise NoReplyError after their daemon has stopped."""
     with session.liveliness().declare_subscriber(
         topics.alive_key(rig), zenoh.handlers.RingChannel(8)
     ) as alive:
@@ -118,19 +119,19 @@ def _until_gone(
             if (change := alive.try_recv()) is not None and change.kind == zenoh.SampleKind.DELETE:
                 raise _gone(rig, where)
             if time.monotonic() - heard_s > SILENCE_S:
-                # The daemon's token is withdrawn over the connection that ends with the daemon, so
-                # its withdrawal may never arrive: ask.
+                # The daemon withdraws its token over a connection that ends with the daemon. The
+                # withdrawal may therefore never arrive.
                 if not _is_alive(session, rig):
                     raise _gone(rig, where)
                 heard_s = time.monotonic()
-            time.sleep(_LISTEN_S)
+            time.sleep(_LISTEN_INTERVAL_S)
 
 
 @contextmanager
 def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
-    """Give a function that returns at once what a key has brought since its last call."""
+    """Yield a function that returns, without waiting, the messages of a key since its last call."""
     rig, name = _stream_of(key)
-    ring: Newest[bytes] = Newest(_RING, _RING_BYTES)
+    ring: Newest[bytes] = Newest(_RING_MESSAGES, _RING_BYTES)
 
     def receive(received: zenoh.Sample) -> None:
         payload = received.payload.to_bytes()
@@ -139,45 +140,46 @@ def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any
     def messages_since() -> list[Any]:
         return [_read(rig, name, payload) for payload in ring.take()]
 
-    # In the thread that receives: another one would be handed them through a queue of zenoh's,
-    # whose bound is their number alone.
+    # The callback runs in the receiving thread. For another thread, zenoh would use a queue that
+    # limits only the number of messages.
     callback = zenoh.handlers.Callback(receive, indirect=False)
     with session.declare_subscriber(key, callback):
         yield messages_since
 
 
 def decoded(name: str, payload: bytes) -> Any:
-    """Return one message of the stream `name`; numbers that it lacks are `protobuf.ABSENT`."""
+    """Decode one message of the stream `name`; missing numbers are `protobuf.ABSENT`."""
     if name != "sample":
         return protobuf.decoded(protobuf.OF_STREAM[name], payload)
     sample = telemetry.decode_sample(payload)
     if sample is not None:
         return sample
-    # The sample of another version, with more or fewer fields.
+    # A sample of another version, with more or fewer fields.
     message = protobuf.decoded(protobuf.SAMPLE, payload)
     return telemetry.Sample._make(getattr(message, field) for field in telemetry.Sample._fields)
 
 
 def _read(rig: str, name: str, payload: bytes) -> Any:
-    """Return one message of a stream; raises RigError where it cannot be decoded."""
+    """Decode one message of a stream; raise RigError if it cannot be decoded."""
     try:
         return decoded(name, payload)
     except DecodeError as err:
         raise RigError(
-            f"rig {rig}: {len(payload)} B of its stream {name!r} cannot be read ({err}); who "
-            "published them is no armrigd, or one of another version"
+            f"rig {rig}: {len(payload)} B of its stream {name!r} cannot be read ({err}); the "
+            "sender is not an armrigd of this version"
         ) from err
 
 
 def _is_alive(session: zenoh.Session, rig: str) -> bool:
-    replies = session.liveliness().get(topics.alive_key(rig), timeout=_LOOK_S)
+    replies = session.liveliness().get(topics.alive_key(rig), timeout=_LOOK_TIMEOUT_S)
     return any(reply.ok is not None for reply in replies)
 
 
 def _gone(rig: str, where: str) -> NoReplyError:
     return NoReplyError(
-        service_has_stopped(rig, where)
-        or f"rig {rig}: its daemon went away; start it with `armrig lab` or `armrigd run`"
+        stopped_sentence(rig)
+        if service_has_stopped(rig, where)
+        else f"rig {rig}: its daemon stopped; start it with `armrig lab` or `armrigd run`"
     )
 
 

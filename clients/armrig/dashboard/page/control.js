@@ -1,4 +1,4 @@
-// What is done to the rig: arm, release, an experiment shown before it runs.
+// Commands to the rig: arm, release, and an experiment with its preview.
 
 import { chart } from "./chart.js";
 import { askJson, attempt, byId, make, notice, owner, setText, show } from "./elements.js";
@@ -22,7 +22,7 @@ const FIELDS = {
   high: { label: "upper level [V]", value: 4.5, step: "any", min: 0, max: 5 },
   a: { label: "switch probability", value: 0.05, step: "any", min: 0, max: 1 },
   seed: { label: "seed", value: 1, min: 0 },
-  file: { label: "file: a row u, or t and u, a sample", type: "file" },
+  file: { label: "file: a row with u, or t and u, for each sample", type: "file" },
   Ts: { label: "sampling time [s]", step: "any", min: 0, placeholder: "the rig's" },
   name: { label: "name for the recording", type: "text", pattern: "[a-z0-9\\-]{0,20}", placeholder: "a-z, 0-9, -" },
 };
@@ -114,7 +114,7 @@ async function preview() {
   plot.setData([found.t, found.u, found.u], true);
   setText("preview-told", unbroken(`${found.experiment}: ${found.N} samples, ${found.seconds.toPrecision(4) * 1} s at Ts = ${found.Ts} s.`));
   const lines = [`${found.rehearsal}.`];
-  if (found.deviations.length) lines.push(`by the handout's figures and a converter's noise it would teach ${found.deviations.join(", ")}.`);
+  if (found.deviations.length) lines.push(`with the handout's parameters and the noise of the converter, the data would determine ${found.deviations.join(", ")}.`);
   byId("preview-lines").replaceChildren(...[...lines, ...found.notes].map((text) => make("li", { textContent: unbroken(text) })));
   allow();
   byId("run").focus();
@@ -130,9 +130,9 @@ async function run() {
   forget();
 }
 
-// A run that waits for a connection of the browser's would begin behind the stop.
+// A run that waits for a connection of the browser would begin after the stop.
 export function withdrawRun() {
-  asking.abort(new Error("the run was not begun: you stopped the rig"));
+  asking.abort(new Error("the run was not started: you stopped the rig"));
 }
 
 async function arm() {
@@ -143,7 +143,7 @@ async function arm() {
 
 async function release() {
   const { released } = await askJson("release", {});
-  notice(released ? "released" : "this page does not have the rig");
+  notice(released ? "released" : "this page has not armed the rig");
 }
 
 export function showControl(found) {
@@ -151,7 +151,7 @@ export function showControl(found) {
   allow();
 }
 
-// What the rig cannot take now is not offered, nor anything to one of which no data come.
+// A button is enabled only if the rig can take its command and sends data.
 export function allow() {
   const answers = !isStale() && !status.trouble;
   byId("run").disabled = going || !answers || !["safe", "armed"].includes(status.phase);
@@ -170,7 +170,7 @@ export function showRun(found) {
   const text = going
     ? `${found.experiment}: ${found.done} of ${found.total || "…"} samples`
     : found.error
-      ? `${found.experiment} did not end well: ${found.error}`
+      ? `${found.experiment} failed: ${found.error}`
       : `${found.experiment} is recorded: ${found.recording}`;
   setText("running-text", text);
   byId("running-text").className = found.error ? "bad-text" : "";

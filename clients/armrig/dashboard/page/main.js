@@ -34,7 +34,7 @@ async function stop() {
   try {
     await ask("stop", { owner: owner() });
     show("undelivered", false);
-    notice("told the rig to stop: 0 V");
+    notice("stop sent: 0 V");
   } catch (error) {
     setText("undelivered-why", error.isSilent ? "The dashboard's server does not answer." : `${error.message}.`);
     show("undelivered", true);

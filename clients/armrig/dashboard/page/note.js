@@ -17,7 +17,7 @@ async function send() {
     field.value = "";
     byId("plots").focus(); // the space bar stops from there
   }
-  notice(recorded ? "the note is in the recording" : "no run is being recorded, so the note is in no recording of the daemon");
+  notice(recorded ? "the note is in the recording" : "no run is being recorded, so the note is not in a recording");
 }
 
 // While the motor may turn the space bar alone is always the stop; with Shift a note takes a blank.

@@ -51,11 +51,11 @@ export async function look(file, list = []) {
   );
   const gaps = found.gaps.map(([t, count, reason]) => make("li", { textContent: `${t.toFixed(2)} s: ${count} samples missing: ${reason}` }));
   const notes = found.notes.map(([t, owner, text]) => make("li", {}, `${t.toFixed(2)} s, ${owner}: ${text}`));
-  if (found.more_notes) notes.push(make("li", { textContent: `${found.more_notes} more, which \`armrig info --verbose\` lists` }));
+  if (found.more_notes) notes.push(make("li", { textContent: `${found.more_notes} more; \`armrig info --verbose\` lists them` }));
   const where = make("div", { id: "curves" });
   const replay = new Replay(charts, () => seen || [0, seconds]);
   const section = (title, items) => (items.length ? [make("h3", { textContent: title }), make("ul", {}, ...items)] : []);
-  const about = [make("h3", { textContent: "About it" }), facts];
+  const about = [make("h3", { textContent: "Details" }), facts];
   byId("one").replaceChildren(heading, verdict, findings, buttons(), make("p", { className: "hint", id: "seen" }), where, replay.element, ...section("Notes", notes), ...about, ...section("Missing samples", gaps), make("div", { id: "model" }));
   charts.push(...SIGNALS.map((signal, i) => curve(where, signal, i === SIGNALS.length - 1)));
   charts.forEach((u, i) => Object.assign(u, { marks: found.notes.map(([x]) => ({ x, kind: "note" })), namesMarks: i === 0 }));
@@ -158,7 +158,7 @@ async function layModel(name, signal, curve) {
 function draw(found, other) {
   const overOf = (key) => (over?.file ? other?.[key] : over?.signal === key ? over.curve : null);
   const [from, to] = seen || [0, seconds];
-  setText("seen", (seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are seen; double-click for the whole length` : "drag across a plot or turn the wheel to zoom, with Shift to move, with Alt to zoom the values") + dashed());
+  setText("seen", (seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are shown; double-click for the whole length` : "drag across a plot or turn the wheel to zoom, with Shift to move, with Alt to zoom the values") + dashed());
   SIGNALS.forEach((signal, i) => {
     charts[i].wanted = [from, to];
     charts[i].setData(aligned(found[signal.key], overOf(signal.key)), true);

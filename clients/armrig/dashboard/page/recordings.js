@@ -42,7 +42,7 @@ function fill() {
   const empty = found.recordings.length ? "No recording has these words." : "There are no recordings yet: run an experiment on the page Live.";
   byId("table").replaceChildren(
     rows.length ? make("table", {}, make("thead", {}, make("tr", {}, ...COLUMNS.map(head))), make("tbody", {}, ...rows.map(row))) : make("p", { textContent: empty }),
-    ...found.left_out.map((why) => make("p", { className: "warn-text", textContent: `not whole: ${why}` })),
+    ...found.left_out.map((why) => make("p", { className: "warn-text", textContent: `damaged: ${why}` })),
   );
   mark();
 }
@@ -61,7 +61,7 @@ function row(one) {
   const button = make("button", { type: "button", textContent: nameOf(one), title: one.file });
   button.addEventListener("click", () => attempt(() => choose(one.file)));
   button.dataset.file = one.file;
-  // Why it ended is told where it is looked at: here a hundred rows may have the same reason.
+  // The recording's own view shows the reason; here many rows may have the same one.
   const early = one.outcome_code === "complete" ? "" : make("div", { className: "warn-text", textContent: "ended early", title: one.outcome });
   return make(
     "tr",

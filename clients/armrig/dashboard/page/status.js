@@ -30,7 +30,7 @@ export function showStatus(found) {
   if (faulty) {
     setText("fault-name", `Fault ${found.fault}:`);
     setText("fault-reason", found.reason);
-    setText("fault-remedy", found.remedy || "mend it");
+    setText("fault-remedy", found.remedy || "correct the cause");
   }
   const run = found.last_run;
   const going = Boolean(run && !run.finished);

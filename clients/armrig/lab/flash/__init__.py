@@ -1,1 +1,1 @@
-"""The firmware goes to a board: which board, avrdude that writes, what the board says then."""
+"""Firmware upload to a board: choice of the board, avrdude, and the board's answer after it."""

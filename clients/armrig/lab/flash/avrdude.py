@@ -1,68 +1,91 @@
-"""How avrdude is called, which writes a program by an Uno's boot loader, and what it says."""
+"""Calls of avrdude, which writes a program through an Uno's boot loader, and their output."""
 
 from __future__ import annotations
 
 import codecs
+import fcntl
+import os
 import re
 import shutil
 import subprocess
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from selectors import EVENT_READ, DefaultSelector
 from tempfile import TemporaryFile
 from time import monotonic
 
+import serial
 from armrig_core.errors import OperationError
+from armrig_protocol.decoder import feed
+from armrig_protocol.frame import encode
+from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
 
 CHIP = "ATmega328P"
 FLASH_BYTES = 32256
-"""What an Uno's boot loader (Optiboot, 512 B) leaves of 32 KiB, in B."""
+"""Flash memory of 32 KiB without the boot loader of an Uno (Optiboot, 512 B), in B."""
 LOADER_BAUD = 115_200
-"""Speed of Optiboot's line, whatever the firmware's."""
+"""Baud rate of Optiboot, independent of the firmware's."""
 OLD_LOADER_BAUD = 57_600
-"""Speed of ATmegaBOOT's line, the boot loader of boards before the Uno and of some copies."""
+"""Baud rate of ATmegaBOOT, the boot loader of boards before the Uno and of some copies."""
 OPTIBOOT_MAJOR = 4
-"""Least major version of an Optiboot of an Uno; ATmegaBOOT says 1.16."""
+"""Least major version of an Uno's Optiboot; ATmegaBOOT reports version 1.16."""
 BROWN_OUT = {4: "4.3 V", 5: "2.7 V", 6: "1.8 V", 7: "none"}
-"""Brown-out level by the three low bits of the extended fuse (data sheet, table 28-5)."""
+"""Brown-out voltage by the three lowest bits of the extended fuse (data sheet, table 28-5)."""
 WANTED_FUSE = 0xFC
-"""Extended fuse of 4.3 V: 16 MHz want 3.8 V at least (data sheet, figure 29-1)."""
+"""Extended fuse for 4.3 V; a clock of 16 MHz needs at least 3.8 V (data sheet, figure 29-1)."""
 INSTALL = "avrdude writes the firmware, and is not installed: apt install avrdude"
-_LONGEST_S = 90.0  # three attempts to be heard take 17 s, an Uno full of program 10 s
-_BLOCKS = 50  # a whole bar of avrdude's
+_TIMEOUT_S = 90.0  # three attempts to connect take 17 s, a full Uno 10 s
+_BLOCKS = 50  # of avrdude's full progress bar
 _BAR = re.compile(r"(Reading|Writing|Verifying) +\| (#*)")
-_NOT_WHOLE = "the board may hold half a program: leave the motor unplugged, and flash again"
+_INCOMPLETE = "the program may be incomplete: leave the motor unplugged, and flash again"
 _UNTOUCHED = "nothing was written"
 
-# What avrdude's lines mean, the first that is found; 7.1 and 6.3 say them alike.
+# Meanings of avrdude's lines; the first match counts. Versions 7.1 and 6.3 print the same lines.
 _REASONS = (
     (
         r"expected signature for|invalid device signature",
-        f"the chip on the board is no {CHIP}: it is no Uno; nothing was written",
+        f"the chip on the board is not an {CHIP}, so it is not an Uno; nothing was written",
     ),
     (
         r"verif\w+ (?:error|mismatch)",
-        f"what the board holds is not what was written; {_NOT_WHOLE}",
+        f"the board's memory differs from the written program; {_INCOMPLETE}",
     ),
     (
         r"not in sync|not responding|protocol e|unable to open programmer|can't open programmer",
         "the board's boot loader does not answer; another cable or socket may help, and another "
-        "program must not have the port; it must be an Uno with Optiboot",
+        "program must not use the port; the board must be an Uno with Optiboot",
     ),
 )
 _OLD_LOADER = (
-    "the boot loader is ATmegaBOOT or one like it, and not Optiboot: it may leave the hardware's "
-    "watchdog on, and a board that this has reset would be reset for ever; nothing was written. "
-    "Write Optiboot by an ISP programmer (docs/hardware.md), or take an Uno"
+    "the boot loader is ATmegaBOOT or similar, not Optiboot: it may leave the hardware's watchdog "
+    "on, so that the board would be reset for ever; nothing was written. Write Optiboot with an "
+    "ISP programmer (docs/hardware.md), or use an Uno"
 )
 
 
 Moved = Callable[[int, int, str], None]
-"""Takes how many blocks of how many are done, and what is being done."""
+"""Callback with the number of blocks done, the number of all blocks, and the current step."""
+_UNOS = {
+    (0x2341, 0x0043): "Arduino Uno R3",
+    (0x2341, 0x0001): "Arduino Uno",
+    (0x2A03, 0x0043): "Arduino Uno R3 (arduino.org)",
+    (0x1A86, 0x7523): "Uno with a CH340",
+}
+"""Names by USB vendor and product. Other boards use the CH340, too, so avrdude checks the chip."""
+_FREE_PORT = (
+    "end that program first, which sets the motor to 0 V: Ctrl-C for `armrig lab` or "
+    "`armrigd run`, or `systemctl stop armrigd@ID`"
+)
+WITHIN_S = 6.0
+"""Longest time until a board answers, in s; its boot loader first waits for a second or two."""
+_REPEAT_S = 0.25  # bytes during the boot are lost
 
 
 def find() -> str | None:
-    """Return avrdude's path, or None."""
+    """Return the path of avrdude; None if it is not installed."""
     return shutil.which("avrdude")
 
 
@@ -72,7 +95,7 @@ def loader(program: str, port: str) -> str:
     Raises
     ------
     OperationError
-        The boot loader does not answer, or is another one.
+        The boot loader does not answer, or is not Optiboot.
     """
     try:
         said = _run(_question(program, port, LOADER_BAUD), _ignore, _UNTOUCHED)[1]
@@ -89,68 +112,66 @@ def loader(program: str, port: str) -> str:
 
 
 def _question(program: str, port: str, baud: int) -> list[str]:
-    """Return the call that asks a boot loader for its version, and writes nothing."""
+    """Return the command line that reads a boot loader's version and writes nothing."""
     chosen = ("-p", CHIP.lower(), "-c", "arduino", "-P", port, "-b", str(baud))
     return [program, *chosen, "-x", "attempts=3", "-v"]
 
 
 def fuse(program: str, programmer: str, port: str | None) -> int:
-    """Return the extended fuse, read by an ISP programmer; no boot loader of an Uno reads it.
+    """Read the extended fuse with an ISP programmer; an Uno's boot loader cannot read it.
 
     Raises
     ------
     OperationError
-        It cannot be read.
+        The fuse cannot be read.
     """
     at = [] if port is None else ["-P", port]
     call = [program, "-p", CHIP.lower(), "-c", programmer, *at, "-U", "efuse:r:-:h"]
     try:
         out = _run(call, _ignore, _UNTOUCHED)[0].split()
     except OperationError as err:
-        msg = (
-            f"avrdude reads nothing by {programmer}: plug the programmer in, and connect it to the "
-        )
+        msg = f"avrdude cannot read by {programmer}: plug the programmer in, and connect it to the "
         raise OperationError(f"{msg}board's ISP pins; --port names its port if it has one") from err
     value = int(out[-1], 16) if out and re.fullmatch("0x[0-9a-f]{1,2}", out[-1]) else 0
     if not value:
-        msg = f"avrdude reads no extended fuse by {programmer}: a boot loader answers 0 to it; "
-        raise OperationError(msg + "an ISP programmer is needed, such as usbasp")
+        msg = f"avrdude got no extended fuse through the programmer {programmer} (a boot loader "
+        raise OperationError(msg + "always answers 0): use an ISP programmer, such as usbasp")
     return value
 
 
 def command(program: str, *, port: str, image: Path) -> list[str]:
-    """Return the call that writes `image` and reads it back."""
+    """Return the command line that writes `image` and reads it back."""
     return [
         program,
         *("-p", CHIP.lower(), "-c", "arduino", "-P", port, "-b", str(LOADER_BAUD)),
-        "-D",  # Optiboot erases each page by itself, and knows no erasing of the whole chip
-        *("-x", "attempts=3"),  # of 10, which take a minute
+        "-D",  # Optiboot erases each page itself, and cannot erase the whole chip
+        *("-x", "attempts=3"),  # the default, 10, takes a minute
         *("-U", f"flash:w:{image}:i"),
     ]
 
 
 def write(call: Sequence[str], moved: Moved) -> None:
-    """Run avrdude, and tell `moved` how far it is.
+    """Run avrdude, and report its progress to `moved`.
 
     Raises
     ------
     OperationError
-        It failed, or did not end.
+        avrdude failed, or did not end in time.
     """
-    _run(call, moved, _NOT_WHOLE)
+    _run(call, moved, _INCOMPLETE)
 
 
 def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
-    """Return what avrdude printed and what it said; `after` is what a failure leaves behind."""
+    """Run avrdude; return its output and messages. `after` describes the board after a failure."""
     with TemporaryFile() as printed:
         avrdude = subprocess.Popen(
             call, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE
         )
         try:
             said = _read(avrdude, moved)
-            code = avrdude.wait(timeout=_LONGEST_S)
+            code = avrdude.wait(timeout=_TIMEOUT_S)
         except subprocess.TimeoutExpired as err:
-            raise OperationError(f"avrdude did not end within {_LONGEST_S:.0f} s; {after}") from err
+            raise OperationError(f"avrdude did not end within {_TIMEOUT_S:.0f} s; {after}") from err
         except KeyboardInterrupt as err:
             raise KeyboardInterrupt(f"interrupted; {after}") from err
         finally:
@@ -165,12 +186,12 @@ def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
 
 
 def _ignore(done: int, total: int, name: str) -> None:
-    """Take no note of progress."""
+    """Ignore the progress."""
 
 
 def _read(avrdude: subprocess.Popen[bytes], moved: Moved) -> str:
-    """Return all that avrdude says, up to its end."""
-    until_s = monotonic() + _LONGEST_S
+    """Wait for the end of avrdude, and return all its messages."""
+    until_s = monotonic() + _TIMEOUT_S
     decoder = codecs.getincrementaldecoder("utf-8")("replace")
     said = ""
     if avrdude.stderr is None:
@@ -180,7 +201,7 @@ def _read(avrdude: subprocess.Popen[bytes], moved: Moved) -> str:
         while True:
             left_s = until_s - monotonic()
             if left_s <= 0 or not selector.select(left_s):
-                raise subprocess.TimeoutExpired(avrdude.args, _LONGEST_S)
+                raise subprocess.TimeoutExpired(avrdude.args, _TIMEOUT_S)
             piece = avrdude.stderr.read1(4096)  # type: ignore[attr-defined]
             if not piece:
                 return said
@@ -189,22 +210,163 @@ def _read(avrdude: subprocess.Popen[bytes], moved: Moved) -> str:
 
 
 def progress(said: str) -> tuple[int, int, str]:
-    """Return how many blocks of how many avrdude's newest bar shows, and what it does."""
+    """Return the blocks done, all blocks, and the step that avrdude's newest bar shows."""
     bars = _BAR.findall(said)
-    if not any(doing == "Writing" for doing, _ in bars):  # what is read before is the signature
+    if not any(doing == "Writing" for doing, _ in bars):  # the signature is read before
         return 0, _BLOCKS, "asking the boot loader"
     doing, blocks = bars[-1]
     return len(blocks), _BLOCKS, "writing" if doing == "Writing" else "reading back"
 
 
-def reason(said: str, after: str = _NOT_WHOLE) -> str:
-    """Return why avrdude failed, in a line for a person."""
+def reason(said: str, after: str = _INCOMPLETE) -> str:
+    """Return the reason why avrdude failed, in one line."""
     for pattern, meaning in _REASONS:
         if re.search(pattern, said, re.IGNORECASE):
             return meaning
     lines = [line.strip() for line in said.splitlines()]
     lines = [line for line in lines if re.match(r"avrdude(?: error| OS error)?: ", line)]
-    # Of a port without such lines, as a pseudo-terminal: said at its end, whatever failed before.
+    # A port without such lines, such as a pseudo-terminal, reports this at its end in any case.
     lines = [line for line in lines if "ioctl(" not in line]
     last = lines[-1] if lines else "nothing"
-    return f"avrdude failed and said: {last}; {after}"
+    return f"avrdude failed and printed: {last}; {after}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Board:
+    """A board at a serial port."""
+
+    port: str
+    name: str
+    is_uno: bool
+    """True if the board is known to be an Uno."""
+
+    def __str__(self) -> str:
+        """Return the board and its port."""
+        return f"{self.name} at {self.port}"
+
+
+def plugged_in() -> list[Board]:
+    """Return the boards that are connected by USB, in the order of their ports."""
+    from serial.tools.list_ports import comports
+
+    return [
+        _board(port.device, port.vid, port.pid, port.description)
+        for port in sorted(comports())
+        if port.vid is not None
+    ]
+
+
+def chosen(port: str | None, boards: Sequence[Board]) -> Board:
+    """Return the board at `port`, or the only Uno that is plugged in.
+
+    Raises
+    ------
+    OperationError
+        The port does not exist; or without a port, there is no Uno or more than one Uno.
+    """
+    if port is not None:
+        return _at(port, boards)
+    unos = [board for board in boards if board.is_uno]
+    if len(unos) == 1:
+        return unos[0]
+    if unos:
+        msg = f"{len(unos)} boards: {_list(unos)}; choose one by --port"
+    elif boards:
+        msg = f"no Uno is plugged in, but {_list(boards)}; if it is an Uno, give --port"
+    else:
+        msg = "no board is plugged in by USB; plug an Uno in, or give its port by --port"
+    raise OperationError(msg)
+
+
+@contextmanager
+def held(board: Board) -> Iterator[None]:
+    """Lock the board's port during the block, so that no daemon uses it.
+
+    A daemon locks its port in the same way. If a daemon holds the port, no byte is sent, and the
+    board is not reset: only the first opening of a port resets the board.
+
+    Raises
+    ------
+    OperationError
+        The port cannot be opened, or another program holds it.
+    """
+    port = board.port
+    try:
+        fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except PermissionError as err:
+        raise OperationError(
+            f"{port}: not permitted; add this user to the group of the port (dialout)"
+        ) from err
+    except OSError as err:
+        raise OperationError(f"{port} cannot be opened: {err.strerror}") from err
+    try:
+        if not os.isatty(fd):
+            raise OperationError(
+                f"{port} is not a serial port; give the board's port, such as /dev/ttyACM0"
+            )
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as err:
+            raise OperationError(
+                f"{port} is held by another program, such as a rig's daemon; {_FREE_PORT}"
+            ) from err
+        yield
+    finally:
+        os.close(fd)
+
+
+def _at(port: str, boards: Sequence[Board]) -> Board:
+    if not Path(port).exists():
+        there = f"; there is {_list(boards)}" if boards else ""
+        raise OperationError(f"{port} does not exist{there}")
+    real = str(Path(port).resolve())  # of /dev/armrig-SERIAL
+    for board in boards:
+        if board.port == real:
+            return Board(port=port, name=board.name, is_uno=board.is_uno)
+    return Board(port=port, name="unknown board: no USB device", is_uno=False)
+
+
+def _board(port: str, vendor: int, product: int, description: str) -> Board:
+    name = _UNOS.get((vendor, product), "")
+    ids = f"{vendor:04X}:{product:04X}"
+    unknown = f"unknown board: {description or 'without a name'} ({ids})"
+    return Board(port=port, name=f"{name} ({ids})" if name else unknown, is_uno=bool(name))
+
+
+def _list(boards: Sequence[Board]) -> str:
+    return ", ".join(map(str, boards))
+
+
+def greeting(port: str, baud: int, within_s: float = WITHIN_S) -> HelloReply | None:
+    """Open the port, which resets an Uno, and return the answer to HELLO; None without an answer.
+
+    HELLO contains no command, so the motor does not move with any program on the board. The caller
+    must hold the port (`held`).
+
+    Raises
+    ------
+    OperationError
+        The port cannot be opened, or was removed.
+    """
+    until_s = time.monotonic() + within_s
+    with _opened(port, baud) as line:
+        pending, seq = b"", 0
+        while time.monotonic() < until_s:
+            line.write(b"\0" + encode(Hello(0, seq, VERSION, SCHEMA_HASH)))
+            seq += 1
+            repeat_s = time.monotonic() + _REPEAT_S
+            while time.monotonic() < repeat_s:
+                pending, messages = feed(pending, line.read(1) + line.read(line.in_waiting))
+                for message in messages:
+                    if isinstance(message, HelloReply):
+                        return message
+    return None
+
+
+@contextmanager
+def _opened(port: str, baud: int) -> Iterator[serial.Serial]:
+    try:
+        with serial.Serial(port, baudrate=baud, timeout=0.02, write_timeout=1.0) as line:
+            yield line
+    except (OSError, ValueError) as err:  # also SerialException, if the board is unplugged
+        raise OperationError(f"{port}: {' '.join(str(err).split())}") from err

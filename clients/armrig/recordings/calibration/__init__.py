@@ -1,4 +1,4 @@
-"""What a rig's counts and codes mean: estimated from recordings made for it."""
+"""Calibration of a rig's counts and codes, estimated from recordings made for it."""
 
 from __future__ import annotations
 

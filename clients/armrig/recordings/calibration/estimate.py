@@ -1,4 +1,4 @@
-"""A calibration from recordings: a rest, a few slow turns, and readings of a meter."""
+"""Estimation of a calibration from recordings at rest and in slow turns, and from a voltmeter."""
 
 from __future__ import annotations
 
@@ -41,39 +41,39 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
 
-_UNSTEADY = 1.5  # residuals at constant speed over what noise and rounding explain
-_METER_MAY_ERR = 1.005  # what a common meter's reading is uncertain by
-_MOVED = 10.0  # spread of readings at rest, in steps of the converter
+MAX_STEADY_RATIO = 1.5  # ratio of the residuals at constant speed to noise and rounding
+_METER_TOLERANCE = 1.005  # relative uncertainty of a common meter's reading
+_MAX_REST_STEPS = 10.0  # spread of readings at rest, in steps of the converter
 CLEAR = 8.0
-"""Deflections are told from noise of so many standard deviations, and a step beside."""
+"""Threshold of the arm's deflection: this number of standard deviations of noise, plus one step."""
 HAND_RAD = 0.02
-"""Shortest deflection by hand that counts, in rad: a touch says nothing."""
+"""Smallest deflection by hand that determines alpha's sign, in rad; a touch deflects less."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Estimate:
-    """What the recordings say; None for what they cannot say."""
+    """Estimated calibration; None for values that the recordings do not determine."""
 
     theta_1_zero: Figure
-    """Reading where the chassis stood at rest, which is theta_1 = 0, in counts."""
+    """Reading of the chassis at rest, which defines theta_1 = 0, in counts."""
     theta_1_noise: Figure
     """Standard deviation of theta_1's readings at rest, in counts."""
     alpha_zero: Figure
-    """Reading of the arm at rest, which is alpha = 0, in counts."""
+    """Reading of the arm at rest, which defines alpha = 0, in counts."""
     alpha_noise: Figure
     """Standard deviation of alpha's readings at rest, in counts."""
     alpha_sign: int
-    """Sign of alpha for growing counts; 0 where it was not seen."""
+    """Sign of alpha's rad per count; 0 if no deflection was seen."""
     resolution: int
-    """The converter's step, in counts."""
+    """Step of the converter, in counts."""
     turned: Turning | None
-    """theta_1's potentiometer over whole turns."""
+    """Results for theta_1's potentiometer; None without a recording of turns."""
     speeds: Speeds | None
-    """Of the motor; None for fewer than two voltages."""
+    """Line of the motor's speed against its voltage; None for fewer than two voltages."""
     terminal: TerminalVoltage | None
-    """Of the driver; None without a meter."""
+    """Line of the driver's terminal voltage against u; None without readings of a meter."""
     warnings: tuple[str, ...]
-    """What speaks against it, one sentence each."""
+    """Warnings about the calibration, one sentence each."""
 
     @property
     def rad_per_count(self) -> Figure | None:
@@ -86,7 +86,7 @@ class Estimate:
 
     @property
     def dead_band(self) -> Figure | None:
-        """Angle over which theta_1 shows nothing, in rad."""
+        """Angle of the dead band of theta_1, in rad."""
         if self.turned is None:
             return None
         low, high, d = self.turned.low, self.turned.high, self.turned.per_turn
@@ -95,14 +95,14 @@ class Estimate:
         return Figure(value=tau * (1 - share), std=tau * std)
 
     def plot(self, turns: Recording | Readings, *, ax: Axes | None = None) -> Drawing:
-        """Return a figure of what the turns say: see `armrig.plots.plot_calibration`."""
+        """Return a figure of the turns: see `armrig.plots.plot_calibration`."""
         from armrig.plots.layout import figure_of
         from armrig.recordings.calibration.figures import plot_calibration
 
         return figure_of(plot_calibration(self, turns, ax=ax))
 
     def figures(self) -> dict[str, Figure]:
-        """Return all that was measured, by names that end in their units."""
+        """Return the measured values, with standard deviations, by names that contain the unit."""
         found: dict[str, Figure | None] = {
             "theta_1_zero_counts": self.theta_1_zero,
             "theta_1_noise_counts": self.theta_1_noise,
@@ -124,14 +124,15 @@ class Estimate:
         return {name: figure for name, figure in found.items() if figure is not None}
 
     def calibration(self, base: Calibration, made: Made) -> Calibration:
-        """Return the calibration; what was not measured is that of `base`.
+        """Return the calibration; `base` supplies the values that were not measured.
 
         Parameters
         ----------
         base : Calibration
-            Such as the one in force until now: alpha's rad per count is always its.
+            Calibration that is changed, such as the current calibration. The magnitude of alpha's
+            rad per count is always taken from `base`.
         made : Made
-            How the recordings came about; gets the figures.
+            Origin of the recordings, to which the measured values are added.
         """
         size, alpha = self.rad_per_count, base.alpha
         scale = base.theta_1.rad_per_count if size is None else size.value
@@ -168,23 +169,25 @@ def estimate(
     Parameters
     ----------
     rest : Recording or Readings
-        0 V, the chassis standing where theta_1 is to be 0, the arm hanging still.
+        Recording at 0 V. The chassis rests at the position of theta_1 = 0, and the arm hangs still.
     turns : Recording or Readings, optional
-        0 V, then one voltage or more, each held for a few turns: two or more tell the voltage at
-        which the motor stands.
+        Recording at 0 V and then one voltage or more, each held for a few turns. The voltage at
+        which the motor stops is estimated from two or more voltages.
     deflected : Recording or Readings, optional
-        0 V, the arm held by hand towards positive alpha: its sign where the turns do not show it.
+        Recording at 0 V, the arm held by hand towards positive alpha. The sign of alpha is
+        estimated from `deflected`, and from `turns` if `deflected` shows no deflection.
     meter : sequence of (float, float), optional
-        Voltage of a code and that of the motor's terminals, both in V.
+        Pairs of a code's voltage and the voltage measured at the motor's terminals, both in V.
     meter_std_v : float, default 0.01
         Standard deviation of a reading of the meter, in V.
     base : Calibration, optional
-        About how much a count of alpha is, for its deflection by hand.
+        Calibration with the approximate rad per count of alpha, to convert the deflection by hand.
 
     Raises
     ------
     InputError
-        The recordings cannot say it: the shaft did not turn on, or stood in the dead band.
+        The recordings do not determine a calibration: for example, the shaft did not turn in one
+        direction, or rested in the dead band.
     """
     still = _at_rest(rest)
     run = None if turns is None else readings_of(turns)
@@ -195,8 +198,9 @@ def estimate(
     if turned is None:
         noise_1, noise_2 = (noise_before_rounding(s.value**2, step) for s in (theta_1, alpha))
     else:
-        # The spread at rest depends on where in a step the readings are; over whole turns it does
-        # not. One converter reads both angles, so that both have this noise.
+        # The spread at rest depends on the position of the readings in a step of the converter. The
+        # spread over whole turns does not. One converter reads both angles, so both angles have
+        # this noise.
         noise_1 = noise_2 = noise_before_rounding(turned.residual_variance, step)
     alpha_zero = mean_reading(still.alpha, step, noise_2)
     sign = 0
@@ -221,33 +225,35 @@ def estimate(
 
 
 def _at_rest(rest: Recording | Readings) -> Readings:
-    """Return the readings at rest; refuse a rest that was driven, or shows no angle."""
+    """Return the readings at rest; refuse driven readings and readings at a rail."""
     still = readings_of(rest)
     if (still.u != 0).any():
-        raise InputError("the recording at rest was driven: it must be at 0 V throughout")
+        raise InputError("the motor was driven in the recording at rest: all voltages must be 0 V")
     if still.N < 2:
-        raise InputError(f"the rest has {plural(still.N, 'sample')}: record a second or more")
+        raise InputError(
+            f"the recording at rest has {plural(still.N, 'sample')}: record a second or more"
+        )
     for name, counts, way_out in (
         (THETA_1, still.theta_1, "turn the chassis out of the dead band"),
-        (ALPHA, still.alpha, "see to its wires, and that the arm hangs free"),
+        (ALPHA, still.alpha, "check its wires and that the arm hangs free"),
     ):
         if at_rail(counts).any():
             raise InputError(
-                f"{name} reads {counts.mean():.0f} of 65535 at rest, an end of its range: "
-                f"{way_out}, then record the rest again"
+                f"{name} reads {counts.mean():.0f} of 65535 at rest, at an end of its range: "
+                f"{way_out}, then record at rest again"
             )
     return still
 
 
 def _overvoltage(terminal: TerminalVoltage | None) -> list[str]:
-    """Return what to do about a driver that gives more than the rig stands."""
+    """Return a warning, with its remedy, if the driver's voltage exceeds the rig's limit."""
     offset, gain = (terminal or IDEAL_DRIVER).line
     most = offset + gain * U_MAX_V
-    if most <= U_MAX_V * _METER_MAY_ERR:
+    if most <= U_MAX_V * _METER_TOLERANCE:
         return []
     return [
-        f"at the code of {U_MAX_V:g} V the motor gets {most:.2f} V, and beyond {U_MAX_V:g} V the "
-        f"rig is destroyed: set limits.u_max_v = {(U_MAX_V - offset) / gain:.2f} or less"
+        f"a code of {U_MAX_V:g} V applies {most:.2f} V to the motor, and more than {U_MAX_V:g} V "
+        f"destroys the rig: set limits.u_max_v = {(U_MAX_V - offset) / gain:.2f} or less"
     ]
 
 
@@ -255,39 +261,39 @@ def _warnings(
     theta_1: Figure, alpha: Figure, step: int, turned: Turning | None, sign: int
 ) -> list[str]:
     found = [
-        f"{name} moved while it was to rest: its readings spread by {s.value:.0f} counts, "
-        f"{degrees(s.value * tau / 65536):.1f}°"
+        f"{name} moved in the recording at rest: the standard deviation of its readings is "
+        f"{s.value:.0f} counts, {degrees(s.value * tau / 65536):.1f}°"
         for name, s in ((THETA_1, theta_1), (ALPHA, alpha))
-        if s.value > _MOVED * step
+        if s.value > _MAX_REST_STEPS * step
     ]
     if not sign:
-        found.append("the arm was not seen to deflect: alpha's sign is the one configured")
+        found.append("no deflection of the arm was seen: alpha keeps the configured sign")
     if turned is not None:
         expected = sqrt(theta_1.value**2 + rounding_variance(step, 0.0))
         off = sqrt(turned.residual_variance)
-        if off > _UNSTEADY * expected:
+        if off > MAX_STEADY_RATIO * expected:
             found.append(
-                f"theta_1 is {off:.0f} counts rms off a constant speed, where its noise explains "
-                f"{expected:.0f}: the angle of a count is less certain than its standard deviation "
-                "says"
+                f"theta_1 deviates from a constant speed by {off:.0f} counts rms, and its "
+                f"noise explains {expected:.0f} counts: the angle of a count is less accurate than "
+                "its standard deviation indicates"
             )
     return found
 
 
 def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
-    """Return the sign of alpha for growing counts, 0 where the arm was not seen to deflect.
+    """Return the sign of alpha's rad per count; 0 if no deflection of the arm was seen.
 
-    When the motor sets the chassis in motion from rest, towards positive angles, the arm stays
-    behind: alpha is negative first.
+    When the motor accelerates the chassis from rest towards positive angles, the arm lags. alpha is
+    therefore negative first.
 
     Parameters
     ----------
     readings : Readings
-        A run that begins at 0 V and at rest.
+        Run that begins at 0 V and at rest.
     noise : float
         Standard deviation of alpha's readings at rest, in counts.
     step : float
-        The converter's step, in counts.
+        Step of the converter, in counts.
     """
     driven = np.flatnonzero(readings.u > 0)
     if not driven.size or driven[0] == 0:
@@ -299,19 +305,19 @@ def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
 
 
 def sign_by_hand(readings: Readings, rest: Figure, rad_per_count: float) -> int:
-    """Return the sign of alpha for growing counts; 0 where the arm was deflected either way or not.
+    """Return the sign of alpha's rad per count; 0 if the arm was deflected by less than `HAND_RAD`.
 
     Parameters
     ----------
     readings : Readings
-        The arm deflected by hand towards positive alpha, and let go or held.
+        Run in which the arm is deflected by hand towards positive alpha, then held or released.
     rest : Figure
-        Reading at rest, in counts.
+        Reading of the arm at rest, in counts.
     rad_per_count : float
-        About how much a count is, in rad; the sign does not matter.
+        Approximate angle of a count of alpha, in rad; its sign is ignored.
     """
     deflection = (readings.alpha - rest.value) * abs(rad_per_count)
-    # Quantiles count the time in which the arm is held; once let go it swings either way.
+    # The quartiles follow the held arm. After its release, the arm swings to both sides.
     low, high = np.quantile(deflection, [0.25, 0.75])
     farthest = max(low, high, key=abs)
     return 0 if abs(farthest) < HAND_RAD else int(np.sign(farthest))

@@ -1,4 +1,4 @@
-"""Figure of a calibration: the potentiometer over its turns, and the motor's line."""
+"""Figure of a calibration: the potentiometer over its turns, and the motor's speeds."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ Vector = NDArray[np.float64]
 def plot_calibration(
     estimate: Estimate, turns: Recording | Readings, *, ax: Axes | None = None
 ) -> Axes:
-    """Show theta_1's readings with the edges of its track and, below, speed against voltage.
+    """Plot theta_1's readings and the edges of its track; below, plot speed against voltage.
 
     Parameters
     ----------
     turns : Recording or Readings
-        The run of constant voltages that the estimate is of.
+        Run of constant voltages from which the estimate was made.
 
     Raises
     ------
     InputError
-        The estimate is of a rest only.
+        The estimate was made from a recording at rest only.
     """
     turned, size = estimate.turned, estimate.rad_per_count
     if turned is None or size is None:
-        raise InputError("there is no figure of a calibration without turns: record them, --volts")
+        raise InputError("no figure of a calibration without turns: record turns with --volts")
     ax, below = panels(ax, 0.45, sharex=False)
     readings = readings_of(turns)
     ax.plot(readings.t, readings.theta_1, ".", color=BLUE, ms=1.5)
@@ -62,7 +62,7 @@ def plot_calibration(
 def _plot_speeds(
     ax: Axes, turned: Turning, speeds: Speeds | None, terminal: TerminalVoltage | None
 ) -> None:
-    """Show the speed at each voltage with ±2 σ, and the line through them."""
+    """Plot the speed at each voltage with ±2 σ, and the line through the speeds."""
     offset, gain = (terminal or IDEAL_DRIVER).line
     v = offset + gain * turned.volts
     scale = 2 * np.pi * turned.direction / turned.per_turn.value
@@ -70,12 +70,12 @@ def _plot_speeds(
     std = abs(scale) * np.sqrt(np.diag(turned.covariance)[:-1])
     ax.errorbar(v, omega, 2 * std, fmt="o", color=BLUE, ms=4, lw=1.0, capsize=3, label="measured")
     if speeds is not None:
-        stands = speeds.zero_torque.value
-        ends = np.array([stands, 1.05 * float(v.max())])
+        stop = speeds.zero_torque.value
+        ends = np.array([stop, 1.05 * float(v.max())])
         rate = f"{with_std(speeds.rate.value, speeds.rate.std)} rad/s/V"
-        ax.plot(ends, speeds.rate.value * (ends - stands), color=INK, lw=0.9, label=rate)
-        at = f"stands at {with_std(stands, speeds.zero_torque.std)} V"
-        ax.plot(stands, 0.0, "s", color=VERMILION, ms=5, mfc="none", ls="none", label=at)
+        ax.plot(ends, speeds.rate.value * (ends - stop), color=INK, lw=0.9, label=rate)
+        at = f"stops at {with_std(stop, speeds.zero_torque.std)} V"
+        ax.plot(stop, 0.0, "s", color=VERMILION, ms=5, mfc="none", ls="none", label=at)
     ax.axhline(0, color=GREY, lw=0.6)
     ax.set_xlabel("$u$ at the terminals [V]" if terminal is not None else "$u$ of the code [V]")
     ax.set_ylabel(r"$\dot\theta_1$ [rad/s]")

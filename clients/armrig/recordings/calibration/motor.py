@@ -1,4 +1,4 @@
-"""The motor: terminal volts for a code, speed for a volt, and the voltage at which it stands."""
+"""Motor: terminal voltage at a code, speed at a voltage, and the voltage at which it stops."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TerminalVoltage:
-    """Terminal voltage = offset + gain · u, from a meter."""
+    """Line of the terminal voltage, offset + gain · u, estimated from readings of a meter."""
 
     line: Vector
-    """(offset in V, gain)."""
+    """Offset in V, and gain."""
     covariance: Matrix
-    """Of the two; offset's are 0 where one reading had to do."""
+    """Covariance matrix of offset and gain; entries of the offset are 0 for a single reading."""
 
     @property
     def offset(self) -> Figure:
@@ -36,24 +36,24 @@ class TerminalVoltage:
 
     @property
     def gain(self) -> Figure:
-        """Terminal volts for a volt of u."""
+        """Volts at the terminals per volt of u."""
         return Figure(value=float(self.line[1]), std=sqrt(float(self.covariance[1, 1])))
 
 
 STANDSTILL_RAD_S = 0.1
-"""A chassis slower than this, in rad/s, is held by its friction: its speed is not on the line."""
+"""Measured speeds below this, in rad/s, are not used, because friction holds the chassis."""
 IDEAL_DRIVER = TerminalVoltage(line=np.array([0.0, 1.0]), covariance=np.zeros((2, 2)))
-"""A driver that nobody has measured."""
+"""Line of an ideal driver, without a measurement: the terminal voltage is u."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Speeds:
-    """The line of the speeds: speed = rate · (terminal voltage - zero_torque)."""
+    """Line of the speed against the voltage: speed = rate · (terminal voltage - zero_torque)."""
 
     rate: Figure
-    """Speed of the chassis for a volt at the terminals, in rad/s/V."""
+    """Speed of the chassis per volt at the terminals, in rad/s/V."""
     zero_torque: Figure
-    """Terminal voltage at which the line reaches speed 0, in V: friction and offset together."""
+    """Terminal voltage at which the line has speed 0, in V; contains both friction and offset."""
 
 
 def terminal_voltage(
@@ -61,36 +61,37 @@ def terminal_voltage(
 ) -> TerminalVoltage | None:
     """Return the line through the readings of a meter; None without readings.
 
-    One reading gives the gain of a line through 0; two or more give the offset, too.
+    One reading determines the gain of a line through 0. Two or more readings also determine the
+    offset.
 
     Parameters
     ----------
     meter : sequence of (float, float)
-        Voltage of the code, and what the meter showed at the motor's terminals, both in V.
+        Pairs of a code's voltage and the meter's reading at the motor's terminals, both in V.
     meter_std_v : float
         Standard deviation of a reading, in V.
 
     Raises
     ------
     InputError
-        A voltage is not possible, or all readings are at the same one.
+        A voltage is out of range, or two or more readings are all at the same code.
     """
     if not meter:
         return None
     if not 0 < meter_std_v < U_MAX_V:
-        raise InputError(f"a meter's standard deviation of {meter_std_v:g} V: must be more than 0")
+        raise InputError(f"a meter's standard deviation of {meter_std_v:g} V: it must be above 0 V")
     u, y = np.array(meter, dtype=np.float64).T
     for volts, shown in meter:
         if not (0 < volts <= U_MAX_V and isfinite(shown) and 0 < shown < 2 * U_MAX_V):
             raise InputError(
-                f"{shown:g} V at a code of {volts:g} V: must be more than 0 V at a code above 0"
+                f"{shown:g} V at a code of {volts:g} V: must be above 0 V at a code above 0 V"
             )
     if u.size == 1:
         gain, std = y[0] / u[0], meter_std_v / u[0]
         return TerminalVoltage(line=np.array([0.0, gain]), covariance=np.diag([0.0, std**2]))
     if np.ptp(u) == 0:
         raise InputError(
-            f"all readings of the meter are at {u[0]:g} V: read it at another code, too"
+            f"all readings of the meter are at {u[0]:g} V: read the meter at another code, too"
         )
     basis = orthonormal(np.column_stack([np.ones(u.size), u]))
     return TerminalVoltage(
@@ -99,10 +100,11 @@ def terminal_voltage(
 
 
 def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
-    """Return the line of the speeds over the voltages; None for fewer than two voltages.
+    """Return the line of the speed against the voltage; None for fewer than two voltages.
 
-    The speeds are 2 pi b_j / d; their covariance comes from that of the slopes b_j and of the
-    counts of a turn d, and weights the line. The meter's errors are independent of both.
+    The speeds are 2 pi b_j / d. Their covariance follows from the covariance of the slopes b_j and
+    the counts of a turn d. The inverse of the speeds' covariance weights the line. The errors of
+    the meter are independent of the b_j and d.
     """
     d = turned.per_turn.value
     omega = 2 * pi * turned.direction * turned.slopes / d
@@ -111,16 +113,16 @@ def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
     if np.unique(v).size < 2:
         return None
     J = np.column_stack([np.eye(omega.size) * turned.direction * 2 * pi / d, -omega / d])[moved]
-    # L L^T is the covariance of the speeds; L^-1 makes their errors independent and equal.
+    # L L^T is the covariance of the speeds. After L^-1, their errors are independent and equal.
     L = np.linalg.cholesky(J @ turned.covariance @ J.T)
     X = np.column_stack([v, np.ones(v.size)])
     basis = orthonormal(solve_triangular(L, X, lower=True))
     slope, intercept = basis.coefficients(solve_triangular(L, omega[moved], lower=True))
     P = basis.W @ basis.W.T
-    stands = -intercept / slope  # in volts of the code
-    gradient = np.array([-stands / slope, -1 / slope])
+    stop = -intercept / slope  # in volts of the code
+    gradient = np.array([-stop / slope, -1 / slope])
     offset, gain = terminal.line
-    at = np.array([1.0, stands])
+    at = np.array([1.0, stop])
     rate, var_gain = slope / gain, terminal.covariance[1, 1]
     return Speeds(
         rate=Figure(
@@ -128,7 +130,7 @@ def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
             std=sqrt(float(P[0, 0] / gain**2 + rate**2 * var_gain / gain**2)),
         ),
         zero_torque=Figure(
-            value=float(offset + gain * stands),
+            value=float(offset + gain * stop),
             std=sqrt(float(gain**2 * gradient @ P @ gradient + at @ terminal.covariance @ at)),
         ),
     )

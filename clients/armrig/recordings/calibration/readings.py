@@ -1,4 +1,4 @@
-"""The raw samples that a calibration is estimated from, and their compact form."""
+"""Raw samples from which a calibration is estimated, and their compact form."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 MOST_ROWS = 50_000
-"""Rows of the compact form, which then takes less than 1 MiB."""
+"""Largest number of rows of the compact form; this number of rows needs less than 1 MiB."""
 _HEADING = "recording,t_device_us,u_v,theta_1_counts,alpha_counts"
-_LONGEST = 8 << 20  # B of a compact form unpacked
+_MAX_UNPACKED_BYTES = 8 << 20
 RAIL_COUNTS = 64
 """The lowest and the highest 1/1024 of 65536 are rails (PROTOCOL.md, section 7)."""
 FULL_COUNTS = 65536
@@ -33,24 +33,24 @@ _HARMONICS = np.arange(1.0, 101.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Readings:
-    """Raw readings of the samples that came."""
+    """Raw readings of the samples that arrived."""
 
     t: Vector
-    """When theta_1 was read, on the device's clock from the first one on, in s, (N,)."""
+    """Times of theta_1's readings on the device's clock, in s from the first reading, (N,)."""
     u: Vector
-    """Voltage of the code that the device held from then on, in V, (N,)."""
+    """Voltages of the codes that the device held from `t` on, in V, (N,)."""
     theta_1: Vector
     """Counts of theta_1's potentiometer, (N,)."""
     alpha: Vector
     """Counts of alpha's potentiometer, (N,)."""
 
     def __post_init__(self) -> None:
-        """Refuse columns of different lengths, and none."""
+        """Refuse empty columns, and columns of different lengths."""
         sizes = {column.size for column in (self.t, self.u, self.theta_1, self.alpha)}
         if len(sizes) != 1 or 0 in sizes:
             found = ", ".join(map(str, sorted(sizes)))
             raise InputError(
-                f"columns of {found} samples: all four must have as many, and at least one"
+                f"columns of {found} samples: all four must have the same number, and at least 1"
             )
 
     @property
@@ -65,7 +65,7 @@ def readings_of(source: Recording | Readings) -> Readings:
         return source
     samples = source.samples
     if not samples.size:
-        raise InputError(f"{source.path}: has no samples: record again")
+        raise InputError(f"{source.path}: contains no samples: record again")
     return Readings(
         t=_seconds(samples["t_device_us"].astype(np.int64)),
         u=samples["u_applied_v"].astype(np.float64),
@@ -75,12 +75,12 @@ def readings_of(source: Recording | Readings) -> Readings:
 
 
 def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
-    """Return the readings as a gzipped CSV, the same bytes for the same readings.
+    """Return the readings as a gzipped CSV; equal readings have equal bytes.
 
     Raises
     ------
     InputError
-        There are more than `MOST_ROWS`.
+        There are more than `MOST_ROWS` rows.
     """
     out = StringIO()
     out.write(_HEADING + "\n")
@@ -100,16 +100,16 @@ def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
 
 
 def decompressed(data: bytes) -> dict[str, Readings]:
-    """Return what `compressed` was given.
+    """Return the readings in the bytes that `compressed` returned, by the name of the recording.
 
     Raises
     ------
     InputError
-        It is damaged, or something else.
+        The data are damaged, or do not begin with the heading that `compressed` writes.
     """
     try:
         with gzip.open(BytesIO(data)) as packed:
-            text = packed.read(_LONGEST).decode()
+            text = packed.read(_MAX_UNPACKED_BYTES).decode()
         heading, *lines = text.splitlines()
         if heading != _HEADING:
             raise InputError(f"begins with {heading[:80]!r}")
@@ -120,7 +120,7 @@ def decompressed(data: bytes) -> dict[str, Readings]:
             rows.setdefault(name, []).append([t_us * 1e-6, u, theta_1, alpha])
     except (OSError, EOFError, ValueError, zlib.error) as err:
         raise InputError(
-            f"no samples of a calibration: {err}; the first line must be {_HEADING}"
+            f"not the samples of a calibration: {err}; the first line must be {_HEADING}"
         ) from err
     return {name: _readings(np.array(table)) for name, table in rows.items()}
 
@@ -135,25 +135,25 @@ def _seconds(t_us: NDArray[np.int64]) -> Vector:
 
 
 def resolution(*counts: Vector) -> int:
-    """Return the converter's step in counts: what all the readings are multiples of."""
+    """Return the converter's step in counts, the greatest common divisor of the readings."""
     return max(1, int(np.gcd.reduce(np.concatenate(counts).astype(np.int64))))
 
 
 def rounding_variance(step: float, noise: float) -> float:
-    """Return the variance of a mean reading about the true voltage, after endless averaging.
+    """Return the variance that rounding adds to a mean of infinitely many readings.
 
-    A converter that rounds shows a constant voltage with an error that is periodic in the voltage;
-    noise before the rounding smooths it. For a voltage anywhere in a step, noise of standard
-    deviation sigma leaves::
+    The error of rounding a constant voltage is periodic in the voltage. Noise before the rounding
+    reduces the mean error. Averaged over all voltages in a step, noise of standard deviation sigma
+    leaves the variance::
 
         step² / (2 pi²) · sum over k >= 1 of exp(-(2 pi k sigma / step)²) / k²
 
-    which is step² / 12 without noise, and nothing from half a step of noise on.
+    Without noise, this variance is step² / 12. With a noise of half a step or more, it is almost 0.
 
     Parameters
     ----------
     step, noise : float
-        The converter's step and the noise's standard deviation before the rounding, in counts.
+        Step of the converter, and standard deviation of the noise before rounding, both in counts.
 
     References
     ----------
@@ -164,17 +164,18 @@ def rounding_variance(step: float, noise: float) -> float:
 
 
 def mean_reading(counts: Vector, step: float, noise: float) -> Figure:
-    """Return the mean of readings at rest, with the converter's rounding in its deviation."""
+    """Return the mean of readings at rest; its standard deviation includes the rounding."""
     variance = np.var(counts, ddof=1) / counts.size + rounding_variance(step, noise)
     return Figure(value=float(counts.mean()), std=sqrt(float(variance)))
 
 
 def spread(counts: Vector, step: float) -> Figure:
-    """Return the standard deviation of N readings at rest, and its own.
+    """Return the standard deviation of N readings at rest, with its own standard deviation.
 
-    The variance s² has itself the variance (m_4 - s⁴) / N, m_4 the fourth central moment. Where
-    the noise is small beside the step, that rests on the few readings that differ, if there are
-    any; so one reading more or less, a step away, is allowed for: step² / N in s².
+    The estimated variance s² has the variance (m_4 - s⁴) / N, with m_4 the fourth central moment.
+    If the noise is small compared with the step, few or no readings differ. The standard deviation
+    of s² therefore contains the term step² / N, the effect of a single reading that differs by one
+    step.
     """
     N = counts.size
     deviations = counts - counts.mean()
@@ -186,7 +187,7 @@ def spread(counts: Vector, step: float) -> Figure:
 
 
 def noise_before_rounding(variance: float, step: float) -> float:
-    """Return the noise's standard deviation where rounding added step² / 12 to its variance."""
+    """Return the noise's standard deviation without the variance step² / 12 of the rounding."""
     return sqrt(max(variance - step**2 / 12, 0.0))
 
 

@@ -1,12 +1,13 @@
-"""A shaft that turns on at constant speeds: counts per turn, edges, dead band and speeds.
+"""Rotation at constant speeds: counts of a turn, edges of the track, dead band and speeds.
 
-Each constant voltage turns the shaft at a constant speed once the transient is over, and then::
+After a transient, the shaft turns at a constant speed at each constant voltage. Then::
 
     counts = a_j + b_j t - s d n
 
-with a_j and b_j of voltage j, n the turns so far, d the counts of a whole turn (dead band
-included, as if the track went on) and s = ±1 the sign of all b_j: linear regression in the a_j,
-b_j and d. One count is 2 pi / d rad, whatever the speeds.
+a_j and b_j are the intercept and the slope at voltage j, and n is the number of turns. d is the
+number of counts of a whole turn, as if the track continued in the dead band. s = ±1 is the sign of
+all b_j. The equation is a linear regression in the a_j, b_j and d. One count is 2 pi / d rad at
+every speed.
 """
 
 from __future__ import annotations
@@ -27,42 +28,42 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 SETTLE_S = 2.0
-"""Beginning of each voltage that is left out: sixteen time constants of the handout's arm."""
+"""Time left out at the start of each voltage, in s: 16 time constants of the handout's arm."""
 LEAST_S = 1.0
-"""Shortest rest of a voltage that counts, in s."""
+"""Shortest time at a voltage after `SETTLE_S`, in s."""
 LEAST_TURNS = 3
-"""Times that the shaft has to pass its dead band, at all voltages together."""
-_MOST_MISREAD = 0.02  # share of samples on the track that may show a rail: a worn spot
-_WAY_OUT = "turn it slowly and one way, for three turns or more: see --volts and --level-seconds"
+"""Least number of passes of the shaft through its dead band, at all voltages together."""
+MAX_MISREAD_SHARE = 0.02  # of the samples on the track that may be at a rail, from a worn spot
+_REMEDY = "turn it slowly in one direction, three turns or more: see --volts and --level-seconds"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Turning:
-    """What a shaft at constant speeds shows."""
+    """Results for the potentiometer of a shaft that turned at constant speeds."""
 
     direction: int
-    """1 where the counts grow, else -1."""
+    """1 if the counts increase as the shaft turns, -1 if they decrease."""
     per_turn: Figure
-    """Counts of a whole turn, as if the track went on through the dead band."""
+    """Counts of a whole turn, as if the track continued in the dead band."""
     low: Figure
-    """Reading at the track's beginning, in counts."""
+    """Reading at the beginning of the track, in counts."""
     high: Figure
-    """Reading at the track's end, in counts."""
+    """Reading at the end of the track, in counts."""
     turns: int
-    """Times that the dead band was passed."""
+    """Number of passes through the dead band."""
     volts: Vector
     """Voltages of the codes, in V, (m,)."""
     slopes: Vector
-    """b_j, in counts/s, (m,)."""
+    """Slopes b_j, in counts/s, (m,)."""
     covariance: Matrix
-    """Of the slopes and, last, the counts of a turn, (m + 1, m + 1)."""
+    """Covariance matrix of the m slopes, followed by the counts of a turn, (m + 1, m + 1)."""
     residual_variance: float
-    """Of the readings about the straight lines, in counts²."""
+    """Variance of the readings about the straight lines, in counts²."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Settled:
-    """The samples at constant speeds."""
+    """Samples at constant speeds."""
 
     level: NDArray[np.intp]
     t: Vector
@@ -72,28 +73,30 @@ class _Settled:
 
 
 def turning(readings: Readings, step: float) -> Turning:
-    """Return what a run of constant voltages shows of theta_1's potentiometer.
+    """Estimate the turn and the track of theta_1's potentiometer from a run of constant voltages.
 
-    The edges of the track lie between the last sample that shows an angle and the first that does
-    not, where the straight lines put these two: the narrowest such bracket of all turns. A reading
-    of 0 near 0 may be either; the track cannot begin below it, nor end above full scale.
+    An edge of the track is between the last sample with an angle and the first sample without an
+    angle. The straight lines determine the places of these two samples. The narrowest interval
+    between the two places, over all turns, contains the edge. Near 0 counts, a reading of 0 may be
+    on the track or in the dead band. The track begins at 0 counts or above, and ends at full scale
+    or below.
 
     Parameters
     ----------
     readings : Readings
-        One run, N samples; one voltage or more, each held for more than `SETTLE_S` + `LEAST_S`.
+        Run of N samples with one voltage or more, each held for longer than `SETTLE_S` + `LEAST_S`.
     step : float
-        The converter's step, in counts.
+        Step of the converter, in counts.
 
     Raises
     ------
     InputError
-        No voltage was held for long enough, or the shaft did not turn on, one way.
+        No voltage was held long enough, or the shaft did not turn in one direction.
     """
     settled = _settled(readings)
     live = settled.live
     if np.count_nonzero(live) < 10 * (settled.volts.size + 1):
-        raise InputError(f"theta_1 shows no angle: see to its wires, then {_WAY_OUT}")
+        raise InputError(f"theta_1 shows no angle: check its wires, then {_REMEDY}")
     turns, direction = _turns(settled)
     counts = settled.counts
     low, high = float(counts[live].min()), float(counts[live].max())
@@ -101,17 +104,17 @@ def turning(readings: Readings, step: float) -> Turning:
     inside = live & (counts > low + margin) & (counts < high - margin)
     n = np.zeros(counts.size)
     n[live] = turns
-    # Twice: the first fit leaves out readings near an edge by what they show, the second by where
-    # the first fit puts them, which noise does not bias.
+    # Fit twice. The first fit leaves out readings near an edge by their values. The second fit
+    # leaves out readings by their places on the fitted lines, which noise does not bias.
     for _ in range(2):
         x, covariance, variance = _fitted(settled, n, inside, direction)
         place, n = _places(settled, x, direction, (low + high) / 2)
         margin = 6 * (sqrt(variance) + step)
         inside = (place > low + margin) & (place < high - margin)
         misread = float(np.mean(~live[inside])) if inside.any() else 1.0
-        if misread > _MOST_MISREAD:
+        if misread > MAX_MISREAD_SHARE:
             raise InputError(
-                f"theta_1 showed a rail at {100 * misread:.0f} % of its track: {_WAY_OUT}"
+                f"theta_1 was at a rail at {100 * misread:.0f} % of its track: {_REMEDY}"
             )
         inside &= live
     x, covariance, variance = _fitted(settled, n, inside, direction)
@@ -140,7 +143,7 @@ def turning(readings: Readings, step: float) -> Turning:
 
 
 def _settled(readings: Readings) -> _Settled:
-    """Return the samples at voltages above 0 that were held for long enough."""
+    """Return the samples at voltages above 0 that were held long enough."""
     u, t = readings.u, readings.t
     held = [
         part
@@ -148,7 +151,7 @@ def _settled(readings: Readings) -> _Settled:
         if u[part.start] > 0 and t[part.stop - 1] - t[part.start] > SETTLE_S + LEAST_S
     ]
     if not held:
-        raise InputError(f"no voltage was held for more than {SETTLE_S + LEAST_S:g} s: {_WAY_OUT}")
+        raise InputError(f"no voltage was held for more than {SETTLE_S + LEAST_S:g} s: {_REMEDY}")
     rows = [np.arange(part.start, part.stop)[t[part] - t[part.start] > SETTLE_S] for part in held]
     level = np.repeat(np.arange(len(rows)), [r.size for r in rows])
     chosen = np.concatenate(rows)
@@ -163,16 +166,16 @@ def _settled(readings: Readings) -> _Settled:
 
 
 def _turns(settled: _Settled) -> tuple[Vector, int]:
-    """Return the turns so far at each sample that shows an angle, and the direction."""
+    """Return the number of turns at each sample with an angle, and the direction, 1 or -1."""
     counts = settled.counts[settled.live]
     change = np.diff(counts)
     change[np.diff(settled.level[settled.live]) != 0] = 0.0
     far = np.abs(change) > np.ptp(counts) / 2
     direction = 1 if change[~far].sum() >= 0 else -1
     if np.count_nonzero(far) < LEAST_TURNS:
-        raise InputError(f"theta_1 passed its dead band {np.count_nonzero(far)} times: {_WAY_OUT}")
+        raise InputError(f"theta_1 passed its dead band {np.count_nonzero(far)} times: {_REMEDY}")
     if (change[far] * direction > 0).any():
-        raise InputError(f"theta_1 did not turn one way at a constant voltage: {_WAY_OUT}")
+        raise InputError(f"theta_1 did not turn in one direction at a constant voltage: {_REMEDY}")
     return np.r_[0.0, np.cumsum(far)], direction
 
 
@@ -193,14 +196,14 @@ def _fitted(
     X[:, -1] = -direction * n[rows]
     basis = orthonormal(X)
     if basis.rank < X.shape[1] or t.size <= X.shape[1]:
-        raise InputError(f"theta_1 shows too few angles at one of the voltages: {_WAY_OUT}")
+        raise InputError(f"theta_1 shows too few angles at one of the voltages: {_REMEDY}")
     residuals = basis.without(settled.counts[rows])
     variance = float(residuals @ residuals) / (t.size - basis.rank)
     return basis.coefficients(settled.counts[rows]), variance * basis.W @ basis.W.T, variance
 
 
 def _places(settled: _Settled, x: Vector, direction: int, centre: float) -> tuple[Vector, Vector]:
-    """Return where the lines put each sample, within half a turn of `centre`, and its turns."""
+    """Return each sample's place on its line, within half a turn of `centre`, and its turns."""
     m, d = settled.volts.size, x[-1]
     line = x[settled.level] + x[m + settled.level] * settled.t
     n = direction * np.floor((line - centre) / d + 0.5)
@@ -210,8 +213,8 @@ def _places(settled: _Settled, x: Vector, direction: int, centre: float) -> tupl
 def _edges(
     place: Vector, counts: Vector, live: Mask, *, centre: float, d: float, clear: float
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return between which places the track begins, and between which it ends."""
-    # Where the wiper comes back to the track, its first reading may have any value: leave it out.
+    """Return the intervals that contain the beginning and the end of the track, in counts."""
+    # When the wiper returns to the track, its first reading may have any value and is left out.
     expected = np.clip(place, 0.0, FULL_COUNTS - RAIL_COUNTS)
     on = live & (np.abs(counts - expected) < clear + RAIL_COUNTS)
     above = place >= centre
@@ -234,6 +237,6 @@ def _least(values: Vector, otherwise: float) -> float:
 
 
 def _bracketed(bracket: tuple[float, float], variance: float) -> Figure:
-    """Return the middle of a bracket, with the deviation of anywhere in it."""
+    """Return the middle of an interval; `variance` is added to that of a uniform distribution."""
     low, high = bracket
     return Figure(value=(low + high) / 2, std=sqrt((high - low) ** 2 / 12 + variance))

@@ -1,4 +1,4 @@
-"""What a reader must know of the calibration that a recording was read with."""
+"""Remarks on the calibration of a recording: age, device and rig."""
 
 from __future__ import annotations
 
@@ -8,35 +8,35 @@ from armrig_core.calibration import Calibration
 from armrig_core.manifest import Manifest
 
 STALE_DAYS = 30
-"""A calibration that is older than this when a recording is made is stale."""
+"""Age of a calibration, in days at the time of a recording, above which it is stale."""
 
 
 def remarks(calibration: Calibration | None, manifest: Manifest) -> list[str]:
-    """Return what speaks against a recording's calibration, one sentence each; none is best.
+    """Return a sentence for each doubt about a recording's calibration; an empty list for none.
 
-    A calibration that was made after the recording is as good as one from before.
+    A calibration that was made after the recording is never stale.
 
     Parameters
     ----------
     calibration : Calibration or None
-        What the recording is read with.
+        Calibration with which the recording is read.
     manifest : Manifest
-        Of the recording.
+        Manifest of the recording.
     """
     if calibration is None:
-        return ["The recording has no calibration: its angles are those that the daemon made."]
+        return ["The recording has no calibration: the daemon computed its angles."]
     made = calibration.made
     if made is None:
         return [
-            "The rig was not calibrated: its angles rest on configured values that were "
-            "never measured (see `armrig calibrate`)."
+            "The rig was not calibrated: its angles use configured values that were never measured "
+            "(see `armrig calibrate`)."
         ]
     found = []
     uid = str(manifest.device.get("uid", ""))
     if uid != made.device_uid:
         found.append(
             f"The calibration is of another device: it was made on {made.device_uid or 'none'}, "
-            f"the recording on {uid or 'one that does not say'}."
+            f"the recording on {uid or 'a device without an id'}."
         )
     elif manifest.rig != made.rig:
         found.append(f"The calibration is of rig {made.rig}, the recording of rig {manifest.rig}.")
@@ -45,14 +45,14 @@ def remarks(calibration: Calibration | None, manifest: Manifest) -> list[str]:
         found.append("The age of the calibration is not known.")
     elif age > timedelta(days=STALE_DAYS):
         found.append(
-            f"The calibration was {age.days} days old, and {STALE_DAYS} are allowed: calibrate "
+            f"The calibration was {age.days} days old, more than {STALE_DAYS} days: calibrate "
             "the rig again."
         )
     return found
 
 
 def calibrated(calibration: Calibration | None) -> str:
-    """Return when a calibration was made, or that it was not."""
+    """Return the date and time of a calibration; "no" if nothing was measured."""
     made = calibration.made if calibration else None
     return "no" if made is None else made.date[:16].replace("T", " ")
 
@@ -60,5 +60,5 @@ def calibrated(calibration: Calibration | None) -> str:
 def _age(made: str, started: str) -> timedelta | None:
     try:
         return datetime.fromisoformat(started) - datetime.fromisoformat(made)
-    except (ValueError, TypeError):  # no date, or one without an offset against one with
+    except (ValueError, TypeError):  # not a date, or only one of the two has an offset
         return None

@@ -1,1 +1,1 @@
-"""One task for thousands of recordings: a row of a table for each, resumable, on many machines."""
+"""One task for many recordings: a table with a row per recording, resumable, on many machines."""

@@ -1,4 +1,4 @@
-"""A task done for all runs of a folder, and the table that comes of it."""
+"""A task for all runs of a folder, and the table of its results."""
 
 from __future__ import annotations
 
@@ -32,31 +32,31 @@ from armrig.report.batch.rows import Kind, Row, columns_of, row_of
 from armrig.report.batch.tasks import Report, Task, Validate, digest, name_of, sha256
 
 Count = Callable[[int, int, str], None]
-"""Takes how many this start has done, how many it has to do, and the name of the one done."""
+"""Callable with the number of items done since the start, their total, and the last item's name."""
 MOST_DEATHS = 2
-"""So many workers may die of an item that runs alone; then it is given up."""
+"""An item is abandoned after this number of its workers died while it ran alone."""
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
 Open = Callable[[], AbstractContextManager[Executor]]
 KEY = b"armrig.batch"
-"""Of the table's metadata, where its header stands."""
+"""Key of the header in the table's metadata."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Batch:
-    """What a batch came to."""
+    """Result of a batch."""
 
     table: Path
-    """The Parquet file."""
+    """Path of the Parquet file."""
     rows: tuple[Row, ...]
-    """A row for each run, by name."""
+    """Rows of the table, one for each run, sorted by the run's name."""
     done_before: int
-    """Results that an earlier start had left, of files that have not changed."""
+    """Number of rows that earlier starts computed, whose files have not changed since."""
 
     @property
     def problems(self) -> list[Row]:
-        """Rows of runs that nothing came of."""
+        """Rows of the runs that have a problem instead of a result."""
         return [row for row in self.rows if row["problem"]]
 
 
@@ -72,37 +72,38 @@ def batch(
     anew: bool = False,
     count: Count = lambda done, total, name: None,
 ) -> Batch:
-    """Do a task for each run of a folder, and write what comes of it as one table.
+    """Do a task for each run of a folder, and write the results as one table.
 
-    Results that an earlier start has left count, where their files have not changed: a batch that
-    was killed goes on, and one that was complete takes in what is new.
+    Results of an earlier start are kept if their files have not changed. A new start therefore
+    continues a batch that was killed, and adds new recordings to a complete table.
 
     Parameters
     ----------
     folder : Path
-        Of the recordings.
+        Folder of the recordings.
     table : Path
         Parquet file to write.
     open_executor : callable
-        Gives the workers; see `armrig.report.batch.workers`.
+        Function that returns a context manager, which yields an executor: see
+        `armrig.report.batch.workers`.
     at_once : int
-        Runs that are handed to them and not back yet.
+        Largest number of runs that the executor has at the same time.
     rigs, kinds : collection of str
-        Only these rigs, and kinds of experiment; empty for all.
+        Rigs and kinds of experiment to which the batch is limited; empty for all.
     anew : bool
-        Results that are there do not count; the table stays until the new one is complete.
+        Discard earlier results; the old table stays until the new table is complete.
 
     Raises
     ------
     OperationError, ImportError, OSError
-        What is there is of another task, or the disk is full; the workers are gone; pyarrow is
-        missing; a file cannot be read or written.
+        The existing table is of another task; the disk is full; all workers are lost; pyarrow is
+        not installed; or a file cannot be read or written.
     """
     check_writable()
     items = items_in(folder, rigs=rigs, kinds=kinds)
     if not items:
         raise InputError(
-            f"{folder}: no recording in it is asked for; `armrig ls {folder}` lists what is there"
+            f"{folder}: contains no recording to work on; `armrig ls {folder}` lists its recordings"
         )
     header = header_of(task, folder, rigs, kinds)
     before = [] if anew else read_rows(table, header)
@@ -133,31 +134,31 @@ def _problem(task: Task, item: Item, error: Exception) -> Row:
 def results(
     function: Callable[[T], R], items: Sequence[T], open_executor: Open, *, at_once: int
 ) -> Iterator[tuple[T, R | Exception]]:
-    """Give each item with its result, in the order in which they come.
+    """Yield each item with its result, in the order in which the results arrive.
 
-    Where a worker dies its executor is opened anew. Of whose work it died cannot be told from
-    outside, so what ran then runs again, one at a time.
+    If a worker dies, a new executor is opened. The executor does not report which item killed the
+    worker. All items that ran then are therefore repeated one at a time.
 
     Parameters
     ----------
     function : callable
-        Raises nothing itself; it is sent to the workers.
+        Function for the workers; it must not raise.
     items : sequence
-        Each once.
+        Items, each different from the others.
     open_executor : callable
-        Gives one that is open.
+        Function that returns a context manager, which yields an open executor.
     at_once : int
-        How many are handed over and not back yet.
+        Largest number of items that the executor has at the same time.
 
     Yields
     ------
     item, result
-        Or what the executor has raised in its place.
+        The result is an exception if the executor raised one, or if the item was abandoned.
 
     Raises
     ------
     OperationError
-        The executor has dropped its work.
+        The executor cancelled its work.
     """
     waiting, alone = deque(items), deque[T]()
     deaths: Counter[T] = Counter()
@@ -167,22 +168,22 @@ def results(
         if len(ran) == 1:
             deaths[ran[0]] += 1
             if deaths[ran[0]] >= MOST_DEATHS:
-                text = f"the process that worked on it died, {MOST_DEATHS} times: it was killed, "
-                yield ran.pop(), RuntimeError(f"{text}or ran out of memory")
+                text = f"its process died {MOST_DEATHS} times: it was killed or ran out of memory"
+                yield ran.pop(), RuntimeError(text)
         alone.extend(ran)
 
 
 def _until_a_death(
     workers: Executor, function: Callable[[T], R], waiting: deque[T], alone: deque[T], at_once: int
 ) -> Generator[tuple[T, R | Exception], None, list[T]]:
-    """Give results until all is done, or a worker dies; return what ran then."""
+    """Yield results until all items are done or a worker dies; return the items that still ran."""
     running: dict[Future[R], T] = {}
     while waiting or alone or running:
         source, most = (alone, 1) if alone else (waiting, at_once)
         while source and len(running) < most:
             try:
                 future = workers.submit(function, source[0])
-            except BrokenExecutor:  # it died with nothing to do
+            except BrokenExecutor:  # a worker died without work
                 return [*running.values()]
             running[future] = source.popleft()
         done, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -198,19 +199,21 @@ def _is_broken(future: Future[R]) -> bool:
     try:
         return isinstance(future.exception(), BrokenExecutor)
     except CancelledError as err:
-        msg = "the cluster has dropped its work: its scheduler or all workers are gone; what is "
-        raise OperationError(f"{msg}done is kept, and the same command goes on from there") from err
+        msg = "the cluster dropped its work: its scheduler or all workers are gone. Results so far "
+        raise OperationError(
+            f"{msg}are kept, and the same command continues from these results"
+        ) from err
 
 
 def header_of(
     task: Task, folder: Path, rigs: Collection[str], kinds: Collection[str]
 ) -> dict[str, str]:
-    """Return what a table says of itself: nothing in it changes from one start to the next.
+    """Return the metadata of a table; it is the same for every start with the same options.
 
     Parameters
     ----------
     rigs, kinds : collection of str
-        As for `batch`.
+        Rigs and kinds of experiment, as for `batch`.
     """
     options = msgspec.to_builtins(task)
     if isinstance(task, Validate):
@@ -231,7 +234,7 @@ def header_of(
 
 
 def check_writable() -> None:
-    """Refuse, before any work, where Parquet cannot be written.
+    """Check before the batch that Parquet files can be written.
 
     Raises
     ------
@@ -242,23 +245,23 @@ def check_writable() -> None:
 
 
 def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
-    """Return the rows of an earlier table with this header; none where there is no table.
+    """Read the rows of an earlier table with this header; an empty list if there is no table.
 
     Raises
     ------
     OperationError
-        What is there is no table, or one with another header.
+        The file is not a table of a batch, or its header differs.
     """
     if not path.exists():
         return []
     pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
     try:
-        with path.open("rb") as file:  # for pyarrow a name must be UTF-8
+        with path.open("rb") as file:  # pyarrow accepts names in UTF-8 only
             table = parquet.read_table(file)
         found = msgspec.json.decode((table.schema.metadata or {})[KEY], type=dict[str, str])
     except (pyarrow.ArrowException, KeyError, msgspec.DecodeError, OSError) as err:
         raise OperationError(
-            f"{path} is there and is no table of armrig batch; give another -o"
+            f"{path} exists and is not a table of armrig batch; give another -o"
         ) from err
     if found != header:
         raise OperationError(f"{path} {OTHER}")
@@ -267,12 +270,12 @@ def read_rows(path: Path, header: dict[str, str]) -> list[Row]:
 
 
 def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[Row]) -> None:
-    """Write the table, in the order of the recordings' names, at once in place of one before.
+    """Write the table, sorted by the recordings' names; it replaces an earlier table atomically.
 
     Raises
     ------
     OperationError
-        The disk is full, or a row is not what it was when it was kept.
+        The disk is full, or somebody changed a stored row.
     """
     pyarrow, parquet = imported("pyarrow", "parquet"), imported("pyarrow.parquet", "parquet")
     ordered = sorted(rows, key=lambda row: str(row["recording"]))
@@ -287,21 +290,23 @@ def write_table(path: Path, task: Task, header: dict[str, str], rows: Iterable[R
         made.replace(path)
     except OSError as err:
         raise OperationError(
-            f"{path}: {err.strerror or err}; all results are kept, and the same command writes it"
+            f"{path}: {err.strerror or err}; all results are kept: repeat the command to write "
+            "the table"
         ) from err
     except (pyarrow.ArrowException, TypeError) as err:
         raise OperationError(
-            f"{path}{SUFFIX}: a row in it was changed by somebody; --force begins anew"
+            f"{path}{SUFFIX}: somebody changed a row of this file; --force discards it and begins "
+            "again"
         ) from err
     finally:
         made.unlink(missing_ok=True)
 
 
 def _type(pyarrow: Any, kind: Kind) -> Any:
-    of_one = {
+    types = {
         "text": pyarrow.string(),
         "truth": pyarrow.bool_(),
         "count": pyarrow.int64(),
         "number": pyarrow.float64(),
     }
-    return of_one[kind] if kind in of_one else pyarrow.list_(of_one[kind[:-1]])
+    return types[kind] if kind in types else pyarrow.list_(types[kind[:-1]])

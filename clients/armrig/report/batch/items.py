@@ -1,4 +1,4 @@
-"""The runs in a folder, each one item of a batch."""
+"""Runs in a folder, the items of a batch."""
 
 from __future__ import annotations
 
@@ -8,44 +8,44 @@ from typing import NamedTuple
 
 from armrig_core.recording_file.part_names import PART, part_number
 
-from armrig.recordings.catalogue import Catalogue, catalogue
-from armrig.recordings.folder import found_files
+from armrig.recordings.catalogue import Catalogue, catalogue, found_files
 from armrig.recordings.recording_summary import shown_path
 
 _LATEST_NS = (1 << 63) - 1
-"""The last time that a table holds: in the year 2262."""
+"""Latest time that a table can contain, in the year 2262."""
 
 
 class Item(NamedTuple):
-    """One run: a file, or all parts of it."""
+    """A run: a single file, or all its parts."""
 
     name: str
-    """Of the file, in its folder; of a run in parts the name that stands for them all. Always text,
-    though the name of a file need be none: bytes that are no UTF-8 are escaped.
+    """Name of the file in its folder, or the common name of a run's parts.
+
+    Bytes of a file's name that are not UTF-8 are escaped.
     """
     path: str
     bytes: int
     modified_ns: int
-    """When the file, or the youngest of its parts, was written last."""
+    """Time of the last change of the file, or of the newest part, in ns."""
     validation: str
-    """Path of the recording that validates what this one gives; "" without one."""
+    """Path of the recording that validates this run's model; "" without such a recording."""
 
 
 def items_in(
     folder: Path, *, rigs: Collection[str] = (), kinds: Collection[str] = ()
 ) -> list[Item]:
-    """Return the runs in a folder, by name.
+    """Return the runs in a folder, sorted by name.
 
     Parameters
     ----------
     rigs, kinds : collection of str
-        Only these rigs, and kinds of experiment; empty for all. A file that does not say what it is
-        of is in no such choice.
+        Rigs and kinds of experiment of the returned runs; empty for all. An unreadable file is
+        included only if both are empty.
 
     Raises
     ------
     OSError
-        There is no such folder, or it cannot be read.
+        The folder does not exist or cannot be read.
     """
     known = catalogue(folder)
     chosen = {
@@ -71,12 +71,12 @@ def items_in(
 
 
 def _run(name: str) -> str:
-    """Return the name of the run that a file is of, or is a part of."""
+    """Return the name of the run whose recording, or whose part, a file contains."""
     return name.rpartition(PART)[0] + ".mcap" if part_number(Path(name)) else name
 
 
 def _validations(known: Catalogue) -> dict[str, str]:
-    """Return the paths of the validations, by the files of the recordings that they validate."""
+    """Return the paths of validation recordings, by the files of the validated recordings."""
     of_run = {s.run_id: s.file for s in known.recordings if not s.is_validation}
     return {
         of_run[s.validation_of]: str(s.path.with_name(_run(s.file)))

@@ -1,4 +1,4 @@
-"""The rows that are done, kept as they come: whatever dies, the next start goes on behind them."""
+"""Storage of each row as soon as it is computed, from which a start after a failure continues."""
 
 from __future__ import annotations
 
@@ -15,36 +15,37 @@ from armrig.report.batch.items import Item
 from armrig.report.batch.rows import Row
 
 OTHER = (
-    "holds what came of another folder, task or choice, of other options or versions; give another "
-    "-o, or --force to begin anew"
+    "contains results of another folder, task or selection, or of other options or versions; "
+    "choose another -o, or use --force to begin again"
 )
-"""What is said of results that are not mixed with those of another header."""
+"""Message if the header of earlier results differs from the header of this start."""
 SUFFIX = ".progress"
-"""Behind the name of the table while it is not complete."""
+"""Suffix to the name of the table while the table is incomplete."""
 
 
 class Progress:
-    """An open file of rows, one a line, behind a first line that says of which task they are."""
+    """An open file with one row per line; the first line contains the header of the task."""
 
     def __init__(self, table: Path, header: dict[str, str], *, anew: bool = False) -> None:
-        """Open it, or make it.
+        """Open the file, or create it.
 
         Parameters
         ----------
         anew : bool
-            What an earlier start has left is thrown away.
+            Discard the rows of an earlier start.
 
         Raises
         ------
         OperationError
-            It is of another task, is no file, or is open elsewhere; the disk is full.
+            The file is of another task, is not a regular file, or is used by another process; or
+            the disk is full.
         OSError
-            It cannot be opened.
+            The file cannot be opened.
         """
         self.path = table.with_name(table.name + SUFFIX)
-        if self.path.exists() and not self.path.is_file():  # such as a link to what never ends
+        if self.path.exists() and not self.path.is_file():  # such as a link to an endless device
             raise OperationError(
-                f"{self.path} is there and is no file; remove it, or give another -o"
+                f"{self.path} exists and is not a file; remove it, or give another -o"
             )
         self._file = self.path.open("a+b")
         try:
@@ -52,14 +53,14 @@ class Progress:
         except BlockingIOError as err:
             self._file.close()
             raise OperationError(
-                f"{self.path}: another armrig batch is at it; wait for it, or give another -o"
+                f"{self.path}: another armrig batch uses it; wait for its end, or give another -o"
             ) from err
         self._file.seek(0)
         content = self._file.read()
         whole, _, torn = content.rpartition(b"\n")
         first, *lines = whole.split(b"\n") if whole else [b""]
         self.rows: list[Row] = []
-        """Those that an earlier start has left."""
+        """Rows of an earlier start."""
         if anew or not first:
             self._file.truncate(0)
             self._write(header)
@@ -72,7 +73,7 @@ class Progress:
         self.rows = [row for line in lines if (row := _decoded(line)) is not None]
 
     def add(self, row: Row) -> None:
-        """Keep a row; it survives the death of this process from here on."""
+        """Store a row; a stored row is not lost if this process dies."""
         self._write(row)
 
     def remove(self) -> None:
@@ -80,7 +81,7 @@ class Progress:
         self.path.unlink()
 
     def __enter__(self) -> Progress:
-        """Return itself."""
+        """Return this object."""
         return self
 
     def __exit__(
@@ -89,8 +90,8 @@ class Progress:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        """Close the file, which stays."""
-        with suppress(OSError):  # of a row for which there was no room, and which was told
+        """Close the file without removing it."""
+        with suppress(OSError):  # of a row without room on the disk, which was reported
             self._file.close()
 
     def _write(self, value: object) -> None:
@@ -99,17 +100,19 @@ class Progress:
             self._file.flush()
         except OSError as err:
             raise OperationError(
-                f"{self.path}: {err.strerror}; what is done is kept, and the same command goes on"
+                f"{self.path}: {err.strerror}; results so far are kept: repeat the command to "
+                "continue"
             ) from err
 
 
 def still_right(
     rows: Iterable[Row], items: Iterable[Item], columns: Collection[str]
 ) -> dict[str, Row]:
-    """Return, by name, the results of those items whose files have not changed since.
+    """Return the rows, by name, of the items whose files have not changed.
 
-    What had a problem is tried again: a process may have been killed, a disk full. A row without
-    all columns is none of ours. A report counts where it is of the validation that is there now.
+    An item that is left out is computed again. A row with a problem is left out, because its
+    process may have been killed or the disk full. A row without all columns is left out. The row of
+    a report is left out if its validation recording has changed.
     """
     state = {item.name: (item.bytes, item.modified_ns) for item in items}
     validated_by = {item.name: Path(item.validation).name for item in items}

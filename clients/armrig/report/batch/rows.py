@@ -1,4 +1,4 @@
-"""What comes of one recording: the function that the workers run. It raises nothing."""
+"""Row of a recording: the function that the workers run. The function never raises an exception."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from armrig_core.telemetry import THETA_1, OutputName
 from armrig.data.dataset import Dataset
 from armrig.data.treatment import detrend
 from armrig.models.fit import Fit
-from armrig.recordings.doubts import doubts, doubts_of_estimation, doubts_of_pair
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
+from armrig.recordings.usability import doubts, doubts_of_estimation, doubts_of_pair
 from armrig.report.batch.items import Item
 from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
 
 Row = dict[str, Any]
 Kind = str
-"""text, truth, count, number; texts and numbers are several in one cell."""
+"""Type of a column: text, truth, count or number; texts and numbers are types of lists."""
 
 OF_THE_FILE: dict[str, Kind] = {
     "recording": "text",
     "bytes": "count",
     "modified_ns": "count",
 }
-"""Known without opening it; they tell whether a result is of the file that is there now."""
+"""Columns that are known without opening the file, and that differ after a change of the file."""
 OF_THE_RUN: dict[str, Kind] = {
     "sha256": "text",
     "rig": "text",
@@ -47,9 +47,9 @@ OF_THE_RUN: dict[str, Kind] = {
     "damage": "text",
 }
 OF_THE_RESULT: dict[str, Kind] = {"problem": "text", "doubts": "texts"}
-"""`problem` says why there is no result; "" where there is one."""
+"""Columns of every task; `problem` is the reason for a missing result, "" for a result."""
 CHECKS = ("file", "samples", "envelope", "input", "timing", "configuration", "clock")
-"""What `armrig verify` checks; a column for each result and one for what was found."""
+"""Checks of `armrig verify`; the table has a column for the result and the finding of each."""
 OF_THE_TASK: dict[str, dict[str, Kind]] = {
     "identify": {
         "structure": "text",
@@ -94,9 +94,9 @@ OF_THE_TASK: dict[str, dict[str, Kind]] = {
 
 
 def row_of(task: Task, item: Item) -> Row:
-    """Return the row of a recording; where nothing comes of it `problem` says why.
+    """Return the row of a recording; if there is no result, `problem` contains the reason.
 
-    Raises nothing: one recording, however broken, stops no batch.
+    The function raises no exception, so that a damaged recording does not stop the batch.
     """
     row: Row = dict.fromkeys(columns_of(task))
     row |= {
@@ -108,7 +108,7 @@ def row_of(task: Task, item: Item) -> Row:
     }
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
-            # A search sees overflows on its way, and its verdict tells them.
+            # An iterative search may overflow on its way; its verdict reports it.
             warnings.simplefilter("ignore", RuntimeWarning)
             recording = load(item.path)
             row |= _of_the_run(recording)
@@ -221,12 +221,12 @@ def _reported(task: Report, recording: Recording, item: Item) -> Row:
     from armrig.report.study import Orders, study
 
     Path(task.folder).mkdir(parents=True, exist_ok=True)
-    beside = [load(item.validation)] if item.validation else []
+    validations = [load(item.validation)] if item.validation else []
     orders = Orders(na=task.na, nb=task.nb, nf=task.nf, nk=task.nk)
-    done = study([recording, *beside], orders=orders)
+    done = study([recording, *validations], orders=orders)
     path = report(done, Path(task.folder, item.name).with_suffix(".pdf"))
     found = doubts(recording)
-    for other in beside:
+    for other in validations:
         found += doubts_of_pair(recording, other)
     return {
         "report": path.name,
@@ -250,7 +250,7 @@ def _model(text: str) -> Fit:
 
 
 def _output(fit: Fit) -> OutputName:
-    """Return which signal of a recording a model is of; `compare` refuses a model of no signal."""
+    """Return the output of a model; theta_1 for a model of another signal, refused by `compare`."""
     outputs: tuple[OutputName, ...] = get_args(OutputName)
     return next((output for output in outputs if fit.output == output), THETA_1)
 
@@ -260,10 +260,10 @@ def _in_a_line(text: str) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON has it.
+    """Return a value as a type that JSON can contain.
 
-    What is not finite becomes None, which a table shows empty; a path's bytes that are no UTF-8 are
-    escaped.
+    A number that is not finite is returned as None, which is an empty cell of the table. Bytes of a
+    path that are not UTF-8 are escaped.
     """
     if isinstance(value, np.generic):
         value = value.item()
@@ -275,5 +275,5 @@ def _plain(value: Any) -> Any:
 
 
 def columns_of(task: Task) -> dict[str, Kind]:
-    """Return the columns of a task's table, in their order, and what each holds."""
+    """Return the types of the columns of a task's table by name, in the order of the columns."""
     return {**OF_THE_FILE, **OF_THE_RUN, **OF_THE_RESULT, **OF_THE_TASK[name_of(task)]}

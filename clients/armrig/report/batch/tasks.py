@@ -1,4 +1,4 @@
-"""What a batch does with each recording. A task is a value: it is sent to other processes."""
+"""Tasks of a batch. A task is a plain value, because it is sent to other processes."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ class Identify(Request, frozen=True, kw_only=True, tag="identify"):
     """Estimate a model from each recording."""
 
     signal: OutputName = THETA_1
-    """What is the output."""
+    """Output of the model."""
     detrend: bool = False
 
 
 class Validate(msgspec.Struct, frozen=True, kw_only=True, tag="validate"):
-    """Judge one model by each recording."""
+    """Compare one model with each recording."""
 
     model: str
-    """What `Fit.save` has written; the text itself, for other machines do not have the file."""
+    """Content of a model file, written by `Fit.save`; other machines may not have the file."""
     detrend: bool = False
 
 
 class Verify(msgspec.Struct, frozen=True, kw_only=True, tag="verify"):
-    """Check that each recording is what its run was."""
+    """Verify each recording against its run."""
 
 
 class Report(msgspec.Struct, frozen=True, kw_only=True, tag="report"):
-    """Write a report of each recording that excites, with its validation where there is one."""
+    """Write a report of each recording with an exciting input, and of its validation recording."""
 
     folder: str
-    """Where the PDFs go, each named as its recording."""
+    """Folder of the PDFs; the name of a PDF contains the name of its recording."""
     na: int
     nb: int
     nf: int
@@ -45,19 +45,19 @@ Task = Identify | Validate | Verify | Report
 
 
 def name_of(task: Task) -> str:
-    """Return the word by which the command line knows a task."""
+    """Return the name of a task on the command line."""
     return str(type(task).__struct_config__.tag)
 
 
 def digest(task: Task) -> str:
-    """Return a hash of the task with all its options: results of another one are no results.
+    """Return a hash of the task and its options; results with another hash are not reused.
 
-    What is None is left out, so that a field that is appended leaves the hash of earlier tasks.
+    An option that is None is left out, so that a new field does not change earlier hashes.
     """
     asked = {name: x for name, x in msgspec.to_builtins(task).items() if x is not None}
     return sha256(msgspec.json.encode(asked, order="sorted").decode())
 
 
 def sha256(text: str) -> str:
-    """Return the hash of a text."""
+    """Return the SHA-256 of a text, in hexadecimal digits."""
     return hashlib.sha256(text.encode()).hexdigest()

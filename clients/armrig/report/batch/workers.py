@@ -1,4 +1,4 @@
-"""Who does the work: processes here, or a Dask cluster; both are executors of the same kind."""
+"""Executors for a batch: processes on this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ from armrig_core.errors import OperationError
 
 from armrig.recordings.export import imported
 
-_CONNECT_S = 10.0
+_CONNECT_TIMEOUT_S = 10.0
 
 
 @contextmanager
 def processes(count: int) -> Iterator[Executor]:
-    """Give an executor of so many processes on this machine, each with one thread for matrices.
+    """Yield an executor of `count` processes on this machine.
 
-    Where its user ends early, by Ctrl-C or a full disk, they are killed: nobody takes what they
-    are at.
+    If an exception ends the batch early, such as Ctrl-C or a full disk, the processes are killed.
     """
-    # Not forked: whatever threads and locks this process has, the others begin clean.
+    # A fork would copy the threads' locks of this process.
     context = multiprocessing.get_context("spawn")
     before = set(multiprocessing.active_children())
     executor = ProcessPoolExecutor(count, mp_context=context, initializer=_begin)
     try:
         yield executor
     except BaseException:
-        # A shutdown waits for them; a second Ctrl-C in that wait left pool and workers waiting for
-        # each other for ever.
+        # A shutdown waits for the processes; without the kill, a second Ctrl-C during the shutdown
+        # left the pool and its workers in a deadlock.
         for process in set(multiprocessing.active_children()) - before:
             process.kill()
         raise
@@ -44,7 +43,7 @@ def processes(count: int) -> Iterator[Executor]:
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """Give an executor that is a Dask cluster; its workers need armrig, and the same folders.
+    """Yield an executor of a Dask cluster; its workers need armrig and access to the same folders.
 
     Raises
     ------
@@ -54,7 +53,7 @@ def cluster(address: str) -> Iterator[Executor]:
         No scheduler answers.
     """
     distributed = imported("distributed", "dask")
-    # It logs each lost connection with its traceback; what a person must know is raised.
+    # distributed logs a traceback for each lost connection. It raises serious failures anyway.
     logging.disable(logging.CRITICAL)
     try:
         with _connected(distributed, address) as client:
@@ -65,14 +64,14 @@ def cluster(address: str) -> Iterator[Executor]:
 
 def _connected(distributed: Any, address: str) -> Any:
     try:
-        return distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+        return distributed.Client(address, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as err:
         msg = f"--scheduler {address}: no Dask scheduler answers; `dask scheduler` starts one and "
-        raise OperationError(f"{msg}says its address, such as tcp://127.0.0.1:8786") from err
+        raise OperationError(f"{msg}prints its address, such as tcp://127.0.0.1:8786") from err
 
 
 def _begin() -> None:
-    """Make a worker process: Ctrl-C is its parent's, whose death is its own."""
+    """Prepare a worker process: it ignores Ctrl-C and ends with its parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
