@@ -1,1 +1,1 @@
-"""What the daemon and its clients share: samples, telemetry, calibration, the arm."""
+"""Modules shared by the daemon and its clients: samples, telemetry, calibration, the arm."""

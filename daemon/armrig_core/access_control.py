@@ -1,7 +1,8 @@
-"""What zenoh lets through: to a daemon, to a router, and from them. Pure.
+"""The messages that zenoh passes to and from a daemon or a router. Pure.
 
-A configuration for each way in. zenoh matches names literally. What a subscriber asks for must be
-included in what is allowed. All of this holds on the very node that has it.
+Each listening session has its own configuration. zenoh compares names literally. A subscription is
+permitted only if the allowed keys include all keys of the subscription. The rules also apply to the
+messages of the node that is configured with them.
 """
 
 from __future__ import annotations
@@ -23,26 +24,26 @@ from armrig_core.topics import (
 )
 
 Subject = Literal["cert_common_names", "usernames"]
-"""By what zenoh knows who has connected."""
+"""Property by which zenoh identifies a client."""
 MOST_BYTES = 4096
-"""Longest payload of any command but a run and a calibration."""
-MOST_OF_CALIBRATION = (RAW_LIMIT + 2) // 3 * 4 + (1 << 16)
-"""Longest payload of `calibrate`: its samples in base64, and its figures."""
+"""Longest payload of any command except a run and a calibration, in B."""
+MOST_CALIBRATION_BYTES = (RAW_LIMIT + 2) // 3 * 4 + (1 << 16)
+"""Longest payload of `calibrate`, in B: its samples in base64, and its values."""
 MOST_LOCAL_BYTES = 88 << 20  # the longest run, 20 B a sample as JSON, and its details
-MOST_IN_A_MESSAGE = 8 << 20  # over a network: whoever is let in could have us hold so much for him
+MOST_MESSAGE_BYTES = 8 << 20  # over a network: a client can make the daemon hold so many bytes
 
 
 def remote(rig: str, people: AccessList, subject: Subject) -> dict[str, Any]:
-    """Return the access control of a network: whoever is in no list may do nothing.
+    """Return the access control of a network: a client in no list may do nothing.
 
     Parameters
     ----------
     rig : str
         Id of the rig.
     people : AccessList
-        Who may what; who was revoked is in none of its two lists, like a stranger.
+        Operators and observers. A revoked client is in neither list and may do nothing.
     subject : {"cert_common_names", "usernames"}
-        By what they are known.
+        Property by which zenoh identifies the clients.
     """
     rules, policies = _watching(rig), []
     shared = [rule["id"] for rule in rules]
@@ -61,10 +62,11 @@ def remote(rig: str, people: AccessList, subject: Subject) -> dict[str, Any]:
 
 
 def of_router(people: AccessList) -> dict[str, Any]:
-    """Return the access control of a router, between the rigs and the people of its access list.
+    """Return the access control of a router between the rigs and the people of its access list.
 
-    A person may do with every rig what he may do with one that he is connected to. A rig may
-    publish, answer and stand alive under its own id, and is handed what is asked of it.
+    At every rig of the router, a person has the same permissions as at a rig without a router. A
+    rig may publish, answer and hold a liveliness token under its own id, and receives the requests
+    to this id.
     """
     found = remote(EVERY_RIG, people, "cert_common_names")
     for name in people.rigs:
@@ -80,9 +82,9 @@ def of_router(people: AccessList) -> dict[str, Any]:
 
 
 def at_router(rig: str) -> dict[str, Any]:
-    """Return the access control of a rig's daemon towards its router: that of a router, mirrored.
+    """Return a daemon's access control towards its router: the router's, with swapped directions.
 
-    Who has asked stands in the key; the router has seen his certificate, and vouches for it.
+    The router verifies the client's certificate and guarantees the client's name in the key.
     """
     mirrored = {"ingress": "egress", "egress": "ingress"}
     rules = [
@@ -93,8 +95,8 @@ def at_router(rig: str) -> dict[str, Any]:
 
 
 def size_limits(rig: str) -> list[dict[str, Any]]:
-    """Return zenoh's `low_pass_filter`: what is longer than a command may be is dropped unread."""
-    longest = {Run.name: MOST_REMOTE_BYTES, Calibrate.name: MOST_OF_CALIBRATION}
+    """Return zenoh's `low_pass_filter`: zenoh discards longer commands before they are read."""
+    longest = {Run.name: MOST_REMOTE_BYTES, Calibrate.name: MOST_CALIBRATION_BYTES}
     return [
         {
             "id": f"size of {name}",
@@ -108,7 +110,7 @@ def size_limits(rig: str) -> list[dict[str, Any]]:
 
 
 def _own(rig: str) -> list[tuple[str, str, list[str], list[str]]]:
-    """Return what is a rig's own, as its router sees it: what, which way, messages, keys."""
+    """Return a rig's permissions at its router: name, direction, messages, keys."""
     asked = [schema_key(rig, "**"), history_key(rig), command_key(rig, "*", "*")]
     return [
         ("publishes", "ingress", ["put"], [stream_key(rig, stream) for stream in STREAMS]),
@@ -130,18 +132,18 @@ def _denied_but(rules: list[Any], policies: list[Any], subjects: list[Any]) -> d
 
 
 def _watching(rig: str) -> list[dict[str, Any]]:
-    """Return what all who are in a list may do: hear the rig, now and of late, and see it alive."""
+    """Return the permissions of operators and observers: streams, schema, history, liveliness."""
     streams = [stream_key(rig, stream) for stream in STREAMS]
-    any_stream, told = stream_key(rig, "*"), [schema_key(rig, "**"), history_key(rig)]
+    any_stream, public = stream_key(rig, "*"), [schema_key(rig, "**"), history_key(rig)]
     sees = ["liveliness_query", "declare_liveliness_subscriber"]
     return [
         _allowed("listen", "ingress", ["declare_subscriber"], [any_stream]),
         _allowed("look for rigs", "ingress", sees, [any_stream, alive_key(EVERY_RIG)]),
         _allowed("hear", "egress", ["put"], streams),
         _allowed("see alive", "egress", ["liveliness_token"], [alive_key(rig)]),
-        _allowed("ask what is told to all", "ingress", ["query"], told),
-        _allowed("get it", "egress", ["reply"], told),
-        _allowed("find", "egress", ["declare_queryable"], [*told, command_key(rig, "*", "*")]),
+        _allowed("ask for schema and history", "ingress", ["query"], public),
+        _allowed("get schema and history", "egress", ["reply"], public),
+        _allowed("find", "egress", ["declare_queryable"], [*public, command_key(rig, "*", "*")]),
     ]
 
 

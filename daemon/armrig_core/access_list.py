@@ -1,4 +1,4 @@
-"""Who may do what, by name: a TOML that `armrig pki` keeps and the daemon reads at its start."""
+"""Permissions by name: a TOML file that `armrig pki` writes and the daemon reads at its start."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from armrig_core.toml_file import read_toml
 LIMIT = 1 << 20
 """Longest access list, in B."""
 _HEADING = """\
-# Who may do what with the rigs, by the name in the certificate (or of the user with a password).
-# `armrig pki` writes it; armrigd and `armrig router` read it at their start: start them anew after
-# each change.
+# Permissions at the rigs, by the name in the certificate (or of the user with a password).
+# `armrig pki` writes this file; armrigd and `armrig router` read it at their start: restart them
+# after each change.
 """
 
 _Names = Annotated[tuple[str, ...], Meta(max_length=10_000)]
 
 
 class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Names, each in one list at most; whoever is in none of the first three may do nothing."""
+    """Names, each in at most one list; only operators, observers and rigs have permissions."""
 
     operators: _Names = ()
-    """Who may drive the rigs, and watch."""
+    """Names of clients that may drive and watch the rigs."""
     observers: _Names = ()
-    """Who may watch."""
+    """Names of clients that may watch the rigs."""
     rigs: _Names = ()
-    """Names in the rigs' certificates, such as rig-1: each may be that rig at a router."""
+    """Names in the rigs' certificates; the owner of the certificate rig-1 is rig 1 at a router."""
     revoked: _Names = ()
-    """Who may do nothing any more, and whose name is not given again."""
+    """Names whose permissions were removed; no new certificate contains a revoked name."""
 
     def __post_init__(self) -> None:
-        """Refuse what is no name, and a name that stands twice."""
+        """Refuse malformed names, names that are listed twice, and rigs without the prefix."""
         seen: set[str] = set()
         for name in (*self.operators, *self.observers, *self.rigs, *self.revoked):
             if check_name(name) in seen:
-                raise InputError(f"{name!r} stands there twice: once is allowed")
+                raise InputError(f"{name!r} is listed twice; once is allowed")
             seen.add(name)
         for name in self.rigs:
             if not name.startswith(RIG_PREFIX):
-                msg = f"{name!r} among the rigs: the name in a rig's certificate is needed, such "
-                raise InputError(f"{msg}as {RIG_PREFIX}1")
+                msg = f"rigs contains {name!r}; allowed are names of rigs' certificates, such as "
+                raise InputError(f"{msg}{RIG_PREFIX}1")
 
     def role(self, name: str) -> str:
-        """Return the list that a name stands in; "" where it is in none."""
+        """Return the field that contains a name, such as "operators"; "" if no field does."""
         return next((role for role in self.__struct_fields__ if name in getattr(self, role)), "")
 
     def with_name(self, name: str, role: str) -> AccessList:
@@ -61,7 +61,7 @@ class AccessList(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         return AccessList(**{**fields, role: (*fields[role], name)})
 
     def toml(self) -> str:
-        """Return the text of its file."""
+        """Return the access list as the text of a TOML file."""
         rows = [f"{f} = {json.dumps(getattr(self, f))}\n" for f in self.__struct_fields__]
         return _HEADING + "".join(rows)
 
@@ -72,15 +72,13 @@ def read_access_list(path: Path) -> AccessList:
     Raises
     ------
     FileError
-        It cannot be read, is no TOML, or holds a key or a name that is not allowed.
+        The file cannot be read, is not TOML, or contains a key or a name that is not allowed.
     """
     try:
         return msgspec.convert(read_toml(path, LIMIT), AccessList)
     except FileNotFoundError as err:
         raise FileError(f"{path}: there is no such file; `armrig pki ca` writes one") from err
     except OSError as err:
-        raise FileError(
-            f"{path}: {err.strerror}; it must be a file that this user may read"
-        ) from err
+        raise FileError(f"{path}: {err.strerror}; choose a file that this user may read") from err
     except ValueError as err:
         raise FileError(f"{path}: {err}") from err

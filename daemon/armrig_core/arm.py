@@ -1,11 +1,13 @@
 """The dynamics of the arm on its chassis, as matrices with the handout's values.
 
-Two inertias joined by a spring, driven through a gear by a motor whose inductance is neglected::
+The model is two inertias, joined by a spring. A motor drives them through a gear; its inductance is
+neglected::
 
     J_1 theta_1'' = N K_m (u - N K_m theta_1') / R_m + K_lin alpha - b_1 theta_1'
     J_2 (theta_1'' + alpha'') = -K_lin alpha
 
-with theta_1 the chassis against the fundament and alpha the arm against the chassis.
+theta_1 is the angle of the chassis relative to the fundament, and alpha the angle of the arm
+relative to the chassis.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ Matrix = NDArray[np.float64]
 @checked_class
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArmParameters:
-    """Parameters of the rig; the defaults are the handout's (assignment 2.2)."""
+    """Parameters of the rig; the defaults are the values of the handout (assignment 2.2)."""
 
     J_1: float = 1.7e-3
     """Inertia of motor, gear and chassis, seen at the chassis, in kg m²."""
@@ -45,7 +47,7 @@ class ArmParameters:
     """Viscous friction of the chassis, in Nms/rad; the handout neglects it."""
 
     def __post_init__(self) -> None:
-        """Refuse what no rig can be."""
+        """Refuse values that no rig can have."""
         for field in fields(self):
             value = getattr(self, field.name)
             if not isinstance(value, Real):
@@ -56,7 +58,7 @@ class ArmParameters:
 
     @property
     def torque_per_volt(self) -> float:
-        """Torque on the chassis at rest for one volt, N K_m / R_m, in Nm/V."""
+        """Torque on the chassis at rest per volt, N K_m / R_m, in Nm/V."""
         return self.N * self.K_m / self.R_m
 
     @property
@@ -66,7 +68,7 @@ class ArmParameters:
 
 
 def require_parameters(p: object) -> None:
-    """Refuse what is no `ArmParameters`."""
+    """Raise InputTypeError if `p` is not an `ArmParameters`."""
     if not isinstance(p, ArmParameters):
         raise InputTypeError(
             f"p is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), or "
@@ -105,7 +107,7 @@ def chassis_matrices(p: ArmParameters) -> tuple[Matrix, Matrix, Matrix]:
 def zero_order_hold(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
     """Return Phi (n, n) and Gamma (n, m): x(t + h) = Phi x(t) + Gamma u for a u held over `h` s.
 
-    Both come from one exponential of the block matrix [A B; 0 0], which needs no inverse of A.
+    Phi and Gamma are blocks of the exponential of [A B; 0 0] h. A need not be invertible.
 
     References
     ----------

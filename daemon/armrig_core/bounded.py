@@ -1,4 +1,4 @@
-"""Files of others: regular ones only, and never more of them than they may have."""
+"""Reading of untrusted files: only regular files, and at most a given number of bytes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from armrig_core.errors import FileError
 
 CONFIGURATION_LIMIT = 1 << 16
-"""Longest configuration file, in B; the time of its reader grows with the square."""
+"""Longest configuration file, in B; the reader's time grows with the square of the length."""
 
 
 def read_bounded(
@@ -23,17 +23,17 @@ def read_bounded(
     Parameters
     ----------
     check : callable
-        Takes the state of the file that is read, and raises where it may not be.
+        Called with the state of the open file; raises if the file may not be read.
 
     Raises
     ------
     OSError
-        It cannot be read, is none (a pipe would keep us waiting, a device never ends), or has
+        The file cannot be read, is not regular (a pipe may block, a device may never end), or has
         more than `most` bytes.
     """
-    # Without waiting for somebody to write to a pipe; Windows has neither of the two.
+    # O_NONBLOCK: do not wait until somebody writes to a pipe. Windows has neither flag.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
-    # Not os.fdopen, which calls a directory by the number of its descriptor.
+    # Not os.fdopen, whose error names a directory by the number of its descriptor.
     with open(path, "rb", opener=lambda name, _: os.open(name, flags)) as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):
@@ -51,20 +51,20 @@ def read_text(path: Path, most: int) -> str:
     Raises
     ------
     FileError
-        It is saved in another encoding than UTF-8.
+        The file is not encoded as UTF-8.
     OSError
-        As of `read_bounded`.
+        The file cannot be read, as in `read_bounded`.
     """
     return decoded(read_bounded(path, most))
 
 
 def decoded(data: bytes) -> str:
-    """Return the text of bytes, without the byte order mark of some editors.
+    """Return the text that `data` encodes, without the byte order mark of some editors.
 
     Raises
     ------
     FileError
-        They are in another encoding than UTF-8.
+        `data` is not UTF-8.
     """
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise FileError("it is saved as UTF-16: save it as UTF-8")

@@ -1,4 +1,4 @@
-"""A calibration as a TOML of its own, and the samples that it was estimated from beside it."""
+"""The TOML file of a calibration, and the samples from which it was estimated, next to the file."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from armrig_core.errors import FileError
 from armrig_core.toml_file import read_toml
 
 RAW_LIMIT = 1 << 20
-"""Most that the samples of a calibration may take, compressed, in B."""
+"""Largest size of the compressed samples of a calibration, in B."""
 _HEADING = (
-    "# Calibration of a rig, written by `armrig calibrate`. The daemon uses it where its\n"
-    '# configuration says [calibration] file = "…". The samples that it was estimated from\n'
-    "# lie beside it, in a compressed CSV of the same name.\n"
+    "# Calibration of a rig, written by `armrig calibrate`. The daemon uses this file if its\n"
+    '# configuration contains [calibration] file = "…". The samples from which the calibration\n'
+    "# was estimated are in a compressed CSV of the same name in this folder.\n"
 )
 
 
-_TOML_LIMIT = 1 << 14  # ten times what we write; the reader's time grows with the square
+_TOML_LIMIT = 1 << 14  # ten times the written size; the reader's time grows with the square
 
 
 class LostSamplesError(FileError):
-    """The samples of a calibration are not beside its file; all else of it may be whole."""
+    """The samples of a calibration are missing or wrong; the calibration itself may be usable."""
 
 
 def raw_path(path: Path) -> Path:
-    """Return where the samples of the calibration in `path` lie."""
+    """Return the path of the samples of the calibration in `path`."""
     return path.with_suffix(".csv.gz")
 
 
@@ -49,13 +49,13 @@ def toml_of(calibration: Calibration) -> str:
 
 
 def tables_of(path: Path) -> dict[str, Any]:
-    """Return the tables in the TOML at `path`, not yet checked but for its raw samples.
+    """Return the tables of the TOML file at `path`; check only the hash of the raw samples.
 
     Raises
     ------
     FileError
-        The file cannot be read or is no TOML, or the samples beside it are not those that it was
-        estimated from.
+        The file cannot be read or is not TOML, or the samples next to it are not the samples from
+        which it was estimated.
     """
     try:
         tables = read_toml(path, _TOML_LIMIT)
@@ -72,7 +72,7 @@ def tables_of(path: Path) -> dict[str, Any]:
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Return the calibration in the TOML at `path`; raises FileError."""
+    """Return the calibration in the TOML file at `path`; raises FileError."""
     tables = tables_of(path)
     try:
         return msgspec.convert(tables, Calibration)
@@ -81,17 +81,17 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def check_measured(calibration: Calibration, raw: bytes) -> Made:
-    """Return how a calibration was made; refuse one that no file of `armrig calibrate` holds.
+    """Return the origin of a calibration; refuse it if `armrig calibrate` cannot have written it.
 
     Parameters
     ----------
     raw : bytes
-        The compressed samples that it was estimated from.
+        The compressed samples from which the calibration was estimated.
 
     Raises
     ------
     FileError
-        It was not measured, is longer than a file may be, or `raw` are not its samples.
+        The calibration was not measured or is too long, or `raw` are not its samples.
     """
     made, error = calibration.made, ""
     if made is None:
@@ -99,23 +99,23 @@ def check_measured(calibration: Calibration, raw: bytes) -> Made:
             "the calibration does not say how it was made; `armrig calibrate` makes one"
         )
     if len(toml_of(calibration).encode()) > _TOML_LIMIT:
-        error = f"the calibration takes more than the {_TOML_LIMIT} B allowed"
+        error = f"the calibration has more than {_TOML_LIMIT} B"
     elif len(raw) > RAW_LIMIT:
-        error = f"its samples take {len(raw)} B, at most {RAW_LIMIT} B are allowed"
+        error = f"its samples have {len(raw)} B; at most {RAW_LIMIT} B are allowed"
     elif (hashlib.sha256(raw).hexdigest() if raw else "") != made.raw_sha256:
-        error = "the samples beside it are not those that it was estimated from"
+        error = "the samples next to it are not the samples from which it was estimated"
     if error:
-        raise FileError(f"{error}; calibrate anew with `armrig calibrate`")
+        raise FileError(f"{error}; calibrate again with `armrig calibrate`")
     return made
 
 
 def raw_samples(calibration: Calibration) -> bytes:
-    """Return the compressed samples of a calibration that was read from a file, or nothing.
+    """Return the compressed samples of a calibration that was read from a file, or b"".
 
     Raises
     ------
     FileError
-        They are not there, too long, or not those that it was estimated from.
+        The samples are missing or too long, or the calibration was not estimated from them.
     """
     made = calibration.made
     if made is None or not (made.file and made.raw_sha256):
@@ -124,21 +124,21 @@ def raw_samples(calibration: Calibration) -> bytes:
 
 
 def _raw(path: Path, sha256: str) -> bytes:
-    beside = raw_path(path)
-    way_out = f"put it beside {path.name}, or calibrate anew with `armrig calibrate`"
+    samples = raw_path(path)
+    way_out = f"put it next to {path.name}, or calibrate again with `armrig calibrate`"
     try:
-        data = read_bounded(beside, RAW_LIMIT)
+        data = read_bounded(samples, RAW_LIMIT)
     except OSError as err:
-        raise LostSamplesError(f"{beside}: {err.strerror}; {way_out}") from err
+        raise LostSamplesError(f"{samples}: {err.strerror}; {way_out}") from err
     if hashlib.sha256(data).hexdigest() != sha256:
         raise LostSamplesError(
-            f"{beside}: not the samples that {path.name} was estimated from; {way_out}"
+            f"{samples}: not the samples from which {path.name} was estimated; {way_out}"
         )
     return data
 
 
 def _write(table: Mapping[str, Any], name: str, lines: list[str]) -> None:
-    """Append a table: its own values first, then the tables in it."""
+    """Append the lines of a table: first its own values, then its nested tables."""
     inner = {key: value for key, value in table.items() if isinstance(value, Mapping)}
     plain = {key: value for key, value in table.items() if key not in inner}
     if plain:

@@ -1,4 +1,4 @@
-"""Calls that cannot be right, answered with how the call is written."""
+"""Checks of a call's arguments, with messages that show the correct call."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ T = TypeVar("T")
 
 
 def checked_call(f: Callable[P, R]) -> Callable[P, R]:
-    """Let a function answer a call with missing, unknown or too many arguments.
+    """Return the function with checks for missing, unknown or too many arguments.
 
-    Python's own answer counts them; this one names them, and says how the call is written.
+    Python's message only counts the arguments. The message of the returned function names the
+    arguments and shows the correct call.
     """
     asked = signature(f)
     name = f.__qualname__.removesuffix(".__init__").rpartition(".")[2]
@@ -32,7 +33,7 @@ def checked_call(f: Callable[P, R]) -> Callable[P, R]:
 
 
 def checked_class(cls: type[T]) -> type[T]:
-    """Let a class answer so where it is called."""
+    """Return the class with checks of the arguments of its constructor, as in `checked_call`."""
     cls.__init__ = checked_call(cls.__init__)  # type: ignore[method-assign]
     return cls
 
@@ -40,12 +41,13 @@ def checked_class(cls: type[T]) -> type[T]:
 def check_call(
     name: str, asked: Signature, args: Sequence[Any], options: Mapping[str, Any]
 ) -> None:
-    """Refuse arguments that do not fit.
+    """Refuse arguments that do not fit the signature `asked`.
 
     Raises
     ------
     TypeError
-        Some are missing, unknown or too many; says which, and how the call is written.
+        Arguments are missing, unknown or too many. The message names these arguments and shows the
+        correct call.
     """
     try:
         asked.bind(*args, **options)
@@ -72,7 +74,7 @@ def _explained(name: str, asked: Signature, args: Sequence[Any], options: Mappin
         by_name = [n for n in names if n not in positional]
         if by_name:
             return f"{name} takes {', '.join(by_name[:3])} by name: {call}"
-        return f"{name} takes {', '.join(positional)}, but {given} came: {call}"
+        return f"{name} takes {', '.join(positional)}, but was given {given}: {call}"
     taken = {*options, *positional[:given]}
     missing = [p.name for p in needed if p.name not in taken]
     if not missing:
@@ -82,7 +84,7 @@ def _explained(name: str, asked: Signature, args: Sequence[Any], options: Mappin
 
 
 def _written(p: Parameter) -> str:
-    """Return how an argument stands in a call."""
+    """Return the text of an argument in a call, such as `[u, …]` or `Ts=…`."""
     if str(p.annotation).startswith("Sequence"):
         return f"[{p.name}, …]"
     return p.name if p.kind is Parameter.POSITIONAL_OR_KEYWORD else f"{p.name}=…"

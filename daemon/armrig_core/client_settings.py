@@ -1,4 +1,4 @@
-"""How a client finds its daemon: `[client]` of the configuration, under the environment."""
+"""Settings by which a client finds its daemon, from the table `[client]` and the environment."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ _PREFIX = "ARMRIG_CLIENT_"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClientSettings:
-    """What is configured; empty where nothing is."""
+    """The configured values; a value that is not configured is empty."""
 
     connect: str = ""
     """Endpoint of the daemon."""
     certificate: str = ""
-    """Path of a credential."""
+    """Path of a credential's file."""
     password: str = ""
     """Path of a file with a user and a password."""
 
 
 def client_settings(paths: Sequence[Path], environ: Mapping[str, str]) -> ClientSettings:
-    """Return the settings of these files and variables.
+    """Return the settings in the given files and environment variables.
 
     Parameters
     ----------
     paths : sequence of Path
-        TOML files, the later over the earlier; one that this user may not read says nothing to
-        him, as the daemon's own may.
+        TOML files; a later file overrides an earlier one. A file that this user may not read, such
+        as the daemon's file, is ignored.
     environ : mapping
-        Environment variables; those that begin with `ARMRIG_CLIENT_` are over the files.
+        Environment variables; those that begin with `ARMRIG_CLIENT_` override the files.
 
     Raises
     ------
     ValueError
-        A file is no TOML, or its table has another key, or a value that is no text.
+        A file is not TOML, or its table has an unknown key or a value that is not text.
     """
     settings = ClientSettings()
     for path in paths:

@@ -1,73 +1,73 @@
-"""Codes that programs decide by; each is sent and recorded beside a sentence for a person.
+"""Codes by which programs decide; each code is sent and recorded with a sentence for a person.
 
-A code keeps its meaning from release to release. A reader treats one that it does not know as it
-treats an absent one.
+A code keeps its meaning from release to release. A reader treats an unknown code like an absent
+code.
 """
 
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 TRY_AGAIN = ": try again"
-"""How the sentence of a refusal ends that passes by itself."""
+"""Last words of the sentence of a temporary refusal."""
 
 
 class RefusalCode(StrEnum):
-    """Why a command was refused."""
+    """Reason of a refusal."""
 
     NOT_ALLOWED = "not_allowed"
-    """The command, or a field of it, is not allowed as it is."""
+    """The command, or one of its fields, is not allowed."""
     TOO_LONG = "too_long"
-    """The command has too many bytes: bytes, most_bytes."""
+    """The command has `bytes` bytes, more than the allowed `most_bytes`."""
     NOT_HELD = "not_held"
-    """The lease is not the one in force."""
+    """The lease is not the current lease."""
     NOT_NEWER = "not_newer"
-    """The number does not exceed the last one of the lease: n, last."""
+    """The number `n` does not exceed the last number `last` of the lease."""
     HELD = "held"
-    """Somebody holds the rig: owner."""
+    """The client `owner` holds the rig."""
     IN_FAULT = "in_fault"
-    """A fault is latched: fault, its id; reason."""
+    """A fault is latched: `fault` is its id, `reason` its sentence."""
     RUNNING = "running"
     """An experiment is running, or about to start."""
     BY_HAND = "by_hand"
     """The motor is driven by hand."""
     CANNOT_PACE = "cannot_pace"
-    """The device cannot pace the run as it was asked for."""
+    """The device cannot pace the run as requested."""
     NO_ROOM = "no_room"
     """Nothing can be recorded."""
     NO_RIG = "no_rig"
     """No device answers at the daemon's port."""
     NO_LINK = "no_link"
-    """The line to the device is down, or went down meanwhile."""
+    """The line to the device is down, or went down during the command."""
     NO_EFFECT = "no_effect"
-    """The device did not do what it was asked for."""
+    """The device did not execute the request."""
     READINGS = "readings"
-    """A potentiometer does not read what a rig in order would."""
+    """A potentiometer has a reading that is impossible at an intact rig."""
     OVERTAKEN = "overtaken"
-    """Another command, or a stop, came before this one had its effect."""
+    """Another command, or a stop, arrived before the command took effect."""
     ENDING = "ending"
     """The daemon is ending."""
     NO_ANSWER = "no_answer"
-    """The loop did not answer in time; whether the command had an effect is not known."""
+    """The loop did not answer in time; it is unknown if the command took effect."""
     INTERNAL = "internal"
     """The daemon failed."""
     NO_DEVICE = "no_device"
-    """The device does not answer at the moment."""
+    """The device does not answer at present."""
     BUSY = "busy"
-    """The device is being asked for something else: want."""
+    """Another request to the device, `want`, is in progress."""
     STALE = "stale"
-    """The device did not answer, or send a sample, of late: age_ms or limit_ms."""
+    """The last answer (`age_ms` old) or sample (older than `limit_ms`) of the device is too old."""
     NOT_AT_REST = "not_at_rest"
     """The device is not at rest yet."""
     LATE = "late"
-    """The host woke up too late in the last second: late_ms, most_ms."""
+    """In the last second the host woke up `late_ms` late; `most_ms` is allowed."""
     TOO_MANY = "too_many"
-    """Too many commands came at once, from all clients together."""
+    """All clients together sent too many commands at once."""
 
     @property
     def passes(self) -> bool:
-        """Whether the refusal passes by itself: the same command may be taken a little later."""
+        """True if the refusal is temporary: the same command may be accepted a little later."""
         return self in _PASSING
 
 
@@ -84,38 +84,73 @@ _PASSING = frozenset(
 
 
 class OutcomeCode(StrEnum):
-    """How a run, or its recording, ended."""
+    """Outcome of a run or of its recording."""
 
     COMPLETE = "complete"
-    """With the last sample of its input, or of what was to be recorded."""
+    """The run ended with the last sample of its input, or the recording with its last sample."""
     CONTINUED = "continued"
-    """Of a part: another part follows."""
+    """The file is one part of a run, and another part follows."""
     STOPPED = "stopped"
-    """Somebody stopped it."""
+    """A client stopped the run."""
     DISARMED = "disarmed"
-    """Its owner gave the rig back."""
+    """The owner released the rig."""
     CLIENT_GONE = "client_gone"
-    """Its client gave no sign for longer than its dead-man."""
+    """The client was silent for longer than the dead-man's time."""
     FAULT = "fault"
-    """The rig went into a fault."""
+    """The run ended at a fault of the rig."""
     DEVICE = "device"
-    """The device did not take the setpoints."""
+    """The device did not accept the setpoints."""
     DAEMON_ENDED = "daemon_ended"
-    """The daemon, or its loop, ended."""
+    """The daemon or its loop ended."""
     RECORDING = "recording"
-    """The recording could not begin, or go on; the sentence names the file."""
+    """The recording could not begin or continue; the sentence names the file."""
     MOVED = "moved"
-    """Somebody moved the file while it was written."""
+    """The file was moved during the recording."""
     CUT_OFF = "cut_off"
-    """The file was cut off, and completed later."""
+    """The file was cut off, and recovered later."""
     RECORDER = "recorder"
-    """The recorder from afar ended early, or its rig began to count or to sample otherwise."""
+    """The remote recorder ended early, or the rig's sample count or sampling time changed."""
     UNKNOWN = "unknown"
-    """It ended early; nothing more is known."""
+    """The run ended early for an unknown reason."""
+
+
+class GapCode(StrEnum):
+    """Reason of a gap; a member contains the sentence for a person."""
+
+    sentence: str
+    """Reason in words, for a log or a page."""
+
+    HOST_LATE = "host_late", "the host was late"
+    """The loop did not run at the ticks of the samples."""
+    DEVICE_LATE = "device_late", "the device was late"
+    """Too many requests were unanswered, so the loop sent no request at the tick."""
+    FRAME_LOST = "frame_lost", "a frame was lost"
+    """The line lost the request or the sample."""
+    NO_ANSWER = "no_answer", "no answer came"
+    """No sample arrived, for an unknown reason."""
+    FAULT = "fault", "the rig went into a fault"
+    """The device stopped before its run ended; the gap's sentence is the cause of the fault."""
+    SERVICE_LATE = "service_late", "the service did not keep up"
+    """The pipe between loop and service was full."""
+    RECORDER_CUT_OFF = (
+        "recorder_cut_off",
+        "the recorder was cut off for longer than the daemon keeps what it published",
+    )
+    """The daemon published the samples; the remote recorder missed them."""
+    LISTENER_LATE = "listener_late", "the listener, or the way to it, did not keep up"
+    """The daemon published the samples; a live listener missed them."""
+    UNKNOWN = "unknown", "the reason is not known"
+    """A file of version 1 contains a sentence to which no code belongs."""
+
+    def __new__(cls, code: str, sentence: str) -> Self:
+        """Create a member from its code and its sentence."""
+        member = str.__new__(cls, code)
+        member._value_, member.sentence = code, sentence
+        return member
 
 
 class Ending(NamedTuple):
-    """How a run ended: a code for programs, and a sentence for a person."""
+    """End of a run: a code for programs, and a sentence for a person."""
 
     code: OutcomeCode
     text: str

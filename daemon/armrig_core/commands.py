@@ -1,4 +1,4 @@
-"""What can be asked of the daemon, and what it answers: JSON, checked field by field."""
+"""Commands to the daemon and its replies: JSON, each field checked."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Lease = Annotated[str, Meta(min_length=32, max_length=32)]
 Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{1,40}\Z", description="a-z, 0-9 and -")]
 Counter = Annotated[int, Meta(ge=0, lt=2**53)]
 Fact = str | int | float | bool | list[str | int | float | bool] | None
-"""What a daemon tells of a device or a host: nothing that is nested deeper."""
+"""A value that a daemon reports about a device or a host; no deeper nesting is allowed."""
 
 
 MOST_SAMPLES = 4_000_000
-"""Longest run: more than an hour at 1 kHz."""
-MOST_NOTE = 500
+"""Longest run, in samples: more than an hour at 1 kHz."""
+MOST_NOTE_LENGTH = 500
 """Longest note, in characters."""
 
 
@@ -40,26 +40,26 @@ class Request(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Arm(Request, frozen=True, kw_only=True):
-    """Take the rig, at 0 V, for one owner; answered by a `LeaseGranted`."""
+    """Reserve the rig, at 0 V, for one owner; the reply is a `LeaseGranted`."""
 
     name: ClassVar[str] = "arm"
     owner: Owner
-    """Who takes it, for a person to read: of characters that print, and not of blanks alone."""
+    """Name of the owner, for a person: printable, with at least one letter or digit."""
     Ts: Seconds | None = None
-    """Sampling time, in s; the configured one where it is left out."""
+    """Sampling time, in s; default: the configured sampling time."""
 
 
 class Leased(Request, frozen=True, kw_only=True):
-    """A command of the owner; only a valid one renews the lease."""
+    """A command of the owner; only a valid command renews the lease."""
 
     lease: Lease
-    """As granted."""
+    """Lease from `LeaseGranted`."""
     n: Counter
-    """Strictly growing with each command of this lease."""
+    """Number of the command; it must increase with each command of this lease."""
 
 
 class Disarm(Leased, frozen=True, kw_only=True):
-    """Give the rig back, at 0 V."""
+    """Release the rig, at 0 V."""
 
     name: ClassVar[str] = "disarm"
 
@@ -73,108 +73,111 @@ class Set(Leased, frozen=True, kw_only=True):
 
 
 class Run(Leased, frozen=True, kw_only=True):
-    """Play and record an experiment; answered by a `RunAccepted`."""
+    """Play and record an experiment; the reply is a `RunAccepted`."""
 
     name: ClassVar[str] = "run"
     u: Annotated[list[Volts], Meta(min_length=1, max_length=MOST_SAMPLES)]
     """Motor voltage at each sample, in V."""
     pacing: Literal["scheduled", "exchange"] = "scheduled"
-    """Who makes the samples: the device's timer, or the host at each tick."""
+    """Source of the sampling instants: the device's timer, or the host at each tick."""
     experiment: Name = "run"
     """Kind of experiment; part of the recording's name."""
     details: dict[str, Any] = {}
-    """What the experiment was made of, such as its seed; kept in the recording."""
+    """Parameters of the experiment, such as its seed; the recording contains them."""
     dead_man: Annotated[float, Meta(ge=0.5, le=60, description="s")] | None = None
-    """The run is stopped when no `renew` has come for so long, in s; left out, it plays on."""
+    """Longest time without a `renew`, in s, after which the run stops; default: none."""
 
 
 class Renew(Leased, frozen=True, kw_only=True):
-    """Show that the client of the run in hand is still there."""
+    """Show that the client of the current run is still alive."""
 
     name: ClassVar[str] = "renew"
 
 
 class Stop(Request, frozen=True, kw_only=True, omit_defaults=True):
-    """Go to 0 V. Taken from anybody who may command, lease or not."""
+    """Go to 0 V. Every client that may send commands may send a stop, with or without a lease."""
 
     name: ClassVar[str] = "stop"
     by: str = ""
-    """Who stops it, for the recording; of any length, as a stop is not refused for a name."""
+    """Name of the client, for the recording; of any length, as no stop is refused for a name."""
 
 
 class Note(Request, frozen=True, kw_only=True, omit_defaults=True):
-    """Write a line into the recording of the run in hand. Taken from anybody who may stop."""
+    """Write a line into the current run's recording.
+
+    Every client that may send a stop may send a note.
+    """
 
     name: ClassVar[str] = "note"
-    text: Annotated[str, Meta(min_length=1, max_length=MOST_NOTE, description="prints")]
-    """What happened, such as that somebody touched the arm."""
+    text: Annotated[str, Meta(min_length=1, max_length=MOST_NOTE_LENGTH, description="prints")]
+    """Text of the note, such as "touched the arm"."""
     owner: str = ""
-    """Author of the note; more than 80 characters are cut off."""
+    """Author of the note; characters after the 80th are cut off."""
 
 
 class Reset(Request, frozen=True, kw_only=True):
-    """Leave a latched fault, disarmed."""
+    """Clear a latched fault; the rig is then disarmed."""
 
     name: ClassVar[str] = "reset"
 
 
 class Calibrate(Request, frozen=True, kw_only=True):
-    """Use a measured calibration from now on; taken only while the rig is safe."""
+    """Use a measured calibration from now on; accepted only while the rig is safe."""
 
     name: ClassVar[str] = "calibrate"
     calibration: Calibration
-    """As in the file that `armrig calibrate` writes."""
+    """Contents of the file that `armrig calibrate` writes."""
     raw: bytes = b""
-    """The samples that it was estimated from, compressed, as base64."""
+    """Samples from which the calibration was estimated, compressed, as base64."""
 
 
 class Status(Request, frozen=True, kw_only=True):
-    """Ask how things are; answered by a `StatusReport`."""
+    """Request the state of the daemon and the rig; the reply is a `StatusReport`."""
 
     name: ClassVar[str] = "status"
 
 
 MOST_REMOTE_BYTES = (8 << 20) - (64 << 10)
-"""Longest command over a network, in B: 8 MiB less what zenoh writes around it."""
-MOST_DETAILS = 1 << 20
+"""Longest command over a network, in B: 8 MiB minus zenoh's own part of the message."""
+MOST_DETAILS_BYTES = 1 << 20
 """Longest `details` of a run, as JSON in B."""
 Requests = Arm | Disarm | Run | Renew | Set | Stop | Note | Reset | Calibrate | Status
 """Any command."""
 REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}
-"""Class of each command."""
+"""Class of each command, by the command's name."""
 
 
 class LeaseGranted(msgspec.Struct, frozen=True, kw_only=True):
-    """The rig is armed, at 0 V."""
+    """Reply to `arm`: the rig is armed, at 0 V."""
 
     lease: Lease
-    """To be carried by each command."""
+    """Lease that each command must contain."""
     period_s: float
-    """A held voltage falls to 0 V when no valid command came for so long, in s."""
+    """Time without a valid command after which a held voltage falls to 0 V, in s."""
     Ts: Seconds
-    """Sampling time in force, in s."""
+    """Current sampling time, in s."""
     u_min: Volts
-    """Lowest voltage taken, in V."""
+    """Lowest accepted voltage, in V."""
     u_max: Volts
-    """Highest voltage taken, in V."""
+    """Highest accepted voltage, in V."""
 
 
 class RunAccepted(msgspec.Struct, frozen=True, kw_only=True):
-    """The experiment begins."""
+    """Reply to `run`: the experiment begins."""
 
     run_id: str
-    """Names this run in the recording, in events and in `StatusReport`."""
+    """Id of the run in the recording, in events and in `StatusReport`."""
     recording: str
-    """Path of the recording once it is finished."""
+    """Path of the finished recording."""
     rehearsal: Rehearsal | None = None
-    """What the model of the rig does under the input."""
+    """Response of the rig's model to the input."""
 
 
 class Done(msgspec.Struct, frozen=True, kw_only=True):
-    """The command was carried out."""
+    """Reply to a command that was carried out."""
 
     done: bool
-    """False where there was nothing to do."""
+    """False if the command changed nothing."""
 
 
 class LastRun(msgspec.Struct, frozen=True, kw_only=True):
@@ -182,103 +185,103 @@ class LastRun(msgspec.Struct, frozen=True, kw_only=True):
 
     run_id: str
     recording: str
-    """Path; ends in .active while it is written."""
+    """Path of the file; it ends in .active while the daemon writes the file."""
     finished: bool
-    """Whether it is complete on the disk."""
+    """True if the file is complete on the disk."""
     samples: Counter
-    """Samples taken so far."""
+    """Number of samples of the run so far."""
     synced: Counter = 0
-    """Samples that are on the disk, whatever dies: counted once a second, at the end all."""
+    """Number of samples that are safely on the disk; updated once a second and at the end."""
     outcome: str
-    """`complete`, or why it ended early; empty while it runs."""
+    """`complete`, or the reason of an early end; empty during the run."""
     code: str = ""
-    """How it ended, for programs: an `OutcomeCode`; empty while it runs, and from a daemon of
-    version 1."""
+    """Outcome for programs, an `OutcomeCode`; empty during the run and from a version 1 daemon."""
 
     @property
     def is_complete(self) -> bool:
-        """Whether the run has ended with its last sample."""
+        """True if the run has ended with its last sample."""
         return (self.code or version_1.outcome_code(self.outcome)) == OutcomeCode.COMPLETE
 
 
 class StatusReport(msgspec.Struct, frozen=True, kw_only=True):
-    """How the daemon is."""
+    """State of the daemon, the rig and the newest recording."""
 
     rig: str
     version: str
     phase: str
     reason: str
-    """Why it is in a fault; empty elsewhere."""
+    """Reason of the fault; empty without a fault."""
     fault: str = ""
-    """Id of the fault, for programs; empty where there is none."""
+    """Id of the fault, for programs; empty without a fault."""
     motor: str = ""
-    """What is known of the motor."""
+    """Known state of the motor."""
     remedy: str = ""
-    """What to do about the fault."""
+    """Remedy of the fault."""
     owner: str
     Ts: Seconds
     u_min: Volts
     u_max: Volts
     endpoint: str
-    """Where zenoh peers connect."""
+    """Endpoint to which zenoh peers connect."""
     device: dict[str, Fact]
-    """What the device said of itself."""
+    """Properties that the device reported."""
     line: str = ""
-    """Why no device answers, and what to try; empty where one does."""
+    """Reason why no device answers, and advice; empty if a device answers."""
     host: dict[str, Fact]
-    """What the host allows: scheduling, locked memory."""
+    """Properties of the host: scheduling, locked memory."""
     last_run: LastRun | None
     recordings: str
     """Directory of the recordings."""
     calibration: str = ""
-    """File and date of the calibration in force; empty where the daemon does not say."""
+    """File and date of the current calibration; empty if the daemon does not report them."""
     calibration_sha256: str = ""
-    """Hash of the calibration in force, as its recordings carry it."""
+    """Hash of the current calibration, as in the daemon's recordings."""
     calibration_file: str = ""
-    """File that the daemon's configuration names, in force or not; empty where it names none."""
+    """Calibration file in the daemon's configuration, used or not; empty if none is configured."""
     arm_removed: bool = False
-    """Whether the configuration says that the rotating part is taken off."""
+    """True if the configuration states that the rotating part is removed."""
     owner_checked: str = ""
-    """What the daemon has checked of the owner, such as `certificate alice`; empty for nothing."""
+    """Verified identity of the owner, such as `certificate alice`; empty if none was verified."""
 
 
-_FILLERS = "\u115f\u1160\u3164\uffa0"
+_FILLERS = "\u115f\u1160\u3164\uffa0"  # Hangul fillers: letters without a visible glyph
 
 
 class Refused(msgspec.Struct, frozen=True, kw_only=True):
-    """The command had no effect."""
+    """Reply to a command that had no effect."""
 
     error: str
-    """What came, what is allowed, what to do; for a person."""
+    """Reason, allowed values and remedy, for a person."""
     code: str = ""
-    """Why, for programs: a `RefusalCode`; empty from a daemon that sends none."""
+    """Reason for programs, a `RefusalCode`; empty from a daemon of version 1."""
     passes: bool | None = None
-    """Whether it passes by itself; None from a daemon that sends no code."""
+    """True if the refusal is temporary; None from a daemon of version 1."""
     parameters: dict[str, Fact] = {}
-    """What the sentence is about, by name, such as the owner who holds the rig."""
+    """Values in the sentence, by name, such as the owner of the rig."""
 
 
 def refused(code: RefusalCode, error: str, **parameters: Fact) -> Refused:
-    """Return a refusal for a reason that has a code."""
+    """Return a refusal with a code."""
     return Refused(error=error, code=code, passes=code.passes, parameters=parameters)
 
 
 class CommandRefusedError(InputError):
-    """A command is refused for a reason that has a code."""
+    """A command was refused, with a code."""
 
     def __init__(self, refusal: Refused) -> None:
-        """Take the refusal, whose sentence is the message."""
+        """Use the refusal's sentence as the message."""
         super().__init__(refusal.error)
         self.refusal = refusal
 
 
 def parse(name: str, payload: bytes) -> Requests:
-    """Return the command `name` with its fields from JSON.
+    """Return the command `name` with its fields decoded from JSON.
 
     Raises
     ------
     ValueError
-        No such command, no JSON, or a field that is not allowed; the message names it.
+        The command is unknown, the payload is not JSON, or a field is not allowed; the message
+        names the cause.
     """
     kind = REQUESTS.get(name)
     if kind is None:
@@ -290,31 +293,29 @@ def parse(name: str, payload: bytes) -> Requests:
     except RecursionError as err:
         raise InputError(f"{name}: nested too deeply") from err
     if isinstance(request, Arm) and not _is_name(request.owner):
-        # It is shown to all who ask for the state: an escape sequence would reach their terminals.
+        # Every client that requests the state prints it: an escape sequence would reach terminals.
         raise InputError(
-            f"arm: owner '{printable(request.owner)}': allowed are 1 to 80 characters that print, "
+            f"arm: owner '{printable(request.owner)}': allowed are 1 to 80 printable characters, "
             "one of them a letter or a digit"
         )
     if isinstance(request, Note):
         check_note(request.text)
-    if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS:
-        raise InputError(
-            f"run: details take more than the {MOST_DETAILS} B of JSON that are allowed"
-        )
+    if isinstance(request, Run) and len(msgspec.json.encode(request.details)) > MOST_DETAILS_BYTES:
+        raise InputError(f"run: details have more than {MOST_DETAILS_BYTES} B of JSON")
     return request
 
 
 def check_note(text: str) -> None:
     """Raise ValueError if a text is not allowed as a note."""
-    if len(text) > MOST_NOTE or not text.isprintable() or not text.strip(f" {_FILLERS}"):
+    if len(text) > MOST_NOTE_LENGTH or not text.isprintable() or not text.strip(f" {_FILLERS}"):
         raise InputError(
-            f"note: text '{printable(text)}': allowed are 1 to {MOST_NOTE} characters that "
-            "print, on one line, and not blanks alone"
+            f"note: text '{printable(text)}': allowed are 1 to {MOST_NOTE_LENGTH} printable "
+            "characters on one line, not only blanks"
         )
 
 
 def _is_name(owner: str) -> bool:
-    """Tell whether an owner can be read: Hangul's fillers are letters that show nothing."""
+    """Return whether an owner's name is printable, with at least one letter or digit."""
     return owner.isprintable() and any(c.isalnum() and c not in _FILLERS for c in owner)
 
 

@@ -1,7 +1,7 @@
-"""Who somebody is on the network: a key, its certificate, and the authority that signed it.
+"""Identity on the network: a key, its certificate, and the authority that signed it.
 
-One PEM file holds all three, in this order, as `armrig pki` writes it. It is judged before zenoh
-sees it, which only says that it cannot connect.
+One PEM file contains all three, in this order; `armrig pki` writes such files. The file is checked
+before zenoh uses it, because zenoh reports any defect only as a failed connection.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from armrig_core.errors import FileError, InputError
 from armrig_core.printable import printable
 
 Purpose = Literal["rig", "client", "router", "rig at a router"]
-"""What a certificate is for: a rig or a router is served with it, or somebody connects with it."""
+"""Purpose of a certificate: to serve a rig or a router, or to connect to a rig or a router."""
 ROUTER = "router"
-"""Name in the certificate of a router."""
+"""Common name in a router's certificate."""
 RIG_PREFIX = "rig-"
-"""How the name in a rig's certificate begins."""
+"""First characters of the common name in a rig's certificate."""
 
 _MADE_BY = {
     "rig": "armrig pki rig",
@@ -34,7 +34,7 @@ _MADE_BY = {
     "router": "armrig pki router",
     "rig at a router": "armrig pki rig",
 }
-_SERVED = ("rig", "router")
+_SERVER_PURPOSES = ("rig", "router")
 _BLOCK = re.compile(rb"-----BEGIN ([A-Z0-9 ]+)-----.*?-----END \1-----\n?", re.DOTALL)
 _NAME = re.compile(r"[a-z0-9-]{1,40}")
 # X509_V_ERR_… of OpenSSL, x509_vfy.h
@@ -43,21 +43,21 @@ _NOT_YET, _EXPIRED, _PURPOSE = 9, 10, 26
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Credential:
-    """A key with its certificate, which an authority has signed."""
+    """A key, its certificate, and the certificate of the authority that signed it."""
 
     name: str
-    """Common name in the certificate."""
+    """Common name of the certificate."""
     expires: datetime
-    """When the certificate, or its authority's, ends."""
+    """Time at which the first of the certificate and its authority's certificate expires."""
     key: bytes
-    """PEM, as are the others."""
+    """Private key, as PEM, like the certificates."""
     certificate: bytes
     authority: bytes
 
     def tls(self, side: Literal["listen", "connect"]) -> dict[str, Any]:
-        """Return zenoh's `transport/link/tls`: both ends show a certificate, or there is no link.
+        """Return zenoh's `transport/link/tls`: both ends of a link need a certificate.
 
-        A link ends with the certificate of the other side, and not later.
+        A link ends when the certificate of the other side expires.
         """
         return {
             "root_ca_certificate_base64": _base64(self.authority),
@@ -70,9 +70,9 @@ class Credential:
 
 
 def check_name(name: str) -> str:
-    """Return the name of a person or a program, or raise ValueError where it can be part of no key.
+    """Return the name of a person or a program; raise ValueError if it cannot be part of a key.
 
-    The daemon's access list names him so, and so do the keys of his commands.
+    The daemon's access list and the keys of the client's commands contain this name.
     """
     if not _NAME.fullmatch(name):
         raise InputError(f"name '{printable(name)}': 1 to 40 of a-z, 0-9 and - are allowed")
@@ -80,23 +80,24 @@ def check_name(name: str) -> str:
 
 
 def rig_name(rig: str) -> str:
-    """Return the name in the certificate of a rig, such as rig-1."""
+    """Return the common name in a rig's certificate, such as rig-1."""
     return f"{RIG_PREFIX}{rig}"
 
 
-def exposed(path: Path, found: os.stat_result, secret: str) -> str:
-    """Return why others than its owner may know a secret in a file, and what to type; or nothing.
+def require_private(path: Path, found: os.stat_result, secret: str) -> None:
+    """Refuse a secret file that users other than its owner may read or change.
 
-    The group of a service's files is that of the people who may operate its rig.
+    The file's group may not read it either, because the group of a service's files contains all
+    people who may operate the service.
     """
     if os.name != "posix" or not found.st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        return ""
-    mend = f"chmod 400 {quote(str(path))}"
+        return
+    remedy = f"chmod 400 {quote(str(path))}"
     if found.st_uid != os.geteuid():
-        mend = f"chown {_this_user()} {quote(str(path))} && {mend}"
-    return (
-        f"{path}: mode {stat.S_IMODE(found.st_mode):04o} lets others than its owner read {secret} "
-        f"or change it: allowed is 0400 or 0600: `{mend}`"
+        remedy = f"chown {_this_user()} {quote(str(path))} && {remedy}"
+    raise FileError(
+        f"{path}: with mode {stat.S_IMODE(found.st_mode):04o} other users can read or change "
+        f"{secret}; allowed is 0400 or 0600: `{remedy}`"
     )
 
 
@@ -110,14 +111,14 @@ def _this_user() -> str:
 
 
 def read_credential(path: Path, purpose: Purpose) -> Credential:
-    """Return the credential in a file, which must be good for `purpose`, and now.
+    """Return the credential in a file; it must be valid now and for `purpose`.
 
     Raises
     ------
     FileError
-        The file cannot be read, or not by its owner alone; something is missing in it; the key is
-        not that of the certificate; the certificate is not signed by the authority in the file,
-        not of this time, or for another purpose.
+        The file cannot be read, other users can read it, or a part of it is missing. The key does
+        not belong to the certificate. The certificate is not signed by the authority in the file,
+        is not valid now, or has another purpose.
     """
     data = _read(path, purpose)
     blocks = [(match[1], match[0]) for match in _BLOCK.finditer(data)]
@@ -125,11 +126,11 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
     certificates = [text for label, text in blocks if label == b"CERTIFICATE"]
     if len(keys) != 1 or len(certificates) < 2:
         raise FileError(
-            f"{path}: {len(keys)} private keys and {len(certificates)} certificates: one key, its "
-            f"certificate and that of its authority are needed, as `{_MADE_BY[purpose]}` writes it"
+            f"{path}: {len(keys)} private keys and {len(certificates)} certificates; needed are a "
+            f"key, its certificate and its authority's, as `{_MADE_BY[purpose]}` writes them"
         )
     if b"ENCRYPTED" in keys[0]:
-        raise FileError(f"{path}: the key is encrypted: a key without a passphrase is needed")
+        raise FileError(f"{path}: the key is encrypted; a key without a passphrase is needed")
     authority = certificates[-1]
     try:
         shown = _shown(path, authority, purpose)
@@ -151,23 +152,20 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
 
 def _read(path: Path, purpose: Purpose) -> bytes:
     def check(found: os.stat_result) -> None:
-        if error := exposed(path, found, "the key"):
-            raise FileError(error)
+        require_private(path, found, "the key")
 
     try:
         return read_bounded(path, CONFIGURATION_LIMIT, check)
     except FileNotFoundError as err:
         raise FileError(f"{path}: there is no such file; `{_MADE_BY[purpose]}` writes one") from err
     except OSError as err:
-        raise FileError(
-            f"{path}: {err.strerror}; it must be a file that this user may read"
-        ) from err
+        raise FileError(f"{path}: {err.strerror}; choose a file that this user may read") from err
 
 
 def _shown(path: Path, authority: bytes, purpose: Purpose) -> dict[str, Any]:
-    """Return what the certificate says, after a handshake in memory in which it was shown.
+    """Return the contents of the certificate after a handshake in memory.
 
-    The standard library judges a certificate in a handshake only.
+    The standard library verifies a certificate only during a handshake.
     """
     server, client = (
         ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER),
@@ -175,8 +173,8 @@ def _shown(path: Path, authority: bytes, purpose: Purpose) -> dict[str, Any]:
     )
     client.check_hostname, client.verify_mode = False, ssl.CERT_NONE
     for context in (server, client):
-        context.load_cert_chain(path, password=lambda: "")  # it must never ask a terminal
-    judge = client if purpose in _SERVED else server
+        context.load_cert_chain(path, password=lambda: "")  # never ask for one at a terminal
+    judge = client if purpose in _SERVER_PURPOSES else server
     judge.load_verify_locations(cadata=authority.decode("ascii"))
     judge.verify_mode = ssl.CERT_REQUIRED
     there, back = ssl.MemoryBIO(), ssl.MemoryBIO()
@@ -184,7 +182,7 @@ def _shown(path: Path, authority: bytes, purpose: Purpose) -> dict[str, Any]:
         server: server.wrap_bio(there, back, server_side=True),
         client: client.wrap_bio(back, there),
     }
-    for end in (client, server) * 3:  # three flights of TLS 1.3, and one more each
+    for end in (client, server) * 3:  # TLS 1.3 has three flights; one more for each end
         try:
             ends[end].do_handshake()
         except ssl.SSLWantReadError:
@@ -214,17 +212,17 @@ def _what_is_wrong(err: ssl.SSLError | ValueError, purpose: Purpose) -> str:
     if isinstance(err, ssl.SSLCertVerificationError):
         return {
             _EXPIRED: "the certificate has expired: `armrig pki renew` makes a new one",
-            _NOT_YET: "the certificate is not valid yet: see that the clock of this machine is set",
+            _NOT_YET: "the certificate is not valid yet: check the clock of this machine",
             _PURPOSE: _other_purpose(purpose),
         }.get(err.verify_code, f"not signed by the authority in the file ({err.verify_message})")
     if isinstance(err, ssl.SSLError) and err.reason == "KEY_VALUES_MISMATCH":
-        return "the key is not that of the certificate"
-    return "damaged: its key or a certificate cannot be read"
+        return "the key does not belong to the certificate"
+    return "its key or a certificate is damaged"
 
 
 def _other_purpose(purpose: Purpose) -> str:
     made_by = _MADE_BY[purpose]
-    return f"the certificate is for another purpose: `{made_by}` makes the one that is needed"
+    return f"the certificate has another purpose; `{made_by}` makes the needed certificate"
 
 
 def _base64(data: bytes) -> str:

@@ -9,7 +9,7 @@ EMULATOR_UID: Final = int.from_bytes(b"emulator", "little")
 VIRTUAL_PORT: Final = "emulated"
 """Port of a rig that is emulated in virtual time."""
 SOCKET_PREFIX: Final = "unix:"
-"""Begin of a port that names the socket of an emulated rig."""
+"""First characters of a port that names the socket of an emulated rig."""
 
 
 def is_emulated(*, uid: str, port: str) -> bool:

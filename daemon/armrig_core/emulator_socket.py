@@ -1,7 +1,7 @@
-"""The Unix socket that takes the place of a serial port between a daemon and an emulated rig.
+"""The Unix socket that replaces the serial port between a daemon and an emulated rig.
 
-A port `unix:PATH` names it. The socket is for an emulator on the same machine, of the same user.
-The program that opened the port holds the lock of the file `PATH.lock`.
+A port `unix:PATH` names the socket. The socket connects to an emulator on the same machine, of the
+same user. The program that opened the port holds the lock of the file `PATH.lock`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 from struct import Struct
 
 from armrig_core.emulated import SOCKET_PREFIX
-from armrig_core.endpoint import SOCKET_PATH_MAX, distrust
+from armrig_core.endpoint import SOCKET_PATH_MAX, require_trusted
 from armrig_core.errors import InputError
 
 _CREDENTIALS = Struct("iII")  # struct ucred of unix(7): pid, uid, gid
@@ -32,49 +32,51 @@ def socket_path(port: str) -> Path | None:
     text = port.removeprefix(SOCKET_PREFIX)
     length = len(os.fsencode(text))
     if not text or length > SOCKET_PATH_MAX:
-        msg = f"{port}: a path of {length} B, a socket's has 1 to {SOCKET_PATH_MAX}; "
-        msg += "choose a shorter folder" if text else "name a socket in a folder of yours"
+        msg = f"{port}: the path has {length} B; a socket's path has 1 to {SOCKET_PATH_MAX} B; "
+        msg += "choose a shorter folder" if text else "name a socket in your own folder"
         raise InputError(msg)
     return Path(text)
 
 
 def port_of(path: Path) -> str:
-    """Return the name of the port at a path."""
+    """Return the port whose socket is `path`."""
     return f"{SOCKET_PREFIX}{path}"
 
 
 def lock_path(path: Path) -> Path:
-    """Return the file whose lock the program that opened the port holds."""
+    """Return the path of the file that a program locks when it opens the port."""
     return path.with_name(f"{path.name}.lock")
 
 
-def folder_fault(path: Path) -> str:
-    """Return why other users could replace the socket at `path`, or nothing.
+def require_safe_folder(path: Path) -> None:
+    """Refuse a path at which other users could replace the socket.
 
     Raises
     ------
+    InputError
+        Another user owns the folder, or may write to it.
     OSError
-        The folder is not there or may not be looked at.
+        The folder does not exist or cannot be read.
     """
-    fault = distrust(path.parent.lstat(), owners={os.geteuid(), 0})
-    return f"its folder {fault}; choose a folder of yours" if fault else ""
+    try:
+        require_trusted(path.parent.lstat(), owners={os.geteuid(), 0})
+    except InputError as err:
+        raise InputError(f"its folder {err}; choose your own folder") from err
 
 
 def is_socket(path: Path) -> bool:
-    """Return whether a socket lies at `path`, and no link to one.
+    """Return whether `path` is a socket; a link to a socket does not count.
 
     Raises
     ------
     FileNotFoundError
-        There is nothing.
+        `path` does not exist.
     """
     return stat.S_ISSOCK(path.lstat().st_mode)
 
 
-def peer_fault(connection: socket.socket) -> str:
-    """Return why the program at the other end is not trusted, or nothing."""
+def stranger(connection: socket.socket) -> int | None:
+    """Return the id of the user at the other end; None for this user or root."""
     data = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     _, uid, _ = _CREDENTIALS.unpack(data)
-    if uid in (os.geteuid(), 0):
-        return ""
-    return f"a program of another user (uid {uid}) answers; start the emulator as this user"
+    return None if uid in (os.geteuid(), 0) else int(uid)

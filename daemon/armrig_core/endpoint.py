@@ -1,4 +1,4 @@
-"""Where a daemon listens and its clients look for it."""
+"""Endpoints at which a daemon listens and its clients connect."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from armrig_core.errors import InputError
 from armrig_core.topics import check_rig_id
 
 SOCKET_PATH_MAX = 107
-"""Longest path of a Unix socket, in B: sun_path of unix(7) without its closing zero."""
+"""Longest path of a Unix socket, in B: sun_path of unix(7) without its final zero."""
 
 SERVICES = PurePosixPath("/run/armrig")
-"""Where the daemons that systemd runs have their folders, one for each rig."""
+"""Parent of the folders of the daemons that systemd runs, one folder for each rig."""
 SERVICE_USER = "armrig"
-"""Who runs them."""
+"""User of the daemons that systemd runs."""
 _FILES = {"access": ("certificate", "names", "passwords"), "client": ("certificate", "password")}
 _NETWORK = re.compile(r"(tls|tcp)/(?:\[([0-9A-Fa-f:.]+)\]|([A-Za-z0-9.-]+)):(\d{1,5})")
 
@@ -30,15 +30,16 @@ def socket_directory(
 ) -> PurePosixPath:
     """Return the directory of the sockets.
 
-    The first of `$RUNTIME_DIRECTORY` (a systemd service has it; the first, where it names several),
-    `$XDG_RUNTIME_DIR/armrig` (a login has it), and `armrig-<uid>` in the temporary directory.
+    The directory is the first entry of `$RUNTIME_DIRECTORY`, which systemd sets for a service. If
+    this variable is not set, the directory is `$XDG_RUNTIME_DIR/armrig`, which is set for a login.
+    Otherwise it is `armrig-<uid>` in the temporary directory.
 
     Parameters
     ----------
     environ : mapping
         The environment, such as os.environ.
     uid : int
-        The user, for whom the last one is private.
+        Id of the user, for the private directory in `temporary`.
     temporary : path
         The temporary directory.
     """
@@ -49,31 +50,36 @@ def socket_directory(
     return PurePosixPath(temporary) / f"armrig-{uid}"
 
 
-def distrust(found: os.stat_result, *, owners: Collection[int]) -> str:
-    """Return why the sockets in a directory may be a stranger's, or nothing.
+def require_trusted(found: os.stat_result, *, owners: Collection[int]) -> None:
+    """Refuse a directory that another user owns or may write to.
 
-    Who may write to the directory can put a socket of his own there, and answer for the daemon.
+    Such a user could replace the socket and answer instead of the daemon.
 
     Parameters
     ----------
     found : os.stat_result
-        Of the directory itself, as by `lstat`.
+        State of the directory itself, from `lstat`.
     owners : collection of int
-        Users who may own it.
+        Users who may own the directory.
+
+    Raises
+    ------
+    InputError
+        The message names the defect of the directory, but not the directory.
     """
     if stat.S_ISLNK(found.st_mode):
-        return "is a symbolic link, which may lead to another user's directory"
+        raise InputError("is a symbolic link, which may lead to another user's directory")
     if not stat.S_ISDIR(found.st_mode):
-        return "is no directory"
+        raise InputError("is not a directory")
     if found.st_uid not in owners:
-        return f"belongs to another user (uid {found.st_uid})"
+        raise InputError(f"belongs to another user (uid {found.st_uid})")
     if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        return f"can be written by other users (mode {stat.S_IMODE(found.st_mode):o}, not 700)"
-    return ""
+        mode = stat.S_IMODE(found.st_mode)
+        raise InputError(f"can be written by other users (mode {mode:o}, not 700)")
 
 
 def endpoint(rig: str, directory: PurePosixPath) -> str:
-    """Return the zenoh endpoint of a rig whose socket lies in `directory`.
+    """Return the zenoh endpoint of a rig whose socket is in `directory`.
 
     Raises
     ------
@@ -84,19 +90,20 @@ def endpoint(rig: str, directory: PurePosixPath) -> str:
     length = len(bytes(str(path), "utf-8", "surrogateescape"))
     if length > SOCKET_PATH_MAX:
         raise InputError(
-            f"{path}: {length} B, a socket's path has at most {SOCKET_PATH_MAX}; "
+            f"{path}: the path has {length} B; a socket's path has at most {SOCKET_PATH_MAX} B; "
             "set XDG_RUNTIME_DIR to a shorter directory"
         )
     return f"unixsock-stream/{path}"
 
 
 def check_listen(where: str) -> str:
-    """Return the protocol of an endpoint to listen at over a network, tls or tcp.
+    """Return the protocol of an endpoint for listening on a network, tls or tcp.
 
     Raises
     ------
     ValueError
-        It is none of both, or tcp, where nothing is encrypted, beyond this machine.
+        The protocol is neither tls nor tcp, or it is tcp at an address that other machines can
+        reach.
     """
     found = _NETWORK.fullmatch(where)
     if found is None or not 0 < int(found[4]) < 1 << 16:
@@ -106,24 +113,24 @@ def check_listen(where: str) -> str:
         )
     host = found[2] or found[3]
     loopback = False
-    with suppress(ValueError):  # a name may lead anywhere
+    with suppress(ValueError):  # a name may resolve to any address
         loopback = ipaddress.ip_address(host).is_loopback
     if found[1] == "tcp" and not loopback:
         raise InputError(
-            f"listen = {where!r}: tcp is not encrypted: allowed is tcp/127.0.0.1:{found[4]}; "
-            f"for a network take tls/{host}:{found[4]} with certificates"
+            f"listen = {where!r}: tcp is not encrypted; allowed is tcp/127.0.0.1:{found[4]}; "
+            f"for a network use tls/{host}:{found[4]} with certificates"
         )
     return found[1]
 
 
 def network_address(where: str) -> tuple[str, int] | None:
-    """Return host and port of a tls or tcp endpoint; None for another."""
+    """Return host and port of a tls or tcp endpoint; None for any other endpoint."""
     found = _NETWORK.fullmatch(where)
     return None if found is None else (found[2] or found[3], int(found[4]))
 
 
 def anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
-    """Return a configuration's tables, their paths to credentials relative to `directory`."""
+    """Return a configuration's tables with paths of credentials resolved against `directory`."""
     result = dict(tables)
     for table, keys in _FILES.items():
         given = result.get(table)
@@ -134,6 +141,6 @@ def anchored(tables: Mapping[str, Any], directory: Path) -> dict[str, Any]:
 
 
 def _absolute(path: str, directory: Path) -> str:
-    with suppress(RuntimeError):  # there is no such user
+    with suppress(RuntimeError):  # the home of an unknown user
         return str(directory / Path(path).expanduser())
     return str(directory / path)

@@ -1,25 +1,59 @@
-"""What armrig raises on purpose, as few classes as callers tell apart; all are ArmrigErrors."""
+"""The exceptions that armrig raises: one class for each case that callers distinguish."""
 
 
 class ArmrigError(Exception):
-    """Something that the user can put right; the message says what came and what to do."""
+    """An error that the user can correct; the message says what is wrong and what to do."""
 
 
 class InputError(ArmrigError, ValueError):
-    """A value, or data, that cannot be used: the message says what is allowed."""
+    """A value or data that cannot be used; the message says what is allowed."""
+
+
+class ParameterError(InputError):
+    """A parameter with a forbidden value; its name differs between Python and the command line.
+
+    Parameters
+    ----------
+    parameter : str
+        Name in Python, such as "dead_man".
+    value : str
+        The value as text, with or without its unit.
+    reason : str
+        Text after the name and the value in the message: the allowed values.
+
+    Examples
+    --------
+    >>> str(ParameterError("at", "9 s", "must be less than 3 s"))
+    'at 9 s: must be less than 3 s'
+    >>> ParameterError("at", "9 s", "must be less than 3 s").named("--at")
+    '--at 9 s: must be less than 3 s'
+    """
+
+    def __init__(self, parameter: str, value: str, reason: str) -> None:
+        super().__init__(parameter, value, reason)
+        self.parameter = parameter
+        self._text = f"{value}: {reason}"
+
+    def named(self, name: str) -> str:
+        """Return the message with another name of the parameter."""
+        return f"{name} {self._text}"
+
+    def __str__(self) -> str:
+        """Return the message with the parameter's name in Python."""
+        return self.named(self.parameter)
 
 
 class InputTypeError(ArmrigError, TypeError):
-    """An argument of a type that cannot be used: the message says what to give."""
+    """An argument of a wrong type; the message says which type to give."""
 
 
 class FileError(InputError):
-    """A file that does not contain what it should: the message names the file."""
+    """A file with unusable content; the message names the file."""
 
 
 class MalformedReplyError(ArmrigError, ValueError):
-    """No reply of a daemon of this version."""
+    """A reply that a daemon of this version does not send."""
 
 
 class OperationError(ArmrigError, RuntimeError):
-    """A program, a port or a service that is needed fails: the message says what to do."""
+    """A failure of a program, a port or a service; the message says what to do."""

@@ -1,6 +1,6 @@
-"""A firmware's image: an Intel HEX file, and the bytes of flash in it.
+"""Image of a firmware: an Intel HEX file, and the bytes of flash in it.
 
-That of the Uno is shipped: a user has no compiler for it.
+The image of the Uno is part of the wheel, because users have no compiler for it.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from armrig_core.bounded import read_bounded
 from armrig_core.errors import FileError, InputError
 
 UNO = "armrig-uno.hex"
-_LONGEST_FILE = 1 << 20  # B; 256 KiB of flash, the most of its kind, are 0.7 MiB of text
+_MAX_FILE_B = 1 << 20  # 256 KiB of flash, the largest AVR, are 0.7 MiB of text
 _DATA, _END, _SEGMENT, _LINEAR = 0, 1, 2, 4
-_STARTS = (3, 5)  # where the processor begins: an AVR begins at 0
-_ERASED = 0xFF
+_START_KINDS = (3, 5)  # address where the processor begins: an AVR begins at 0
+_ERASED_BYTE = 0xFF
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FirmwareImage:
-    """What is written to a board."""
+    """Contents of a board's flash."""
 
     path: Path
     data: bytes
-    """The flash from address 0 on; a hole is FF, as erased flash is."""
+    """Bytes of the flash from address 0 on; a gap is filled with FF, like erased flash."""
     sha256: str
-    """Of the file."""
+    """SHA-256 of the file."""
 
     @property
     def crc(self) -> int:
-        """CRC-32 of the data, by which the device says in HELLO_R which firmware it runs."""
+        """CRC-32 of the data, by which the device identifies its firmware in HELLO_R."""
         return crc32(self.data)
 
 
 def shipped_image() -> Path:
-    """Return the Uno's firmware: that of the wheel, or of the checkout."""
+    """Return the path of the Uno's firmware, in the wheel or in the checkout."""
     wheel = Path(str(files("armrig_core"))) / "firmware" / UNO
     if wheel.is_file():
         return wheel
@@ -51,15 +51,15 @@ def read_image(path: Path) -> FirmwareImage:
     Raises
     ------
     FileError
-        It is none, is spoilt or cut off, or does not begin at address 0.
+        The file is not Intel HEX, is damaged or cut off, or has no data at address 0.
     OSError
-        It cannot be read.
+        The file cannot be read.
     """
-    text = read_bounded(path, _LONGEST_FILE)
+    text = read_bounded(path, _MAX_FILE_B)
     try:
         data = _flash(text.decode("ascii").split())
     except ValueError as err:
-        raise FileError(f"{path}: no firmware in Intel HEX: {err}") from err
+        raise FileError(f"{path}: not a firmware image in Intel HEX: {err}") from err
     return FirmwareImage(path=path, data=data, sha256=sha256(text).hexdigest())
 
 
@@ -74,19 +74,19 @@ def _flash(lines: list[str]) -> bytes:
             base = int.from_bytes(data, "big") << (4 if kind == _SEGMENT else 16)
         elif kind == _END:
             return _joined(memory)
-        elif kind not in _STARTS:
-            raise InputError(f"line {number} is of the unknown kind {kind}")
-    raise InputError("it has no end; maybe it was cut off")
+        elif kind not in _START_KINDS:
+            raise InputError(f"line {number} has the unknown type {kind}")
+    raise InputError("it has no end; the file may be cut off")
 
 
 def _record(line: str, number: int) -> tuple[int, int, bytes]:
-    """Return the kind of a record, its address and its data."""
+    """Return the type of a record, its address and its data."""
     try:
         text = bytes.fromhex(line.removeprefix(":"))
     except ValueError:
         text = b""
     if not line.startswith(":") or len(text) < 5 or len(text) != text[0] + 5:
-        raise InputError(f"line {number} is no record")
+        raise InputError(f"line {number} is not a record")
     if sum(text) & 0xFF:
         raise InputError(f"the checksum of line {number} is wrong")
     return text[3], int.from_bytes(text[1:3], "big"), text[4:-1]
@@ -94,11 +94,11 @@ def _record(line: str, number: int) -> tuple[int, int, bytes]:
 
 def _joined(memory: dict[int, bytes]) -> bytes:
     if 0 not in memory:
-        raise InputError("nothing stands at address 0, where the processor begins")
+        raise InputError("it has no data at address 0, where the processor begins")
     end = max(address + len(data) for address, data in memory.items())
-    if end > _LONGEST_FILE:
-        raise InputError(f"it goes up to address {end:#x}")
-    flash = bytearray([_ERASED]) * end
+    if end > _MAX_FILE_B:
+        raise InputError(f"its last address is {end:#x}; at most {_MAX_FILE_B:#x} is allowed")
+    flash = bytearray([_ERASED_BYTE]) * end
     for address, data in memory.items():
         flash[address : address + len(data)] = data
     return bytes(flash)

@@ -8,16 +8,16 @@ from contextlib import contextmanager
 from threading import Lock
 from typing import Final
 
-_MASK: Final = 0o007  # a client connects by writing
+_MASK: Final = 0o007  # to connect, a client needs permission to write
 _LOCK: Final = Lock()
 
 
 @contextmanager
 def group_may_open() -> Iterator[None]:
-    """Let the owner's group open the sockets that the block makes.
+    """Permit the owner's group to open the sockets that the block creates.
 
-    The mask of a process belongs to all its threads. One thread at a time changes it, so that the
-    mask before the first block is the mask after the last one.
+    All threads of a process share the mask of file modes. Only one thread at a time changes the
+    mask, so that each block restores the original mask.
 
     Examples
     --------

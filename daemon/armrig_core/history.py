@@ -1,9 +1,9 @@
-"""What a rig has published of late, as it is asked for and answered: message after message.
+"""The recent messages of a rig: the request for them and the answer.
 
-Who listens may miss a message, or come late. What was published is kept for a while, and numbered
-in one row, whatever its stream; who asks for all from a number on gets them in their order, as many
-as one answer takes, and asks again behind the last of them. A number that is not there any more
-tells exactly what is lost.
+A subscriber may miss messages or connect late. The daemon keeps published messages for a while and
+numbers them across all streams. A client requests all messages from a number on, receives as many
+as one answer can contain, and continues after the last message. If the daemon no longer has a
+number, the client knows exactly which messages are lost.
 """
 
 from __future__ import annotations
@@ -19,33 +19,33 @@ from armrig_core.errors import MalformedReplyError
 from armrig_core.topics import STREAMS
 
 REPLY_LIMIT = 64 << 10
-"""An answer ends with the message that reaches this length, in B."""
+"""Length at which an answer ends, in B; it includes the message that reaches this length."""
 ANSWER_LIMIT = 1 << 20
-"""Longest answer that is read, in B; no message of a daemon's is nearly as long."""
+"""Longest answer that a client reads, in B; the answers of a daemon are much shorter."""
 NUMBER_LIMIT = 1 << 62
-"""Above the number of any message."""
-_HEAD = Struct("<16sQq")  # the daemon's life, number of the first message, clock offset in ns
-_MESSAGE = Struct("<BI")  # stream, as its place in STREAMS; length
+"""Upper bound of the numbers; every message has a smaller number."""
+_HEAD = Struct("<16sQq")  # life of the daemon, number of the first message, clock offset in ns
+_MESSAGE = Struct("<BI")  # index of the stream in STREAMS; length in B
 
 
 class HistoryRequest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A question for the history, as JSON."""
+    """A request for the history, as JSON."""
 
     first: Annotated[int, Meta(ge=0, lt=NUMBER_LIMIT)] = 0
-    """Number of the first message wanted; 0 is the oldest that is kept."""
+    """Number of the first requested message; 0 is the oldest message that the daemon keeps."""
 
 
 class Past(NamedTuple):
-    """An answer: messages that follow each other."""
+    """An answer: consecutive messages."""
 
     life: bytes
-    """16 B that are another daemon's, or another start's, where the numbers begin anew."""
+    """16 B that identify one start of a daemon; each start begins the numbers again."""
     first: int
-    """Number of the first message; later than what was asked for where older ones are gone."""
+    """Number of the first message; above the requested number if older messages are lost."""
     clock_offset_ns: int
-    """Real-time clock less monotonic clock, where the messages were made."""
+    """Real-time clock minus monotonic clock of the publishing host, in ns."""
     messages: tuple[tuple[str, bytes], ...]
-    """Stream and bytes of each."""
+    """Stream and bytes of each message."""
 
 
 def encode_past(
@@ -59,15 +59,15 @@ def encode_past(
 
 
 def decode_past(data: bytes) -> Past:
-    """Return the answer in bytes.
+    """Return the answer that `data` encodes.
 
     Raises
     ------
     MalformedReplyError
-        They are none.
+        `data` is not an answer.
     """
     if len(data) > ANSWER_LIMIT:
-        raise MalformedReplyError(f"{len(data)} B are no history, which has at most {ANSWER_LIMIT}")
+        raise MalformedReplyError(f"{len(data)} B: an answer has at most {ANSWER_LIMIT} B")
     try:
         life, first, offset_ns = _HEAD.unpack_from(data)
         at = _HEAD.size
@@ -76,11 +76,11 @@ def decode_past(data: bytes) -> Past:
             stream, length = _MESSAGE.unpack_from(data, at)
             at += _MESSAGE.size
             if stream >= len(STREAMS) or length > len(data) - at:
-                raise MalformedReplyError(f"a message of stream {stream} and {length} B is none")
+                raise MalformedReplyError(f"no message: stream {stream}, {length} B")
             messages.append((STREAMS[stream], data[at : at + length]))
             at += length
     except error as err:
-        raise MalformedReplyError(f"{len(data)} B are no history") from err
+        raise MalformedReplyError(f"{len(data)} B: not an answer with messages") from err
     if first + len(messages) > NUMBER_LIMIT:
-        raise MalformedReplyError(f"there is no message of number {first}")
+        raise MalformedReplyError(f"no message has the number {first}")
     return Past(life, first, offset_ns, tuple(messages))

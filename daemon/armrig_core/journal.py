@@ -1,4 +1,4 @@
-"""The priority of a line on standard error that the journal of systemd reads.
+"""Priority of a line on standard error, for systemd's journal.
 
 References
 ----------
@@ -15,27 +15,27 @@ _NOTICE = 5
 
 
 def priority(level: str) -> int:
-    """Return the priority of a line of the log."""
+    """Return the priority of a log line of this level."""
     return _PRIORITIES.get(level, _NOTICE)
 
 
 def log_prefix(level: str, fd: int = 2) -> str | None:
-    """Return what stands before a line where the journal reads `fd`; None where it does not."""
+    """Return the prefix of a line if the journal reads `fd`; otherwise None."""
     stream = os.environ.get("JOURNAL_STREAM", "")
     return journal_prefix(level, os.fstat(fd), stream) if stream else None
 
 
 def journal_prefix(level: str, stderr: os.stat_result, stream: str) -> str | None:
-    """Return the priority of a line as the journal reads it; None where it does not read us.
+    """Return the prefix with the priority of a line; None if the journal does not read `stderr`.
 
     Parameters
     ----------
     level : str
-        Of a line of the log.
+        Level of the log line.
     stderr : os.stat_result
-        Of standard error, as by fstat.
+        State of standard error, from fstat.
     stream : str
-        $JOURNAL_STREAM: device and inode of what the journal reads.
+        $JOURNAL_STREAM: device and inode of the stream that the journal reads.
     """
     if stream != f"{stderr.st_dev}:{stderr.st_ino}":
         return None

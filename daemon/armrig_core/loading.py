@@ -1,7 +1,7 @@
-"""Ctrl-C while a program loads: it ends at once, by a line.
+"""Handling of Ctrl-C during a program's imports: the program prints a line and ends at once.
 
-A KeyboardInterrupt there passes through other people's modules, which may make another error of it.
-This module is loaded first, and itself imports next to nothing.
+Without this handling, a KeyboardInterrupt passes through third-party modules, which may turn it
+into another error. This module is imported first and imports almost nothing.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from collections.abc import Callable
 
 
 def end_at_ctrl_c(program: str) -> Callable[[], object]:
-    """End this process at Ctrl-C from here on; return what gives the handler before back.
+    """End this process at Ctrl-C from now on; return a function that restores the previous handler.
 
-    The process owns nothing yet: nothing is cleaned up. An ignored Ctrl-C stays ignored.
+    The process owns nothing yet, so it cleans up nothing. An ignored Ctrl-C stays ignored.
     """
 
     def end(*_: object) -> None:
@@ -28,5 +28,5 @@ def end_at_ctrl_c(program: str) -> Callable[[], object]:
 
 
 def is_interrupt(err: BaseException) -> bool:
-    """Return whether Ctrl-C is the cause: Python 3.11 makes a RuntimeError of it in a class."""
+    """Return whether Ctrl-C caused an error; Python 3.11 may raise a RuntimeError from it."""
     return isinstance(err, KeyboardInterrupt) or isinstance(err.__cause__, KeyboardInterrupt)

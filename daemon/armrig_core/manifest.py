@@ -1,4 +1,4 @@
-"""What a recording says of how it came about: the MCAP metadata and attachments of a run."""
+"""The MCAP metadata and attachments that describe the run in a recording."""
 
 from __future__ import annotations
 
@@ -15,55 +15,59 @@ from armrig_core.rehearsal import Rehearsal
 RUN = "armrig.run"
 """Name of the metadata record written before the first sample."""
 OUTCOME = "armrig.outcome"
-"""Name of the metadata record written at the end; a recording without it was cut off."""
+"""Name of the metadata record written after the last sample; a recording without it was cut off."""
 RECOVERED = "armrig.recovered"
-"""Name of the metadata record that says that a daemon left the file unfinished."""
+"""Name of the metadata record of a file that its daemon left unfinished and that was recovered."""
 CONFIG, CALIBRATION, INPUT = "config.json", "calibration.json", "input.csv"
-"""Names of the attachments; the input has one voltage a line, under the heading u_v."""
+"""Names of the attachments; the input has one voltage per line, under the heading u_v."""
 CALIBRATION_RAW = "calibration.csv.gz"
-"""Name of the attachment with the samples that the calibration was estimated from."""
+"""Name of the attachment with the samples from which the calibration was estimated."""
 
 _DEPTH_LIMIT = 32
-_LATEST = 1 << 62
+_INDEX_LIMIT = 1 << 62
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True):
-    """How a run was made; each field is one entry of the metadata, as JSON."""
+    """Description of a run; each field is one entry of the metadata, as JSON."""
 
     rig: str
     run_id: str
     experiment: str
     """Kind of experiment, such as blackbox."""
     details: dict[str, Any] = {}
-    """What the experiment was made of, such as the seed of its input."""
+    """Parameters of the experiment, such as the seed of its input."""
     owner: str = ""
-    """Who had the rig: what he said of himself, and what was checked in round brackets, as in
-    `armrig collect (certificate alice)`; empty in recordings of earlier releases."""
+    """Owner of the rig: the name that the client gave, and the verified identity in round brackets.
+
+    Example: `armrig collect (certificate alice)`; empty in recordings of earlier releases.
+    """
     owner_checked: str = ""
-    """What the daemon had checked of him, such as `certificate alice`; empty for nothing, and in
-    recordings of earlier releases."""
+    """Verified identity of the owner, such as `certificate alice`.
+
+    Empty if none was verified, and in recordings of earlier releases.
+    """
     Ts: float
     """Sampling time, in s."""
     samples: int
-    """Length of the input."""
+    """Length of the input, in samples."""
     k_first: int = -1
-    """Index of the first sample; -1 where the recording does not say."""
+    """Index k of the first sample; -1 if the recording does not state this index."""
     part: int = 0
-    """Number of the file among those of a long run, from 1; 0 where one file holds all of it."""
+    """Number of the file among the parts of a long run, from 1; 0 if the run has one file."""
     part_k_first: int = -1
-    """Index of the first sample that was due in this part; -1 for a run in one file."""
+    """Index k of the first due sample of this part; -1 if the run has one file."""
     pacing: str = "exchange"
-    """Who made the samples: `scheduled`, the device's timer, or `exchange`, the host."""
+    """Source of the sampling instants: `scheduled`, the device's timer, or `exchange`, the host."""
     started: str
     """Wall-clock time of the start, ISO 8601 with the offset from UTC."""
     clock_offset_ns: int
-    """Real-time clock less monotonic clock at the start: log times are t_host_ns plus this."""
+    """Real-time clock minus monotonic clock at the start, in ns: log time = t_host_ns + offset."""
     armrig: str
     """Version of armrig."""
     protocol: str
     """Version and schema hash of the wire."""
     device: dict[str, Any] = {}
-    """What the device said of itself: uid, boot_id, firmware, adc_bits, pwm_bits, and so on."""
+    """Properties that the device reported, such as uid, boot_id, firmware, adc_bits, pwm_bits."""
     host: dict[str, Any] = {}
     """Kernel, scheduling and locked memory of the loop, baud rate, port."""
     config_sha256: str = ""
@@ -71,19 +75,19 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
     calibration_sha256: str = ""
     """Hash of the attached calibration; empty in recordings of earlier releases."""
     rehearsal: Rehearsal | None = None
-    """What the model of the rig did under the input before the run."""
+    """Response of the rig's model to the input, computed before the run."""
 
     @property
     def due(self) -> range:
-        """Indices of the samples that are due from the file's first on, to the end of the run."""
+        """Indices of the due samples, from the first sample of this file to the end of the run."""
         if self.k_first < 0:
-            return range(_LATEST)  # any may be of it
+            return range(_INDEX_LIMIT)  # any index may belong to the run
         first = self.part_k_first if self.part > 1 else self.k_first
-        return range(max(first, 0), min(self.k_first + self.samples, _LATEST))
+        return range(max(first, 0), min(self.k_first + self.samples, _INDEX_LIMIT))
 
     @property
     def emulated(self) -> bool:
-        """Whether the rig was emulated: by its device's identity, or by a port of emulators."""
+        """True if the device's identity or the port is an emulator's."""
         return is_emulated(uid=str(self.device.get("uid", "")), port=str(self.host.get("port", "")))
 
     def metadata(self) -> dict[str, str]:
@@ -92,16 +96,16 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """How a run ended."""
+    """End of a run."""
 
     outcome: str
-    """`complete`, or why it ended early; `continued` in a part that another one follows."""
+    """`complete`, or the reason of an early end; `continued` if another part follows."""
     samples: int
-    """Samples recorded, in this file."""
+    """Number of samples in this file."""
     missing: int
-    """Samples that the gaps are short of, in this file."""
+    """Number of missing samples in the gaps of this file."""
     code: str = ""
-    """How it ended, for programs: an `OutcomeCode`; `outcome_of` finds that of a file without."""
+    """Outcome for programs, an `OutcomeCode`; `outcome_of` finds the code for an older file."""
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP wants them: each a JSON text."""
@@ -109,18 +113,18 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Recovered(msgspec.Struct, frozen=True, kw_only=True):
-    """How a file that its daemon left unfinished was completed."""
+    """Completion of a file that its daemon left unfinished."""
 
     when: str
-    """Wall-clock time, ISO 8601 with the offset from UTC."""
+    """Wall-clock time of the recovery, ISO 8601 with the offset from UTC."""
     armrig: str
-    """Version of armrig that did so."""
+    """Version of armrig that recovered the file."""
     kept_bytes: int
-    """What was whole, from the beginning of the file on."""
+    """Length of the undamaged beginning of the file, in B."""
     cut_off_bytes: int
-    """What stood behind it."""
+    """Length of the damaged rest, which was cut off, in B."""
     damage: str
-    """What was left out, and why the rest could not be read; empty for a file that was whole."""
+    """Omitted attachments, and why the rest was unreadable; empty for an undamaged file."""
 
     def metadata(self) -> dict[str, str]:
         """Return the fields as MCAP wants them: each a JSON text."""
@@ -144,7 +148,7 @@ def manifest_of(metadata: dict[str, str]) -> Manifest:
     Raises
     ------
     msgspec.DecodeError
-        An entry is missing, no JSON, or of another type.
+        An entry is missing, is not JSON, or has another type.
     """
     return msgspec.convert(_fields(metadata), Manifest)
 
@@ -162,10 +166,11 @@ def recovered_of(metadata: dict[str, str]) -> Recovered:
 
 
 def check_whole_numbers(record: Manifest | Outcome | Recovered) -> None:
-    """Raise ValueError where a whole number needs more than 64 bit: no time, index or count does.
+    """Raise ValueError if a whole number has more than 64 bit, or a value is nested too deeply.
 
-    Python reads 400 digits as gladly, and then fails wherever they meet a float. And where what
-    is nested lies deeper than anything we write: whoever prints it would exceed the recursion.
+    No time, index or count needs more than 64 bit. Python also reads a number of 400 digits, but
+    cannot convert it to a float. armrig writes no deeply nested values; printing such a value would
+    exceed the recursion limit.
     """
     for name in record.__struct_fields__:
         value = getattr(record, name)
@@ -175,7 +180,7 @@ def check_whole_numbers(record: Manifest | Outcome | Recovered) -> None:
         while layer := [v for outer in layer for v in _within(outer)]:
             depth += 1
             if depth > _DEPTH_LIMIT:
-                raise InputError(f"{name} is nested more than {_DEPTH_LIMIT} deep")
+                raise InputError(f"{name} is nested more than {_DEPTH_LIMIT} levels deep")
 
 
 def _within(value: Any) -> Iterable[Any]:

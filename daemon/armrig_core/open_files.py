@@ -1,4 +1,4 @@
-"""How many files this process has open, and how many it may."""
+"""Number of open files of this process, and its limit."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import os
 import resource
 from contextlib import suppress
 
-MOST = 16_384
-"""As LimitNOFILE= of the unit; the usual 1024 are taken by a thousand connections."""
+MOST_FILES = 16_384
+"""Limit, equal to LimitNOFILE= of the unit; a thousand connections exceed the usual 1024."""
 
 
 def raise_limit() -> None:
-    """Have `MOST` files allowed, or as many as this system lets us have."""
+    """Raise the limit to `MOST_FILES`, or as far as the system permits."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = MOST if hard == resource.RLIM_INFINITY else min(MOST, hard)
+    wanted = MOST_FILES if hard == resource.RLIM_INFINITY else min(MOST_FILES, hard)
     if soft != resource.RLIM_INFINITY and soft < wanted:
-        with suppress(OSError, ValueError):  # a sandbox does not let us: its unit has set it
+        with suppress(OSError, ValueError):  # a sandbox forbids it: its unit sets the limit
             resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 def count() -> int:
-    """Return how many files this process has open; all that it may where it can open no more."""
+    """Return the number of open files; the limit if the process cannot open another file."""
     try:
         with os.scandir("/proc/self/fd") as entries:
             return sum(1 for _ in entries)

@@ -1,8 +1,11 @@
-"""The configuration of a zenoh session that its owner alone publishes and answers in."""
+"""Configuration of a zenoh session in which only its owner publishes and answers."""
 
 from __future__ import annotations
 
+import re
 from typing import Any
+
+_OS_ERROR = re.compile(r"os error (\d+)")
 
 
 def _denied(what: str, flow: str, messages: list[str]) -> dict[str, Any]:
@@ -15,54 +18,57 @@ def _denied(what: str, flow: str, messages: list[str]) -> dict[str, Any]:
     }
 
 
-_OURS_ALONE = (
+_OWNER_RULES = (
     _denied(
         "what only the owner does",
         "ingress",
         ["put", "delete", "declare_queryable", "reply", "liveliness_token"],
     ),
-    # A peer that says it is a router is passed all questions, queryable or not.
+    # A peer that claims to be a router receives all queries, queryable or not.
     _denied("what only the owner hears", "egress", ["query"]),
 )
 _ACCESS_CONTROL = {
-    "enabled": True,  # without it all of this is passed over in silence
+    "enabled": True,  # without this key zenoh silently ignores the others
     "default_permission": "allow",
-    "rules": list(_OURS_ALONE),
+    "rules": list(_OWNER_RULES),
     "subjects": [{"id": "all who connect"}],
     "policies": [
-        {"rules": [rule["id"] for rule in _OURS_ALONE], "subjects": ["all who connect"]},
+        {"rules": [rule["id"] for rule in _OWNER_RULES], "subjects": ["all who connect"]},
     ],
 }
-"""What who connects may not do: publish, answer, or stand for the owner. We would pass it on, and
-the others could not tell it from ours: zenoh's source of a sample is what its sender writes. Nor
-may he hear what others ask: a command carries the lease."""
+"""Rules that forbid clients to publish, to answer, and to hold a liveliness token.
+
+zenoh would forward a message of a client. Its receivers could not distinguish it from the owner's
+messages, because each sender sets the source in its own messages. Clients must not receive the
+queries of others either, because a command contains the lease.
+"""
 
 
 NOT_FOUND: dict[str, Any] = {
     "scouting": {"multicast": {"enabled": False}, "gossip": {"enabled": False}},
     "adminspace": {"enabled": False},
 }
-"""The configuration of a session that is found by nobody, and tells nobody about itself."""
+"""Configuration of a session that nobody discovers and that publishes nothing about itself."""
 
 
-_ACCEPT_MS = 3000  # how long somebody may take to say who he is; zenoh has 10 s for each step
+_ACCEPT_MS = 3000  # time for a client's authentication; zenoh allows 10 s for each step
 
 
 def listening(endpoint: str) -> dict[str, Any]:
-    """Return the configuration of who listens for strangers, who have little time to prove much."""
+    """Return the configuration of a listener for unauthenticated clients, with short limits."""
     hurried = f"#tls_handshake_timeout_ms={_ACCEPT_MS}" if endpoint.startswith("tls/") else ""
     return {"listen": {"endpoints": [f"{endpoint}{hurried}"]}}
 
 
 def strangers(most_links: int) -> dict[str, Any]:
-    """Return zenoh's `transport/unicast` of who listens for strangers."""
+    """Return zenoh's `transport/unicast` of a listener for unauthenticated clients."""
     return {"accept_timeout": _ACCEPT_MS, "max_sessions": most_links}
 
 
 ROUTED_US = 1_000_000
-"""How long a router's way may be held up by who does not read, in µs; his link is closed then.
+"""Time for which a client that does not read may block a router, in µs; its link is then closed.
 
-zenoh's own 5 s are longer than a loop goes on without its service.
+zenoh's default of 5 s is longer than the time for which a loop runs without its service.
 """
 
 
@@ -72,9 +78,10 @@ def transport(most_received: int, answer_us: int | None = None) -> dict[str, Any
     Parameters
     ----------
     most_received : int
-        Longest message that is received, in B.
+        Longest received message, in B.
     answer_us : int, optional
-        How long an answer or a question may wait for who does not read; zenoh's own by default.
+        Time for which an answer or a query may wait for a client that does not read, in µs;
+        default: zenoh's.
     """
     control: dict[str, Any] = {"drop": {"wait_before_drop": 0}}
     if answer_us is not None:
@@ -89,12 +96,12 @@ def transport(most_received: int, answer_us: int | None = None) -> dict[str, Any
 
 
 def owned_session(endpoint: str, *, most_received: int) -> dict[str, Any]:
-    """Return the configuration of a session that only listens at `endpoint`, found by nobody.
+    """Return the configuration of a session that listens only at `endpoint` and is not discovered.
 
     Parameters
     ----------
     most_received : int
-        Longest message that is received, in B.
+        Longest received message, in B.
     """
     return {
         "mode": "peer",
@@ -103,3 +110,9 @@ def owned_session(endpoint: str, *, most_received: int) -> dict[str, Any]:
         "access_control": _ACCESS_CONTROL,
         "transport": transport(most_received),
     }
+
+
+def os_error_number(err: Exception) -> int | None:
+    """Return the errno in the text of an error of zenoh; None if the text contains no errno."""
+    found = _OS_ERROR.search(str(err))
+    return int(found[1]) if found else None

@@ -1,6 +1,7 @@
 """Users with a password: a file of lines user:password, as zenoh reads them.
 
-For this machine alone: the daemon takes passwords on its loopback only, where nothing is encrypted.
+The daemon accepts passwords only on the loopback of its own machine, because the connection is not
+encrypted.
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ import os
 from pathlib import Path
 
 from armrig_core.bounded import CONFIGURATION_LIMIT, decoded, read_bounded
-from armrig_core.credential import check_name, exposed
-from armrig_core.errors import FileError
+from armrig_core.credential import check_name, require_private
+from armrig_core.errors import FileError, InputError
 
-SHORTEST = 12
-"""A password that is guessed in no time protects nobody."""
+MIN_PASSWORD_LENGTH = 12
+"""Shortest password, in characters: a shorter password is guessed quickly."""
 
 
 def read_users(path: Path) -> dict[str, str]:
@@ -22,19 +23,18 @@ def read_users(path: Path) -> dict[str, str]:
     Raises
     ------
     FileError
-        It cannot be read, or not by its owner alone; a line is not user:password, a password is
-        too short, or a user stands there twice.
+        The file cannot be read, or users other than its owner can read it. A line is not
+        user:password, a password is too short, or a user is listed twice.
     """
 
     def check(found: os.stat_result) -> None:
-        if error := exposed(path, found, "a password"):
-            raise FileError(error)
+        require_private(path, found, "a password")
 
     try:
         data = read_bounded(path, CONFIGURATION_LIMIT, check)
     except OSError as err:
         raise FileError(
-            f"{path}: {err.strerror}; a line user:password for each user is needed there"
+            f"{path}: {err.strerror}; the file needs a line user:password for each user"
         ) from err
     try:
         lines = decoded(data).splitlines()
@@ -45,25 +45,29 @@ def read_users(path: Path) -> dict[str, str]:
         if not line.strip():
             continue
         name, _, password = (part.strip() for part in line.partition(":"))
-        wrong = _wrong(name, password, users)
-        if wrong:
-            raise FileError(f"{path}: line {number}: {wrong}")
+        try:
+            _check_user(name, password, users)
+        except InputError as err:
+            raise FileError(f"{path}: line {number}: {err}") from err
         users[name] = password
     if not users:
-        raise FileError(f"{path}: nobody is in it; a line user:password for each user is needed")
+        raise FileError(f"{path}: no users; the file needs a line user:password for each user")
     return users
 
 
 def read_passwords(path: Path) -> frozenset[str]:
-    """Return who has a password in a file; raises as `read_users`."""
+    """Return the users that have a password in a file; raises as `read_users`."""
     return frozenset(read_users(path))
 
 
-def _wrong(name: str, password: str, before: dict[str, str]) -> str:
+def _check_user(name: str, password: str, before: dict[str, str]) -> None:
     try:
         check_name(name)
     except ValueError as err:
-        return f"{err}, then : and the password"
-    if len(password) < SHORTEST:
-        return f"the password of {name!r} has {len(password)} characters: at least {SHORTEST}"
-    return f"{name!r} stands there twice: once is allowed" if name in before else ""
+        raise InputError(f"{err}, then : and the password") from err
+    if (length := len(password)) < MIN_PASSWORD_LENGTH:
+        raise InputError(
+            f"the password of {name!r} has {length} characters: at least {MIN_PASSWORD_LENGTH}"
+        )
+    if name in before:
+        raise InputError(f"{name!r} is listed twice; once is allowed")

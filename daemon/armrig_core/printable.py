@@ -1,24 +1,24 @@
-"""Text of others, as it may be shown on a terminal or in a log.
+"""Text of others, made safe for a terminal or a log.
 
-A control character moves the cursor, changes colours or titles, or hides what stands before it; so
-do the marks that turn the direction of writing. None of them is shown as it is.
+A control character moves the cursor, changes colours or titles, or hides the text before it. Marks
+that change the direction of writing also hide text. All these characters are escaped.
 """
 
 from __future__ import annotations
 
 import re
 
-_LONGEST, _KEPT = 400, 100  # characters; a path may have some hundred
-_LONG = re.compile(rf"'[^']{{{_LONGEST},}}'|\"[^\"]{{{_LONGEST},}}\"|\S{{{_LONGEST},}}")
+_MAX_WORD, _KEPT_LENGTH = 400, 100  # characters; a path may have several hundred
+_LONG_WORD = re.compile(rf"'[^']{{{_MAX_WORD},}}'|\"[^\"]{{{_MAX_WORD},}}\"|\S{{{_MAX_WORD},}}")
 
 
 def printable(text: str, keep: str = "") -> str:
-    r"""Return the text with what does not print escaped as Python does, such as \x1b.
+    r"""Return the text with unprintable characters escaped as in Python, such as \x1b.
 
     Parameters
     ----------
     keep : str
-        Characters that are left as they are, such as a line break.
+        Characters that are not escaped, such as a line break.
     """
     if text.isprintable():
         return text
@@ -26,7 +26,7 @@ def printable(text: str, keep: str = "") -> str:
 
 
 def json_printable(text: str) -> str:
-    r"""Return JSON with what does not print escaped as JSON does, such as \u001b: the same value.
+    r"""Return JSON of the same value with unprintable characters escaped, such as \u001b.
 
     Parameters
     ----------
@@ -39,16 +39,16 @@ def json_printable(text: str) -> str:
 
 
 def brief(message: str) -> str:
-    """Return a message in which no word, and nothing in quotes, is longer than a person reads.
+    """Return a message in which long words and long quotations are shortened.
 
-    A value that was given may have any length, and what is to be done stands behind it.
+    The message may quote a user's value of any length, and its advice follows after the quotation.
     """
-    return _LONG.sub(_shortened, message)
+    return _LONG_WORD.sub(_shortened, message)
 
 
 def _shortened(found: re.Match[str]) -> str:
     text = found[0]
-    return f"{text[:_KEPT]}… ({len(text)} characters){text[-1]}"
+    return f"{text[:_KEPT_LENGTH]}… ({len(text)} characters){text[-1]}"
 
 
 def _escaped(character: str) -> str:

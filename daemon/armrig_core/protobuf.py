@@ -1,7 +1,7 @@
-"""Protobuf descriptors of everything that armrig publishes, built from one table.
+"""Protobuf descriptors of all published messages, built from one table.
 
-Served under `rig/<id>/schema/**` and written into each recording, so that any protobuf library
-can read both without armrig.
+The daemon serves them under `rig/<id>/schema/**` and writes them into each recording, so that any
+protobuf library can read the messages without armrig.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ _MESSAGES: dict[str, tuple[tuple[str, str], ...]] = {
         ("t_to_ns", "sfixed64"),
         ("u_held_v", "double"),
         ("reason", "string"),
+        ("code", "string"),
     ),
     "Distribution": _DISTRIBUTION,
     "Timing": (
@@ -78,7 +79,9 @@ SAMPLE, GAP, TIMING, CLOCK, STATE, TRACE = (
 )
 LOG = "foxglove.Log"
 NOTE = "note"
-"""`name` of a log record that a person has written; all other records have another one."""
+"""`name` of a log record that a person wrote; all other records have another name."""
+EMULATOR_STALL_NS = "emulator_stall_ns"
+"""Field of a log record: time for which the clock of an emulated rig stood still, in ns."""
 OF_STREAM = {
     "sample": SAMPLE,
     "gap": GAP,
@@ -88,7 +91,7 @@ OF_STREAM = {
     "state": STATE,
     "trace": TRACE,
 }
-"""Full name of the message of each stream."""
+"""Full name of the message type of each stream."""
 
 ABSENT: dict[str, float] = {
     **{"double": nan, "sfixed32": -1, "sfixed64": -1},
@@ -96,7 +99,7 @@ ABSENT: dict[str, float] = {
 }
 """Value of a number that a message does not contain, by its type: all bits set, or NaN.
 
-A message of an older writer lacks the fields that were appended since; 0 would be a measurement.
+A message of an older release lacks the fields that were appended later; 0 would be a measurement.
 """
 
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4, "fatal": 5}
@@ -116,15 +119,21 @@ def _armrig_file() -> descriptor_pb2.FileDescriptorProto:
                 entry.type_name = f".{PACKAGE}.{kind}"
                 continue
             entry.type = descriptor_pb2.FieldDescriptorProto.Type.Value(f"TYPE_{kind.upper()}")
-            # `optional`: zeros are written too, so that a sample's length is constant.
-            entry.proto3_optional = True
-            entry.oneof_index = len(message.oneof_decl)
-            message.oneof_decl.add(name=f"_{field}")
+            # `optional`: zeros are written, too, so that a sample's length is constant.
+            _make_optional(message, entry)
     return file
 
 
+def _make_optional(
+    message: descriptor_pb2.DescriptorProto, entry: descriptor_pb2.FieldDescriptorProto
+) -> None:
+    entry.proto3_optional = True
+    entry.oneof_index = len(message.oneof_decl)
+    message.oneof_decl.add(name=f"_{entry.name}")
+
+
 def _log_file() -> descriptor_pb2.FileDescriptorProto:
-    # The well-known schema of log messages that viewers show as text, and two fields of a note.
+    # Foxglove's schema of log messages, which viewers show as text, and three fields of ours.
     file = descriptor_pb2.FileDescriptorProto(
         name="foxglove/Log.proto",
         package="foxglove",
@@ -135,11 +144,15 @@ def _log_file() -> descriptor_pb2.FileDescriptorProto:
     level = message.enum_type.add(name="Level")
     for number, name in enumerate(("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")):
         level.value.add(name=name, number=number)
-    kinds = ("MESSAGE", "ENUM", "STRING", "STRING", "STRING", "FIXED32", "STRING", "SFIXED64")
-    names = ("timestamp", "level", "message", "name", "file", "line", "owner", "t_host_ns")
-    for number, (name, kind) in enumerate(zip(names, kinds, strict=True), 1):
+    fields = (
+        *(("timestamp", "MESSAGE"), ("level", "ENUM"), ("message", "STRING"), ("name", "STRING")),
+        *(("file", "STRING"), ("line", "FIXED32"), ("owner", "STRING"), ("t_host_ns", "SFIXED64")),
+        (EMULATOR_STALL_NS, "SFIXED64"),
+    )
+    for number, (name, kind) in enumerate(fields, 1):
         entry = message.field.add(name=name, number=number, label="LABEL_OPTIONAL")
         entry.type = descriptor_pb2.FieldDescriptorProto.Type.Value(f"TYPE_{kind}")
+    _make_optional(message, message.field[-1])  # a file of version 1 lacks it, and 0 says "none"
     message.field[0].type_name = ".google.protobuf.Timestamp"
     message.field[1].type_name = ".foxglove.Log.Level"
     return file
@@ -155,13 +168,13 @@ def _files(name: str) -> list[descriptor_pb2.FileDescriptorProto]:
 
 @cache
 def descriptor_set(name: str) -> bytes:
-    """Return the serialised FileDescriptorSet that defines the message `name` (full name)."""
+    """Return the serialised FileDescriptorSet of the message with the full name `name`."""
     return descriptor_pb2.FileDescriptorSet(file=_files(name)).SerializeToString()
 
 
 @cache
 def message_class(name: str) -> Any:
-    """Return the protobuf class of the message `name` (full name)."""
+    """Return the protobuf class of the message with the full name `name`."""
     pool = descriptor_pool.DescriptorPool()
     for file in _files(name):
         pool.Add(file)
@@ -169,12 +182,12 @@ def message_class(name: str) -> Any:
 
 
 def decoded(name: str, data: bytes) -> Any:
-    """Return the message `name` (full name) in `data`; numbers that it lacks are `ABSENT`.
+    """Return the message with the full name `name` in `data`; missing numbers are `ABSENT`.
 
     Raises
     ------
     google.protobuf.message.DecodeError
-        `data` is no protobuf message.
+        `data` is not a protobuf message.
     """
     message = message_class(name)()
     message.CopyFrom(_without_numbers(name))
@@ -184,6 +197,6 @@ def decoded(name: str, data: bytes) -> Any:
 
 @cache
 def _without_numbers(name: str) -> Any:
-    """Return a message whose numbers are all absent."""
+    """Return a message of which all numbers have their value in `ABSENT`."""
     fields = _MESSAGES.get(name.removeprefix(f"{PACKAGE}."), ())
     return message_class(name)(**{field: ABSENT[kind] for field, kind in fields if kind in ABSENT})

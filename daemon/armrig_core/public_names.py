@@ -1,7 +1,7 @@
-"""A package's public names, in one list: the imports of its stub, `__init__.pyi`.
+"""Public names of a package, in one list: the imports of its stub, `__init__.pyi`.
 
-Checkers of types read the stub; here a name's module is imported when the name is first asked for
-(PEP 562), so that `import armrig` and `armrig --help` are quick.
+Type checkers read the stub. At run time, the module of a name is imported at the first use of the
+name (PEP 562), so that `import armrig` and `armrig --help` are quick.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ def homes(package: str) -> dict[str, str]:
 
 
 def public(package: str, name: str) -> Any:
-    """Return a public name of a package, and keep it there; AttributeError if it has no such name.
+    """Return a public name of a package, and store it there; raise AttributeError if it is unknown.
 
-    What a module says of a name that is missing may say more: `homes` has those that are there.
+    A package may first check the name in `homes` and raise a more helpful error.
     """
     if name not in homes(package):
         raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name)

@@ -1,4 +1,4 @@
-"""Which directory recordings go to: the daemon writes there, and its clients look there."""
+"""The directory of recordings, into which the daemon writes and in which its clients search."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from armrig_core.toml_file import read_toml
 SYSTEM = Path("/etc/armrig/armrig.toml")
 VARIABLE = "ARMRIG_RECORDING_DIRECTORY"
 OF_SERVICE = Path("/var/lib/armrig/recordings")
-"""Where the service of this machine records, by StateDirectory= of its unit."""
+"""Directory of the recordings of this machine's service, from StateDirectory= of its unit."""
 
 
 def installed(rig: str = "", *, system: bool = False) -> list[Path]:
-    """Return the configuration files that there are, the weaker first.
+    """Return the configuration files that exist; a later file overrides an earlier one.
 
     Parameters
     ----------
     rig : str
-        Id of a rig, whose own file in the machine's folder stands over that of all rigs.
+        Id of a rig; its file in the machine's folder overrides the file of all rigs.
     system : bool
-        The machine's files only, and not the user's.
+        True to leave out the files of the user.
     """
     own = [of_rig(rig)] if rig else []
     user = [] if system else [Path(platformdirs.user_config_dir("armrig")) / SYSTEM.name]
@@ -35,17 +35,17 @@ def installed(rig: str = "", *, system: bool = False) -> list[Path]:
 
 
 def of_rig(rig: str) -> Path:
-    """Return the machine's configuration file of one rig, whether it is there or not."""
+    """Return the path of the machine's configuration file of one rig; it may not exist."""
     return SYSTEM.with_name(f"{rig}.toml")
 
 
 def directory_of(given: str) -> Path:
-    """Return the directory that a configuration names; "" is the user's own.
+    """Return the directory that a configuration names; "" is the user's own directory.
 
     Raises
     ------
     ValueError
-        It begins with a user's home, and there is no such user.
+        The path begins with the home of an unknown user.
     """
     if not given:
         return Path(platformdirs.user_data_dir("armrig")) / "recordings"
@@ -56,14 +56,14 @@ def directory_of(given: str) -> Path:
 
 
 def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
-    """Return the directory that a daemon started with these files and variables records into.
+    """Return the directory into which a daemon with these files and variables records.
 
     Parameters
     ----------
     paths : sequence of Path
-        TOML files, the later over the earlier; nothing else in them is looked at.
+        TOML files; a later file overrides an earlier one. All other keys are ignored.
     environ : mapping
-        Environment variables; `ARMRIG_RECORDING_DIRECTORY` is over the files.
+        Environment variables; `ARMRIG_RECORDING_DIRECTORY` overrides the files.
 
     Raises
     ------
@@ -77,16 +77,17 @@ def recording_directory(paths: Sequence[Path], environ: Mapping[str, str]) -> Pa
 
 
 def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> Path:
-    """Return the directory in which a client looks for recordings.
+    """Return the directory in which a client searches for recordings.
 
-    That of `recording_directory`. Where none is configured, and no daemon of this user has ever
-    recorded, the one of this machine's service, if this user may read it: who is in its group has
-    recorded there without saying where.
+    The result is the directory of `recording_directory`, with one exception. The service's
+    directory is returned if no directory is configured, this user's own directory does not exist,
+    and this user may read the service's directory. The runs of members of the service's group are
+    recorded in the service's directory.
 
     Raises
     ------
     ValueError
-        As `recording_directory`.
+        A file cannot be read, or names no directory.
     """
     own = recording_directory(paths, environ)
     is_unused = own == directory_of("") and not own.exists()
@@ -96,7 +97,7 @@ def directory_to_look_in(paths: Sequence[Path], environ: Mapping[str, str]) -> P
 
 
 def _named_in(path: Path, otherwise: str) -> str:
-    """Return the directory that a configuration file names, or what holds without it."""
+    """Return the directory that a configuration file names; `otherwise` if it names none."""
     try:
         table: Any = read_toml(path, CONFIGURATION_LIMIT).get("recording", {})
     except OSError as err:

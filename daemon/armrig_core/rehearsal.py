@@ -1,4 +1,4 @@
-"""A run before it is run: the whole input on the model of the arm, held against the limits."""
+"""Rehearsal of a run: the whole input on the model of the arm, compared with the limits."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ if TYPE_CHECKING:
 _Array = NDArray[np.float64]
 
 MOST_POINTS = 20_000_000
-"""Points in time that one rehearsal looks at: half a second's work."""
-_BLOCK = 64  # samples that one product advances
-_PHASE_RAD = 0.2  # of the arm's own swing, between two points: misses 0.5 % of its peak
+"""Largest number of points in time of one rehearsal, for half a second of computing time."""
+_BLOCK_SAMPLES = 64  # samples that one matrix product advances
+_STEP_PHASE_RAD = 0.2  # phase of the arm's oscillation between two points: misses 0.5 % of a peak
 
 
 class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
-    """What the model does under an input, from standstill."""
+    """Response of the model to an input, from standstill."""
 
     revolutions: float
-    """Farthest that the chassis gets from where it starts, either way, in turns."""
+    """Largest rotation of the chassis from its start, in either direction, in turns."""
     alpha_rad: float
-    """Largest deflection of the arm, either way, in rad."""
+    """Largest deflection of the arm, in either direction, in rad."""
     turned_rad: float
-    """Angle by which the chassis has turned at the end, in rad."""
+    """Rotation of the chassis at the end, from its start, in rad."""
     theta_1_rad: float | None = None
-    """Where the chassis then is, turns counted from its start, in rad; None if that is unknown."""
+    """Angle of the chassis at the end, turns included, in rad; None if the start is unknown."""
 
 
 def rehearse(
@@ -45,11 +45,11 @@ def rehearse(
     revolutions: float = 0.0,
     alpha_rad: float = 0.0,
 ) -> Rehearsal:
-    """Return what the arm does under `u`, each held for Ts: exact, from standstill, alpha 0.
+    """Return the response of the arm to `u`, each value held for Ts, from standstill and alpha 0.
 
-    The states at the samples are exact (zero-order hold) but for rounding. Between them the outputs
-    are looked at as often as the arm's own swing asks for, at most `MOST_POINTS` times in all: more
-    than 0.5 % of a peak is missed only in runs of more than a day.
+    The states at the samples are exact (zero-order hold) except for rounding. Between the samples,
+    the outputs are computed often enough for the arm's oscillation, at most `MOST_POINTS` times in
+    all. Only in runs of more than a day is a peak underestimated by more than 0.5 %.
 
     Parameters
     ----------
@@ -58,24 +58,24 @@ def rehearse(
     Ts : float
         Sampling time, in s.
     parameters : ArmParameters, optional
-        Of the rig; the handout's where they are left out.
+        Parameters of the rig; default: the handout's.
     arm_removed : bool, default False
-        The rotating part is taken off: the chassis turns alone, and alpha is 0.
+        True if the rotating part is removed: the chassis turns alone, and alpha is 0.
     theta_1_rad : float, optional
-        Where the chassis starts, in rad.
+        Angle of the chassis at the start, in rad.
     revolutions, alpha_rad : float, default 0
-        Limits in turns from the start and in rad; 0 is none.
+        Limits, in turns from the start and in rad; 0 is no limit.
 
     Raises
     ------
     InputError
-        A limit is reached: the device stops at as many turns, too, not beyond them.
+        A limit is reached or exceeded. The device also stops as soon as a limit is reached.
     """
     volts = np.asarray(u, dtype=np.float64)
     Phi, Gamma, m = _steps(parameters, arm_removed, Ts, volts.size)
     whole = np.linalg.matrix_power(_augmented(Phi, Gamma), m)
     x = _states(whole[:4, :4], whole[:4, 4], volts)
-    # Largest turn and deflection while each u is held, its end included, its beginning not.
+    # Largest rotation and deflection during each hold of u, its end included, its begin excluded.
     peaks = np.abs(x[1:, :2])
     point = np.eye(5)
     for _ in range(m - 1):
@@ -97,7 +97,7 @@ def rehearse(
 
 
 def sentence(rehearsal: Rehearsal) -> str:
-    """Return what was found, in a line for a person."""
+    """Return the result as a line for a person."""
     return (
         f"rehearsed on the model: the chassis turns {rehearsal.revolutions:.1f} times and ends "
         f"{degrees(rehearsal.turned_rad):.0f}° from its start; "
@@ -106,7 +106,7 @@ def sentence(rehearsal: Rehearsal) -> str:
 
 
 def _check(key: str, values: _Array, limit: float, does: str, unit: str, Ts: float) -> None:
-    """Refuse values, one for each sample's hold, that reach a limit."""
+    """Refuse the input if any of `values`, one for each sample of u, reaches the limit."""
     reached = values >= limit
     if not limit or not reached.any():
         return
@@ -121,13 +121,13 @@ def _check(key: str, values: _Array, limit: float, does: str, unit: str, Ts: flo
 def _steps(
     parameters: ArmParameters | None, arm_removed: bool, Ts: float, N: int
 ) -> tuple[_Array, _Array, int]:
-    """Return Phi (4, 4) and Gamma (4, 1) of one step, and how many steps make one Ts."""
-    # Here, not above: who only reads what a rehearsal has said need not load scipy.
+    """Return Phi (4, 4) and Gamma (4, 1) of one step, and the number of steps in one Ts."""
+    # Imported here: a reader of a stored rehearsal does not need scipy.
     from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_order_hold
 
     p = parameters or ArmParameters()
     swing = 0.0 if arm_removed else sqrt(p.K_lin / p.J_1 + p.K_lin / p.J_2)  # undamped, rad/s
-    m = max(1, min(ceil(Ts * swing / _PHASE_RAD), MOST_POINTS // N))
+    m = max(1, min(ceil(Ts * swing / _STEP_PHASE_RAD), MOST_POINTS // N))
     A, B, _ = arm_matrices(p)
     if arm_removed:
         A, B = np.zeros_like(A), np.zeros_like(B)
@@ -137,7 +137,7 @@ def _steps(
 
 
 def _augmented(Phi: _Array, Gamma: _Array) -> _Array:
-    """Return the matrix that advances (x, u) with u held."""
+    """Return the matrix of the step from (x, u) to the next (x, u) with u held."""
     both = np.eye(5)
     both[:4, :4], both[:4, 4:] = Phi, Gamma
     return both
@@ -146,21 +146,22 @@ def _augmented(Phi: _Array, Gamma: _Array) -> _Array:
 def _states(Phi: _Array, Gamma: _Array, u: _Array) -> _Array:
     """Return x (N + 1, 4) of x[k+1] = Phi x[k] + Gamma u[k] from x[0] = 0, block by block.
 
-    Within a block both responses are products with powers of Phi; only the blocks' first states
-    follow one from the other.
+    Within a block, the responses to the block's first state and to its input are products with
+    powers of Phi. Only the first states of the
+    blocks form a recursion.
     """
     n, N = Phi.shape[0], u.size
-    blocks = -(-N // _BLOCK)
+    blocks = -(-N // _BLOCK_SAMPLES)
     powers = [np.eye(n)]
-    for _ in range(_BLOCK):
+    for _ in range(_BLOCK_SAMPLES):
         powers.append(Phi @ powers[-1])
     impulse = np.array([power @ Gamma for power in powers[:-1]])
-    forcing = np.zeros((_BLOCK, _BLOCK, n))
-    for i in range(_BLOCK):
-        forcing[i, i:] = impulse[: _BLOCK - i]
-    padded = np.zeros(blocks * _BLOCK)
+    forcing = np.zeros((_BLOCK_SAMPLES, _BLOCK_SAMPLES, n))
+    for i in range(_BLOCK_SAMPLES):
+        forcing[i, i:] = impulse[: _BLOCK_SAMPLES - i]
+    padded = np.zeros(blocks * _BLOCK_SAMPLES)
     padded[:N] = u
-    x = padded.reshape(blocks, _BLOCK) @ forcing.reshape(_BLOCK, _BLOCK * n)
+    x = padded.reshape(blocks, _BLOCK_SAMPLES) @ forcing.reshape(_BLOCK_SAMPLES, _BLOCK_SAMPLES * n)
     first = np.zeros((blocks, n))
     for b in range(1, blocks):
         first[b] = powers[-1] @ first[b - 1] + x[b - 1, -n:]

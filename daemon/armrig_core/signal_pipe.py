@@ -1,8 +1,9 @@
 """Signals as bytes on a pipe, for a program that waits until it must end.
 
-The kernel's signal writes to the pipe at once, in C (`signal.set_wakeup_fd`). Python runs a handler
+A signal writes to the pipe at once, in C (`signal.set_wakeup_fd`). Python runs a signal's handler
 later, in the main thread, between any two instructions. A handler that takes a lock may therefore
-wait for ever for its own thread, and a note that it makes may come just before a wait without end.
+deadlock with its own thread. If a handler sets a flag just before an endless wait, this wait does
+not end.
 """
 
 from __future__ import annotations
@@ -21,21 +22,21 @@ _READ_BYTES = 1 << 16
 
 
 class SignalPipe:
-    """A pipe that signals make readable; it has the interface of an Event that they set."""
+    """A pipe that becomes readable at a signal; it has the interface of a threading.Event."""
 
     def __init__(
         self,
         numbers: Iterable[signal.Signals] = ENDING,
         handler: Callable[[int, object], None] = lambda number, frame: None,
     ) -> None:
-        """Catch these signals from here on; only the main thread may.
+        """Catch these signals from now on; only the main thread may call this.
 
         Parameters
         ----------
         handler : callable, optional
             Called for each signal in the main thread. It must take no lock.
         """
-        # Sockets: recording from afar is for Windows too, which can wait for nothing else.
+        # Sockets: recording over a network also runs on Windows, whose select takes only sockets.
         self._reader, self._waker = socket.socketpair()
         self._reader.setblocking(False)
         self._waker.setblocking(False)
@@ -43,13 +44,13 @@ class SignalPipe:
         self._is_woken = False
         self._fd_before = signal.set_wakeup_fd(self._waker.fileno(), warn_on_full_buffer=False)
         self._before = {number: signal.signal(number, handler) for number in numbers}
-        if hasattr(signal, "pthread_sigmask"):  # the parent may have held them back
+        if hasattr(signal, "pthread_sigmask"):  # the parent may have blocked them
             signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
     def wake(self) -> None:
         """Make the pipe readable from any thread, as a signal does."""
         if self._is_woken:
-            return  # a pipe that is full of our zeros would have no room for a signal
+            return  # a pipe full of zeros would have no room for a signal
         self._is_woken = True
         with suppress(BlockingIOError):
             self._waker.send(b"\0")
@@ -59,12 +60,12 @@ class SignalPipe:
         numbers: set[int] = set()
         with suppress(BlockingIOError):
             numbers = {*self._reader.recv(_READ_BYTES)} - {0}
-        # After the read, which may have taken the byte of a thread that has just come.
+        # After the read, which may have taken the byte that another thread has just written.
         self._is_woken = False
         return numbers
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait for a signal, for `timeout` seconds at most; return whether one came."""
+        """Wait for a signal for at most `timeout` seconds; return whether a signal came."""
         ready, _, _ = select.select(
             [self._reader], [], [], None if timeout is None else max(0.0, timeout)
         )
@@ -75,10 +76,10 @@ class SignalPipe:
         return self.wait(0)
 
     def close(self, *, ignores: bool = False) -> None:
-        """Give the signals back as they were, or ignore them from here on.
+        """Restore the previous handlers, or ignore the signals from now on.
 
-        A process at its end ignores them: Python gives each signal its default back on its way out,
-        and a second signal would kill the process there.
+        A process ignores signals at its end: Python restores each default handler during its exit,
+        and a second signal would then kill the process.
         """
         for number, before in self._before.items():
             signal.signal(number, signal.SIG_IGN if ignores else before)
@@ -89,10 +90,10 @@ class SignalPipe:
 
 @contextmanager
 def until_signal() -> Iterator[SignalPipe]:
-    """Give a pipe that Ctrl-C sets, as does another signal that ends us; a second one interrupts.
+    """Yield a pipe that Ctrl-C or another ending signal sets; a second signal interrupts.
 
-    The first signal interrupts nothing: it may come between a message and its file. What nohup
-    ignores stays ignored.
+    The first signal interrupts nothing, because it may arrive between a message and its file. A
+    signal that nohup ignores stays ignored.
     """
     received: list[int] = []
 
@@ -107,7 +108,7 @@ def until_signal() -> Iterator[SignalPipe]:
     finally:
         ended.close()
         for number in received[:1]:
-            # Ctrl-C is the way to end it; the exit code reports the others.
+            # Ctrl-C is the usual end; the exit code reports the other signals.
             if number != signal.SIGINT:
                 with suppress(KeyboardInterrupt):
                     signal.raise_signal(number)
@@ -115,10 +116,11 @@ def until_signal() -> Iterator[SignalPipe]:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Have signals wait until the block ends; in a process started there, for its `SignalPipe`.
+    """Block signals until the block ends, and in a process started in the block also later.
 
-    A Ctrl-C goes to all processes of a terminal, and one of them may still load. Python prints a
-    KeyboardInterrupt that comes in a callback of the import system, and goes on without it.
+    Such a process unblocks the signals when it creates its `SignalPipe`. A Ctrl-C reaches all
+    processes of a terminal, and one of them may still import modules. If a KeyboardInterrupt is
+    raised in a callback of the import system, Python prints it and continues.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
     try:

@@ -1,8 +1,8 @@
 """The messages that armrig publishes and records, and the constant layout of a sample.
 
-`SAMPLE_FIELDS` are all of fixed width and always written, so the bytes of a protobuf `Sample` lie
-at constant places: the struct module makes one, numpy reads a million, and to everybody else it is
-plain protobuf. Fields are only ever appended. The unit is the end of a field's name.
+All `SAMPLE_FIELDS` have a fixed width and are always written. The bytes of a protobuf `Sample`
+are therefore at constant places: the struct module encodes a sample, and numpy reads a million.
+Other programs read plain protobuf. Fields are only appended. A field's name ends in its unit.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ ALPHA: Final = "alpha"
 VELOCITY: Final = "velocity"
 ChannelName = Literal["theta_1", "alpha"]
 OutputName = Literal["theta_1", "alpha", "velocity"]
-"""What a recording has as an output of models: a channel, or the rate of one."""
+"""Name of an output of models: a channel, or the rate of a channel."""
 
 
 class Channel(NamedTuple):
@@ -28,20 +28,20 @@ class Channel(NamedTuple):
     rail: str
     """Name of the `armrig_protocol.messages.Flag` of a reading at an end of its range."""
     valid: str
-    """Name of what says where a recording shows it."""
+    """Name of the mask of samples at which a recording has a valid reading."""
     turns: bool = False
-    """Whether it turns through a dead band, so that its turns are counted."""
+    """True if the shaft turns through a dead band, so that its turns are counted."""
     rate: str = ""
-    """Name of its rate, where that is an output."""
+    """Name of the channel's rate if the rate is an output; otherwise empty."""
 
     @property
     def value_field(self) -> str:
-        """Name of its value's field in a sample."""
+        """Name of the field with the value of the channel in a sample."""
         return f"{self.name}_{self.unit}"
 
     @property
     def counts_field(self) -> str:
-        """Name of its reading's field in a sample."""
+        """Name of the field with the raw reading of the channel in a sample."""
         return f"{self.name}_counts"
 
 
@@ -49,7 +49,7 @@ CHANNELS: tuple[Channel, ...] = (
     Channel(THETA_1, "rad", rail="ADC0_RAIL", valid="valid", turns=True, rate=VELOCITY),
     Channel(ALPHA, "rad", rail="ADC1_RAIL", valid="valid_alpha"),
 )
-"""What a sample says of the rig, besides u. A new channel is appended, and so are its fields."""
+"""Channels of a sample, in addition to u. A new channel and its fields are appended."""
 
 SAMPLE_FIELDS = (
     ("k", "fixed64"),
@@ -76,24 +76,24 @@ SAMPLE_LENGTH = _LAYOUT.size
 
 
 class Sample(NamedTuple):
-    """What the rig did at one instant, as published and recorded."""
+    """State of the rig at one instant, as published and recorded."""
 
     k: int
     """Sample index of the host, counted in sampling times; a break is a gap."""
     t_sched_ns: int
-    """When the sample was due, on the host's monotonic clock."""
+    """Due time of the sample, on the host's monotonic clock."""
     t_host_ns: int
-    """When the host asked for it, on the same clock."""
+    """Time at which the host requested the sample, on the same clock."""
     t_device_us: int
-    """When theta_1 was triggered, on the device's clock, wraps undone."""
+    """Time of theta_1's trigger, on the device's clock, without wraps."""
     theta_1_rad: float
     """Angle of the chassis as its potentiometer shows it (it wraps); NaN at a rail."""
     alpha_rad: float
     """Angle of the arm against the chassis; NaN at a rail."""
     u_cmd_v: float
-    """Voltage asked for from this sample on."""
+    """Requested voltage from this sample on."""
     u_applied_v: float
-    """Voltage that the device says it latched at this sample."""
+    """Voltage that the device reports as latched at this sample."""
     theta_1_counts: int
     """Raw reading, left-justified to 16 bit."""
     alpha_counts: int
@@ -113,7 +113,7 @@ def encode_sample(sample: Sample) -> bytes:
 
 
 def decode_sample(data: bytes) -> Sample | None:
-    """Return the sample in `data`, or None where it has not the constant layout."""
+    """Return the sample in `data`; None if `data` does not have the constant layout."""
     if len(data) != SAMPLE_LENGTH:
         return None
     values = _LAYOUT.unpack(data)

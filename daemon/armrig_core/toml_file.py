@@ -1,4 +1,4 @@
-"""The tables of a TOML that anybody may have written."""
+"""Tables of a TOML file from an untrusted source."""
 
 from __future__ import annotations
 
@@ -10,21 +10,22 @@ from typing import Any
 from armrig_core.bounded import read_text
 from armrig_core.errors import FileError
 
-_DEEPEST, _MOST_LEVELS = 16, 64
-# The reader's time grows with the square of the depth, and what it returns cannot be printed.
+_MAX_KEY_PARTS, _MAX_LEVELS = 16, 64
+# The reader's time grows with the square of the depth, and a deeply nested result cannot be
+# printed.
 _PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
-_TOO_DEEP = re.compile(rf"(?:{_PART}[ \t]*\.[ \t]*){{{_DEEPEST}}}{_PART}")
+_DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*\.[ \t]*){{{_MAX_KEY_PARTS}}}{_PART}")
 
 
 def read_toml(path: Path, most: int) -> dict[str, Any]:
-    """Return the tables of a regular file of at most so many bytes.
+    """Return the tables of a regular file of at most `most` bytes.
 
     Raises
     ------
     FileError
-        It is no TOML, is saved in another encoding than UTF-8, or is nested too deeply.
+        The file is not TOML, is not encoded as UTF-8, or is nested too deeply.
     OSError
-        It cannot be read, or is too long.
+        The file cannot be read, or is too long.
     """
     return toml_tables(read_text(path, most))
 
@@ -35,10 +36,10 @@ def toml_tables(text: str) -> dict[str, Any]:
     Raises
     ------
     FileError
-        It is no TOML, or is nested too deeply.
+        The text is not TOML, or is nested too deeply.
     """
-    if _TOO_DEEP.search(text):
-        raise FileError(f"nested too deeply: a key has at most {_DEEPEST} parts")
+    if _DEEP_KEY.search(text):
+        raise FileError(f"nested too deeply: a key has at most {_MAX_KEY_PARTS} parts")
     try:
         tables = tomllib.loads(text)
     except RecursionError as err:
@@ -50,11 +51,11 @@ def toml_tables(text: str) -> dict[str, Any]:
 
 
 def _check_depth(tables: dict[str, Any]) -> None:
-    """Refuse tables and lists so deep in each other that nothing can walk or print them."""
+    """Refuse tables and lists that are nested too deeply to be walked or printed."""
     level: list[Any] = [tables]
-    for _ in range(_MOST_LEVELS):
+    for _ in range(_MAX_LEVELS):
         inner = [x.values() if isinstance(x, dict) else x for x in level]
         level = [x for values in inner for x in values if isinstance(x, dict | list)]
         if not level:
             return
-    raise FileError(f"nested too deeply: at most {_MOST_LEVELS} levels are read")
+    raise FileError(f"nested too deeply: at most {_MAX_LEVELS} levels are read")

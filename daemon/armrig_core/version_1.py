@@ -1,11 +1,13 @@
-"""What files and daemons of version 1 told by sentences alone, as today's codes.
+"""Conversion of sentences of version 1 of files and replies, which had no codes, to codes.
 
-A file or a reply of today carries a code, and no sentence of it comes here.
+Files and replies of the current version contain codes, so this module does not read them.
 """
 
 from __future__ import annotations
 
-from armrig_core.codes import TRY_AGAIN, OutcomeCode
+import re
+
+from armrig_core.codes import TRY_AGAIN, GapCode, OutcomeCode
 
 _OUTCOMES = {
     "complete": OutcomeCode.COMPLETE,
@@ -25,6 +27,18 @@ _BEGINNINGS = {
     "the recorder ended: ": OutcomeCode.RECORDER,
 }
 
+_EMULATOR_STALL = re.compile(r"emulator held up (\d+) ms")
+_GAPS = {
+    "the host was late": GapCode.HOST_LATE,
+    "the device was late": GapCode.DEVICE_LATE,
+    "a frame was lost": GapCode.FRAME_LOST,
+    "no answer came": GapCode.NO_ANSWER,
+    "the service did not keep up": GapCode.SERVICE_LATE,
+    "the recorder was cut off for longer than the daemon keeps what it published": (
+        GapCode.RECORDER_CUT_OFF
+    ),
+}
+
 
 def passes(error: str) -> bool:
     """Return whether a refusal of a daemon without codes passes by itself."""
@@ -32,8 +46,19 @@ def passes(error: str) -> bool:
 
 
 def outcome_code(text: str) -> OutcomeCode:
-    """Return the code of a sentence by which a file or a status without codes tells an outcome."""
+    """Return the code of an outcome's sentence in a file or status without codes."""
     return next(
         (code for begin, code in _BEGINNINGS.items() if text.startswith(begin)),
         _OUTCOMES.get(text, OutcomeCode.UNKNOWN),
     )
+
+
+def gap_code(reason: str) -> GapCode:
+    """Return the code of the reason of a gap whose message has no code."""
+    return _GAPS.get(reason, GapCode.UNKNOWN)
+
+
+def emulator_stall_ns(message: str) -> int:
+    """Return the time of an emulator's stall in an event's sentence, in ns; 0 for others."""
+    found = _EMULATOR_STALL.match(message)
+    return int(found[1]) * 1_000_000 if found else 0

@@ -1,4 +1,4 @@
-"""Motor voltage and its code on the wire: 0 … 65535 is 0 … 5 V."""
+"""Conversion of motor voltages to codes of the wire and back: 0 … 65535 is 0 … 5 V."""
 
 from __future__ import annotations
 
@@ -10,25 +10,26 @@ from armrig_protocol.messages import CODE_FULL_SCALE, FULL_SCALE_MV
 from armrig_core.errors import InputError
 
 U_MAX_V = FULL_SCALE_MV / 1000
-"""Largest motor voltage, in V. Above it, and below 0 V, the rig is destroyed."""
+"""Largest motor voltage, in V. A higher voltage, or a voltage below 0 V, destroys the rig."""
 
 
 def code_of(u: float) -> int:
-    """Return the code nearest to `u`, in V.
+    """Return the code nearest to the voltage `u`, in V.
 
     Raises
     ------
     ValueError
-        The voltage is not a number in [0, 5]; it is never clamped.
+        `u` is not a number in [0, 5]. The voltage is never clamped.
     """
     if not 0.0 <= u <= U_MAX_V:  # NaN fails this, too
-        raise InputError(f"{u!r} V is outside 0 … {U_MAX_V:g} V, where the rig is destroyed")
+        why = f"a voltage outside 0 … {U_MAX_V:g} V destroys the rig"
+        raise InputError(f"{u!r} V is not allowed: {why}")
     return round(u / U_MAX_V * CODE_FULL_SCALE)
 
 
 def codes_of(u: Iterable[float]) -> bytes:
     """Return the codes of the voltages, each a u16, little-endian; raises as `code_of`."""
-    codes = [code_of(one) for one in u]
+    codes = [code_of(voltage) for voltage in u]
     return pack(f"<{len(codes)}H", *codes)
 
 
@@ -38,11 +39,11 @@ def volts_of(code: int) -> float:
 
 
 def duty(code: int, pwm_bits: int) -> int:
-    """Return the steps of 2^pwm_bits that stand for `code`, to the nearest; there are no ties."""
+    """Return the duty cycle nearest to `code`, in 2^pwm_bits steps; ties cannot occur."""
     return ((code << (pwm_bits + 1)) + CODE_FULL_SCALE) // (2 * CODE_FULL_SCALE)
 
 
 def applied_code(code: int, pwm_bits: int) -> int:
-    """Return the code that a device with this duty resolution latches for `code`; a tie goes up."""
+    """Return the code that a device with this duty resolution latches for `code`; ties round up."""
     steps = duty(code, pwm_bits)
     return (2 * steps * CODE_FULL_SCALE + (1 << pwm_bits)) >> (pwm_bits + 1)

@@ -1,8 +1,9 @@
-"""Waiting, exact to the kernel's timers: until a deadline, and for descriptors besides.
+"""Waiting for a deadline and for descriptors, as exact as the kernel's timers.
 
-`select` and `poll` ask each terminal anew at every call, and a terminal without input answers only
-after a kernel worker of ordinary priority has run (docs/timing.md): a loop at real-time priority
-would wait for it. Here a terminal is watched by edges: the kernel asks it when it has woken us.
+`select` and `poll` query each terminal at every call. A terminal without input answers only after a
+kernel worker of ordinary priority has run (docs/timing.md), so a loop at real-time priority would
+wait for this worker. Here a terminal is watched edge-triggered: the kernel queries the terminal
+only after it has woken the process.
 
 References
 ----------
@@ -18,7 +19,7 @@ import time
 
 _TIMER_ABSTIME = 1  # <time.h>
 _TFD_TIMER_ABSTIME = 1  # <sys/timerfd.h>
-_MOST_READY = 8
+_MAX_EVENTS = 8
 _IN, _OUT, _ET = select.EPOLLIN, select.EPOLLOUT, select.EPOLLET
 
 
@@ -30,8 +31,8 @@ class _Itimerspec(ctypes.Structure):
     _fields_ = (("it_interval", _Timespec), ("it_value", _Timespec))
 
 
-# ctypes gives up the interpreter lock during the call; the standard library has no such sleep, and
-# the timer only from Python 3.13 on.
+# ctypes releases the interpreter lock during the call. The standard library has no such sleep, and
+# has the timer only from Python 3.13 on.
 _libc = ctypes.CDLL(None, use_errno=True)
 _clock_nanosleep, _timerfd_settime = _libc.clock_nanosleep, _libc.timerfd_settime
 _until = _Timespec()
@@ -39,7 +40,7 @@ _until_at = ctypes.byref(_until)
 
 
 def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
-    """Sleep until shortly before the deadline, spin the rest, and return the time it then is."""
+    """Sleep until `spin_ns` before the deadline, spin until it, and return the time, in ns."""
     now = time.monotonic_ns()
     wake = deadline_ns - spin_ns
     if now < wake:
@@ -52,10 +53,10 @@ def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
 
 
 class Waiter:
-    """Descriptors to be waited for, and a timer of the monotonic clock; one thread's."""
+    """A set of watched descriptors and a timer of the monotonic clock, for use by one thread."""
 
     def __init__(self) -> None:
-        """Begin with no descriptor.
+        """Begin without a descriptor.
 
         Raises
         ------
@@ -73,53 +74,54 @@ class Waiter:
         self._due_ns = 0
 
     def watch(self, fd: int) -> None:
-        """Watch a descriptor: it is told for as long as it can be read."""
+        """Watch a descriptor: it is reported as long as it is readable."""
         self._epoll.register(fd, _IN)
 
     def watch_terminal(self, fd: int) -> None:
-        """Watch a terminal or a socket: it is told once, each time that bytes have come.
+        """Watch a terminal or a socket: it is reported once each time that bytes arrive.
 
-        Who is told of a terminal reads at least `TERMINAL_BYTES`, or until a read gives less than
-        it asked for; of a socket, until then. What is left is not told again.
+        From a terminal, the caller must read at least `TERMINAL_BYTES`, or until a read returns
+        fewer bytes than requested. From a socket, the caller must read until a read returns fewer
+        bytes than requested. Unread bytes are not reported again.
         """
         self._epoll.register(fd, _IN | _ET)
 
     def watch_room(self, fd: int, *, wanted: bool) -> None:
-        """Be told, or no more, once a terminal or socket that is watched takes bytes again."""
+        """Select whether a watched terminal or socket is also reported when it accepts bytes."""
         self._epoll.modify(fd, _IN | _ET | (_OUT if wanted else 0))
 
     def forget(self, fd: int) -> None:
-        """Watch a descriptor no more; before it is closed."""
+        """Stop watching a descriptor; call this before it is closed."""
         self._epoll.unregister(fd)
 
     def ready(self) -> list[tuple[int, int]]:
-        """Return at once what `wait_until` would return."""
-        return self._but_timer(self._epoll.poll(0, _MOST_READY))
+        """Return the result of `wait_until` without waiting."""
+        return self._but_timer(self._epoll.poll(0, _MAX_EVENTS))
 
     def wait_until(self, deadline_ns: int) -> list[tuple[int, int]]:
-        """Return descriptors that are ready, each with its `EPOLL…` flags; none at the deadline.
+        """Return the ready descriptors, each with its `EPOLL…` flags; none at the deadline.
 
         Parameters
         ----------
         deadline_ns : int
-            On the monotonic clock, in 64 bits; for one that has passed nobody waits.
+            Time on the monotonic clock, in 64 bit; a past deadline returns at once.
         """
         if deadline_ns != self._due_ns:  # a loop waits for one deadline many times
             self._due_ns = deadline_ns
             due = self._set.it_value
             due.tv_sec, due.tv_nsec = divmod(max(deadline_ns, 1), 1_000_000_000)
             _timerfd_settime(self._timer, _TFD_TIMER_ABSTIME, self._set_at, None)
-        return self._but_timer(self._epoll.poll(-1, _MOST_READY))
+        return self._but_timer(self._epoll.poll(-1, _MAX_EVENTS))
 
     def close(self) -> None:
-        """Give the timer and the set back."""
+        """Close the timer and the set."""
         self._epoll.close()
         os.close(self._timer)
 
     def _but_timer(self, ready: list[tuple[int, int]]) -> list[tuple[int, int]]:
         timer = self._timer
-        return [one for one in ready if one[0] != timer]
+        return [event for event in ready if event[0] != timer]
 
 
 TERMINAL_BYTES = 4096
-"""What a terminal's line discipline holds at most, in bytes (N_TTY_BUF_SIZE)."""
+"""Capacity of a terminal's line discipline, in B (N_TTY_BUF_SIZE)."""

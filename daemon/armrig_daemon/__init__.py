@@ -1,1 +1,1 @@
-"""The rig interface daemon: the loop that drives the rig, and the service around it."""
+"""The daemon of a rig: the loop that drives the rig, and the service that publishes and records."""

@@ -1,4 +1,4 @@
-"""The command `armrigd`, and `python -m armrig_daemon`: Ctrl-C while it loads ends it in a line."""
+"""The command `armrigd`, and `python -m armrig_daemon`; Ctrl-C ends it during imports, too."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from armrig_core.loading import end_at_ctrl_c, is_interrupt
 
 
 def main() -> None:
-    """Load the command line and run it."""
+    """Import the command line and run it."""
     has_loaded = end_at_ctrl_c("armrigd")
     from armrig_daemon.command_line import app
 
@@ -21,7 +21,7 @@ def main() -> None:
         print("armrigd: interrupted", file=sys.stderr)
         sys.exit(130)
     finally:
-        exec("")  # as in armrig/__main__.py: else Python may end itself by SIGINT
+        exec("")  # as in armrig/__main__.py: otherwise Python may end by SIGINT
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The commands of `armrigd`: run the daemon, emulate a rig, or print a configuration."""
+"""The commands of `armrigd`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import msgspec
 import typer
 from armrig_core.emulator_stall import held_up
-from armrig_core.endpoint import distrust, endpoint, socket_directory
+from armrig_core.endpoint import endpoint, require_trusted, socket_directory
 from armrig_core.errors import InputError, OperationError
 from armrig_core.printable import brief, printable
 from armrig_core.signal_pipe import held_back
 from armrig_core.volts import U_MAX_V
 from armrig_protocol.messages import WATCHDOG_MAX_MS
 
-from armrig_daemon.config import MEND, Config
+from armrig_daemon.config import EX_CONFIG, Config
 from armrig_daemon.config import Device as DeviceSettings
 
 if TYPE_CHECKING:
@@ -32,27 +32,39 @@ if TYPE_CHECKING:
     from armrig_daemon.conformance.rule import Rule
     from armrig_daemon.emulator.uno import Uno
 
-# Nothing breaks when an emulated motor turns on, and a busy machine stalls its emulator, too.
-_FOR_EMULATED: dict[str, dict[str, Any]] = {
+# An emulated motor breaks nothing, and a busy machine stalls the emulator as well as the daemon.
+_EMULATION_DEFAULTS: dict[str, dict[str, Any]] = {
     "device": {"watchdog_ms": WATCHDOG_MAX_MS},
     "emulator": {"tolerates_stalls": True},
 }
 
 _ConfigFile = Annotated[
-    Path | None, typer.Option(help="Configuration (TOML), in place of the installed ones.")
+    Path | None,
+    typer.Option(help="Configuration file (TOML); default: the installed configuration files."),
 ]
-_Port = Annotated[str | None, typer.Option(help="Serial port.")]
-_Rig = Annotated[str | None, typer.Option(help="Name of the rig: a-z, 0-9 and -.")]
+_Port = Annotated[
+    str | None, typer.Option(help="Serial port of the device; default: [device] port.")
+]
+_Rig = Annotated[
+    str | None, typer.Option(help="Name of the rig, of a-z, 0-9 and -; default: [rig] id.")
+]
 _System = Annotated[
     bool,
-    typer.Option("--system", help="As a service: the machine's files, and /etc/armrig/RIG.toml."),
+    typer.Option(
+        "--system",
+        help="Read only the machine's files, including /etc/armrig/RIG.toml, as the service does.",
+    ),
 ]
 
 _Firmware = Annotated[
-    bool, typer.Option("--firmware", help="Run the Uno's firmware, in simavr (`make fil`).")
+    bool,
+    typer.Option(
+        "--firmware", help="Run the Uno's firmware in the simulator simavr (`make fil` builds it)."
+    ),
 ]
 _Hex = Annotated[
-    Path | None, typer.Option("--hex", help="Firmware to run in place of that of the checkout.")
+    Path | None,
+    typer.Option("--hex", help="Firmware for simavr (Intel HEX); default: the shipped firmware."),
 ]
 
 app = typer.Typer(
@@ -73,26 +85,26 @@ def run(
     system: _System = False,
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Run the daemon until SIGTERM or Ctrl-C; the motor ends at 0 V."""
-    with held_back():  # an exception in the midst of an import may be passed over
+    """Run the daemon until SIGTERM or Ctrl-C; the motor is then at 0 V."""
+    with held_back():  # Python may ignore an exception during an import
         from armrig_daemon import config as configuration
         from armrig_daemon.loop.realtime import end_with_parent
         from armrig_daemon.service.emulated_rig import emulated
         from armrig_daemon.service.service import Service
         from armrig_daemon.service.systemd import Notifier
 
-    if parent is not None:  # of `armrig lab`, which may be killed and cannot tell us then
+    if parent is not None:  # `armrig lab`, which may be killed without a message
         end_with_parent(parent)
     notifier = Notifier(os.environ)
-    load = _configuration(config, port, rig, _FOR_EMULATED if emulate else {}, system=system)
+    load = _configuration(config, port, rig, _EMULATION_DEFAULTS if emulate else {}, system=system)
     try:
         loaded = load()
         directory = configuration.recordings(loaded)
         where = endpoint(loaded.rig.id, PurePosixPath(_socket_directory()))
         _check_no_file(Path(where.partition("/")[2]))
     except ValueError as err:
-        _refuse(str(err), MEND)
-    os.umask(0o027)  # the group may read a recording, and nobody but us change it
+        _refuse(str(err), EX_CONFIG)
+    os.umask(0o027)  # the group may read a recording; only the daemon's user may change it
     of_systemd = notifier, load if notifier.is_asked else None
     if not emulate:
         _end(Service(loaded, where, directory, None, *of_systemd).run())
@@ -105,9 +117,9 @@ def run(
 
 
 def _end(code: int) -> NoReturn:
-    """End the process at once: all is closed.
+    """End the process at once; the caller has closed all its resources.
 
-    zenoh's threads may still let go of what is Python's, and abort where the interpreter has ended.
+    zenoh's threads may still release Python objects, and abort if the interpreter has ended.
     """
     sys.stdout.flush()
     sys.stderr.flush()
@@ -123,16 +135,17 @@ def estop(
     after_failure: Annotated[
         bool,
         typer.Option(
-            "--after-failure", help="As systemd's ExecStopPost: only where the daemon failed."
+            "--after-failure",
+            help="Send ESTOP only if the daemon failed; for systemd's ExecStopPost.",
         ),
     ] = False,
 ) -> None:
-    """Stop the motor of a rig whose daemon is dead, by ESTOP to its device.
+    """Stop the motor of a rig whose daemon is dead: send ESTOP to the device.
 
-    The device stays stopped until `armrig reset`, or until it boots, as some do when a daemon opens
-    their port. Exit code 0 only where it said that it stopped; it takes 1 s at most.
+    The device stays stopped until `armrig reset` or until it boots; some devices boot when a daemon
+    opens their port. The exit code is 0 only if the device confirmed the stop within 1 s.
 
-    A daemon that holds the port is not disturbed: `armrig stop` stops it.
+    If a daemon has opened the port, the command sends nothing: use `armrig stop`.
     """
     from armrig_core.journal import log_prefix
 
@@ -145,24 +158,24 @@ def estop(
         device = _configuration(config, port, rig, {}, system=system)().device
         stopped = send_estop(device.port, device.baud)
     except InputError as err:
-        _refuse(f"estop: nothing sent: {err}", MEND)
+        _refuse(f"estop: nothing sent: {err}", EX_CONFIG)
     except TakenPortError as err:
-        _refuse(f"estop: nothing sent: {err}; a daemon that runs is stopped by `armrig stop`")
+        _refuse(f"estop: nothing sent: {err}; `armrig stop` stops the motor of a running daemon")
     except LinkError as err:
-        _refuse(f"estop: nothing sent: {err}; a device that hears nothing stops by itself")
+        _refuse(f"estop: nothing sent: {err}; without a host, a device stops the motor by itself")
     if not stopped:
         _refuse(
-            f"estop: sent to {device.port}, no answer: see that the motor stands still; "
-            "a device that hears nothing stops by itself"
+            f"estop: sent to {device.port}, no answer: check that the motor stands still; "
+            "without a host, a device stops the motor by itself"
         )
     begin = log_prefix("info", fd=1) or "armrigd: "
-    typer.echo(f"{begin}estop: {device.port} is in ESTOP, 0 V; `armrig reset` leads out of it")
+    typer.echo(f"{begin}estop: {device.port} is in ESTOP, 0 V; `armrig reset` ends ESTOP")
 
 
 def _has_failed(environ: Mapping[str, str]) -> bool:
-    """Tell whether systemd says that a service ended by itself, and had begun to drive a rig."""
+    """Return whether systemd reports that the service failed after it began to drive a rig."""
     ended = environ.get("SERVICE_RESULT", ""), environ.get("EXIT_STATUS", "")
-    return ended[0] != "success" and ended != ("exit-code", str(MEND))
+    return ended[0] != "success" and ended != ("exit-code", str(EX_CONFIG))
 
 
 def _configuration(
@@ -173,7 +186,7 @@ def _configuration(
     *,
     system: bool,
 ) -> Callable[[], Config]:
-    """Return what reads the configuration, of a file or of those installed, under these options."""
+    """Return a function that reads the configuration and overrides it by these options."""
     from armrig_daemon.config import load, load_installed
 
     overrides: dict[str, dict[str, Any]] = {}
@@ -189,27 +202,34 @@ def _configuration(
 @app.command()
 def emulate(
     port: Annotated[
-        Path, typer.Option(help="Link to make to a pseudo-terminal, or unix:PATH, a socket.")
+        Path,
+        typer.Option(help="Port to create: a path, linked to a pseudo-terminal, or unix:PATH."),
     ],
-    config: Annotated[Path | None, typer.Option(help="TOML with a table [emulator].")] = None,
-    trace: Annotated[
-        Path | None, typer.Option(help="File for each change of the motor voltage.")
+    config: Annotated[
+        Path | None, typer.Option(help="File (TOML) with a table [emulator]; default: no file.")
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of all noise and of the boot ids.")] = None,
-    baud: Annotated[int | None, typer.Option(help="Speed of the emulated wire.")] = None,
+    trace: Annotated[
+        Path | None, typer.Option(help="File for a line at each change of the motor voltage.")
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of all noise and of the boot ids; default: 1.")
+    ] = None,
+    baud: Annotated[
+        int | None, typer.Option(help="Speed of the emulated line, in bit/s; default: 500000.")
+    ] = None,
     firmware: _Firmware = False,
     image: _Hex = None,
     settings: Annotated[str | None, typer.Option(hidden=True)] = None,
     stalls_fd: Annotated[int | None, typer.Option(hidden=True)] = None,
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Emulate a rig behind a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
+    """Emulate a rig at a pseudo-terminal or a socket until SIGTERM or Ctrl-C."""
     from armrig_daemon.emulator.device import Device
     from armrig_daemon.emulator.real_time import emulate as run_emulator
     from armrig_daemon.emulator.settings import EmulatorSettings, load
 
     try:
-        if settings is not None:  # from `armrigd run --emulate`, which we shall not outlive
+        if settings is not None:  # of `armrigd run --emulate`; the emulator ends with it
             from armrig_daemon.loop.realtime import end_with_parent
 
             end_with_parent(parent)
@@ -220,30 +240,30 @@ def emulate(
         given = {key: value for key, value in given.items() if value is not None}
         chosen = msgspec.structs.replace(chosen, **given)
         started = "" if settings is not None else _started(port, chosen.baud)
-        tell = _say_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
+        report_stall = _print_stall if stalls_fd is None else partial(_write_stall, stalls_fd)
         switch_on = _firmware(image) if firmware or image else Device
         code = run_emulator(
-            port, chosen, switch_on=switch_on, trace=trace, started=started, held_up=tell
+            port, chosen, switch_on=switch_on, trace=trace, started=started, held_up=report_stall
         )
     except (ValueError, OperationError) as err:
-        _refuse(str(err), MEND)
+        _refuse(str(err), EX_CONFIG)
     raise typer.Exit(code)
 
 
 @app.command("config")
 def show_config(
     example: Annotated[
-        bool, typer.Option("--example", help="Print every key, commented out, with its default.")
+        bool, typer.Option("--example", help="Print all keys, commented out, with their defaults.")
     ] = False,
     check: Annotated[
-        Path | None, typer.Option("--check", help="Check a file and the files that it names.")
+        Path | None, typer.Option("--check", help="File to check, with the files that it names.")
     ] = None,
 ) -> None:
-    """Print a complete configuration to begin with, or check one.
+    """Print an example of a configuration, or check a configuration.
 
-    --check reads /etc/armrig/ID.toml as the service of rig ID does, and any other file as
-    `armrigd run --config` does. The exit code is 78 if the daemon would refuse the file. Only the
-    daemon's user can see whether that user may read the keys.
+    --check reads /etc/armrig/ID.toml like the service of rig ID, and any other file like `armrigd
+    run --config`. The exit code is 78 if the daemon would refuse the file. Run the command as the
+    daemon's user to check that this user may read the keys.
     """
     from armrig_daemon.configuration_reference import example as example_text
 
@@ -252,13 +272,11 @@ def show_config(
     elif example:
         typer.echo(example_text())
     else:
-        _refuse(
-            "config: --example or --check FILE is needed: `armrigd config --example > armrig.toml`"
-        )
+        _refuse("config: give --example or --check FILE: `armrigd config --example > armrig.toml`")
 
 
 def _check_file(file: Path) -> None:
-    """Print what a daemon would serve with a configuration, or end as it would end."""
+    """Print the rig and the networks of a configuration; end like the daemon on an error."""
     from armrig_core.recording_directory import SYSTEM
 
     from armrig_daemon.config import load, load_installed, recordings
@@ -267,16 +285,15 @@ def _check_file(file: Path) -> None:
 
     path = file.absolute()
     try:
-        if (
-            path.parent == SYSTEM.parent and path != SYSTEM
-        ):  # a service has no variables of this shell's
+        if path.parent == SYSTEM.parent and path != SYSTEM:
+            # A service does not have the variables of this shell.
             config = load_installed({}, {"rig": {"id": path.stem}}, system=True)
         else:
             config = load([file], os.environ, {})
         recordings(config)
         ways = [reached(way, datetime.now(UTC)) for way in networks_of(config) if way is not None]
     except ValueError as err:
-        _refuse(str(err), MEND)
+        _refuse(str(err), EX_CONFIG)
     rig = f"{file}: rig {config.rig.id}, {line_and_limits(config)}"
     said = [rig, *(text for _, text in ways)]
     typer.echo(printable("; ".join(said)))
@@ -284,20 +301,27 @@ def _check_file(file: Path) -> None:
 
 @app.command()
 def conformance(
-    device: Annotated[str | None, typer.Option(help="Serial port of the device.")] = None,
+    device: Annotated[
+        str | None, typer.Option(help="Serial port of the device, such as /dev/ttyACM0.")
+    ] = None,
     firmware: _Firmware = False,
     image: _Hex = None,
     baud: Annotated[int, typer.Option(help="Speed of the line, in bit/s.")] = DeviceSettings().baud,
     motor_unplugged: Annotated[
-        bool, typer.Option("--motor-unplugged", help="Do not ask: the motor is unplugged.")
+        bool,
+        typer.Option(
+            "--motor-unplugged",
+            help="Confirm that the motor is unplugged; the command then does not ask.",
+        ),
     ] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:
-    """Try a device on every rule of PROTOCOL.md, the motor unplugged; it takes a minute.
+    """Test a device against every rule of PROTOCOL.md; unplug the motor first.
 
-    With --firmware the device is the Uno's firmware in simavr, whose pins are judged, too.
+    The test takes a minute. With --firmware, the device is the Uno's firmware in simavr, and its
+    pins are tested, too.
 
-    Exit code 0 only where no rule is broken. The device is left at 0 V.
+    The exit code is 0 only if no rule is broken. After the test, the device is at 0 V.
     """
     from armrig_daemon.conformance import report
     from armrig_daemon.conformance.conversation import Broken
@@ -308,38 +332,38 @@ def conformance(
 
     is_simulated = firmware or image is not None
     if is_simulated == (device is not None):
-        _refuse("conformance: give either --device PORT, or --firmware for the Uno's, in simavr", 2)
+        _refuse("conformance: give either --device PORT, or --firmware for the Uno's in simavr", 2)
     if not is_simulated:
-        _agree_that_the_motor_is_unplugged(motor_unplugged)
+        _confirm_that_the_motor_is_unplugged(motor_unplugged)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
     columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
 
-    def tell(result: Result) -> None:
+    def print_result(result: Result) -> None:
         if not json:
             typer.echo(report.line_of(result, columns))
 
     try:
         with ExitStack() as stack:
-            line, rules = _tried_over(device, image, baud, stack)
+            line, rules = _line_and_rules(device, image, baud, stack)
             host = Host(line, baud)
-            results = try_rules(host, tell, rules)
+            results = try_rules(host, print_result, rules)
     except (LinkError, OperationError) as err:
         _refuse(f"conformance: {err}")
     except Broken as err:
-        where = f"{device} at {baud} baud: {err}; see that it is the device's port"
+        where = f"{device} at {baud} baud: {err}; check that it is the device's port"
         _refuse(f"conformance: {where if device is not None else err}")
     except KeyboardInterrupt:
-        _refuse("conformance: interrupted; the device was told to stop", 130)
+        _refuse("conformance: interrupted; a stop was sent to the device", 130)
     broken = report.json_of(host.facts, results)
     typer.echo(msgspec.json.encode(broken).decode() if json else report.sum_of(results))
     raise typer.Exit(1 if broken["broken"] else 0)
 
 
-def _tried_over(
+def _line_and_rules(
     device: str | None, image: Path | None, baud: int, stack: ExitStack
 ) -> tuple[Line, Sequence[Rule]]:
-    """Return the way to a device, closed by `stack`, and the rules that can be tried over it."""
+    """Return the line to a device, which `stack` closes, and the rules to test over it."""
     from armrig_daemon.conformance.pin_rules import pin_rules
     from armrig_daemon.conformance.serial_line import SerialLine
     from armrig_daemon.conformance.suite import RULES
@@ -348,21 +372,22 @@ def _tried_over(
 
     if device is not None:
         return stack.enter_context(closing(SerialLine(device, baud))), RULES
-    # In the dead band: the guard over the rails is tried; and no motor turns the arm out of it.
+    # In the dead band, so that the guard over the rails can be tested. With this resistance the
+    # motor never turns the arm out of the dead band.
     settings = EmulatorSettings(baud=baud, theta_1_zero_deg=356.0, arm={"R_m": 1e9})
     uno = stack.enter_context(closing(_firmware(image)(settings, 0)))
     return VirtualLine(uno), (*RULES, *pin_rules(uno.violations))
 
 
-def _agree_that_the_motor_is_unplugged(is_said: bool) -> None:
-    """Go on only where somebody says so: the rules drive the pin up to 5 V."""
-    if is_said:
+def _confirm_that_the_motor_is_unplugged(is_confirmed: bool) -> None:
+    """Ask for a confirmation: the rules drive the pin up to 5 V."""
+    if is_confirmed:
         return
-    typer.echo("This drives the motor's pin, up to 5 V: the motor must be unplugged.", err=True)
+    typer.echo("The test drives the motor's pin up to 5 V: the motor must be unplugged.", err=True)
     if not sys.stdin.isatty():
-        _refuse("conformance: nobody is there to say that it is: --motor-unplugged says it")
-    if not typer.confirm("Is it unplugged?", err=True):
-        _refuse("conformance: unplug it first; nothing was sent")
+        _refuse("conformance: no terminal to ask at; confirm with --motor-unplugged")
+    if not typer.confirm("Is the motor unplugged?", err=True):
+        _refuse("conformance: unplug the motor first; nothing was sent")
 
 
 def _interrupt(number: int, _: object) -> NoReturn:
@@ -371,9 +396,11 @@ def _interrupt(number: int, _: object) -> NoReturn:
 
 @app.command()
 def virtual(
-    directory: Annotated[Path, typer.Option(help="Where the recordings go.")],
+    directory: Annotated[Path, typer.Option(help="Folder for the recordings.")],
     config: _ConfigFile = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**63 - 1, help="Of noise, names and times.")] = 1,
+    seed: Annotated[
+        int, typer.Option(min=0, max=2**63 - 1, help="Seed of noise, names and times.")
+    ] = 1,
     firmware: _Firmware = False,
     image: _Hex = None,
 ) -> None:
@@ -382,13 +409,13 @@ def virtual(
     Each line of the standard input is a run, as JSON: {"u": [1.5, 1.5, …], "experiment": "step"}.
     Each line of the standard output is a recording.
 
-    The same seed, runs and configuration give the same bytes.
+    The same seed, runs and configuration result in the same bytes.
     """
     from armrig_daemon.emulator.device import Device
     from armrig_daemon.service.virtual_service import VirtualService, requests_of
 
     try:
-        loaded = _configuration(config, None, None, _FOR_EMULATED, system=False)()
+        loaded = _configuration(config, None, None, _EMULATION_DEFAULTS, system=False)()
         switch_on = _firmware(image) if firmware or image else Device
         service = VirtualService(loaded, directory.absolute(), seed=seed, switch_on=switch_on)
         for request in requests_of(sys.stdin.buffer.read()):
@@ -398,7 +425,7 @@ def virtual(
 
 
 def _firmware(image: Path | None) -> Callable[..., Uno]:
-    """Return what switches on a simulated Uno with its firmware."""
+    """Return a function that creates a simulated Uno with its firmware."""
     from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
     from armrig_daemon.emulator.uno import Uno
 
@@ -406,44 +433,47 @@ def _firmware(image: Path | None) -> Callable[..., Uno]:
 
 
 def _started(port: Path, baud: int) -> str:
-    """Return what a person is told of an emulated rig."""
+    """Return the sentence that announces an emulated rig."""
     speed = "" if baud == DeviceSettings().baud else f"ARMRIG_DEVICE_BAUD={baud} "
     return (
-        f"armrigd: an emulated rig behind {port}, {baud} baud, 0 to {U_MAX_V:g} V; "
+        f"armrigd: an emulated rig is at {port}, {baud} baud, 0 to {U_MAX_V:g} V; "
         f"drive it with `{speed}armrigd run --port {port}`, end it with Ctrl-C"
     )
 
 
-def _say_stall(ns: int) -> None:
-    """Tell a person how long the emulator was held up."""
+def _print_stall(ns: int) -> None:
+    """Print how long the emulator was held up."""
     with suppress(OSError):  # nobody reads it any more
         print(f"armrigd: {held_up(ns)}", file=sys.stderr, flush=True)
 
 
 def _write_stall(fd: int, ns: int) -> None:
-    """Tell the daemon, which may be stalled itself: it is not waited for."""
+    """Report a stall to the daemon without waiting, because the daemon may also be stalled."""
     with suppress(OSError):
         os.write(fd, b"%d\n" % ns)
 
 
 def _socket_directory() -> Path:
-    """Return the directory of the sockets, made for this user and group alone."""
+    """Return the directory of the sockets; create it for this user only."""
     path = Path(socket_directory(os.environ, uid=os.getuid(), temporary=tempfile.gettempdir()))
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         found = path.lstat()
     except OSError as err:
-        _refuse(f"{path}: {err.strerror}; set XDG_RUNTIME_DIR to a directory of yours", MEND)
-    if wrong := distrust(found, owners={os.getuid()}):
-        # In a temporary directory anybody could have made it, and would sit on our socket.
-        _refuse(f"{path}: {wrong}; set XDG_RUNTIME_DIR to a directory of yours", MEND)
+        _refuse(f"{path}: {err.strerror}; set XDG_RUNTIME_DIR to your own directory", EX_CONFIG)
+    try:
+        # In a temporary directory, another user could have created this directory and would own the
+        # socket.
+        require_trusted(found, owners={os.getuid()})
+    except InputError as err:
+        _refuse(f"{path}: {err}; set XDG_RUNTIME_DIR to your own directory", EX_CONFIG)
     return path
 
 
 def _check_no_file(path: Path) -> None:
-    """Refuse to start where something else has the socket's name: zenoh would delete it."""
+    """Refuse to start if another file has the socket's name: zenoh would delete the file."""
     if os.path.lexists(path) and not path.is_socket():
-        _refuse(f"{path}: there is another file where the socket belongs; move it away", MEND)
+        _refuse(f"{path}: another file has the name of the socket; move it away", EX_CONFIG)
 
 
 def _refuse(message: str, code: int = 1) -> NoReturn:

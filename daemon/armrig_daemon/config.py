@@ -1,8 +1,8 @@
-"""The daemon's configuration: TOML, checked key by key, layered.
+"""The daemon's configuration: TOML in layers, each key checked.
 
-Command line over `ARMRIG_<TABLE>_<KEY>` over `$XDG_CONFIG_HOME/armrig/armrig.toml` over
-`/etc/armrig/<id>.toml` over `/etc/armrig/armrig.toml`; a file named on the command line takes the
-place of all these files.
+Each layer overrides the layers after it: command line, `ARMRIG_<TABLE>_<KEY>`,
+`$XDG_CONFIG_HOME/armrig/armrig.toml`, `/etc/armrig/<id>.toml`, `/etc/armrig/armrig.toml`. A file
+named on the command line replaces all these files.
 """
 
 from __future__ import annotations
@@ -44,48 +44,48 @@ from armrig_daemon.tables import convert
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
-MEND = 78
-"""Exit code where something must be mended, and to start again does not help (sysexits.h)."""
-# Set for the tests, for the simulated Uno and for others; not keys of the configuration.
-_NOT_OURS = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA", HARNESS}
+EX_CONFIG = 78
+"""Exit code if another start fails until a person corrects the cause (sysexits.h)."""
+# Variables of the tests and of the simulated Uno, which are not keys of the configuration.
+_OTHER_VARIABLES = {"ARMRIG_REQUIRE_ALL", "ARMRIG_REFERENCE_DATA", HARNESS}
 
 Volts = Annotated[float, Meta(ge=0, le=U_MAX_V)]
 
 
 class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One table of the TOML."""
+    """A table of the TOML file."""
 
 
 class Rig(Table, frozen=True, kw_only=True):
-    """`[rig]`: which rig this is."""
+    """`[rig]`: the identity of the rig."""
 
     id: str = "1"
-    """Names the rig in keys, topics and files: a-z, 0-9 and -."""
+    """Name of the rig in keys, topics and files, of a-z, 0-9 and -."""
 
     def __post_init__(self) -> None:
-        """Refuse a name that cannot be part of a key, or is not a rig's."""
+        """Refuse a name that zenoh does not allow in a key, or that `armrig play` uses."""
         check_own_id(self.id)
 
 
 class Device(Table, frozen=True, kw_only=True):
-    """`[device]`: the line to the device in the rig."""
+    """`[device]`: the line to the rig's device."""
 
     port: str = "/dev/armrig"
-    """Serial port of the rig, or `unix:PATH`, the socket of an emulated rig and of no other."""
+    """Serial port of the rig, or `unix:PATH`, the socket of an emulated rig."""
     baud: Annotated[int, Meta(ge=9600, le=4_000_000)] = 500_000
     """Speed of the line, in bit/s."""
     watchdog_ms: Annotated[int, Meta(ge=WATCHDOG_MIN_MS, le=WATCHDOG_MAX_MS)] = WATCHDOG_DEFAULT_MS
-    """Silence after which the device stops the motor by itself, in ms.
+    """Time without a frame after which the device stops the motor by itself, in ms.
 
-    Where nobody says it, `run --emulate` has the longest.
+    `run --emulate` has the largest allowed value as its default.
     """
     oversampling: int = 1
-    """Conversions averaged in one reading of each channel, 1 to 255; all must fit into Ts."""
+    """Conversions averaged in one reading of each channel, 1 to 255; they must all fit into Ts."""
     rail_ticks: int = 0
-    """Samples in a row at a rail after which a run is stopped, 0 to 65535; 0 is no guard."""
+    """Consecutive samples at a rail that stop a run, 0 to 65535; 0 is no guard."""
 
     def __post_init__(self) -> None:
-        """Refuse a port that acts on terminals or is no socket's, and what the wire cannot say."""
+        """Refuse an unprintable port, a wrong socket path, and values that do not fit the wire."""
         if not 1 <= self.oversampling <= 255:
             raise InputError(
                 f"oversampling = {self.oversampling} must be 1 to 255; 1 is a single conversion"
@@ -95,46 +95,46 @@ class Device(Table, frozen=True, kw_only=True):
                 f"rail_ticks = {self.rail_ticks} must be 0 to 65535; give 0 to have no guard"
             )
         if not self.port.isprintable():
-            raise InputError(f"port = '{printable(self.port)}' must be of characters that print")
+            raise InputError(f"port = '{printable(self.port)}' must have only printable characters")
         socket_path(self.port)
 
 
 class Timing(Table, frozen=True, kw_only=True):
-    """`[timing]`: the sampling time, and the loop that keeps it."""
+    """`[timing]`: the sampling time, and the scheduling of the loop."""
 
     Ts: Annotated[float, Meta(ge=0.0005, le=1)] = 0.01
-    """Sampling time where an experiment asks for no other, in s; a whole number of µs."""
+    """Default sampling time of experiments, in s; a whole number of µs."""
     priority: Annotated[int, Meta(ge=0, le=95)] = 80
-    """SCHED_FIFO priority of the loop; 0 leaves it to the ordinary policy."""
+    """SCHED_FIFO priority of the loop; 0 is the ordinary policy."""
     cpu: Annotated[int, Meta(ge=0)] | None = None
-    """Core that the loop is kept on; left out, the system chooses."""
+    """Processor core of the loop; without this key, the system chooses."""
     stop_after: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
-    """Ticks missed in a row after which the motor is stopped; 0 skips them and goes on."""
+    """Consecutive missed ticks after which the motor is stopped; 0 is no limit."""
     spin_us: Annotated[float, Meta(ge=0, le=500)] = 120
-    """How long before a deadline the loop stops sleeping and spins, in µs; under FIFO only."""
+    """Time before a deadline in which the loop spins, in µs; only under SCHED_FIFO."""
 
     def __post_init__(self) -> None:
-        """Refuse what the wire cannot say."""
+        """Refuse a sampling time that is not a whole number of µs."""
         if round(self.Ts * 1e6, 3) % 1:
             raise InputError(f"Ts = {self.Ts} must be a whole number of microseconds")
 
 
 class Limits(Table, frozen=True, kw_only=True):
-    """`[limits]`: of voltage and motion; they can only narrow what the rig stands."""
+    """`[limits]`: limits of voltage and motion; they can only narrow the limits of the rig."""
 
     u_min_v: Volts = 0.0
-    """Lowest motor voltage that a command may ask for, in V."""
+    """Lowest motor voltage that a command may contain, in V."""
     u_max_v: Volts = U_MAX_V
-    """Highest motor voltage that a command may ask for, in V."""
+    """Highest motor voltage that a command may contain, in V."""
     slew_v: Volts = 0.0
-    """Largest change of the voltage in one sample, in V; 0 is none."""
+    """Largest change of the voltage from sample to sample, in V; 0 is no limit."""
     revolutions: Annotated[float, Meta(ge=0, le=655)] = 0.0
-    """Turns of the chassis allowed in one run, to hundredths; 0 is no limit."""
+    """Largest rotation of the chassis in one run, in turns, in steps of 0.01; 0 is no limit."""
     alpha_rad: Annotated[float, Meta(ge=0, le=100)] = 0.0
-    """Deflection of the arm allowed in the rehearsal of a run, in rad; 0 is no limit."""
+    """Largest deflection of the arm in the rehearsal of a run, in rad; 0 is no limit."""
 
     def __post_init__(self) -> None:
-        """Refuse an empty range, and turns that the wire would round."""
+        """Refuse an empty range of voltages, and turns with more than two decimals."""
         if round(self.revolutions * 100, 6) % 1:
             raise InputError(
                 f"revolutions = {self.revolutions} must be a whole number of hundredths"
@@ -147,10 +147,10 @@ class Motor(Table, frozen=True, kw_only=True):
     """`[motor]`: the driver of the motor."""
 
     rest_v: float | None = None
-    """Means nothing: every stop is 0 V. 0 is accepted with a line; another value is refused."""
+    """Key without effect: every stop is 0 V. Only the value 0 is accepted, with a message."""
 
     def __post_init__(self) -> None:
-        """Refuse what a stop of ours would not be."""
+        """Refuse a voltage at rest other than 0 V."""
         if self.rest_v:
             raise InputError(
                 f"rest_v = {self.rest_v} must be 0: every stop of this daemon is 0 V; it cannot "
@@ -162,7 +162,7 @@ _Parameter = Annotated[float, Meta(gt=0, le=1e6)] | None
 
 
 class ArmSettings(Table, frozen=True, kw_only=True):
-    """`[arm]`: the rig as runs are rehearsed on it; what is left out is the handout's."""
+    """`[arm]`: the model on which runs are rehearsed; the defaults are the handout's values."""
 
     J_1: _Parameter = None
     """Inertia of motor, gear and chassis, seen at the chassis, in kg m²."""
@@ -179,17 +179,17 @@ class ArmSettings(Table, frozen=True, kw_only=True):
     b_1: Annotated[float, Meta(ge=0, le=1e6)] | None = None
     """Viscous friction of the chassis, in Nms/rad."""
     removed: bool = False
-    """The rotating part is taken off: the chassis turns alone, and alpha is not looked at."""
+    """True if the rotating part is removed: the chassis turns alone, and alpha is ignored."""
 
     @property
     def turns_per_volt_s(self) -> float:
-        """Turns of the chassis that 1 V makes in 1 s, when nothing holds it."""
+        """Final speed of the free chassis for 1 V, in turns/s."""
         p = self.parameters()
         return p.torque_per_volt / p.damping / tau
 
     def parameters(self) -> ArmParameters:
         """Return the parameters of the rig."""
-        # Here, not above: the emulator and the command line read configurations without scipy.
+        # Imported here: the emulator and the command line read configurations without scipy.
         from armrig_core.arm import ArmParameters
 
         given = msgspec.structs.asdict(self)
@@ -198,38 +198,38 @@ class ArmSettings(Table, frozen=True, kw_only=True):
 
 
 class Recording(Table, frozen=True, kw_only=True):
-    """`[recording]`: what is kept of runs."""
+    """`[recording]`: the recordings of runs."""
 
     directory: str = ""
-    """Folder of the recordings; empty is armrig/recordings in $XDG_DATA_HOME (~/.local/share)."""
+    """Folder of the recordings; default: armrig/recordings in $XDG_DATA_HOME (~/.local/share)."""
     part_minutes: Annotated[float, Meta(ge=0, le=1e6)] = 60.0
-    """Longest file, in minutes; a longer run is recorded in parts; 0 is no limit."""
+    """Longest file, in minutes; a longer run is recorded in several files; 0 is no limit."""
     part_mb: Annotated[float, Meta(ge=0, le=1e6)] = 2000.0
-    """Largest file, in MB; a run that may take more is recorded in parts; 0 is no limit."""
+    """Largest file, in MB; a larger run is recorded in several files; 0 is no limit."""
     stop_when_full: bool = True
-    """Whether a run is stopped when the disk takes no more of it; else it plays on, unrecorded."""
+    """True to stop a run if the disk is full; false to play it on without recording."""
     keep_days: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
-    """Age from which a complete recording of this rig is removed, in days; 0 keeps all."""
+    """Age at which a complete recording of this rig is removed, in days; 0 keeps all."""
     keep_gb: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
-    """Most that this rig's recordings take, in GB; the oldest are removed; 0 is no limit."""
+    """Largest size of this rig's recordings, in GB; the oldest are removed; 0 is no limit."""
 
 
 class Access(Table, frozen=True, kw_only=True):
-    """`[access]`: who may connect over a network; without it the Unix socket is the only way."""
+    """`[access]`: access over a network; without it, clients connect only by the Unix socket."""
 
     listen: str = ""
-    """Where to listen beside the Unix socket, such as tls/0.0.0.0:7447; empty is nowhere."""
+    """Endpoint at which to listen in addition to the Unix socket, such as tls/0.0.0.0:7447."""
     certificate: str = ""
-    """The rig's credential, which `armrig pki rig` writes; for tls/ and for a router."""
+    """File of the rig's credential, which `armrig pki rig` writes; for tls/ and for a router."""
     names: str = ""
-    """The access list, which `armrig pki` writes: who may drive the rig, and who may watch."""
+    """File of the access list, which `armrig pki` writes: the clients that may drive or watch."""
     passwords: str = ""
-    """File with a line user:password for each user of tcp/, which is for this machine alone."""
+    """File with a line user:password for each user; for tcp/, which is only for this machine."""
     router: str = ""
-    """Router of the lab to connect to, such as tls/lab.example.edu:7447; empty is none."""
+    """Endpoint of the laboratory's router, such as tls/lab.example.edu:7447; default: no router."""
 
     def __post_init__(self) -> None:
-        """Refuse to listen without a certificate where others could hear what is said."""
+        """Refuse an endpoint that other machines can reach without TLS."""
         if self.listen:
             check_listen(self.listen)
         if self.router and not (self.router.startswith("tls/") and network_address(self.router)):
@@ -239,12 +239,12 @@ class Access(Table, frozen=True, kw_only=True):
 
 
 class Client(Table, frozen=True, kw_only=True):
-    """`[client]`: how `armrig` finds the daemon from here; the daemon itself needs none of it."""
+    """`[client]`: the daemon to which `armrig` connects; the daemon itself ignores this table."""
 
     connect: str = ""
-    """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; empty is this machine's."""
+    """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; default: on this machine."""
     certificate: str = ""
-    """Your credential, which `armrig pki operator` or `observer` writes; for tls/."""
+    """File of your credential, which `armrig pki operator` or `observer` writes; for tls/."""
     password: str = ""
     """File with a line user:password; for tcp/."""
 
@@ -262,22 +262,22 @@ class Config(Table, frozen=True, kw_only=True):
     access: Access = Access()
     client: Client = Client()
     calibration: Calibration = Calibration()
-    """`[calibration]`: what makes angles of readings and volts of codes, by file or by key."""
+    """`[calibration]`: the conversion of readings to angles and codes to volts, by file or key."""
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property
     def calibration_sentence(self) -> str:
-        """Return which calibration is in force: its file and date, or that none was measured."""
+        """Return the file and date of the current calibration, or a text that none was measured."""
         made = self.calibration.made
         if made is not None:
             return f"{made.file or 'given in the configuration'}, made {made.date}"
         if self.calibration == Calibration():
-            return "none: the default figures; `armrig calibrate` measures one"
+            return "none: the default values; `armrig calibrate` measures a calibration"
         return "given in the configuration, not measured"
 
     @property
     def calibration_sha256(self) -> str:
-        """Return the hash of the calibration in force, as it is attached to recordings."""
+        """Return the hash of the current calibration, as it is attached to recordings."""
         return hashlib.sha256(msgspec.json.encode(self.calibration)).hexdigest()
 
     @property
@@ -286,7 +286,7 @@ class Config(Table, frozen=True, kw_only=True):
         return round(self.timing.Ts * 1e6)
 
     def rules(self) -> Rules:
-        """Return what the core is told."""
+        """Return the limits and constants that the core needs."""
         limits = self.limits
         return Rules(
             code_min=code_of(limits.u_min_v),
@@ -305,7 +305,7 @@ class Config(Table, frozen=True, kw_only=True):
 
 
 def recordings(config: Config) -> Path:
-    """Return the directory that recordings go to."""
+    """Return the directory of the recordings."""
     try:
         return directory_of(config.recording.directory)
     except ValueError as err:
@@ -319,18 +319,18 @@ def load(
     *,
     below: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> Config:
-    """Return the configuration of these layers, the later over the earlier.
+    """Return the configuration of these layers; a later layer overrides an earlier layer.
 
     Parameters
     ----------
     paths : list of Path
         TOML files; all must exist.
     environ : mapping
-        Environment variables; those that begin with `ARMRIG_` count.
+        Environment variables; only those that begin with `ARMRIG_` are read.
     overrides : mapping
         Tables of the command line.
     below : mapping
-        Tables that hold where no layer says otherwise.
+        Defaults below all layers.
 
     Raises
     ------
@@ -364,48 +364,48 @@ def load_installed(
     system: bool = False,
     below: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
 ) -> Config:
-    """Return the configuration of the installed files, the rig's own among them.
+    """Return the configuration of the installed files, including the rig's own file.
 
     Parameters
     ----------
     environ, overrides, below
-        As of `load`.
+        As in `load`.
     system : bool
-        The machine's files only; the rig's own must be there.
+        True to read only the machine's files; the rig's own file must then exist.
 
     Raises
     ------
     InputError
-        As of `load`; the rig's own file is missing, or is of another rig.
+        As in `load`; the rig's own file is missing, or belongs to another rig.
     """
     first = load(installed(system=system), environ, overrides, below=below)
     own = of_rig(first.rig.id)
     if own == SYSTEM or not own.exists():
         if system:
             raise InputError(
-                f"{own}: there is no such file; write one, `armrigd config --example` prints all "
-                "keys; at least [device] port"
+                f"{own}: there is no such file; write it with at least [device] port; "
+                "`armrigd config --example` prints all keys"
             )
         return first
     named = load([own], {}, {}, below={"rig": {"id": first.rig.id}}).rig.id
     if named != first.rig.id:
-        raise InputError(f"{own}: rig.id = {named!r}: this is the file of rig {first.rig.id!r}")
+        raise InputError(f"{own}: rig.id = {named!r}: the file belongs to rig {first.rig.id!r}")
     return load(installed(first.rig.id, system=system), environ, overrides, below=below)
 
 
 def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str, Any]:
-    """Return a layer with the calibration that it names by `file`, relative to `directory`."""
+    """Return a layer whose calibration is read from its `file`, a path relative to `directory`."""
     given = layer.get("calibration")
     if not isinstance(given, Mapping) or "file" not in given:
         return layer
-    file, beside = given["file"], [key for key in given if key != "file"]
+    file, others = given["file"], [key for key in given if key != "file"]
     if not isinstance(file, str) or not file:
         raise InputError(
             f"{where}: calibration.file = {file!r}: must be the path of a calibration's TOML"
         )
-    if beside:
+    if others:
         raise InputError(
-            f"{where}: calibration.{beside[0]} is given beside calibration.file: give one of them"
+            f"{where}: calibration.{others[0]} and calibration.file are given: give one of them"
         )
     try:
         path = directory / Path(file).expanduser()
@@ -420,7 +420,7 @@ def _read(path: Path) -> dict[str, Any]:
     text = ""
     try:
         text = read_text(path, CONFIGURATION_LIMIT)
-        return toml_tables(text + "\n")  # so that an error at the end has a line, too
+        return toml_tables(text + "\n")  # an error at the end then has a line number, too
     except FileNotFoundError as err:
         raise InputError(f"{path}: there is no such file") from err
     except PermissionError as err:
@@ -432,14 +432,14 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def _duplicate(text: str, error: str) -> str:
-    """Return what is there twice, in the words of the file, or nothing."""
+    """Return a message about a key that is given twice; "" for another error."""
     kinds = r"Cannot overwrite a value|Cannot declare .* twice|Duplicate inline table key .*"
     found = re.match(rf"(?:{kinds}) \(at line (\d+)", error)
     if found is None:
         return ""
     number = int(found[1])
     line = text.splitlines()[number - 1].strip()
-    return f"line {number}: {line}: is there already; a key is given once"
+    return f"line {number}: {line}: given twice; give each key once"
 
 
 def _check(tables: Mapping[str, Any], where: str) -> Config:
@@ -453,19 +453,19 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
     merged = dict(below)
     for key, value in above.items():
         if key == "calibration" and "made" in value:
-            merged[key] = value  # measured as a whole: nothing of another one is left in it
+            merged[key] = value  # measured as a whole: it replaces all keys of another calibration
             continue
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
         merged[key] = _merged(merged[key], value) if both else value
         if key == "calibration" and value:
-            merged[key].pop("made", None)  # what was measured is not what is in force
+            merged[key].pop("made", None)  # overridden, so the values are not the measured ones
     return merged
 
 
 def _from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
     tables: dict[str, Any] = {}
     for name, text in environ.items():
-        if not name.startswith("ARMRIG_") or name in _NOT_OURS:
+        if not name.startswith("ARMRIG_") or name in _OTHER_VARIABLES:
             continue
         table, _, key = name.removeprefix("ARMRIG_").lower().partition("_")
         fields = _fields_of(table)
@@ -485,7 +485,7 @@ def _from_environment(environ: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _fields_of(table: str) -> dict[str, Any]:
-    """Return the type of each key of a table; nothing where there is no such table."""
+    """Return the type of each key of a table; {} for an unknown table."""
     for field in msgspec.structs.fields(Config):
         if field.name == table:
             kind: Any = field.type
@@ -494,7 +494,7 @@ def _fields_of(table: str) -> dict[str, Any]:
 
 
 def _value(text: str) -> Any:
-    """Return what TOML makes of the text, or the text itself."""
+    """Return the value of the text as TOML; the text itself if it is not TOML."""
     try:
         return toml_tables(f"value = {text}")["value"]
     except FileError:

@@ -1,7 +1,8 @@
-"""Every key of the configuration, from its schema: an example, and the tables of the page.
+"""Reference of all keys of the configuration: an example, and the tables of the page.
 
-`python -m armrig_daemon.configuration_reference [--check]` writes the tables between the two marks
-of `docs/configuration.md`; with `--check` the exit code says whether they are what it would write.
+`python -m armrig_daemon.configuration_reference` writes the tables between the two marks of
+`docs/configuration.md`. With `--check` nothing is written, and the exit code is 1 if the tables of
+the page differ.
 """
 
 from __future__ import annotations
@@ -33,17 +34,17 @@ from armrig_daemon.emulator.settings import CHOICES, RANGES
 
 PAGE = Path(__file__).parents[2] / "docs" / "configuration.md"
 BEGIN, END = "<!-- keys: begin -->", "<!-- keys: end -->"
-_WIDTH = 88  # of a line of the example
+_LINE_WIDTH = 88  # of the example, in characters
 _HEADING = f"""\
 # Configuration of armrigd: every key, with its default.
 #
-# Each key stands behind a #: take it away to give another value. What is not given has its
-# default. A wrong key or value is refused in a line, and the motor stays at 0 V.
+# Each key follows a #. To give another value, remove the #. A key that is not given has its
+# default. The daemon refuses a wrong key or value with a message, and the motor stays at 0 V.
 #
 # The daemon reads {SYSTEM}, then {SYSTEM.parent}/<id>.toml of its rig, and then
-# $XDG_CONFIG_HOME/armrig/{SYSTEM.name} (~/.config/armrig/{SYSTEM.name}), or the file of
-# `armrigd run --config` in place of all three. Over them stand the environment
-# (ARMRIG_<TABLE>_<KEY>, such as ARMRIG_LIMITS_U_MAX_V=4.5) and the command line.
+# $XDG_CONFIG_HOME/armrig/{SYSTEM.name} (~/.config/armrig/{SYSTEM.name}). With
+# `armrigd run --config` it reads only this file. The environment
+# (ARMRIG_<TABLE>_<KEY>, such as ARMRIG_LIMITS_U_MAX_V=4.5) and the command line override files.
 """
 
 
@@ -51,17 +52,17 @@ class Key(NamedTuple):
     """One key of a table."""
 
     name: str
-    """As in its table; dotted where the value is in a table of its own."""
+    """Name in the table; dotted if the value is in a table of its own."""
     kind: str
-    """Of its value, in words."""
+    """Type of the value, in words."""
     default: str
-    """As TOML; empty where there is none."""
+    """Default as TOML; empty if the key has no default."""
     allowed: str
-    """Range or choices in words; empty where the description says it, or all are allowed."""
+    """Allowed values in words; empty if the description states them, or all values are allowed."""
     description: str
-    """With the unit."""
+    """Meaning of the value, with its unit."""
     example: str
-    """A value as TOML: the default, where there is one."""
+    """An example value as TOML: the default, if the key has a default."""
 
 
 def tables() -> Iterator[tuple[str, str, list[Key]]]:
@@ -72,7 +73,7 @@ def tables() -> Iterator[tuple[str, str, list[Key]]]:
 
 
 def example() -> str:
-    """Return a configuration with all keys, each commented out beside its description."""
+    """Return a configuration with all keys, each commented out and after its description."""
     lines = [_HEADING]
     for table, meaning, keys in tables():
         lines += [_comment(f"{meaning}."), f"[{table}]"]
@@ -84,11 +85,11 @@ def example() -> str:
 
 
 def page_tables() -> str:
-    """Return the tables of the page, as Markdown."""
+    """Return the text of the page's tables, as Markdown."""
     lines: list[str] = []
     for table, meaning, keys in tables():
         lines += [f"## `[{table}]`", "", f"{meaning}.", ""]
-        lines += ["| key | type | default | allowed | what it is |", "|---|---|---|---|---|"]
+        lines += ["| key | type | default | allowed | meaning |", "|---|---|---|---|---|"]
         for key in keys:
             default = f"`{key.default}`" if key.default else ""
             row = (f"`{key.name}`", key.kind, default, key.allowed, key.description)
@@ -98,16 +99,16 @@ def page_tables() -> str:
 
 
 def _meanings() -> Iterator[tuple[str, str]]:
-    """Yield each table's name and what it is for: "`[name]`: what" in the text of its class."""
-    said_here = _descriptions(Config)
+    """Yield name and purpose of each table; its class has the docstring "`[name]`: purpose"."""
+    descriptions = _descriptions(Config)
     for field in msgspec.structs.fields(Config):
-        text = said_here.get(field.name) or " ".join((field.type.__doc__ or "").split())
+        text = descriptions.get(field.name) or " ".join((field.type.__doc__ or "").split())
         text = text.removeprefix(f"`[{field.name}]`: ").rstrip(".")
         yield field.name, text[0].upper() + text[1:]
 
 
 def _keys(table: msgspec.Struct, path: str) -> Iterator[Key]:
-    """Yield the keys of a table of the defaults, those of the tables in it by dotted names."""
+    """Yield the keys of a table with their defaults; keys of nested tables have dotted names."""
     descriptions = _descriptions(type(table))
     if path == "calibration":
         yield _CALIBRATION_FILE
@@ -119,7 +120,7 @@ def _keys(table: msgspec.Struct, path: str) -> Iterator[Key]:
             yield from (key._replace(name=f"{field.name}.{key.name}") for key in inner)
         elif isinstance(field.type, DictType):
             yield from (key._replace(name=f"{field.name}.{key.name}") for key in _arm_keys())
-        elif field.type not in _WRITTEN_BY_PROGRAMS:
+        elif field.type not in _PROGRAM_TYPES:
             if path == "arm" and value is None:
                 value = getattr(Config().arm.parameters(), field.name)
             shown = "" if value is None else _toml(value)
@@ -133,22 +134,22 @@ def _keys(table: msgspec.Struct, path: str) -> Iterator[Key]:
             )
 
 
-_WRITTEN_BY_PROGRAMS = (type_info(Made | None),)
+_PROGRAM_TYPES = (type_info(Made | None),)  # types of keys that only programs write
 _CALIBRATION_FILE = Key(
     name="file",
     kind="text",
     default="",
     allowed="",
     description=(
-        "File that `armrig calibrate` wrote, relative to the folder of the file that names it; "
-        "with it no other key of this table is allowed."
+        "File that `armrig calibrate` wrote, relative to the folder of the file that names it. "
+        "If this key is given, no other key of this table is allowed."
     ),
     example='"calibration-1.toml"',
 )
 
 
 def _arm_keys() -> Iterator[Key]:
-    """Yield the parameters of the emulated arm, which are those of the model of the rig."""
+    """Yield the parameters of the emulated arm: the parameters of the rig's model."""
     from armrig_core.arm import ArmParameters
 
     descriptions = _descriptions(ArmParameters)
@@ -159,7 +160,7 @@ def _arm_keys() -> Iterator[Key]:
 
 
 def _descriptions(kind: type) -> dict[str, str]:
-    """Return the text below each field of a class, as one line."""
+    """Return the docstring of each field of a class, as one line."""
     parsed: Any = ast.parse(textwrap.dedent(inspect.getsource(kind)))
     return {
         field.target.id: " ".join(text.value.value.split())
@@ -183,7 +184,7 @@ def _in_words(kind: Any) -> str:
 
 
 def _range(kind: Any) -> str:
-    """Return the range that the type of a number has, in words."""
+    """Return the range of a number's type, in words."""
     if isinstance(kind, UnionType):
         return _range(kind.types[0])
     if not isinstance(kind, IntType | FloatType):
@@ -196,7 +197,7 @@ def _range(kind: Any) -> str:
 
 
 def _emulator_range(name: str) -> str:
-    """Return what the emulator allows a setting to be, in words."""
+    """Return the allowed values of an emulator's setting, in words."""
     if name in CHOICES:
         *most, last = map(str, CHOICES[name])
         return f"{', '.join(most)} or {last}"
@@ -214,12 +215,12 @@ def _toml(value: Any) -> str:
 
 def _comment(text: str) -> str:
     return textwrap.fill(
-        text, _WIDTH, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False
+        text, _LINE_WIDTH, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False
     )
 
 
 def main(arguments: list[str]) -> int:
-    """Write the page's tables, or with `--check` say whether they are what the schema says."""
+    """Write the tables into the page; with `--check`, only compare them."""
     if arguments not in ([], ["--check"]):
         print(f"{' '.join(arguments)}: only --check is allowed", file=sys.stderr)
         return 2
@@ -233,7 +234,7 @@ def main(arguments: list[str]) -> int:
         return 0
     if arguments:
         print(
-            f"{PAGE}: not what config.py says; run python -m armrig_daemon.configuration_reference"
+            f"{PAGE}: differs from config.py; run python -m armrig_daemon.configuration_reference"
         )
         return 1
     PAGE.write_text(wanted, encoding="utf-8")

@@ -1,7 +1,7 @@
-"""What passes between the loop and the service: records one way, orders the other, over pipes.
+"""Messages between the loop and the service over pipes: records from the loop, orders to it.
 
-Both travel as `length u32, kind u8, payload`. A sample's payload is its protobuf bytes, untouched
-from here to the subscriber and the file; everything else is msgpack, told apart by its tag.
+Each message is `length u32, kind u8, payload`. The payload of a sample is its protobuf bytes, which
+reach the subscribers and the file unchanged. All other payloads are msgpack with a tag.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from typing import Any
 
 import msgspec
 from armrig_core.calibration import Calibration
-from armrig_core.codes import OutcomeCode, RefusalCode
+from armrig_core.codes import GapCode, OutcomeCode, RefusalCode
 
 _HEAD = Struct("<IB")
-_SAMPLE, _RECORD = 0, 1
+_SAMPLE_KIND, _RECORD_KIND = 0, 1
 _ENCODER = msgspec.msgpack.Encoder()
 
 
 class Tagged(msgspec.Struct, frozen=True, kw_only=True, tag=True, gc=False):
-    """Told apart by the name of its class."""
+    """A message; its tag is the name of its class."""
 
 
 class Gap(Tagged, frozen=True, kw_only=True):
-    """A break in k: samples that there are not, and the input that was held meanwhile."""
+    """A gap in k: missing samples, and the voltage that was held during the gap."""
 
     k_first: int
     count: int
@@ -32,22 +32,26 @@ class Gap(Tagged, frozen=True, kw_only=True):
     t_to_ns: int
     u_held_v: float
     reason: str
+    code: GapCode
+    """Reason, for programs."""
 
 
 class Log(Tagged, frozen=True, kw_only=True):
-    """Something for a person to read."""
+    """A message for a person."""
 
     t_host_ns: int
     level: str
     message: str
     fields: dict[str, str] = {}
-    """What it is about, for programs: `rig`, `run`, `owner`, `command`, `cause`."""
+    """Subject of the message, for programs: `rig`, `run`, `owner`, `command`, `cause`."""
     is_note: bool = False
-    """A person has written the message; `fields` names the `owner`."""
+    """True if a person wrote the message; `fields` contains the `owner`."""
+    emulator_stall_ns: int = 0
+    """Time for which the clock of an emulated rig stood still; 0 in other messages."""
 
 
 class Distribution(Tagged, frozen=True, kw_only=True):
-    """Percentiles of one quantity over the last second, and how often it was missed."""
+    """Percentiles of a quantity over the last second, and the number of missed ticks."""
 
     p50: float
     p90: float
@@ -59,38 +63,38 @@ class Distribution(Tagged, frozen=True, kw_only=True):
 
 
 class Timing(Tagged, frozen=True, kw_only=True):
-    """How well the last second was paced."""
+    """Timing of the last second."""
 
     t_host_ns: int
     wake_lateness_us: Distribution
     device_tick_error_us: Distribution
     link_round_trip_us: Distribution
     queue_depth: Distribution
-    """In setpoints, not µs."""
+    """Depth of the device's queue, in setpoints."""
     collections: int = 0
-    """Garbage collections of the loop since its start."""
+    """Number of the loop's garbage collections since its start."""
     cpu_pressure_percent: float = nan
-    """Share of the second in which some task of the host waited for a processor."""
+    """Share of the second during which at least one task waited for a processor, in percent."""
     run_queue: int = -1
-    """Tasks of the host that were runnable."""
+    """Number of runnable tasks of the host."""
 
 
 class Clock(Tagged, frozen=True, kw_only=True):
-    """The device's clock against the host's monotonic one; nothing published is corrected by it."""
+    """Fit of the device's clock to the host's monotonic clock; it corrects no published time."""
 
     t_host_ns: int
     offset_ns: int
-    """Host's time less 1000 times the device's."""
+    """Host's time minus 1000 times the device's."""
     offset_std_ns: float
     drift_ppm: float
-    """What the offset gains; positive where the device's clock is slow."""
+    """Rate of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """The most that a constant asymmetry of the way can hide in the offset."""
+    """Largest error of the offset that a constant asymmetry of the line's delays can cause."""
 
 
 class State(Tagged, frozen=True, kw_only=True):
-    """The state of the daemon, at each change and once a second."""
+    """State of the daemon, sent at each change and once a second."""
 
     t_host_ns: int
     phase: str
@@ -99,30 +103,32 @@ class State(Tagged, frozen=True, kw_only=True):
     ts_us: int
     device: dict[str, Any]
     fault: str = ""
-    """Id of the fault (`armrig_daemon.decisions.faults.Id`); empty where there is none."""
+    """Id of the fault (`armrig_daemon.decisions.faults.Id`); empty without a fault."""
     motor: str = ""
-    """What is known of the motor, for a person."""
+    """Known state of the motor, for a person."""
     remedy: str = ""
-    """What to do about the fault."""
+    """Remedy of the fault."""
     line: str = ""
-    """Why no device answers, and what to try; empty where one does."""
+    """Reason why no device answers, and advice; empty if a device answers."""
     owner_checked: str = ""
-    """What the service has checked of the owner; see `Arm`."""
+    """Verified identity of the owner; see `Arm`."""
+    device_cause: int = 0
+    """Cause that the device reported for the fault, an `armrig_protocol.messages.Cause`."""
 
 
 class Trace(Tagged, frozen=True, kw_only=True):
-    """Steps of the core in a run; see `armrig_daemon.decisions.trace`."""
+    """Steps of the core during a run; see `armrig_daemon.decisions.trace`."""
 
     t_host_ns: int
     number: int
     state: bytes
     steps: bytes
     version: int
-    """Of the words in which state and steps are written."""
+    """Version of the encoding of state and steps."""
 
 
 class RunStarted(Tagged, frozen=True, kw_only=True):
-    """The samples from `k_first` on belong to the run."""
+    """Begin of a run: the samples from `k_first` on belong to the run."""
 
     run_id: str
     k_first: int
@@ -131,7 +137,7 @@ class RunStarted(Tagged, frozen=True, kw_only=True):
 
 
 class RunEnded(Tagged, frozen=True, kw_only=True):
-    """No sample of the run comes after this."""
+    """End of a run: no sample of this run follows."""
 
     run_id: str
     outcome: str
@@ -145,40 +151,40 @@ class Answer(Tagged, frozen=True, kw_only=True):
     body: dict[str, Any] = {}
     error: str = ""
     code: RefusalCode | None = None
-    """Why, of an error; else None."""
+    """Reason of an error; None without an error."""
     parameters: dict[str, str | int | float] = {}
-    """What the error is about."""
+    """Values in the error, by name."""
 
 
 class Host(Tagged, frozen=True, kw_only=True):
-    """What the kernel gave the loop, and what it refused."""
+    """Real-time properties that the kernel granted to the loop, and those that it refused."""
 
     granted: dict[str, Any]
 
 
 Record = Gap | Log | Timing | Clock | State | Trace | RunStarted | RunEnded | Answer | Host
-"""What the loop tells the service, beside samples."""
+"""Messages of the loop to the service, except samples."""
 
 
 class Order(Tagged, frozen=True, kw_only=True):
-    """What the service asks of the loop; `order` numbers it."""
+    """A request of the service to the loop; `order` is its number."""
 
     order: int = 0
 
 
-# The steps of a recorded run name orders by their tags: a new one makes a new trace version.
+# The steps of a recorded run contain the tags of orders: a new order needs a new trace version.
 class Arm(Order, frozen=True, kw_only=True):
-    """Arm for `owner`, who holds the lease that the service drew."""
+    """Arm for `owner`; the service has generated the lease."""
 
     owner: str
     lease: str
     ts_us: int
     owner_checked: str = ""
-    """What the service has checked of him, such as `certificate alice`; "" for nothing."""
+    """Verified identity of the owner, such as `certificate alice`; "" if none was verified."""
 
 
 class Leased(Order, frozen=True, kw_only=True):
-    """An order of the lease's holder, with a strictly growing number."""
+    """An order of the lease's holder; its number must increase."""
 
     lease: str
     n: int
@@ -189,7 +195,7 @@ class Disarm(Leased, frozen=True, kw_only=True):
 
 
 class Set(Leased, frozen=True, kw_only=True):
-    """Have the motor at this code until the next one."""
+    """Hold the motor at this code until the next order."""
 
     code: int
 
@@ -201,31 +207,31 @@ class Run(Leased, frozen=True, kw_only=True):
     codes: bytes
     """One u16, little-endian, for each sample."""
     scheduled: bool = False
-    """The device paces it; else the host."""
+    """True if the device paces the run; false if the host paces the run."""
 
 
 class Stop(Order, frozen=True, kw_only=True):
-    """Stop, lease or not."""
+    """Stop, with or without a lease."""
 
     reason: str = "stopped"
-    """Outcome of the run that it ends, for a person."""
+    """Outcome of the run that the stop ends, for a person."""
     outcome_code: OutcomeCode = OutcomeCode.STOPPED
-    """And for programs."""
+    """Outcome of the run, for programs."""
 
 
 class Reset(Order, frozen=True, kw_only=True):
-    """Leave a latched fault."""
+    """Clear a latched fault."""
 
 
 class Calibrate(Order, frozen=True, kw_only=True):
-    """Convert samples with this calibration from now on."""
+    """Use this calibration for samples from now on."""
 
     calibration: Calibration
-    """Without how it was made: the core needs its figures only, and they fit into a trace."""
+    """Calibration without its origin, so that it fits into a trace."""
 
 
 class Alive(Order, frozen=True, kw_only=True):
-    """Nothing is asked: the service only shows that it can."""
+    """Sign of life of the service, which requests nothing."""
 
 
 class Quit(Order, frozen=True, kw_only=True):
@@ -235,7 +241,7 @@ class Quit(Order, frozen=True, kw_only=True):
 
 
 Orders = Arm | Disarm | Set | Run | Stop | Reset | Calibrate | Alive | Quit
-"""What the service asks of the loop."""
+"""Messages of the service to the loop."""
 
 _RECORDS = msgspec.msgpack.Decoder(Record)
 _ORDERS = msgspec.msgpack.Decoder(Orders)
@@ -243,13 +249,13 @@ _ORDERS = msgspec.msgpack.Decoder(Orders)
 
 def sample_bytes(sample: bytes) -> bytes:
     """Return the pipe's bytes for an encoded sample."""
-    return _HEAD.pack(len(sample), _SAMPLE) + sample
+    return _HEAD.pack(len(sample), _SAMPLE_KIND) + sample
 
 
 def record_bytes(record: Record | Orders) -> bytes:
     """Return the pipe's bytes for a record or an order."""
     payload = _ENCODER.encode(record)
-    return _HEAD.pack(len(payload), _RECORD) + payload
+    return _HEAD.pack(len(payload), _RECORD_KIND) + payload
 
 
 def _cut(pending: bytearray) -> list[tuple[int, bytes]]:
@@ -266,10 +272,10 @@ def _cut(pending: bytearray) -> list[tuple[int, bytes]]:
 
 
 def take_records(pending: bytearray) -> list[bytes | Record]:
-    """Remove from `pending` what is whole, and return it: samples as bytes, records decoded."""
-    return [t if kind == _SAMPLE else _RECORDS.decode(t) for kind, t in _cut(pending)]
+    """Remove complete messages from `pending` and return them, samples as bytes."""
+    return [t if kind == _SAMPLE_KIND else _RECORDS.decode(t) for kind, t in _cut(pending)]
 
 
 def take_orders(pending: bytearray) -> list[Orders]:
-    """Remove from `pending` the orders that are whole, and return them."""
+    """Remove the complete orders from `pending` and return them."""
     return [_ORDERS.decode(text) for _, text in _cut(pending)]

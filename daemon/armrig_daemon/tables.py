@@ -1,4 +1,4 @@
-"""Tables of a TOML into checked values, and what was wrong with them in words for a person."""
+"""Conversion of TOML tables to checked values, with messages that name the wrong key."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Table = dict[str, Any]
 
 
 def convert(table: Table, kind: type[T]) -> T:
-    """Return the tables as a `kind`, each key checked.
+    """Return the table as a value of the type `kind`, with each key checked.
 
     Raises
     ------
     InputError
-        An unknown key, a wrong type, or a value out of its range.
+        A key is unknown, or a value has a wrong type or is out of its range.
     """
     try:
         return msgspec.convert(table, kind)
@@ -36,7 +36,7 @@ def _explain(message: str, table: Table, kind: type[msgspec.Struct]) -> str:
         value = came.get(unknown[1]) if isinstance(came, dict) else None
         allowed = f"; allowed are {', '.join(owner.__struct_fields__)}" if owner else ""
         return f"{name} = {value!r}: no such key{allowed}"
-    if not keys or owner is not None:  # a check of the whole table names its key itself
+    if not keys or owner is not None:  # a check of a whole table names the key itself
         return f"{'.'.join(keys)}: {text}" if keys else text
     return f"{'.'.join(keys)} = {came!r}: {text[0].lower()}{text[1:]}"
 

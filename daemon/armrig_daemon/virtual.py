@@ -1,7 +1,7 @@
-"""The loop and the emulated rig in virtual time: the same code, with nobody waiting.
+"""The loop and the emulated rig in virtual time: the same code without waiting.
 
-Time passes only where the loop waits. So a run of 30 s takes a fraction of it, and the same
-orders at the same times give the same bytes.
+Time passes only while the loop waits. A run of 30 s therefore takes a fraction of 30 s, and the
+same orders at the same times give the same bytes.
 """
 
 from __future__ import annotations
@@ -18,39 +18,39 @@ from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Orders, Record, take_records
 
 Lateness = Callable[[], int]
-"""How much later than the deadline the host wakes, in ns."""
+"""Function that returns the host's lateness after a deadline, in ns."""
 Line = Callable[[bytes], bytes]
-"""What a line makes of the bytes that go in."""
+"""Function that returns the bytes that a line delivers for the bytes sent."""
 
 
 class VirtualDevice(Protocol):
-    """A device to which time is given: the emulated one, or the firmware's binary."""
+    """A device whose time is an argument: the emulated device, or the firmware's binary."""
 
     @property
     def board(self) -> Board:
-        """The pins and the arm."""
+        """Return the pins and the arm."""
 
     def receive(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the wire to it."""
+        """Put bytes on the line to the device."""
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Let time pass; return frames, each with its last byte's departure."""
+        """Advance to a time; return the sent frames, each with the time of its last byte."""
 
     def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Let time pass up to a limit, or less where something happens; return the time, too."""
+        """Advance to a limit or to the next event; return the time and the sent frames."""
 
 
 SwitchOn = Callable[[EmulatorSettings, int], VirtualDevice]
-"""Makes a device that is switched on at a time, in ns."""
+"""Function that creates a device switched on at a time, in ns."""
 
 
 def sound(data: bytes) -> bytes:
-    """Give what went in."""
+    """Return the bytes unchanged, like a line without errors."""
     return data
 
 
 class VirtualPorts:
-    """The ports of a loop whose clock is a number and whose line ends in an emulated device."""
+    """Ports of a loop with a virtual clock and a line to an emulated device."""
 
     margin_ns = 150_000
     collections = 0
@@ -62,7 +62,7 @@ class VirtualPorts:
         switched_on_ns: int = 0,
         switch_on: SwitchOn = Device,
     ) -> None:
-        """Switch the device on, at time 0 or before it, and plug it in at time 0."""
+        """Switch the device on at time 0 or before, and connect it at time 0."""
         self.now = 0
         self.device = switch_on(settings, switched_on_ns)
         self.to_device: Line = sound
@@ -73,16 +73,16 @@ class VirtualPorts:
         self._records = bytearray()
 
     def now_ns(self) -> int:
-        """Return the virtual time."""
+        """Return the virtual time, in ns."""
         return self.now
 
     def sleep_until(self, deadline_ns: int) -> int:
-        """Let time pass to the deadline, or later by the host's lateness."""
+        """Advance to the deadline plus the host's lateness; return the time."""
         self._advance(max(self.now, deadline_ns + self._lateness()))
         return self.now
 
     def wait(self, until_ns: int) -> list[Event]:
-        """Let time pass until the device has said something, an order is due, or `until_ns`."""
+        """Advance until the device sends bytes, an order is due, or `until_ns`; return events."""
         while True:
             ready = self._ready()
             if ready or self.now >= until_ns:
@@ -96,24 +96,24 @@ class VirtualPorts:
                 self._line.extend(frames)
 
     def write(self, data: bytes) -> Event | None:
-        """Put bytes on the line."""
+        """Put bytes on the line to the device."""
         self.device.receive(self.now, self.to_device(data))
         return None
 
     def put(self, text: bytes) -> bool:
-        """Keep what the service would get."""
+        """Store a record for the service; return True."""
         self._records += text
         return True
 
     def tidy(self) -> None:
-        """Do nothing: the memory of a test is the test's."""
+        """Do nothing: garbage is collected as usual."""
 
     def send(self, at_ns: int, event: Event) -> None:
-        """Let an event happen at a time, not before those sent earlier."""
+        """Schedule an event at a time, not before events that were scheduled earlier."""
         self._inbox.append((at_ns, event))
 
     def take_records(self) -> list[bytes | Record]:
-        """Return what the service would have got since the last call."""
+        """Return the messages for the service since the last call."""
         return take_records(self._records)
 
     def _advance(self, to_ns: int) -> None:
@@ -132,7 +132,7 @@ class VirtualPorts:
 
 
 class VirtualRig:
-    """A loop, its device, and a service that only keeps what it is told."""
+    """A loop and its device, with a service that only stores the messages of the loop."""
 
     def __init__(
         self,
@@ -142,17 +142,17 @@ class VirtualRig:
         switched_on_ns: int = 0,
         switch_on: SwitchOn = Device,
     ) -> None:
-        """Switch everything on at time 0, or the device before it."""
+        """Switch on the loop at time 0, and the device at time 0 or before."""
         self.ports = VirtualPorts(settings, lateness, switched_on_ns, switch_on)
         self.loop = Loop(rules, self.ports)
         self.records: list[bytes | Record] = []
 
     def order(self, order: Orders, at_ns: int | None = None) -> None:
-        """Give an order, now or at a time."""
+        """Send an order, now or at a time."""
         self.ports.send(self.ports.now if at_ns is None else at_ns, Ordered(order))
 
     def run_until(self, until_ns: int) -> list[bytes | Record]:
-        """Let the loop run until a time; return what it said meanwhile."""
+        """Run the loop until a time; return its messages."""
         while self.ports.now < until_ns and not self.loop.ended:
             self.loop.turn()
         records = self.ports.take_records()

@@ -1,34 +1,37 @@
-"""What reading a file may cost: a small file must not cost hours, or all memory."""
+"""Limits on the cost of reading a file: a small file must not take hours or all memory."""
 
 from __future__ import annotations
 
 from armrig_core.errors import ArmrigError
 
 MESSAGES_LIMIT, MESSAGES_PER_BYTE = 40 << 20, 16
-"""Of messages other than samples a file of n B may cost the first plus the second times n, in B."""
+"""Limit on messages other than samples, in B: `MESSAGES_LIMIT` + `MESSAGES_PER_BYTE` · size."""
 UNPACKED_LIMIT, UNPACKED_PER_BYTE, UNPACKED_MORE = 64 << 20, 64, 4 << 30
-"""A file of n B may unpack to the first plus 64 n, but no more than n and the third, in B."""
+"""Limit on the unpacked chunks of a file of n B, in B.
+The limit is `UNPACKED_LIMIT` + min(n `UNPACKED_PER_BYTE`, n + `UNPACKED_MORE`).
+"""
 WORK_LIMIT, BYTES_PER_WORK = 3_000_000, 64
-"""Most work with records, in messages passed over, which take about 1 µs each.
+"""Limit on the work with records; one unit is a skipped message, about 1 µs.
 
-One more for so many bytes of the file: an hour at 1 kHz, 290 MB, takes 1 to 2 million.
+For a file of n B the limit is `WORK_LIMIT` + n / `BYTES_PER_WORK` units. A recording of one hour at
+1 kHz, 290 MB, needs 1 to 2 million units.
 """
 SAMPLES_LIMIT = 1 << 24
-"""Most samples of a file, and rows of a grid: four and a half hours at 1 kHz."""
+"""Limit on the samples of a file and the rows of a grid: four and a half hours at 1 kHz."""
 
 WORK, KEPT = "units of work with records", "B of messages other than samples"
 UNPACKED = "B in its chunks, unpacked"
 
 
 class DamageError(ArmrigError):
-    """Reading cannot go on from here; says why."""
+    """The file is damaged, and reading cannot continue; the message gives the reason."""
 
 
 class Budget:
-    """What has been spent on a file, and how much there is."""
+    """Cost of reading a file so far, and its limits."""
 
     def __init__(self, size: int, messages: int = 0) -> None:
-        """Take the file's size, and what messages may cost, both in B; 0 for `MESSAGES_LIMIT`."""
+        """Set the limits for a file of `size` B; `messages` > 0 is the limit on messages, in B."""
         more = min(UNPACKED_PER_BYTE * size, size + UNPACKED_MORE)
         self.limits = {
             WORK: WORK_LIMIT + size // BYTES_PER_WORK,
@@ -38,11 +41,11 @@ class Budget:
         self.spent = dict.fromkeys(self.limits, 0)
 
     def spend(self, what: str, cost: int) -> None:
-        """Count a cost; raise DamageError where there is no more left for it."""
+        """Add a cost; raise DamageError if it exceeds the limit."""
         self.spent[what] += cost
         if self.spent[what] > self.limits[what]:
             raise DamageError(f"more than {self.limits[what]} {what}")
 
     def regain(self, what: str) -> None:
-        """Forget what was spent: it has been given back."""
+        """Reset a cost whose memory was released."""
         self.spent[what] = 0

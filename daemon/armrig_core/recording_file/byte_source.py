@@ -1,4 +1,4 @@
-"""The bytes of a file from front to back, each read once, with their hash and checksum."""
+"""The bytes of a file in order, each read once, with their hash and checksum."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ from typing import IO
 
 from armrig_core.errors import InputError
 
-_BLOCK = 1 << 18  # B that are read at once where nobody wants them
+_SKIP_BYTES = 1 << 18  # block size for bytes that are read only for the hash or checksum
 
 
 class ByteSource:
-    """The bytes of a file, from the front."""
+    """Reader of a file's bytes, in order."""
 
     def __init__(self, stream: IO[bytes], size: int, *, is_hashed: bool = False) -> None:
-        """Begin; `is_hashed` says that `sha256` will be asked for."""
+        """Begin at the stream's position; `is_hashed` permits a call of `sha256`."""
         self.stream, self.left = stream, size
         self.at = 0
         self.whole = 0
-        """End of the last whole record."""
+        """End of the last complete record, in B."""
         self.crc = 0
-        """CRC-32 of what was read up to there."""
+        """CRC-32 of the bytes up to `whole`."""
         self.passed = False
-        """Chunks were passed over."""
+        """True if `pass_over` left out bytes."""
         self._crc = 0
         self._hash = hashlib.sha256() if is_hashed else None
 
     def read(self, n: int) -> bytes:
         """Return the next n bytes, fewer at the end of the file."""
         data = self.stream.read(min(n, self.left))
-        # One that has become shorter since it was opened ends here.
+        # A file that was shortened after it was opened ends here.
         self.left = self.left - len(data) if data or not n else 0
         self.at += len(data)
         self._crc = zlib.crc32(data, self._crc)
@@ -39,16 +39,16 @@ class ByteSource:
         return data
 
     def end_record(self) -> None:
-        """Note that a record ends here, whole."""
+        """Mark the current position as the end of a complete record."""
         self.whole, self.crc = self.at, self._crc
 
     def skip(self, n: int) -> None:
-        """Read n bytes that nobody wants."""
-        while n > 0 and (data := self.read(min(n, _BLOCK))):
+        """Read and discard n bytes."""
+        while n > 0 and (data := self.read(min(n, _SKIP_BYTES))):
             n -= len(data)
 
     def pass_over(self, n: int) -> None:
-        """Leave n bytes out, unread unless they are hashed."""
+        """Skip n bytes without reading them, unless they are hashed."""
         self.passed = True
         if self._hash is not None:
             self.skip(n)
@@ -57,8 +57,8 @@ class ByteSource:
             self.left -= n
 
     def sha256(self) -> str:
-        """Read the rest; return the hash of the file, as large as it was when it was opened."""
+        """Read the rest; return the hash of the file up to its size at opening."""
         if self._hash is None:
-            raise InputError("is_hashed=True was not asked for")
+            raise InputError("sha256() needs is_hashed=True")
         self.skip(self.left)
         return self._hash.hexdigest()

@@ -1,4 +1,4 @@
-"""The chunks of a recording, unpacked: what a chunk says of its own size is not believed."""
+"""Unpacking of chunks, which does not trust the size that a chunk states."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import zstandard
 from armrig_core.recording_file.budget import UNPACKED, Budget, DamageError
 from armrig_core.recording_file.file_records import CHUNK_LIMIT
 
-_HEAD = Struct("<QQQII")  # start, end, uncompressed size, uncompressed CRC, length of a name
+_HEAD = Struct("<QQQII")  # start, end, uncompressed size, uncompressed CRC, length of the name
 
 
 class Unpacker:
-    """Unpacks chunks, one after the other."""
+    """Unpacker of chunks, one at a time."""
 
     def __init__(self, budget: Budget) -> None:
-        """Count what is unpacked in `budget`."""
+        """Count the unpacked bytes in `budget`."""
         self._budget = budget
         self._zstd = zstandard.ZstdDecompressor(max_window_size=CHUNK_LIMIT)
 
@@ -27,9 +27,9 @@ class Unpacker:
         Raises
         ------
         DamageError
-            It is too large, cannot be unpacked, or its checksum is wrong.
+            The chunk is too large, cannot be unpacked, or has a wrong checksum.
         struct.error, UnicodeDecodeError
-            It has not the form of a chunk.
+            `body` does not have the form of a chunk.
         """
         _, _, size, crc, n = _HEAD.unpack_from(body)
         at = _HEAD.size
@@ -41,7 +41,7 @@ class Unpacker:
         if compression == "zstd":
             data = self._unpacked(packed, size)
         elif compression:
-            raise DamageError(f"compression {compression!r} is not known; known are zstd and none")
+            raise DamageError(f"compression {compression!r}: allowed are zstd and none")
         else:
             data = bytes(packed)
         if len(data) != size or (crc and zlib.crc32(data) != crc):
@@ -50,8 +50,8 @@ class Unpacker:
 
     def _unpacked(self, packed: memoryview, size: int) -> bytes:
         try:
-            # A frame says how long it is, and no more comes out; where it says nothing, so much is
-            # taken. decompress(max_output_size=…) would believe whatever a frame says.
+            # If a frame states the right size, no more than that comes out. Otherwise the read is
+            # limited. decompress(max_output_size=…) would trust any size that a frame states.
             if zstandard.frame_content_size(packed) == size:
                 return self._zstd.decompress(packed)
             with self._zstd.stream_reader(packed) as stream:

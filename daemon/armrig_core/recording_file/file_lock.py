@@ -1,6 +1,6 @@
-"""The lock on a recording that is being written: who finds it knows that its daemon lives.
+"""The lock on a recording that is being written: it shows that the file's daemon is running.
 
-Where the system has no such locks (Windows), no file is seen as locked, and nobody is kept out.
+On a system without such locks (Windows), no file appears locked, and no process is excluded.
 """
 
 from __future__ import annotations
@@ -9,13 +9,13 @@ from typing import IO
 
 try:
     import fcntl
-except ImportError:  # a recording is recovered, and made in virtual time, also on other systems
+except ImportError:  # other systems, too, recover recordings and make them in virtual time
     _HAS_LOCKS = False
 else:
     _HAS_LOCKS = True
 
 
 def lock(file: IO[bytes]) -> None:
-    """Lock a file; raises BlockingIOError where another process has it."""
+    """Lock a file; raise BlockingIOError if another process holds the lock."""
     if _HAS_LOCKS:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,6 +1,6 @@
-"""The records of an MCAP file, one after the other, for as far as it is whole.
+"""Records of an MCAP file, in order, up to the first damage.
 
-Nothing is believed that a file says of its own sizes, and at the first damage reading stops.
+The reader trusts none of the sizes that a file states.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from armrig_core.recording_file.byte_source import ByteSource
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = Struct("<BQ")
-"""Opcode and length, before each record's content."""
+"""Opcode and length, in front of each record's content."""
 MESSAGE_HEAD = Struct("<HIQQ")
-"""Channel, sequence, log time, publish time, before each message."""
+"""Channel, sequence, log time and publish time, in front of each message."""
 CHUNK_LIMIT = 8 << 20
 """Largest chunk that is unpacked, in B."""
 RECORD_LIMIT = CHUNK_LIMIT + (64 << 10)
-"""Longest record that is read, in B; attachments apart."""
+"""Longest record that is read, in B, except attachments."""
 UNREADABLE = (McapError, struct.error, DecodeError, ValueError, OverflowError)
-"""What the libraries raise on damaged bytes. The CRCs make it rare."""
+"""Exceptions that the libraries raise on damaged bytes, which a CRC nearly always detects first."""
 
-_PASSED_OVER = (Opcode.CHUNK_INDEX, Opcode.STATISTICS)
-_INDEX_HEAD = Struct("<HI")  # of a message index: channel, length of what follows
+_SKIPPED_OPCODES = (Opcode.CHUNK_INDEX, Opcode.STATISTICS)
+_INDEX_HEAD = Struct("<HI")  # message index: channel, length of the rest
 _CHUNK_TIMES = Struct("<QQ")
-# What may stand before the end of the data; a changed opcode must not make a chunk disappear.
-_DATA = (
+# Opcodes before the end of the data; a changed opcode must not make a chunk disappear.
+_DATA_OPCODES = (
     Opcode.HEADER,
     Opcode.SCHEMA,
     Opcode.CHANNEL,
@@ -50,62 +50,62 @@ _DATA = (
     Opcode.METADATA,
     Opcode.DATA_END,
 )
-_ATTACHMENT_HEAD = 8 + 8 + 4  # B: two times, the length of a name
-_NAME_LIMIT = 100  # B
+_ATTACHMENT_HEAD = 8 + 8 + 4  # two times and the length of the name, in B
+_NAME_LIMIT = 100  # in B
 _CRC = Struct("<I")
 
 
 class CutOffError(DamageError):
-    """The file ends too early; says how."""
+    """The file ends too early."""
 
     def __init__(self, how: str) -> None:
         super().__init__(f"the file is cut off: it ends {how}")
 
 
 class Place(NamedTuple):
-    """Where the content of a record stands in its file."""
+    """Position and length of a record's content in its file, in B."""
 
     at: int
     length: int
 
 
 class Record(NamedTuple):
-    """A record of the file that is of interest."""
+    """A record that the reader requested."""
 
     opcode: int
     body: bytes
-    """Its content; empty for an attachment that stays in the file."""
+    """Content; empty for the attachment with the name `Wanted.left`."""
     place: Place
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Wanted:
-    """What a reader wants of a file; the rest is passed over, unread."""
+    """Selection of the records to read; all others are skipped."""
 
     chunk: Callable[[int, int], bool] | None = None
-    """Whether it wants the chunk with messages of these log times, in ns; None: each."""
+    """Filter of chunks by their first and last log time, in ns; None selects all."""
     left: str = ""
-    """Name of the attachment that stays in the file, to be read from its place."""
+    """Name of the attachment whose content is not read; its place is returned."""
     attachment: int = RECORD_LIMIT
-    """Longest attachment that it wants, in B; a longer one is passed over."""
+    """Longest attachment that is read, in B; longer attachments are skipped."""
 
 
 def file_records(
     source: ByteSource, wanted: Wanted, spend: Callable[[int], None]
 ) -> Iterator[Record]:
-    """Give the records up to the closing magic.
+    """Yield the records up to the final magic.
 
     Parameters
     ----------
     source : ByteSource
-        The file, behind its magic.
+        Reader of the file, positioned after the magic.
     spend : callable
-        Called with the work of each record.
+        Function that is called with the work of each record, in units of the budget.
 
     Raises
     ------
     DamageError
-        The file ends or breaks before.
+        The file ends early or is damaged.
     """
     ended = False
     while True:
@@ -114,7 +114,7 @@ def file_records(
         if len(head) < RECORD_HEAD.size:
             raise CutOffError("without its footer")
         opcode, length = RECORD_HEAD.unpack(head)
-        if not ended and opcode not in _DATA:
+        if not ended and opcode not in _DATA_OPCODES:
             raise DamageError(f"the data section contains a record of opcode {opcode}")
         if length > source.left:
             raise CutOffError(f"{length - source.left} B before the end of its last record")
@@ -123,7 +123,7 @@ def file_records(
         if opcode == Opcode.MESSAGE_INDEX:
             _pass_index(source, length)
             continue
-        if opcode in _PASSED_OVER:
+        if opcode in _SKIPPED_OPCODES:
             source.skip(length)
             continue
         begin = b""
@@ -146,7 +146,7 @@ def file_records(
         body = begin + source.read(length - len(begin))
         if opcode == Opcode.FOOTER:
             if source.read(len(MAGIC)) != MAGIC:
-                raise CutOffError("without its closing magic")
+                raise CutOffError("without its final magic")
             source.end_record()
             return
         if opcode == Opcode.DATA_END:
@@ -156,33 +156,35 @@ def file_records(
             yield Record(opcode, body, place)
 
 
-def spoilt(attachment: bytes) -> str:
-    """Return that the checksum of an attachment is wrong, with its name; "" where it is right."""
+def check_attachment(attachment: bytes) -> None:
+    """Refuse an attachment with a wrong checksum; the DamageError names the attachment."""
     (crc,) = _CRC.unpack(attachment[-_CRC.size :])
     if not crc or crc == zlib.crc32(attachment[: -_CRC.size]):
-        return ""
+        return
     at = _ATTACHMENT_HEAD - 4
-    n = int.from_bytes(attachment[at : at + 4], "little")  # it, too, may be wrong
+    n = int.from_bytes(attachment[at : at + 4], "little")  # may be wrong, too
     name = attachment[at + 4 : at + 4 + min(n, _NAME_LIMIT)].decode(errors="replace")
-    return f"the checksum of the attachment '{printable(name)}' is wrong: it is left out"
+    raise DamageError(
+        f"the checksum of the attachment '{printable(name)}' is wrong: it is left out"
+    )
 
 
 def _stays(begin: bytes, name: str) -> bool:
-    told = len(name).to_bytes(4, "little") + name.encode()
+    expected = len(name).to_bytes(4, "little") + name.encode()
     at = _ATTACHMENT_HEAD - 4
-    return name != "" and begin[at : at + len(told)] == told
+    return name != "" and begin[at : at + len(expected)] == expected
 
 
 def _check_data(source: ByteSource, body: bytes) -> None:
-    """Check all data before its end; where chunks were passed over there is nothing to check by."""
+    """Check the checksum over all data; without the skipped chunks it cannot be computed."""
     expected = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
     if expected and not source.passed and expected != source.crc:
-        raise DamageError("the checksum over all data is wrong: something in the file was changed")
+        raise DamageError("the checksum over all data is wrong: the file was changed")
 
 
 def _pass_index(source: ByteSource, length: int) -> None:
-    """Pass over an index of messages, which must have the form of one: a chunk has not."""
+    """Skip a message index; refuse a record that does not have the form of an index."""
     head = source.read(min(_INDEX_HEAD.size, length))
     if len(head) < _INDEX_HEAD.size or _INDEX_HEAD.unpack(head)[1] != length - len(head):
-        raise DamageError("an index of messages has not the form of one")
+        raise DamageError("a message index does not have the form of an index")
     source.skip(length - len(head))

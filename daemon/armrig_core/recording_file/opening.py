@@ -1,4 +1,4 @@
-"""How a file that may be anything is opened."""
+"""Opening of untrusted files."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.byte_source import ByteSource
 from armrig_core.recording_file.file_records import MAGIC
 
-_ROOT = 0
+_ROOT_UID = 0
 
 
 @contextmanager
 def byte_source(path: Path, *, is_hashed: bool = False) -> Iterator[ByteSource | None]:
-    """Give the file behind its magic; None where it has none.
+    """Yield the bytes of a file after its magic; None if it has no magic.
 
     Parameters
     ----------
     is_hashed : bool
-        Whether its hash will be asked for.
+        True if the caller will request the hash.
 
     Raises
     ------
     OSError, DamageError
-        As `regular_file`.
+        As in `regular_file`.
     """
     with regular_file(path) as stream:
         size = os.fstat(stream.fileno()).st_size
@@ -37,20 +37,20 @@ def byte_source(path: Path, *, is_hashed: bool = False) -> Iterator[ByteSource |
 
 
 def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
-    """Open a regular file, and no link of another user: it could lead to what only we may read.
+    """Open a regular file; refuse another user's link, which could lead to a private file.
 
     Parameters
     ----------
     may_be_link : bool
-        Whether a link of this user's own, or of root's, is followed.
+        True to follow a link of this user or of root.
 
     Raises
     ------
     OSError
         The file cannot be opened or read.
     DamageError
-        It is a link that is not followed, or no regular file: a pipe or a device would keep us
-        waiting, or never end.
+        The path is a link that is not followed, or not a regular file: a pipe or a device may
+        block or never end.
     """
     try:
         stream = open(path, "rb", opener=no_link)  # noqa: SIM115 - the caller's
@@ -58,10 +58,8 @@ def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
         if not path.is_symlink():
             raise
         if not may_be_link or not _is_own(path):
-            made = "a link" if not may_be_link else "a link that another user made"
-            raise DamageError(
-                f"{made}: it is not followed; copy the file that it leads to"
-            ) from None
+            kind = "another user's link" if may_be_link else "a link"
+            raise DamageError(f"{kind} is not followed; copy the file to which it leads") from None
         stream = open(path, "rb", opener=opened)  # noqa: SIM115 - the caller's
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
@@ -71,17 +69,17 @@ def regular_file(path: Path, *, may_be_link: bool = True) -> IO[bytes]:
 
 def _is_own(link: Path) -> bool:
     user = getattr(os, "geteuid", None)  # Windows has none, and hardly any links
-    return user is None or link.lstat().st_uid in (user(), _ROOT)
+    return user is None or link.lstat().st_uid in (user(), _ROOT_UID)
 
 
 def no_link(path: str, flags: int) -> int:
-    """Open a file that may be anything but a link, as the opener of `open`."""
+    """Open an untrusted file that is not a link; an opener for `open`."""
     return opened(path, flags | getattr(os, "O_NOFOLLOW", 0))
 
 
 def opened(path: str, flags: int) -> int:
-    """Open a file that may be anything, as the opener of `open`."""
-    # Do not wait until somebody writes to a pipe. Windows has neither of the two flags, but another
-    # one without which it would change bytes.
+    """Open an untrusted file; an opener for `open`."""
+    # O_NONBLOCK: do not wait until somebody writes to a pipe. Windows has only O_BINARY, and
+    # changes bytes without it.
     more = ("O_NONBLOCK", "O_NOCTTY", "O_BINARY")
     return os.open(path, flags | sum(getattr(os, name, 0) for name in more))

@@ -1,4 +1,4 @@
-"""A message on its way to the subscribers and into the file."""
+"""The form of a message before it is published and recorded."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ class Outgoing(NamedTuple):
 
     stream: str
     t_host_ns: int
-    """Monotonic time of what it tells."""
+    """Monotonic time of the content, in ns."""
     t_sched_ns: int
-    """Monotonic time when that was due."""
+    """Monotonic time at which the content was due, in ns."""
     sequence: int
     data: bytes

@@ -1,25 +1,25 @@
-"""The names of the files of one run, while it is written, and in parts, which are read as one."""
+"""Names of a run's files: unfinished files, and parts, which readers join to one run."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 ACTIVE, COPY = ".active", ".compact"
-"""How the name of a recording goes on while it is written, and while it is written once more."""
+"""Last characters of a recording's name while it is written, and while it is rewritten."""
 PART = ".part-"
-"""Between a run's name and a part's number: NAME.part-0001.mcap."""
+"""Text between a run's name and a part's number: NAME.part-0001.mcap."""
 
 
 def part_path(path: Path, number: int) -> Path:
-    """Return where part `number` of the run NAME.mcap is, from 1; of part 0 it is NAME.mcap."""
+    """Return the path of part `number` (from 1) of the run NAME.mcap; part 0 is NAME.mcap."""
     return path.with_name(f"{path.stem}{PART}{number:04}.mcap") if number else path
 
 
 def part_paths(path: Path) -> list[Path]:
-    """Return the files that a path stands for.
+    """Return the files of a run or of a part.
 
-    The name of a run stands for its parts, in their order, where there is no file of that name;
-    the name of a part for that part.
+    If no file has the name of the run, the result is all parts of the run, in their order. For the
+    name of a part, the result is this part alone.
     """
     if path.exists() or path.suffix != ".mcap":
         return [path]
@@ -29,7 +29,7 @@ def part_paths(path: Path) -> list[Path]:
 
 
 def part_number(path: Path) -> int:
-    """Return which part of a run a file is by its name, from 1; 0 for what is named as none."""
+    """Return the number of a part from its file's name, from 1; 0 if the name is not a part's."""
     run, _, rest = path.name.rpartition(PART)
     number, _, ending = rest.partition(".")
     is_number = number.isascii() and number.isdigit()

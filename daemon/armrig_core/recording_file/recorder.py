@@ -1,7 +1,7 @@
-"""Recordings: one MCAP file a run, or several, safe on the disk up to the last flush.
+"""Recording of a run into one or several MCAP files, safe on the disk up to the last flush.
 
-Written to `NAME.mcap.active` and renamed when complete. A thread of its own writes, so that no
-disk is ever waited for.
+The file is `NAME.mcap.active` until it is complete. A separate thread writes the files, so that the
+caller never waits for the disk.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from armrig_core.recording_file.recording_part import EndsHereError, Part, Remov
 
 FLUSH_S = 0.1
 SYNC_S = 1.0
-QUEUE = 10_000  # batches; what finds no room is counted and reported
+QUEUE = 10_000  # batches; messages beyond it are discarded, counted and reported
 
 
 class RecordingError(ArmrigError, OSError):
-    """A recording cannot be begun; says where and why."""
+    """A recording cannot begin; the message gives file and reason."""
 
 
 class PartLimits(NamedTuple):
-    """When a part ends, and the next one begins."""
+    """Limits at which a part ends and the next part begins."""
 
     samples: int
-    """After so many samples that were due."""
+    """Number of due samples of a part."""
     size: int
-    """Or at so many bytes."""
+    """Size of a part, in B."""
 
 
 class Recording:
-    """One open recording; its maker never waits for the disk, though the kernel takes its bytes."""
+    """An open recording; after its creation, the caller never waits for the disk."""
 
     def __init__(
         self,
@@ -54,40 +54,40 @@ class Recording:
         changed: Callable[[], None],
         limits: PartLimits | None = None,
     ) -> None:
-        """Create the file with header, schemas, manifest and attachments, handed to the kernel.
+        """Create the file and write header, schemas, manifest and attachments to the kernel.
 
         Parameters
         ----------
         path : Path
-            Of the finished recording; must not exist.
+            Path of the finished recording; no file may exist there.
         t_first_ns : int
             Monotonic time of the first sample.
         changed : callable
-            Called from the writer's thread when `error`, `moved` or `done` has changed.
+            Function that the writer's thread calls when `error`, `moved` or `done` has changed.
         limits : PartLimits, optional
-            When parts end; the run is recorded in one file without them.
+            Limits of a part; default: the run is recorded in one file.
 
         Raises
         ------
         RecordingError
-            The file cannot be made.
+            The file cannot be created.
         """
         self.path = path
         self.samples = 0
-        """Samples handed over."""
+        """Number of samples passed to `add`."""
         self.synced = 0
-        """Samples that are on the disk: whatever dies, they are there."""
+        """Number of samples that are safely on the disk."""
         self.missing = 0
-        """Samples that the gaps are short of, as far as they are written."""
+        """Number of samples missing in the gaps, in finished parts."""
         self.dropped = 0
         self.error = ""
-        """What the disk refused, for a person; nothing more is written then."""
+        """Message about a failure of the disk; nothing is written after the failure."""
         self.moved = ""
-        """That somebody moved the file, for a person; it is written on where it is."""
+        """Message that the file was moved; writing continues at its new path."""
         self.done = False
-        """Whether the file is complete and has its name, or has failed for good."""
+        """True if the file is complete under its final name, or if writing has failed for good."""
         self._limits = limits
-        # The input is in the first part alone, and may have 80 MB.
+        # Only the first part contains the input, which may have 80 MB.
         self._attachments = {n: data for n, data in attachments.items() if n != INPUT}
         self._changed = changed
         self._parts: list[Part] = []
@@ -99,7 +99,7 @@ class Recording:
         try:
             self._part = Part(path, manifest, attachments, t_first_ns)
         except OSError as err:
-            where, way_out = f"{path}{ACTIVE}", "free the disk, or set [recording] directory"
+            where, way_out = f"{path}{ACTIVE}", "free disk space, or set [recording] directory"
             if isinstance(err, FileExistsError):
                 where, way_out = err.filename, "set [recording] directory to another"
             raise RecordingError(f"{where}: {err.strerror}; {way_out}") from err
@@ -108,7 +108,7 @@ class Recording:
 
     @property
     def kept(self) -> Path:
-        """Where the file is: under its own name once it is complete, or where it was moved to."""
+        """Current path of the file: its final name if it is complete, or its path after a move."""
         part = self._part
         if not part.is_named:
             return part.active
@@ -125,7 +125,7 @@ class Recording:
         return self._queue.qsize()
 
     def add(self, batch: list[Outgoing]) -> None:
-        """Hand over messages to be written."""
+        """Queue messages for writing."""
         if self.behind >= QUEUE:
             self.dropped += len(batch)
             return
@@ -133,7 +133,7 @@ class Recording:
         self.samples += sum(message.stream == "sample" for message in batch)
 
     def finish(self, ended: Ending) -> None:
-        """Have the file completed and named; `done` tells when."""
+        """Complete and rename the file in the writer's thread; `done` then becomes True."""
         self._queue.put(ended)
 
     def join(self, timeout: float | None = None) -> None:
@@ -141,7 +141,7 @@ class Recording:
         self._thread.join(timeout)
 
     def _write(self) -> None:
-        """Write what comes until the end, and complete the file; whatever fails is told."""
+        """Write the queued messages, and complete the file; report any failure in `error`."""
         try:
             self._write_run()
         except Exception as err:
@@ -169,13 +169,13 @@ class Recording:
             part.compact()
 
     def _wait_for_the_end(self) -> None:
-        """Have the error seen, and pass over what still comes of the run."""
+        """Report the error, and discard the remaining messages of the run."""
         self._changed()
         while isinstance(self._queue.get(), list):
             pass
 
     def _write_until_the_end(self) -> Ending:
-        """Write what comes: flushed at 10 Hz, on the disk at 1 Hz, first of all what is there."""
+        """Write the queued messages; flush at 10 Hz, and sync at 1 Hz from the first flush on."""
         flushed = time.monotonic()
         synced = flushed - SYNC_S
         while True:
@@ -203,20 +203,20 @@ class Recording:
                 self._begin_part(message.sequence + 1, message.t_host_ns)
 
     def _is_full(self, k: int) -> bool:
-        """Return whether a part ends with sample `k`: behind a sample, so no gap lies over it."""
+        """Return whether a part ends with sample `k`; parts end after a sample and split no gap."""
         part, limits = self._part, self._limits
         if limits is None or k + 1 >= part.manifest.due.stop:
             return False
         return k + 1 - part.manifest.due.start >= limits.samples or part.size >= limits.size
 
     def _begin_part(self, k_first: int, t_ns: int) -> None:
-        """End the part, and begin the next one with sample `k_first`."""
+        """End the part, and begin the next part with sample `k_first`."""
         ended, number = self._part, self._part.manifest.part + 1
         manifest = replace(ended.manifest, part=number, part_k_first=k_first)
         try:
             part = Part(part_path(self.path, number), manifest, self._attachments, t_ns)
         except OSError as err:
-            raise EndsHereError(f"{err.strerror}; part {number} cannot be begun") from err
+            raise EndsHereError(f"{err.strerror}; part {number} cannot begin") from err
         try:
             self._end_part(CONTINUED)
             ended.name()
@@ -236,7 +236,7 @@ class Recording:
         self.missing += part.missing
 
     def _end_early(self, err: EndsHereError) -> None:
-        """Complete the file before the run has ended; full chunks, which take long, come later."""
+        """Complete the file before the end of the run; it is rewritten in full chunks later."""
         try:
             self._end_part(Ending(OutcomeCode.RECORDING, f"its recording ended: {err}"))
             self._follow()
@@ -245,8 +245,8 @@ class Recording:
             self._give_up(worse)
         else:
             self._parts.append(self._part)
-            self.error = f"{self.kept}: {err}; the recording ends there, whole up to then: "
-            self.error += "free the disk"
+            self.error = f"{self.kept}: {err}; the recording ended early and is complete up to "
+            self.error += "its end: free disk space"
 
     def _flush(self) -> None:
         self._part.flush()
@@ -259,10 +259,10 @@ class Recording:
             self._changed()
 
     def _give_up(self, err: Exception) -> None:
-        """Keep what was flushed whole: a file that goes on would have a silent hole."""
+        """Close the file at its last flush: to continue it would leave an unreported gap."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
-        # Another file may have our name by now: that ours was removed is known for sure.
+        # Another file may have taken the name, but RemovedError proves that this file is removed.
         there = not isinstance(err, RemovedError) and os.access(self.kept, os.F_OK)
-        left = "what was flushed is kept there" if there else "its samples are gone"
+        left = "the flushed samples are kept there" if there else "its samples are lost"
         self.error = f"{self.kept}: {reason}; {left}"
         self._part.give_up()

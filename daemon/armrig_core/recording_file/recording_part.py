@@ -1,4 +1,4 @@
-"""One open file of a recording: what it is given is in it at each flush, all of it or nothing."""
+"""One open file of a recording: each flush writes all pending messages or none."""
 
 from __future__ import annotations
 
@@ -22,34 +22,34 @@ from armrig_core.recording_file.rewriting import compact, sync_directory
 from armrig_core.topics import RECORDED, topic
 
 PROFILE = "armrig"
-"""Profile in the header of a recording, by which other programs recognise one."""
-CHUNK = 128 * 1024
-_ENDING = 4 * CHUNK  # B: what is pending when the disk is found full, and the end of the file
-_INDEXED = 256  # B, and so much more for the index of each chunk
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+"""Profile in the header of a recording, by which programs recognise a recording."""
+CHUNK_BYTES = 128 * 1024
+_ENDING_BYTES = 4 * CHUNK_BYTES  # pending messages when the disk is full, and the end of the file
+_INDEX_BYTES = 256  # index of one chunk, in addition
+_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT)
 _MEDIA_TYPES = {"csv": "text/csv", "json": "application/json", "gz": "application/gzip"}
 
 
 class EndsHereError(Exception):
-    """No more can be recorded, says why; all that was given is in the file, to be completed."""
+    """The file cannot grow. It contains all messages so far and must be completed."""
 
 
 class RemovedError(OSError):
-    """The file has no name any more: what is written goes nowhere."""
+    """The file has no name any more, so that all data written to it are lost."""
 
 
 class Part:
-    """One open file, NAME.mcap.active until it is complete."""
+    """One open file; its name is NAME.mcap.active until it is complete."""
 
     def __init__(
         self, path: Path, manifest: Manifest, attachments: dict[str, bytes], t_first_ns: int
     ) -> None:
-        """Create the file with header, schemas, manifest and attachments, handed to the kernel.
+        """Create the file and write header, schemas, manifest and attachments to the kernel.
 
         Raises
         ------
         OSError
-            The file cannot be made, or there is one of its name; nothing is left of it.
+            The file cannot be created, or exists already; nothing is left of the new file.
         """
         _check_free(path)
         self.path = path
@@ -57,9 +57,9 @@ class Part:
         self.manifest = manifest
         self.samples = self.missing = 0
         self.size = 0
-        """Of the file, in B, up to the last flush."""
+        """Size of the file up to the last flush, in B."""
         self.is_named = False
-        """Whether it is complete and has its name."""
+        """True if the file is complete and has its final name."""
         self._chunks = 0
         self._offset_ns = manifest.clock_offset_ns
         self._sample_ns = t_first_ns
@@ -73,15 +73,15 @@ class Part:
             self.active.unlink()
             raise
         try:
-            lock(self._file)  # ours while we write
+            lock(self._file)
             self._writer = Writer(
                 cast("IO[bytes]", self._pending),
-                chunk_size=CHUNK,
+                chunk_size=CHUNK_BYTES,
                 compression=CompressionType.ZSTD,
                 enable_data_crcs=True,
             )
             self._channels = self._begin(attachments)
-            self._reserve.hold(_ENDING)
+            self._reserve.hold(_ENDING_BYTES)
         except BaseException:
             self.discard()
             raise
@@ -105,10 +105,10 @@ class Part:
         return channels
 
     def add(self, message: Outgoing) -> None:
-        """Take a message, to be written at the next flush."""
-        # Log times do not go back in the file: a message that overtakes a sample in flight gets
-        # the time of the sample before, and one that a sample overtook gets that sample's time.
-        # A message's own time is in its payload.
+        """Add a message, which the next flush writes."""
+        # Log times never decrease in the file. A message that is newer than the last sample gets
+        # the sample's time, because older samples may follow; an older message gets the last log
+        # time. The payload contains the message's own time.
         t_ns = message.t_host_ns
         if message.stream == "sample":
             self._sample_ns = t_ns
@@ -127,25 +127,25 @@ class Part:
         )
 
     def _missing(self, data: bytes) -> int:
-        """Return how many samples of the run a gap is short of."""
+        """Return the number of the run's samples that are missing in a gap."""
         gap = protobuf.message_class(protobuf.GAP).FromString(data)
         due, first, count = self.manifest.due, int(gap.k_first), int(gap.count)
         return max(0, min(first + count, due.stop) - max(first, due.start))
 
     @property
     def is_behind(self) -> bool:
-        """Whether so much is pending that the reserve may not be enough for it."""
-        return self._pending.size > CHUNK
+        """True if more is pending than the reserve may hold."""
+        return self._pending.size > CHUNK_BYTES
 
     def flush(self) -> None:
-        """Hand what was added to the kernel, all of it or nothing.
+        """Write all pending messages to the kernel, or none of them.
 
         Raises
         ------
         EndsHereError
-            All of it is there, but the disk is full.
+            All messages are written, but the disk is full.
         OSError
-            Nothing of it is there: the file ends with the last flush, and nothing may be added.
+            No message is written: the file ends with the last flush, and nothing may be added.
         """
         self._writer.flush()
         if not self._pending.size:
@@ -153,20 +153,20 @@ class Part:
         self._commit()
         self._chunks += 1
         try:
-            self._reserve.hold(_ENDING + self._chunks * _INDEXED)
+            self._reserve.hold(_ENDING_BYTES + self._chunks * _INDEX_BYTES)
         except OSError as err:
             self._reserve.release()
             raise EndsHereError(err.strerror) from err
 
     def sync(self) -> None:
-        """Have what was flushed on the disk, with no more of its dates and sizes than needed."""
-        # Not every system has the first.
+        """Sync the flushed data to the disk, with as little of its metadata as possible."""
+        # Not every system has fdatasync.
         getattr(os, "fdatasync", os.fsync)(self._file.fileno())
 
     def finish(self, outcome: Outcome) -> None:
-        """Complete the file, and have it on the disk; raises OSError as `flush`."""
+        """Complete the file and sync it to the disk; raises OSError as `flush`."""
         with suppress(EndsHereError):
-            self.flush()  # so that the outcome stands behind the last sample
+            self.flush()  # the outcome must follow the last sample
         self._writer.add_metadata(OUTCOME, outcome.metadata())
         self._writer.finish()
         with suppress(EndsHereError):
@@ -175,9 +175,9 @@ class Part:
         os.fsync(self._file.fileno())
 
     def name(self) -> None:
-        """Give the complete file its name, and close it; raises OSError where that is taken."""
+        """Rename and close the complete file; raise OSError if the name exists."""
         _check_free(self.path)
-        if sys.platform == "win32":  # it renames no open file
+        if sys.platform == "win32":  # it cannot rename an open file
             self._file.close()
         self.active.replace(self.path)
         self.is_named = True
@@ -185,9 +185,9 @@ class Part:
         sync_directory(self.path.parent)
 
     def compact(self) -> None:
-        """Write the complete file, that has its name or not, once more in full chunks.
+        """Rewrite the complete file, renamed or not, in full chunks.
 
-        Where there is no room for a second copy, the first, which is complete, stays.
+        If the disk has no space for a second copy, the first copy, which is complete, stays.
         """
         written = self.path if self.is_named else self.active
         if sys.platform == "win32":
@@ -203,29 +203,29 @@ class Part:
                 self.path.with_name(self.path.name + COPY).unlink(missing_ok=True)
 
     def follow(self) -> bool:
-        """See that the open file is still the one of our name; else go where it was moved to.
+        """Check that the name still belongs to the open file; if not, find the file's new path.
 
         Returns
         -------
         bool
-            Whether it was moved.
+            True if the file was moved.
 
         Raises
         ------
         RemovedError
-            It has no name any more.
+            The file has no name any more.
         """
         if self._is_at(self.active):
             return False
         moved = Path(f"/proc/self/fd/{self._file.fileno()}").readlink()
         if not self._is_at(moved):
-            raise RemovedError(errno.ENOENT, "removed while it was written")
+            raise RemovedError(errno.ENOENT, "the file was removed during the recording")
         self.active = moved
         self.path = moved.with_name(moved.name.removesuffix(ACTIVE))
         return True
 
     def _is_at(self, path: Path) -> bool:
-        """Return whether the open file is the one at `path`."""
+        """Return whether `path` is the open file."""
         try:
             found = os.lstat(path)
         except (FileNotFoundError, NotADirectoryError):
@@ -233,14 +233,14 @@ class Part:
         return os.path.samestat(found, os.fstat(self._file.fileno()))
 
     def discard(self) -> None:
-        """Leave nothing of it."""
+        """Close and remove the file."""
         self.give_up()
         with suppress(OSError):
             self.active.unlink()
 
     def give_up(self) -> None:
-        """Close the file as it is up to the last flush."""
-        with suppress(OSError, ValueError):  # closed, or gone altogether
+        """Close the file at the end of the last flush."""
+        with suppress(OSError, ValueError):  # it is closed or does not exist any more
             self._cut()
             self._file.close()
         self._reserve.release()
@@ -250,7 +250,7 @@ class Part:
             self._write_pending()
         except OSError as err:
             self._cut()
-            if err.errno not in _FULL or not self._reserve.release():
+            if err.errno not in _FULL_ERRORS or not self._reserve.release():
                 raise
             try:
                 self._write_pending()
@@ -267,18 +267,18 @@ class Part:
         self.size = self._pending.written()
 
     def _cut(self) -> None:
-        """End the file with its last flush: no reader meets half a record."""
+        """Cut the file at its last flush, so that it contains no incomplete record."""
         os.ftruncate(self._file.fileno(), self.size)
 
 
 def _check_free(path: Path) -> None:
-    """Refuse a name that is taken: its file would be lost."""
+    """Refuse the name of an existing file, because renaming would delete this file."""
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
 
 
 class _Pending:
-    """What the MCAP writer has written since the last flush, as the stream that it writes to."""
+    """Output stream of the MCAP writer: the bytes since the last flush."""
 
     def __init__(self) -> None:
         self._parts: list[bytes] = []
@@ -286,25 +286,25 @@ class _Pending:
         self.size = 0
 
     def write(self, data: bytes) -> int:
-        """Keep some bytes."""
+        """Append some bytes."""
         self._parts.append(data)
         self.size += len(data)
         return len(data)
 
     def tell(self) -> int:
-        """Return where the next byte will stand in the file."""
+        """Return the position of the next byte in the file."""
         return self._before + self.size
 
     def flush(self) -> None:
-        """Do nothing: the file is written as a whole."""
+        """Do nothing: `Part` writes the pending bytes."""
 
     def taken(self) -> bytes:
-        """Return all bytes since the last flush; they are kept until `written`."""
+        """Return all pending bytes; they are kept until `written`."""
         self._parts = [b"".join(self._parts)]
         return self._parts[0]
 
     def written(self) -> int:
-        """Forget what was taken: it is in the file. Return how long that is."""
+        """Discard the pending bytes, which are now in the file; return the file's size."""
         self._before += self.size
         self._parts, self.size = [], 0
         return self._before

@@ -1,6 +1,6 @@
-"""Recordings that their daemon left unfinished: completed as far as they are whole, and named.
+"""Recovery of unfinished recordings: the undamaged beginning is completed and named.
 
-The daemon does so when it starts, `armrig recover` by hand, on any machine.
+The daemon recovers its recordings when it starts; `armrig recover` does it by hand, on any machine.
 """
 
 from __future__ import annotations
@@ -39,17 +39,20 @@ from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, h
 from armrig_core.topics import stream_of
 
 CUT_OFF = "cut off: its daemon died"
-"""Outcome of a run whose recording does not say how it ended."""
+"""Outcome of a run whose recording contains no outcome."""
 MOST_CUT_OFF = 1 << 20
-"""Most that is cut off, in B: more than one write that was torn, and not what stands behind a
-damage in the middle, which may be read some day."""
+"""Largest part that is cut off, in B.
+
+The limit exceeds one torn write. A longer rest follows damage in the middle of the file; the file
+is kept, because the rest may become readable.
+"""
 
 
 class RecoveredFile(NamedTuple):
-    """A recording that has been completed."""
+    """A recovered recording."""
 
     path: Path
-    """Where it is now."""
+    """Path of the complete file."""
     manifest: Manifest
     outcome: Outcome
     recovered: Recovered
@@ -57,35 +60,35 @@ class RecoveredFile(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """How files are recovered: who does it, and which ones."""
+    """Settings of a recovery: its author, and the files that it may recover."""
 
     armrig: str
     """Version of armrig."""
     now: Callable[[], str]
-    """Return the time of day, ISO 8601."""
+    """Function that returns the time of day, ISO 8601."""
     owner: int | None = None
-    """User whose files alone are touched; None for everybody's."""
+    """User to whose files the recovery is restricted; None for all users."""
     rig: str = ""
-    """Rig whose recordings alone are touched; "" for any."""
+    """Rig to whose recordings the recovery is restricted; "" for all rigs."""
     breath: Callable[[], None] = lambda: None
-    """Called between two records; it may wait."""
+    """Function that is called between two records; it may wait."""
 
     def recover(self, path: Path) -> RecoveredFile:
-        """Complete a recording that was left unfinished, NAME.mcap.active, as NAME.mcap.
+        """Complete an unfinished recording NAME.mcap.active as NAME.mcap.
 
-        What is whole from its beginning on is kept, all of it; then come the outcome, where there
-        is none, and a record of the recovery. The file is replaced when the new one is on the disk.
+        The undamaged beginning is kept. The outcome, if it is missing, and a record of the recovery
+        are appended. The new file replaces the old file when it is on the disk.
 
         Raises
         ------
         NotOursError
-            It is being written, or of another rig.
+            The file is being written, or belongs to another rig.
         RecoveryError
-            It cannot be recovered, and stays as it is.
+            The file cannot be recovered and stays as it is.
         """
         if not path.name.endswith(f".mcap{ACTIVE}"):
             raise RecoveryError(
-                f"{path}: what a daemon left ends in .mcap{ACTIVE}; any other file stays as it is"
+                f"{path}: an unfinished recording ends in .mcap{ACTIVE}; this file stays as it is"
             )
         final = path.with_name(path.name.removesuffix(ACTIVE))
         copy = path.with_name(final.name + COPY)
@@ -93,15 +96,16 @@ class Recovery:
             with held(path, self.owner) as stream:
                 if os.path.lexists(final):
                     raise RecoveryError(
-                        f"{path}: {final.name} is there already; move one of them away"
+                        f"{path}: {final.name} exists already; move one of them away"
                     )
-                # Left by who died while he wrote it: the lock is ours.
+                # A copy of a process that died: this process holds the lock.
                 copy.unlink(missing_ok=True)
                 try:
                     done = self._copied(path, stream, copy)
                     if sys.platform == "win32":  # it renames no open file
                         stream.close()
-                    # Whatever dies in between, one whole recording is there under one of the names.
+                    # If the process dies between these calls, the file under one of the names is
+                    # complete.
                     copy.replace(path)
                     path.replace(final)
                     sync_directory(final.parent)
@@ -110,30 +114,30 @@ class Recovery:
                         copy.unlink(missing_ok=True)
                     raise
         except OSError as err:
-            msg = f"{path}: {err.strerror or err}; it stays as it is: mend that, then "
-            raise RecoveryError(msg + "`armrig recover` it") from err
+            msg = f"{path}: {err.strerror or err}; the file stays as it is; correct the cause, "
+            raise RecoveryError(msg + "then `armrig recover` it") from err
         return RecoveredFile(final, *done)
 
     def _copied(
         self, path: Path, stream: IO[bytes], copy: Path
     ) -> tuple[Manifest, Outcome, Recovered]:
-        """Write what is whole to `copy`, complete it, and have it on the disk."""
+        """Write the undamaged records to `copy`, complete it, and sync it to the disk."""
         size = os.fstat(stream.fileno()).st_size
         source = ByteSource(stream, size)
         if source.read(len(MAGIC)) != MAGIC:
             what = "not an MCAP file" if size else "0 B"
             raise RecoveryError(f"{path}: {what}: nothing was recorded; delete it")
         with copy.open("xb") as target:
-            lock(target)  # ours while we write
+            lock(target)
             rewriter, tally = Rewriter(target, size), _Tally()
             damage = self._walked(path, source, rewriter, tally)
-            behind = size - source.whole
-            if damage and behind > MOST_CUT_OFF:
-                msg = f"{path}: {damage}, and {behind} B stand behind it; it stays as it is, and "
+            rest = size - source.whole
+            if damage and rest > MOST_CUT_OFF:
+                msg = f"{path}: {damage}, and {rest} B follow; the file stays as it is; "
                 raise RecoveryError(msg + "`armrig info` reads what comes before")
             manifest = _manifest(path, rewriter, self.rig)
             if manifest is None:
-                why = damage or "it holds no metadata named armrig.run"
+                why = damage or "it contains no metadata named armrig.run"
                 raise RecoveryError(
                     f"{path}: no manifest of a run: {why}; nothing was recorded; delete it"
                 )
@@ -144,11 +148,11 @@ class Recovery:
                 code=OutcomeCode.CUT_OFF,
             )
             if OUTCOME in rewriter.metadata:
-                outcome = _told(path, outcome_of, rewriter.metadata[OUTCOME])
+                outcome = _checked(path, outcome_of, rewriter.metadata[OUTCOME])
                 if tally.samples < outcome.samples:
                     raise RecoveryError(
-                        f"{path}: {tally.samples} of its {outcome.samples} samples are whole, "
-                        "and its run was recorded to the end; it stays as it is: copy it again"
+                        f"{path}: the run was recorded to the end, but only {tally.samples} of its "
+                        f"{outcome.samples} samples are readable; it stays as it is: copy it again"
                     )
             else:
                 rewriter.add_metadata(OUTCOME, outcome.metadata())
@@ -156,11 +160,11 @@ class Recovery:
                 when=self.now(),
                 armrig=self.armrig,
                 kept_bytes=source.whole,
-                cut_off_bytes=behind,
-                damage="; ".join([*rewriter.left_out, *([damage] if damage else [])]),
+                cut_off_bytes=rest,
+                damage="; ".join([*rewriter.left_out, *([str(damage)] if damage else [])]),
             )
-            if RECOVERED in rewriter.metadata:  # by one who died before it had its name
-                recovered = _told(path, recovered_of, rewriter.metadata[RECOVERED])
+            if RECOVERED in rewriter.metadata:  # an earlier recovery died
+                recovered = _checked(path, recovered_of, rewriter.metadata[RECOVERED])
             else:
                 rewriter.add_metadata(RECOVERED, recovered.metadata())
             rewriter.finish()
@@ -168,25 +172,28 @@ class Recovery:
             os.fsync(target.fileno())
         return manifest, outcome, recovered
 
-    def _walked(self, path: Path, source: ByteSource, rewriter: Rewriter, tally: _Tally) -> str:
-        """Copy what is whole; return why it ends before the file's own end, or nothing."""
+    def _walked(
+        self, path: Path, source: ByteSource, rewriter: Rewriter, tally: _Tally
+    ) -> DamageError | None:
+        """Copy the undamaged records; return the damage before the file's end, or None."""
         is_known = False
         try:
             for record in all_records(source):
                 for channel, data in rewriter.add(record):
                     tally.add(stream_of(rewriter.topics[channel]), data)
-                # As soon as it is known, not when all of another rig's file has been copied.
+                # Checked as soon as the manifest is known, not after the whole file of another rig
+                # was copied.
                 is_known = is_known or _manifest(path, rewriter, self.rig) is not None
                 self.breath()
         except DamageError as damage:
-            return str(damage)
+            return damage
         except UNREADABLE as err:
-            return f"a record cannot be read ({err or type(err).__name__})"
-        return ""
+            return DamageError(f"a record cannot be read ({err or type(err).__name__})")
+        return None
 
 
 class _Tally:
-    """What has been copied: samples, and gaps between them."""
+    """Counts of the copied samples and of the gaps between them."""
 
     def __init__(self) -> None:
         self.samples = 0
@@ -201,28 +208,28 @@ class _Tally:
             self._gaps.append(range(gap.k_first, gap.k_first + gap.count))
 
     def missing(self, manifest: Manifest) -> int:
-        """Return how many samples of the run the gaps are short of."""
+        """Return the number of the run's samples that are missing in the gaps."""
         due = manifest.due
         within = (range(max(g.start, due.start), min(g.stop, due.stop)) for g in self._gaps)
         return min(sum(len(gap) for gap in within), 1 << 62)
 
 
 def sentence(done: RecoveredFile) -> str:
-    """Return what was recovered, for a person."""
+    """Return the result of a recovery as a sentence."""
     manifest, outcome = done.manifest, done.outcome
     seconds = (outcome.samples + outcome.missing) * manifest.Ts
     text = f"{done.path}: recovered, {outcome.samples} samples, {seconds:g} s of "
     text += f"{manifest.samples * manifest.Ts:g} s"
     if done.recovered.cut_off_bytes:
-        text += f"; a torn write of {done.recovered.cut_off_bytes} B behind them is cut off"
+        text += f"; a torn write of {done.recovered.cut_off_bytes} B after them was cut off"
     return text
 
 
 def _manifest(path: Path, rewriter: Rewriter, rig: str) -> Manifest | None:
-    """Return the manifest that was copied; None where none was yet."""
+    """Return the copied manifest; None before it is copied."""
     if RUN not in rewriter.metadata:
         return None
-    manifest = _told(path, manifest_of, rewriter.metadata[RUN])
+    manifest = _checked(path, manifest_of, rewriter.metadata[RUN])
     if rig and manifest.rig != rig:
         raise NotOursError(f"{path}: a recording of rig {manifest.rig}")
     return manifest
@@ -231,8 +238,8 @@ def _manifest(path: Path, rewriter: Rewriter, rig: str) -> Manifest | None:
 _R = TypeVar("_R", Manifest, Outcome, Recovered)
 
 
-def _told(path: Path, read: Callable[[dict[str, str]], _R], metadata: dict[str, str]) -> _R:
-    """Return what a metadata record of ours says."""
+def _checked(path: Path, read: Callable[[dict[str, str]], _R], metadata: dict[str, str]) -> _R:
+    """Return the contents of a metadata record of armrig, checked."""
     try:
         record = read(metadata)
         check_whole_numbers(record)

@@ -1,6 +1,6 @@
-"""Recordings that a folder no longer keeps: whole runs of one rig, the oldest first.
+"""Removal of old recordings from a folder: whole runs of one rig, the oldest first.
 
-A run is removed only if each of its files has been read from its first byte to its last, and is a
+A run is removed only if each of its files was read from its first byte to its last, and is a
 complete recording of this rig.
 """
 
@@ -30,66 +30,67 @@ from armrig_core.recording_file.rewriting import all_records
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError, held
 
 DAY_S, GB = 86_400, 10**9
-_NO_RECORDING = (DamageError, RecoveryError, OSError, msgspec.DecodeError, *UNREADABLE)
+_READ_ERRORS = (DamageError, RecoveryError, OSError, msgspec.DecodeError, *UNREADABLE)
 _NAME = re.compile(rf"(.+?)(?:{re.escape(PART)}(\d+))?\.mcap({ACTIVE}|{COPY})?", re.DOTALL)
 
 
 class Removal(NamedTuple):
-    """What became of a run that the folder was not to keep."""
+    """Result for one run outside the limits: the run was removed, or could not be removed."""
 
     is_removed: bool
     text: str
-    """For a person: which file, why, and how much room it took."""
+    """File, reason and size, for a person."""
 
 
 class _Run(NamedTuple):
     files: list[Path]
-    """In the order of its parts."""
+    """Files in the order of the parts."""
     size: int
-    """In B."""
+    """Size of all files, in B."""
     ended_s: float
-    """When its last file was written last, in s."""
+    """Time of the last write to the last file, in s since the epoch."""
 
 
 @dataclass(kw_only=True)
 class Retention:
-    """How long, and how much, a folder keeps of the recordings of one rig."""
+    """Limits on the age and the size of one rig's recordings in a folder."""
 
     folder: Path
     rig: str
     keep_days: float
-    """Age from which a run is removed, in days; 0 is none."""
+    """Age above which a run is removed, in days; 0 is no limit."""
     keep_gb: float
-    """Most that the rig's recordings take, in GB; 0 is no limit."""
+    """Largest size of the rig's recordings, in GB; 0 is no limit."""
     owner: int
-    """User whose files alone are touched."""
+    """User to whose files the removal is restricted."""
     breath: Callable[[], None] = lambda: None
-    """Called between two records; it may wait."""
+    """Function that is called between two records; it may wait."""
     _reported: set[tuple[Path, float]] = field(default_factory=set)
-    """Last files, and their times, of runs that are not removed."""
+    """Last file and end time of each run that could not be removed and was reported."""
     _rigs: dict[tuple[Path, float], str] = field(default_factory=dict)
-    """Whose recording a file is, with its time; "" for what is none."""
+    """Rig of each run, by its first file and its end time; "" if the file is not a recording."""
 
     @property
     def is_asked(self) -> bool:
-        """Whether anything is ever removed."""
+        """True if a limit is set."""
         return self.keep_days > 0 or self.keep_gb > 0
 
     def apply(self, now_s: float) -> Iterator[Removal]:
-        """Remove what is not to be kept; give a line for each run as it is done.
+        """Remove the runs outside the limits; yield a result for each removal and each failure.
 
-        The newest run stays, however large it is, and so does a run of which a file is unfinished.
+        The newest run stays, however large it is. A run with an unfinished file stays, too.
 
         Parameters
         ----------
         now_s : float
-            Time of day, in s.
+            Time of day, in s since the epoch.
         """
         found = self._runs()
         total = sum(run.size for run in found)
         for run in found[:-1]:
             if why := self._reason(run, total, now_s):
-                total -= run.size  # also of a run that stays: it makes no other one go
+                # Also after a failed removal: no other run must be removed in its place.
+                total -= run.size
                 if (done := self._removed(run, why)) is not None:
                     yield done
 
@@ -115,10 +116,10 @@ class Retention:
                     elif entry.is_file(follow_symlinks=False):
                         part = (int(name[2] or 0), Path(entry.path), entry.stat())
                         files.setdefault(name[1], []).append(part)
-        except OSError:  # where nothing can be read nothing is removed
+        except OSError:  # nothing can be read, so nothing is removed
             return []
         runs = [_run(parts) for name, parts in files.items() if name not in unfinished]
-        # The name alone does not say it: the files of rig 1-b look like those of rig 1.
+        # The name is not enough: the files of rig 1-b look like those of rig 1.
         own = [run for run in runs if self._rig_of(run) == self.rig]
         return sorted(own, key=lambda run: (run.ended_s, run.files))
 
@@ -128,49 +129,49 @@ class Retention:
             self.breath()
             try:
                 with held(run.files[0], self.owner) as stream:
-                    told = (data for name, data in self._metadata(stream) if name == RUN)
-                    self._rigs[known] = manifest_of(next(told, {})).rig
-            except NotOursError:  # for the moment
+                    manifests = (data for name, data in self._metadata(stream) if name == RUN)
+                    self._rigs[known] = manifest_of(next(manifests, {})).rig
+            except NotOursError:  # it may be free later
                 return ""
-            except _NO_RECORDING:
+            except _READ_ERRORS:
                 self._rigs[known] = ""
         return self._rigs[known]
 
     def _removed(self, run: _Run, why: str) -> Removal | None:
-        """Remove a run; None where somebody has one of its files, or it was reported before."""
+        """Remove a run; return None if a file is in use, or if the failure was reported before."""
         path = run.files[-1]
         if (path, run.ended_s) in self._reported:
             return None
         try:
-            with ExitStack() as stack:  # nobody else recovers or removes one of them
+            with ExitStack() as stack:  # nobody else may recover or remove one of the files
                 streams = [stack.enter_context(held(file, self.owner)) for file in run.files]
                 outcomes = [self._outcome(stream) for stream in streams]
                 if outcomes[-1] == OutcomeCode.CONTINUED:
                     raise DamageError("its last part is missing")
-                # The last part at the end: if a loss of power leaves it, it goes the next time.
+                # The last part goes last: if a loss of power leaves it, the next call removes it.
                 for file in run.files:
                     file.unlink()
         except NotOursError:
             return None
-        except _NO_RECORDING as err:
+        except _READ_ERRORS as err:
             self._reported.add((path, run.ended_s))
-            said = err.strerror if isinstance(err, OSError) else err
-            text = f"{path}: {why}, but stays: it cannot be read to its end, or removed: {said}"
+            reason = err.strerror if isinstance(err, OSError) else err
+            text = f"{path}: {why}, but it stays: it cannot be read completely or removed: {reason}"
             return Removal(False, text)
         parts = f" and the {len(run.files) - 1} parts before it" if len(run.files) > 1 else ""
         return Removal(True, f"{path}{parts}: removed, {run.size / 1e6:.1f} MB: {why}")
 
     def _outcome(self, stream: IO[bytes]) -> str:
-        """Read a whole file; return the code of the outcome in it."""
-        told = dict(self._metadata(stream))
-        if manifest_of(told.get(RUN, {})).rig != self.rig:
-            raise DamageError("a part of it is of another rig")
-        if OUTCOME not in told:
-            raise DamageError("it does not say how its run ended")
-        return outcome_of(told[OUTCOME]).code
+        """Read a whole file; return the code of its outcome."""
+        metadata = dict(self._metadata(stream))
+        if manifest_of(metadata.get(RUN, {})).rig != self.rig:
+            raise DamageError("a part of it belongs to another rig")
+        if OUTCOME not in metadata:
+            raise DamageError("it contains no outcome of its run")
+        return outcome_of(metadata[OUTCOME]).code
 
     def _metadata(self, stream: IO[bytes]) -> Iterator[tuple[str, dict[str, str]]]:
-        """Give each metadata record of a file while it is read; DamageError where it breaks."""
+        """Yield the name and the content of each metadata record; raise DamageError at damage."""
         source = ByteSource(stream, os.fstat(stream.fileno()).st_size)
         if source.read(len(MAGIC)) != MAGIC:
             raise DamageError("not an MCAP file")

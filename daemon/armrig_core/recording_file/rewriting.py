@@ -1,7 +1,7 @@
-"""A recording written once more, in chunks of a size that readers like.
+"""Rewriting of a recording in chunks of a size that suits readers.
 
-While a run goes on a chunk ends at each flush, ten times a second: small, but safe. What is kept
-has chunks of 1 MiB.
+During a run, each flush ends a chunk, ten times a second: the chunks are small, but safe. The
+finished recording has chunks of 1 MiB.
 """
 
 from __future__ import annotations
@@ -28,34 +28,34 @@ from armrig_core.recording_file.file_records import (
     UNREADABLE,
     Record,
     Wanted,
+    check_attachment,
     file_records,
-    spoilt,
 )
 from armrig_core.recording_file.opening import byte_source
 
-CHUNK = 1 << 20
+CHUNK_BYTES = 1 << 20
 
 
 class Rewriter:
-    """Writes records to a new file."""
+    """Writer of records to a new file."""
 
     def __init__(self, target: IO[bytes], size: int) -> None:
-        """Write to `target` what a file of `size` B holds."""
+        """Write the records of a file of `size` B to `target`."""
         self.metadata: dict[str, dict[str, str]] = {}
         """Metadata records written so far, by name."""
         self.topics: dict[int, str] = {}
         """Topic of each channel of the source."""
         self.left_out: list[str] = []
-        """Attachments that were spoilt, and are not written."""
+        """Messages about damaged attachments, which are not written."""
         self._writer = Writer(
-            target, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
+            target, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         self._chunks = Unpacker(Budget(size))
         self._schemas = {0: 0}
         self._channels: dict[int, int] = {}
 
     def add(self, record: Record) -> Iterator[tuple[int, bytes]]:
-        """Write a record of a file; give channel and payload of each message in it."""
+        """Write a record of a file; yield channel and payload of each message in it."""
         if record.opcode != Opcode.CHUNK:
             yield from self._add(record.opcode, record.body)
             return
@@ -83,7 +83,7 @@ class Rewriter:
                 channel, sequence, log_ns, publish_ns = MESSAGE_HEAD.unpack_from(body)
                 data = body[MESSAGE_HEAD.size :]
                 if channel not in self._channels:
-                    return  # of a channel that there is not: no reader knows what it says
+                    return  # an unknown channel: no reader can decode the message
                 writer.add_message(self._channels[channel], log_ns, data, publish_ns, sequence)
                 yield channel, data
             case Opcode.HEADER:
@@ -102,13 +102,13 @@ class Rewriter:
             case Opcode.ATTACHMENT:
                 self._add_attachment(body)
             case _:
-                pass  # indexes, which the new file has of its own
+                pass  # indexes; the new file gets its own
 
     def _add_channel(self, channel: Channel) -> None:
         if channel.id in self._channels:
             return
         if channel.schema_id not in self._schemas:
-            return  # no reader knows what its messages say
+            return  # no reader can decode its messages
         self.topics[channel.id] = channel.topic
         self._channels[channel.id] = self._writer.register_channel(
             channel.topic,
@@ -118,27 +118,29 @@ class Rewriter:
         )
 
     def _add_attachment(self, body: bytes) -> None:
-        if why := spoilt(body):
-            self.left_out.append(why)
+        try:
+            check_attachment(body)
+        except DamageError as damage:
+            self.left_out.append(str(damage))
             return
         a = Attachment.read(_stream(body))
         self._writer.add_attachment(a.create_time, a.log_time, a.name, a.media_type, a.data)
 
 
 def compact(source: Path, target: Path) -> None:
-    """Write all that `source`, a complete recording, holds to `target`, and have it on the disk.
+    """Write all records of `source`, a complete recording, to `target`, and sync it to the disk.
 
     Raises
     ------
     OSError
-        There is no room, or `target` is there already.
+        The disk is full, or `target` exists already.
     DamageError
-        `source` is not whole.
+        `source` is damaged.
     """
     with byte_source(source) as read, target.open("xb") as written:
         if read is None:
             raise DamageError("not an MCAP file")
-        lock(written)  # ours while we write
+        lock(written)
         rewriter = Rewriter(written, read.at + read.left)
         try:
             for record in all_records(read):
@@ -154,12 +156,12 @@ def compact(source: Path, target: Path) -> None:
 
 
 def all_records(source: ByteSource) -> Iterator[Record]:
-    """Give the records of a file, the longest attachment included."""
+    """Yield the records of a file, including attachments of any length."""
     return file_records(source, Wanted(attachment=source.at + source.left), lambda _: None)
 
 
 def sync_directory(directory: Path) -> None:
-    """Have the names in `directory` on the disk, where the system can be asked for that."""
+    """Sync the names in `directory` to the disk, if the system can do it."""
     if sys.platform == "win32":  # it opens no directory
         return
     fd = os.open(directory, os.O_RDONLY)

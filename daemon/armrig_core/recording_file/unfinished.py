@@ -1,4 +1,4 @@
-"""Files with the name of an unfinished recording: found, and held while they are recovered."""
+"""Files with the name of an unfinished recording: search, and exclusive access for recovery."""
 
 from __future__ import annotations
 
@@ -16,29 +16,32 @@ from armrig_core.recording_file.part_names import ACTIVE, COPY
 
 
 class RecoveryError(ArmrigError):
-    """A file cannot be recovered and stays as it is; says which, why, and what to do."""
+    """A file cannot be recovered and stays as it is; the message gives file, reason and advice."""
 
 
 class NotOursError(RecoveryError):
-    """A file is somebody else's concern: its daemon writes it, or it is another rig's."""
+    """A file is in use by its daemon, or belongs to another rig."""
 
 
 def unfinished(folder: Path, rig: str = "") -> list[Path]:
-    """Return what has the name of an unfinished recording in a folder, in its order.
+    """Return the files in a folder with the name of an unfinished recording, sorted.
 
     Parameters
     ----------
     rig : str
-        Whose; "" for any. The files of rig 1-b look like those of rig 1.
+        Id of the rig; "" for any rig. For rig 1, the result also contains the files of rig 1-b.
     """
     try:
         return sorted(folder.glob(f"{rig}-*.mcap{ACTIVE}" if rig else f"*.mcap{ACTIVE}"))
-    except OSError:  # where nothing can be read nothing is found
+    except OSError:  # nothing can be read, so nothing is found
         return []
 
 
 def remove_copies(folder: Path, rig: str, owner: int) -> list[Path]:
-    """Remove copies that somebody died over, and return them: what they are of is there, whole."""
+    """Remove the incomplete copies of processes that died; return their paths.
+
+    The original of each copy is complete and stays.
+    """
     removed = []
     for path in sorted(folder.glob(f"{rig}-*.mcap{COPY}")):
         with suppress(OSError, RecoveryError), held(path, owner):
@@ -49,9 +52,9 @@ def remove_copies(folder: Path, rig: str, owner: int) -> list[Path]:
 
 @contextmanager
 def held(path: Path, owner: int | None) -> Iterator[IO[bytes]]:
-    """Give a file that nobody writes, locked while we have it."""
+    """Yield a file that no process writes, locked during the block."""
     try:
-        # Seen before it is opened: opening a device may do something, and a link leads elsewhere.
+        # Checked before it is opened: opening a device may have an effect; a link leads elsewhere.
         before = path.lstat()
         _check_regular(path, before, owner)
         with open(path, "rb", opener=no_link) as stream:
@@ -60,10 +63,10 @@ def held(path: Path, owner: int | None) -> Iterator[IO[bytes]]:
             try:
                 lock(stream)
             except BlockingIOError as err:
-                raise NotOursError(f"{path}: is being written; wait for its end") from err
-            # Its daemon may have given it its name just before we had the lock.
+                raise NotOursError(f"{path}: the file is being written; wait for its end") from err
+            # The daemon may have renamed the file just before this process got the lock.
             if not os.path.samestat(path.lstat(), found):
-                raise NotOursError(f"{path}: another file has that name by now; try again")
+                raise NotOursError(f"{path}: the name now belongs to another file; try again")
             yield stream
     except FileNotFoundError as err:
         raise NotOursError(f"{path}: there is no such file") from err
@@ -71,6 +74,6 @@ def held(path: Path, owner: int | None) -> Iterator[IO[bytes]]:
 
 def _check_regular(path: Path, found: os.stat_result, owner: int | None) -> None:
     if not stat.S_ISREG(found.st_mode):
-        raise RecoveryError(f"{path}: not a regular file; passed over")
+        raise RecoveryError(f"{path}: not a regular file; it is skipped")
     if owner is not None and found.st_uid != owner:
-        raise RecoveryError(f"{path}: another user's file; passed over")
+        raise RecoveryError(f"{path}: another user's file; it is skipped")

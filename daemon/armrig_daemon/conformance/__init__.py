@@ -1,1 +1,1 @@
-"""Whether a device does what PROTOCOL.md says: its rules as a list, tried over a line."""
+"""Tests of a device against PROTOCOL.md: the suite tests a list of rules over a line."""

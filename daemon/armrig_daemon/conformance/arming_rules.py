@@ -1,4 +1,4 @@
-"""Section 3: who may arm and start, and what leads out of FAULT and ESTOP."""
+"""Rules of section 3: conditions of ARM and START, and the ways out of FAULT and ESTOP."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from armrig_daemon.conformance.rule import codes, expect, rule
 from armrig_daemon.conformance.state_rules import STATES
 
 
-@rule(3, "ARM carries boot_id, config_crc and nonce of now: else WRONG_BOOT, _CONFIG, _NONCE")
+@rule(3, "ARM needs the current boot_id, config_crc and nonce: else WRONG_BOOT, _CONFIG, _NONCE")
 def _arm(host: Host) -> None:
     host.reach(State.READY)
     boot_id, crc, nonce = host.known.boot_id, host.config_crc, host.nonce
@@ -33,10 +33,10 @@ def _arm(host: Host) -> None:
     ):
         came = host.ask(Arm, **fields)
         expect(codes(came) == [code] and len(came) == 1, came)
-        expect(host.state == State.READY, f"state {host.state} behind a wrong ARM")
+        expect(host.state == State.READY, f"state {host.state} after a wrong ARM")
 
 
-@rule(3, "START carries the nonce of the configuration, and in exchange mode k_stop 0")
+@rule(3, "START needs the nonce of the configuration, and in exchange mode k_stop 0")
 def _start(host: Host) -> None:
     host.reach(State.ARMED)
     for fields, code in (
@@ -47,7 +47,7 @@ def _start(host: Host) -> None:
         expect(codes(came) == [code] and host.state == State.ARMED, came)
 
 
-@rule(3, "The bytes of an arming do not arm again: each CONFIG has a nonce of its own")
+@rule(3, "The bytes of an earlier ARM do not arm again: each CONFIG has its own nonce")
 def _old_arming(host: Host) -> None:
     host.reach(State.ARMED)
     old = host.nonce
@@ -60,7 +60,7 @@ def _old_arming(host: Host) -> None:
     expect(codes(came) == [Code.WRONG_NONCE] and host.state == State.ARMED, came)
 
 
-@rule(3, "ESTOP leads from any state to ESTOP, with a token, not 0, in EVENT and HELLO_R")
+@rule(3, "ESTOP leads from any state to ESTOP, with a token other than 0 in EVENT and HELLO_R")
 def _estop(host: Host) -> None:
     for state in STATES[:-1]:
         host.to_idle()
@@ -70,7 +70,7 @@ def _estop(host: Host) -> None:
         expect(
             (event.was, event.state, event.cause) == (state, State.ESTOP, Cause.REQUEST), [event]
         )
-        expect(event.token not in (0, before), f"token {event.token} behind {before}")
+        expect(event.token not in (0, before), f"token {event.token} after {before}")
         expect(host.hello().token == event.token, f"token {host.known.token} in HELLO_R")
 
 
@@ -82,7 +82,7 @@ def _estop_again(host: Host) -> None:
     expect(host.hello().token == token, "another token")
 
 
-@rule(3, "Only CLEAR_FAULT with the token leaves FAULT and ESTOP, to IDLE; another is WRONG_TOKEN")
+@rule(3, "Only CLEAR_FAULT with the token leads from FAULT and ESTOP to IDLE; else WRONG_TOKEN")
 def _clear(host: Host) -> None:
     for state in (State.FAULT, State.ESTOP):
         host.to_idle()

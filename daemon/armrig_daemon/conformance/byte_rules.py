@@ -1,4 +1,4 @@
-"""Section 1: bytes, and what is dropped."""
+"""Rules of section 1: bytes, and dropped frames."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ UNKNOWN_TYPE = 0x7E
 
 
 def framed(text: bytes, *, wrong: int = 0) -> bytes:
-    """Return a frame of any text; `wrong` spoils its CRC."""
+    """Return a frame with any contents; the bits of `wrong` are inverted in its CRC."""
     return cobs.stuff(text + (crc32(text) ^ wrong).to_bytes(4, "little")) + b"\0"
 
 
@@ -25,7 +25,7 @@ def header(number: int, seq: int) -> bytes:
 
 
 def spoilt_frames(host: Host) -> list[bytes]:
-    """Return some that are dropped: each byte of the CRC wrong, lengths, what does not unstuff."""
+    """Return frames that a device must drop: wrong CRCs, wrong lengths, wrong stuffing."""
     keepalive = header(TYPES[Keepalive], host.seq + 1)
     sound = frame.encode(Ping(0, (host.seq + 1) & 0xFFFF, 7))
     return [
@@ -49,14 +49,14 @@ def _spoilt(host: Host) -> None:
         expect(not came, came)
 
 
-@rule(1, "A piece longer than any frame is dropped, and the frame behind it is not")
+@rule(1, "A piece longer than any frame is dropped, and the next frame is not")
 def _too_long(host: Host) -> None:
     host.write(bytes(range(1, 256)) + b"\0")
     came = host.fence()
     expect(not came, came)
 
 
-@rule(1, "Empty frames mean nothing, and are not counted", silent=True)
+@rule(1, "Empty frames are ignored, and not counted", silent=True)
 def _empty(host: Host) -> None:
     before = next_status(host)
     host.write(bytes(40))
@@ -66,7 +66,7 @@ def _empty(host: Host) -> None:
     expect(more == 0, f"{more} counted as spoilt")
 
 
-@rule(1, "A frame may come in any pieces")
+@rule(1, "A frame may arrive in any pieces")
 def _cut(host: Host) -> None:
     host.seq = (host.seq + 1) & 0xFFFF
     came: list[Message] = []
@@ -78,7 +78,7 @@ def _cut(host: Host) -> None:
     expect(len(answered) == len(came) == 1, came)
 
 
-@rule(1, "A lost 00 costs two frames, and not the third")
+@rule(1, "A lost 00 costs two frames, but not the third")
 def _lost_end(host: Host) -> None:
     first = frame.encode(Ping(0, (host.seq + 1) & 0xFFFF, 1))
     second = frame.encode(Ping(0, (host.seq + 2) & 0xFFFF, 2))
@@ -87,7 +87,7 @@ def _lost_end(host: Host) -> None:
     expect(not came, came)
 
 
-@rule(1, "STATUS counts what was received, spoilt and without effect", silent=True)
+@rule(1, "STATUS counts received, spoilt and refused frames", silent=True)
 def _counted(host: Host) -> None:
     before = next_status(host)
     spoilt = spoilt_frames(host)
@@ -101,13 +101,13 @@ def _counted(host: Host) -> None:
     expect(grew == (2, len(spoilt), 1), f"frames, spoilt, refused grew by {grew}")
 
 
-@rule(1, "The device's frames are sound, and their seq counts them")
+@rule(1, "The device's frames are valid, and their seq counts them")
 def _sender(host: Host) -> None:
     expect(host.spoilt == 0, f"{host.spoilt} of the device's frames were spoilt")
     expect(host.breaks == 0, f"{host.breaks} breaks in the device's seq")
 
 
-@rule(1, "Each type has one length: HELLO without its last byte is none")
+@rule(1, "Each type has one length: HELLO without its last byte is dropped")
 def _stale_hello_length(host: Host) -> None:
     host.write(framed(header(TYPES[Hello], host.seq + 1) + bytes(5)))
     came = host.fence()
@@ -115,7 +115,7 @@ def _stale_hello_length(host: Host) -> None:
 
 
 def next_status(host: Host) -> Status:
-    """Return the next STATUS, which comes once a second; the host keeps still."""
+    """Return the next STATUS, which the device sends once a second; the host stays silent."""
     host.status = None
     for _ in range(_STATUS_MS // 20):
         host.listen(20)
@@ -135,4 +135,4 @@ RULES = (
     _counted,
 )
 LAST = (_sender,)
-"""Over all frames of a session, and so tried at its end."""
+"""Rules about all frames of a session, tested at its end."""

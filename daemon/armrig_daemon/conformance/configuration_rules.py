@@ -1,4 +1,4 @@
-"""Section 4: configuration; and what HELLO_R says."""
+"""Rules of section 4: configuration; and the rule of HELLO_R."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from armrig_daemon.conformance.rule import NotTried, expect, rule
 
 
 def ts_min_us(host: Host, m: int) -> int:
-    """Return the shortest Ts with oversampling m."""
+    """Return the shortest Ts with oversampling m, in µs."""
     return host.known.ts_min_us + 2 * (m - 1) * host.known.skew_us
 
 
-@rule(3, "HELLO_R says who is there: version, schema, full scale, and figures that can be")
+@rule(3, "HELLO_R identifies the device: version, schema, full scale, and possible values")
 def _hello(host: Host) -> None:
     it = host.known
     expect(
@@ -38,7 +38,7 @@ def _hello(host: Host) -> None:
     expect(it.boot_id != 0, "boot_id 0")
     expect(bool(it.capabilities & Capability.EXCHANGE), f"capabilities {it.capabilities:x}")
     expect(0 < it.hold_us < it.skew_us, f"hold_us {it.hold_us}, skew_us {it.skew_us}")
-    # Each was rounded up by itself.
+    # Both values are rounded up.
     expect(it.ts_min_us >= 2 * it.skew_us - 2, f"ts_min_us {it.ts_min_us}, skew_us {it.skew_us}")
     expect(8 <= it.adc_bits <= 16 and 1 <= it.pwm_bits <= 16, f"{it.adc_bits}, {it.pwm_bits} bits")
     if it.capabilities & Capability.SCHEDULED:
@@ -46,7 +46,7 @@ def _hello(host: Host) -> None:
         expect(fits, f"a queue of {it.queue}")
 
 
-@rule(4, "CONFIG_R carries what was accepted, and the CRC-32 of it")
+@rule(4, "CONFIG_R contains the accepted values, and their CRC-32")
 def _accepted(host: Host) -> None:
     given = {
         **CONFIG,
@@ -61,13 +61,16 @@ def _accepted(host: Host) -> None:
         "turns": 555,
     }
     reply = host.configure(**given)
-    told = {name: getattr(reply, name) for name in given}
-    expect(reply.code == Code.OK and told == given, f"{told}")
+    accepted = {name: getattr(reply, name) for name in given}
+    expect(reply.code == Code.OK and accepted == given, f"{accepted}")
     crc = config_crc(Config(0, 0, **given))
     expect(reply.config_crc == crc, f"config_crc {reply.config_crc:08x}, not {crc:08x}")
 
 
-@rule(4, "What cannot be is BAD_VALUE as a whole, and what was in force stays")
+@rule(
+    4,
+    "A CONFIG with a wrong value is BAD_VALUE as a whole, and the last valid CONFIG stays in force",
+)
 def _refused(host: Host) -> None:
     shortest = host.known.ts_min_us
     in_force = host.configure(u_max=12_345)
@@ -92,7 +95,7 @@ def _refused(host: Host) -> None:
 
 
 @rule(
-    4, "What just can be is accepted: the shortest Ts, both ends of the watchdog, no range at all"
+    4, "Limits are accepted: the shortest Ts, both ends of the watchdog, an empty range of voltage"
 )
 def _limits(host: Host) -> None:
     good: tuple[dict[str, int], ...] = (
@@ -107,23 +110,23 @@ def _limits(host: Host) -> None:
         expect(reply.code == Code.OK, f"{fields}: {Code(reply.code).name}")
 
 
-@rule(4, "u_rest other than 0 is for a device with an enable line, else BAD_VALUE")
+@rule(4, "u_rest other than 0 needs an enable line, else BAD_VALUE")
 def _rest(host: Host) -> None:
     reply = host.configure(u_rest=100)
     has_line = host.known.capabilities & Capability.ENABLE_LINE
     expect(reply.code == (Code.OK if has_line else Code.BAD_VALUE), [reply])
 
 
-@rule(4, "Each CONFIG accepted draws a nonce: not 0, not one of before, also for the same again")
+@rule(4, "Each accepted CONFIG has a new nonce, not 0, even if its values are the same")
 def _nonce(host: Host) -> None:
     seen: set[int] = set()
     for _ in range(5):
         for _ in range(2):
             nonce = host.configure().nonce
-            expect(nonce != 0 and nonce not in seen, f"nonce {nonce} behind {sorted(seen)}")
+            expect(nonce != 0 and nonce not in seen, f"nonce {nonce} after {sorted(seen)}")
             seen.add(nonce)
             refused = host.configure(oversampling=0)
-            expect(refused.nonce == nonce, f"nonce {refused.nonce} behind a refusal")
+            expect(refused.nonce == nonce, f"nonce {refused.nonce} after a refusal")
         host.ask(Stop)
     expect(host.configure(oversampling=0).nonce == 0, "a nonce in IDLE")
 
@@ -144,7 +147,7 @@ def _unsupported(host: Host) -> None:
         raise NotTried("the device offers no oversampling")
 
 
-@rule(4, "Scheduled mode is accepted where it is offered, else UNSUPPORTED")
+@rule(4, "Scheduled mode is accepted if it is offered, else UNSUPPORTED")
 def _mode(host: Host) -> None:
     reply = host.configure(mode=Mode.SCHEDULED)
     offered = host.known.capabilities & Capability.SCHEDULED

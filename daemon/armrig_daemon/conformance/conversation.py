@@ -1,7 +1,7 @@
-"""Frames to a device and from it, one after the other, and the waiting for an answer.
+"""Exchange of frames with a device, and the waiting for answers.
 
-A device answers in order. So all that a request brings has come when the PONG of a PING behind it
-has: nothing here is judged by the host's clock, which only says when to give up.
+A device answers in order. All answers to a request have therefore arrived before the PONG of a
+later PING. No rule is judged by the host's clock; it only limits the waits.
 """
 
 from __future__ import annotations
@@ -26,41 +26,41 @@ from armrig_protocol.messages import (
 from armrig_daemon.conformance.line import Line
 
 PATIENCE_MS = 2_000
-"""What an answer may take by the host's clock; no device takes a hundredth of it."""
+"""Longest wait for an answer, in ms of the host's clock; devices answer in less than 20 ms."""
 M = TypeVar("M", bound=Message)
 
 
-class Broken(Exception):  # noqa: N818 - it is the device's error
-    """The device does otherwise; says what came."""
+class Broken(Exception):  # noqa: N818 - the device's error
+    """The device breaks a rule; the message describes the behaviour of the device."""
 
 
 class EndlessError(Exception):
-    """The device sends more, or takes longer, than the whole suite needs; says which."""
+    """The device sends more data or takes longer than the limit of the whole suite."""
 
 
 class Conversation:
-    """What was sent, and what was heard."""
+    """Frames sent to a device and received from it."""
 
     def __init__(self, line: Line) -> None:
-        """Begin with seq 0; nothing is sent."""
+        """Set the next seq to 0; send nothing."""
         self.line = line
         self.seq = 0
         self.facts: HelloReply | None = None
-        """What the device said of itself last."""
+        """Last HELLO_R of the device."""
         self.pong: Pong | None = None
         """Answer to the last PING."""
         self.status: Status | None = None
-        """The last one."""
+        """Last STATUS of the device."""
         self.state = 0
-        """As the last frame of the device says."""
+        """State in the last frame of the device."""
         self.silence_ms = 0.0
-        """Longest time between two frames of ours."""
+        """Longest time between two frames of the host."""
         self.spoilt = 0
-        """Pieces of the device that were no frame."""
+        """Number of pieces from the device that are not frames."""
         self.breaks = 0
-        """Frames of the device whose seq was not the last one's plus one."""
+        """Number of frames from the device whose seq is not the last seq plus one."""
         self.nonce = self.config_crc = 0
-        """Of the last CONFIG_R."""
+        """Values of the last CONFIG_R."""
         self._device_seq: int | None = None
         self._sent_ns = line.now_ns()
         self._pending = b""
@@ -71,9 +71,9 @@ class Conversation:
         self._limits = inf, inf
 
     def limit(self, ms: float = inf, received: float = inf) -> None:
-        """End reading by `EndlessError` after `ms` of the line's clock or so many bytes from now.
+        """Let reads raise `EndlessError` after `ms` of the line's clock, or after `received` B.
 
-        Every wait is bounded by itself, but not how many waits a device can cause.
+        Each wait has its own limit, but a device can cause any number of waits.
         """
         self._limits = self.line.now_ns() + ms * 1e6, self._received + received
 
@@ -84,19 +84,19 @@ class Conversation:
         self.line.send(data)
 
     def note_silence(self) -> None:
-        """Take note of how long nothing was sent until now."""
+        """Note the time since the last frame of the host."""
         silence_ms = (self.line.now_ns() - self._sent_ns) / 1e6
         self.silence_ms = max(self.silence_ms, silence_ms)
 
     def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
-        """Send a frame and return its seq; the next one goes on from there."""
+        """Send a frame and return its seq; the next frame continues from it."""
         self.seq = (self.seq + 1) & 0xFFFF if seq is None else seq
-        message: Any = kind  # each has fields of its own
+        message: Any = kind  # each type has its own fields
         self.write(frame.encode(message(0, self.seq, **fields)))
         return self.seq
 
     def put_together(self, messages: Sequence[Message]) -> None:
-        """Send several frames as one piece; each gets its seq here."""
+        """Send several frames as one piece, each with its seq."""
         data = b""
         for message in messages:
             self.seq = (self.seq + 1) & 0xFFFF
@@ -104,7 +104,7 @@ class Conversation:
         self.write(data)
 
     def listen(self, ms: float) -> list[Message]:
-        """Return what comes within `ms`, but for STATUS."""
+        """Return the messages within `ms`, except STATUS."""
         end_ns = self.line.now_ns() + round(ms * 1e6)
         while (left_ms := (end_ns - self.line.now_ns()) / 1e6) > 0:
             self._read(left_ms)
@@ -113,12 +113,12 @@ class Conversation:
     def until(
         self, found: Callable[[Message], bool], what: str, within_ms: float = PATIENCE_MS
     ) -> list[Message]:
-        """Return what comes until one is `found`, that one the last, but for STATUS.
+        """Return the messages, except STATUS, up to the first for which `found` is true.
 
         Raises
         ------
         Broken
-            It does not come.
+            No message arrives for which `found` is true.
         """
         end_ns = self.line.now_ns() + round(within_ms * 1e6)
         looked = 0
@@ -131,11 +131,11 @@ class Conversation:
             left_ms = (end_ns - self.line.now_ns()) / 1e6
             if left_ms <= 0:
                 names = ", ".join(type(m).__name__ for m in self._taken()[-5:])
-                raise Broken(f"no {what}; what came: {names or 'nothing'}")
+                raise Broken(f"no {what}; received: {names or 'nothing'}")
             self._read(left_ms)
 
     def fence(self) -> list[Message]:
-        """Return what came before the answer to a PING that is sent now."""
+        """Send a PING and return the messages before its PONG."""
         self._pings += 1
         self.put(Ping, host_ns=self._pings)
         came = self.until(
@@ -144,7 +144,7 @@ class Conversation:
         return came[:-1]
 
     def ask(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> list[Message]:
-        """Send a frame and return all that answers it; not for what takes conversions."""
+        """Send a frame and return its answers; not for frames that request conversions."""
         self.put(kind, seq=seq, **fields)
         return self.fence()
 
@@ -155,10 +155,10 @@ class Conversation:
     def _read(self, within_ms: float) -> None:
         end_ns, most = self._limits
         if self.line.now_ns() > end_ns:
-            raise EndlessError("the device has taken longer than the whole suite may")
+            raise EndlessError("the device took longer than the whole suite may take")
         if self._received > most:
             raise EndlessError(
-                "the device has sent more than the whole suite may take: it floods the line"
+                "the device sent more than the whole suite allows: it floods the line"
             )
         data = self.line.receive(within_ms)
         self._received += len(data)
@@ -184,21 +184,21 @@ class Conversation:
             self._heard.append(item)
 
     def reopen(self, after_ms: float = 0) -> None:
-        """Close the port, and open it again; what was under way is lost, no fault of a device."""
+        """Close and reopen the port; frames lost on the line are not counted as errors."""
         self.line.reopen(after_ms)
         self._pending, self._device_seq, self._fresh = b"", None, True
         self._heard.clear()
 
 
 def only(kind: type[M], came: list[Message]) -> M:
-    """Return the one message of this kind.
+    """Return the only message of this kind.
 
     Raises
     ------
     Broken
-        There is none, or more than one.
+        There is no message of this kind, or more than one message.
     """
     found = [m for m in came if isinstance(m, kind)]
     if len(found) != 1:
-        raise Broken(f"{len(found)} of {kind.__name__} among {len(came)} frames, not one")
+        raise Broken(f"{len(found)} {kind.__name__} among {len(came)} frames instead of one")
     return found[0]

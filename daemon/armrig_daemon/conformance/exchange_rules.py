@@ -1,4 +1,4 @@
-"""Section 5: exchange mode."""
+"""Rules of section 5: exchange mode."""
 
 from __future__ import annotations
 
@@ -22,31 +22,30 @@ from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import expect, kinds, rule, shown
 
 _U32 = 0xFFFF_FFFF
-_LONG_MS = 30
-"""Longer than any sample that might come though none should."""
+_SAMPLE_LIMIT_MS = 30
+"""Time, longer than any sample takes, in which an unexpected sample would arrive."""
 _ROUNDED_US = 3
-_EARLY_MS, _LATE_MS = 0.1, 1.0
-"""How early and how late the watchdog may be, by the device's clock."""
-_MANY = 32
+_MAX_EARLY_MS, _MAX_LATE_MS = 0.1, 1.0
+"""Tolerance of the watchdog's time, measured by the device's clock."""
 
 
 def elapsed(from_us: int, to_us: int) -> int:
-    """Return the device time from one stamp to another, negative where it went back, in µs."""
+    """Return the device time between two stamps, in µs; negative if time went backwards."""
     return (to_us - from_us + (1 << 31)) % (1 << 32) - (1 << 31)
 
 
 def expect_watchdog(event: Event, fed_us: int, watchdog_ms: int) -> None:
-    """Expect FAULT(WATCHDOG) at its time behind the last frame that fed it."""
+    """Expect FAULT(WATCHDOG) at the watchdog's time after the last frame that fed the watchdog."""
     expect((event.state, event.cause) == (State.FAULT, Cause.WATCHDOG), [event])
     ms = elapsed(fed_us, event.t_us) / 1000
-    is_in_time = watchdog_ms - _EARLY_MS <= ms <= watchdog_ms + _LATE_MS
-    expect(is_in_time, f"{ms:.2f} ms behind the last frame, not {watchdog_ms}")
+    is_in_time = watchdog_ms - _MAX_EARLY_MS <= ms <= watchdog_ms + _MAX_LATE_MS
+    expect(is_in_time, f"{ms:.2f} ms after the last frame, not {watchdog_ms}")
 
 
 def trigger(host: Host, m: int) -> tuple[int, int]:
-    """Return when the first conversion was triggered, and a PING behind the EXCHANGE had come.
+    """Return the times of the first conversion's trigger and of a PING after the EXCHANGE, in µs.
 
-    Both from when a PING before it had come; the three go out as one piece.
+    Both times are relative to a PING before the EXCHANGE. The three frames are sent as one piece.
     """
     host.k = k = host.sample().k + 1
     first, exchange, last = Ping(0, 0, 1 << 62), Exchange(0, 0, k, 0), Ping(0, 0, (1 << 62) + 1)
@@ -61,16 +60,15 @@ def trigger(host: Host, m: int) -> tuple[int, int]:
     return elapsed(before, t_us), elapsed(before, rx_us[last.host_ns])
 
 
-@rule(5, "t_us is theta_1's trigger, `skew_us` behind alpha's, which follows the EXCHANGE")
+@rule(5, "t_us is theta_1's trigger, `skew_us` after alpha's, which follows the EXCHANGE")
 def _time(host: Host) -> None:
     for _ in range(10):
         at, end = trigger(host, 1)
-        expect(
-            -_ROUNDED_US <= at <= end + _ROUNDED_US, f"alpha {at} us behind a PING, {end} the next"
-        )
+        in_time = -_ROUNDED_US <= at <= end + _ROUNDED_US
+        expect(in_time, f"alpha {at} us after a PING, the next PING at {end} us")
 
 
-@rule(5, "k is newer than the last k, or the frame is ACK(STALE); behind a HELLO it may be any")
+@rule(5, "k must be newer than the last k, else ACK(STALE); after a HELLO it may be any")
 def _k(host: Host) -> None:
     host.sample(k=100)
     for k in (100, 99, 100 + 2**31):
@@ -83,20 +81,20 @@ def _k(host: Host) -> None:
     host.sample(k=1)
 
 
-@rule(5, "u_k is the code that the duty stands for, u_km1 the one before, u_seq the frame's seq")
+@rule(5, "u_k is the code of the applied duty, u_km1 the code before, u_seq the frame's seq")
 def _latched(host: Host) -> None:
     host.reach(State.RUN)
     before = 0
     for u in (0, 1, 31, 32, 33, 12_345, 32_767, 32_768, 65_503, 65_534, 65_535, 100, 0):
         sample = host.sample(u)
         code = applied_code(u, host.known.pwm_bits)
-        told = (sample.u_k, sample.u_km1, sample.u_seq)
-        expect(told == (code, before, host.seq), f"u={u}: u_k, u_km1, u_seq {told}")
+        reported = (sample.u_k, sample.u_km1, sample.u_seq)
+        expect(reported == (code, before, host.seq), f"u={u}: u_k, u_km1, u_seq {reported}")
         before = code
 
 
 @rule(
-    5, "In RUN a u outside [u_min, u_max] is FAULT(RANGE): the EVENT alone answers, with the code"
+    5, "In RUN, a u outside [u_min, u_max] is FAULT(RANGE): the answer is only EVENT, with the code"
 )
 def _range(host: Host) -> None:
     for u in (99, 40_001, 65_535, 0):
@@ -106,7 +104,7 @@ def _range(host: Host) -> None:
         _trips(host, u, Cause.RANGE)
 
 
-@rule(5, "Both ends of the range are inside of it")
+@rule(5, "Both ends of the range [u_min, u_max] are allowed")
 def _bounds(host: Host) -> None:
     host.reach(State.RUN, u_min=100, u_max=40_000, u_rest=_rest(host, 200))
     for u in (40_000, 100):
@@ -114,7 +112,8 @@ def _bounds(host: Host) -> None:
 
 
 @rule(
-    5, "A change of more than `slew` from the last code taken is FAULT(SLEW), of just so much not"
+    5,
+    "A change above `slew` from the last accepted code is FAULT(SLEW), a change of `slew` is not",
 )
 def _slew(host: Host) -> None:
     host.reach(State.RUN, slew=100)
@@ -127,32 +126,32 @@ def _slew(host: Host) -> None:
 
 
 def _trips(host: Host, u: int, cause: Cause) -> None:
-    came = [host.exchange(u), *host.listen(_LONG_MS), *host.fence()]
+    came = [host.exchange(u), *host.listen(_SAMPLE_LIMIT_MS), *host.fence()]
     expect(kinds(came) == [Event], came)
     event = only(Event, came)
-    told = (event.was, event.state, event.cause, event.detail)
-    expect(told == (State.RUN, State.FAULT, cause, u), f"{told}")
+    reported = (event.was, event.state, event.cause, event.detail)
+    expect(reported == (State.RUN, State.FAULT, cause, u), f"{reported}")
     sample = host.sample(0)
     expect((sample.u_k, sample.state) == (0, State.FAULT), [sample])
 
 
-@rule(5, "Outside RUN u is not looked at")
+@rule(5, "Outside RUN, u is ignored")
 def _unlooked(host: Host) -> None:
     host.reach(State.ARMED, u_max=100, slew=1)
     for u in (65_535, 0):
         expect(host.sample(u).state == State.ARMED, f"state {host.state}")
 
 
-@rule(5, "Within a boot t_us never goes backwards")
+@rule(5, "Within a boot, t_us never goes backwards")
 def _order(host: Host) -> None:
     last = host.sample().t_us
     for _ in range(50):
         t_us = host.sample().t_us
-        expect(elapsed(last, t_us) > 0, f"{t_us} behind {last}")
+        expect(elapsed(last, t_us) > 0, f"{t_us} after {last}")
         last = t_us
 
 
-@rule(5, "A spoilt frame is told once, by CRC_ERR in the next SAMPLE")
+@rule(5, "A spoilt frame is reported once, by CRC_ERR in the next SAMPLE")
 def _crc_flag(host: Host) -> None:
     host.sample()
     host.write(b"\x03\x01\x02\0")

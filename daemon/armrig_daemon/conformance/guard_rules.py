@@ -1,4 +1,4 @@
-"""Section 7: what a device guards by itself."""
+"""Rules of section 7: the guards of a device."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from armrig_daemon.conformance.host import BOOT_MS, Host
 from armrig_daemon.conformance.rule import NotTried, expect, rule
 
 _RAIL_CODES = 64
-_LOW_MV = 4_000
+_SUPPLY_LOW_MV = 4_000
 
 
 def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") -> list[Message]:
-    """Wait for FAULT(WATCHDOG) at its time; return what came before it."""
+    """Wait for FAULT(WATCHDOG) and check its time; return the messages up to it."""
     came: list[Message] = []
     for _ in range(40 + watchdog_ms // 2):
         if meanwhile:
@@ -42,17 +42,17 @@ def _bites(host: Host, watchdog_ms: int, fed_us: int, meanwhile: bytes = b"") ->
         if any(isinstance(m, Event) for m in came):
             break
     else:
-        raise Broken(f"no FAULT(WATCHDOG) in the silence of {watchdog_ms} ms and more")
+        raise Broken(f"no FAULT(WATCHDOG) after a silence of more than {watchdog_ms} ms")
     expect_watchdog(only(Event, came), fed_us, watchdog_ms)
     sample = host.sample(0)
-    told = bool(sample.flags & Flag.WATCHDOG)
-    expect(sample.u_k == 0 and told, [sample])
+    is_flagged = bool(sample.flags & Flag.WATCHDOG)
+    expect(sample.u_k == 0 and is_flagged, [sample])
     return came
 
 
 @rule(
     7,
-    "In ARMED and RUN a host's silence of `watchdog_ms` is FAULT(WATCHDOG), at most 1 ms later",
+    "In ARMED and RUN, a silence of the host of `watchdog_ms` is FAULT(WATCHDOG) within 1 ms",
     silent=True,
 )
 def _watchdog(host: Host) -> None:
@@ -63,7 +63,7 @@ def _watchdog(host: Host) -> None:
             _bites(host, watchdog_ms, host.rx_us)
 
 
-@rule(7, "No HELLO, no spoilt, no stale and no unknown frame feeds the watchdog", silent=True)
+@rule(7, "HELLO, spoilt, stale and unknown frames do not feed the watchdog", silent=True)
 def _unfed(host: Host) -> None:
     for what in ("HELLO", "spoilt", "stale", "unknown"):
         host.to_idle()
@@ -83,7 +83,7 @@ def _unfed(host: Host) -> None:
 
 
 def _hellos(host: Host, fed_us: int) -> None:
-    """Ask who is there, again and again, until the watchdog bites."""
+    """Send HELLO repeatedly until the watchdog trips."""
     came: list[Message] = []
     for _ in range(60):
         host.put(Hello, version=VERSION, schema=SCHEMA_HASH)
@@ -94,7 +94,7 @@ def _hellos(host: Host, fed_us: int) -> None:
     expect(any(isinstance(m, HelloReply) for m in came), "no HELLO_R")
 
 
-@rule(7, "KEEPALIVE feeds the watchdog, and so does any other frame taken in")
+@rule(7, "KEEPALIVE and any other accepted frame feeds the watchdog")
 def _fed(host: Host) -> None:
     host.reach(State.RUN, watchdog_ms=250)
     came = host.alive(500)
@@ -104,7 +104,7 @@ def _fed(host: Host) -> None:
         expect(not came and host.state == State.RUN, came)
 
 
-@rule(7, "In IDLE and READY, at 0 V, there is no watchdog", silent=True)
+@rule(7, "In IDLE and READY, at 0 V, the watchdog is off", silent=True)
 def _idle(host: Host) -> None:
     for state in (State.IDLE, State.READY):
         host.to_idle()
@@ -115,7 +115,7 @@ def _idle(host: Host) -> None:
 
 @rule(
     7,
-    "A host that goes away leaves the motor at 0 V, whether opening the port resets or not",
+    "If the host disappears, the motor is at 0 V, whether or not the port resets the device",
     silent=True,
 )
 def _left_alone(host: Host) -> None:
@@ -130,7 +130,7 @@ def _left_alone(host: Host) -> None:
     expect(host.sample(20_000).u_k == 0, "a code that is not 0")
 
 
-@rule(7, "`rail_ticks` samples in a row at a rail are FAULT(ADC_RAIL), behind the last of them")
+@rule(7, "`rail_ticks` consecutive samples at a rail are FAULT(ADC_RAIL), after the last sample")
 def _rails(host: Host) -> None:
     host.reach(State.RUN, rail_ticks=4)
     for tick in range(1, 9):
@@ -146,28 +146,30 @@ def _rails(host: Host) -> None:
         if tripped:
             expect(tripped[0].cause == Cause.ADC_RAIL and sample.state == State.FAULT, came)
             return
-    raise NotTried("no potentiometer is at a rail: turn theta_1 into its dead band, or unplug one")
+    raise NotTried(
+        "no potentiometer is at a rail: turn theta_1 into its dead band, or unplug a potentiometer"
+    )
 
 
-@rule(7, "With `rail_ticks` and `turns` 0 no reading is a fault")
+@rule(7, "With `rail_ticks` and `turns` 0, no reading is a fault")
 def _no_guard(host: Host) -> None:
     host.reach(State.RUN)
     for _ in range(30):
         expect(host.sample(0).state == State.RUN, f"state {host.state}")
 
 
-@rule(7, "With a motor that stands still there is no FAULT(REV_LIMIT), and REV_LIMIT is no flag")
+@rule(7, "If the motor stands still, there is no FAULT(REV_LIMIT), and REV_LIMIT is not set")
 def _still(host: Host) -> None:
     host.reach(State.RUN, turns=50)
     for _ in range(30):
         sample = host.sample(0)
-        told = sample.flags & Flag.REV_LIMIT
-        expect(sample.state == State.RUN and not told, [sample])
+        is_flagged = sample.flags & Flag.REV_LIMIT
+        expect(sample.state == State.RUN and not is_flagged, [sample])
 
 
 @rule(
     7,
-    "STATUS tells the supply once a second, and VCC_LOW is set where it is below 4000 mV",
+    "STATUS reports the supply once a second, and VCC_LOW is set if it is below 4000 mV",
     silent=True,
 )
 def _supply(host: Host) -> None:
@@ -175,7 +177,7 @@ def _supply(host: Host) -> None:
     second = next_status(host)
     apart = second.uptime_ms - first.uptime_ms
     expect(990 <= apart <= 1_010, f"{apart} ms between two STATUS")
-    low = 0 < second.vcc_mv < _LOW_MV
+    low = 0 < second.vcc_mv < _SUPPLY_LOW_MV
     sample: Sample = host.sample()
     expect(bool(sample.flags & Flag.VCC_LOW) == low, f"{second.vcc_mv} mV, [{sample.flags:04x}]")
     expect(second.stack_free >= 128, f"{second.stack_free} B of stack left")

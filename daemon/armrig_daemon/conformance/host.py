@@ -1,4 +1,4 @@
-"""The host that tries a device: it leads it from state to state, and asks for samples."""
+"""The host that tests a device: the host changes the device's state and requests samples."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from armrig_daemon.conformance.conversation import PATIENCE_MS, Broken, Conversa
 from armrig_daemon.conformance.line import Line
 
 BOOT_MS = 8_000
-"""What a boot may take, its boot loader included."""
+"""Longest time of a boot, boot loader included."""
 _HELLO_MS = 200
 ALIVE_MS = 40
-"""How often the host says something while it waits."""
+"""Interval of the host's KEEPALIVE while it waits."""
 CONFIG: dict[str, int] = {
     "ts_us": 10_000,
     "u_min": 0,
@@ -52,19 +52,19 @@ CONFIG: dict[str, int] = {
 
 
 class Host(Conversation):
-    """One host at one end of a line."""
+    """A host at one end of a line."""
 
     def __init__(self, line: Line, baud: int = 500_000) -> None:
-        """Begin with seq 0; nothing is sent. `baud` is the line's, in bit/s."""
+        """Set the next seq to 0 and send nothing; `baud` is the speed of the line, in bit/s."""
         super().__init__(line)
         self.baud = baud
         self.k = 0
-        """Of the last EXCHANGE."""
+        """Index of the last EXCHANGE."""
 
     def put(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> int:
         """Send a frame and return its seq.
 
-        ARM and START carry what the last CONFIG_R told, unless other values are given.
+        ARM and START contain the values of the last CONFIG_R, unless others are given.
         """
         if kind is Arm:
             known = {"boot_id": self.known.boot_id, "config_crc": self.config_crc}
@@ -75,20 +75,20 @@ class Host(Conversation):
 
     @property
     def known(self) -> HelloReply:
-        """What the device said of itself last."""
+        """Last HELLO_R of the device."""
         if self.facts is None:
             raise Broken("no HELLO_R yet")
         return self.facts
 
     @property
     def rx_us(self) -> int:
-        """When the last PING had come, by the device's clock."""
+        """Time at which the last PING arrived, by the device's clock."""
         if self.pong is None:
             raise Broken("no PONG yet")
         return self.pong.rx_us
 
     def hello(self, within_ms: float = PATIENCE_MS) -> HelloReply:
-        """Return the answer to HELLO, which is repeated: a device that boots is deaf."""
+        """Return the answer to HELLO; repeat HELLO, because a booting device receives nothing."""
         end_ns = self.line.now_ns() + round(within_ms * 1e6)
         while True:
             self.put(Hello, version=VERSION, schema=SCHEMA_HASH)
@@ -106,7 +106,7 @@ class Host(Conversation):
         return only(ConfigReply, self.fence())
 
     def exchange(self, u: int, *, k: int | None = None) -> Message:
-        """Return the SAMPLE, or what came instead; k is the next unless given."""
+        """Return the SAMPLE or other answer to an EXCHANGE; k is the next index by default."""
         self.k = self.k + 1 if k is None else k
         seq = self.put(Exchange, k=self.k & 0xFFFF_FFFF, u=u)
 
@@ -120,22 +120,22 @@ class Host(Conversation):
         """Return the SAMPLE of an EXCHANGE."""
         came = self.exchange(u, k=k)
         if not isinstance(came, Sample):
-            raise Broken(f"{type(came).__name__} in answer to EXCHANGE")
+            raise Broken(f"{type(came).__name__} as answer to EXCHANGE")
         return came
 
     def to_idle(self) -> None:
-        """Go to IDLE from wherever the device is."""
-        self.put(Stop)  # whatever its seq: a device that drives stops first
+        """Go to IDLE from any state."""
+        self.put(Stop)  # with any seq: a device in RUN stops first
         self.hello()
         self.k = 0
         self.fence()
         if self.state in (State.FAULT, State.ESTOP):
             self.ask(ClearFault, token=self.known.token)
         if self.state != State.IDLE:
-            raise Broken(f"state {self.state} behind STOP and CLEAR_FAULT, not IDLE")
+            raise Broken(f"state {self.state} after STOP and CLEAR_FAULT, not IDLE")
 
     def reach(self, state: State, **config: int) -> None:
-        """Go from IDLE to `state` by the shortest way, with `CONFIG` but for what is given."""
+        """Go from IDLE to `state` by the shortest way, with `CONFIG` changed by `config`."""
         if state is State.ESTOP:
             self.ask(Estop)
         elif state is State.FAULT:
@@ -152,7 +152,7 @@ class Host(Conversation):
             raise Broken(f"state {self.state} on the way to {state.name}")
 
     def alive(self, ms: float, until: Callable[[Message], bool] | None = None) -> list[Message]:
-        """Return what comes within `ms`, or until one is found, with a KEEPALIVE now and then."""
+        """Send KEEPALIVEs for `ms`, or until a message matches; return the messages."""
         end_ns = self.line.now_ns() + round(ms * 1e6)
         came: list[Message] = []
         while self.line.now_ns() < end_ns:

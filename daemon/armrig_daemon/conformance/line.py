@@ -1,4 +1,4 @@
-"""What the suite needs of the way to a device; port, emulator and simulated board bring theirs."""
+"""Interface of a line to a device; port, emulator and simulated board implement it."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ from typing import Protocol
 
 
 class Line(Protocol):
-    """Bytes to a device and from it."""
+    """A line to a device, in both directions."""
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the line, all of them."""
+        """Put all bytes on the line."""
 
     def receive(self, within_ms: float) -> bytes:
-        """Return what has come, as soon as anything has; nothing where `within_ms` pass before."""
+        """Return the received bytes as soon as any have arrived; b"" after `within_ms`."""
 
     def reopen(self, after_ms: float) -> None:
-        """Close the port, and open it again `after_ms` later; that resets some devices."""
+        """Close the port, and open it `after_ms` later; this resets some devices."""
 
     def now_ns(self) -> int:
-        """Return a clock that goes on, in ns; it bounds waits, and judges no device."""
+        """Return a monotonic time, in ns, which only limits waits."""

@@ -1,4 +1,4 @@
-"""Sections 1 and 6: noise on the line, and a line that is full."""
+"""Rules of sections 1 and 6: noise on the line, and a fully loaded line."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from armrig_daemon.conformance.rule import expect, rule
 from armrig_daemon.conformance.scheduled_rules import NOISE, armed, put_setpoints
 from armrig_daemon.decisions.budget import scheduled_us
 
-_LEAST_TS_US = 1_000
+_MIN_TS_US = 1_000
 _RUN_US = 2_000_000
 _PING_TICKS = 50
 _NOISE_BYTES = 4_000
-_FLOOD, _SETTLES_MS = 300, 30
-_LOST = Flag.UNDERRUN | Flag.TICK_LATE | Flag.CRC_ERR | Flag.RX_OVERFLOW | Flag.TX_DROP
+_FLOOD_FRAMES, _SETTLING_MS = 300, 30
+_LOSS_FLAGS = Flag.UNDERRUN | Flag.TICK_LATE | Flag.CRC_ERR | Flag.RX_OVERFLOW | Flag.TX_DROP
 
 
-@rule(1, "Bytes at random bring no answer, no other state, no other boot")
+@rule(1, "Random bytes cause no answer, no change of state and no boot")
 def _random_bytes(host: Host) -> None:
     host.reach(State.READY)
     boot_id = host.known.boot_id
@@ -46,9 +46,9 @@ def _random_bytes(host: Host) -> None:
     expect(host.hello().boot_id == boot_id, "another boot")
 
 
-@rule(6, "At 1 kHz, or what the line carries, nothing is lost or late beside PING and STATUS")
+@rule(6, "At 1 kHz, or the line's highest rate, with PING and STATUS, nothing is lost or late")
 def _full_line(host: Host) -> None:
-    ts_us = max(_LEAST_TS_US, _shortest_us(host))
+    ts_us = max(_MIN_TS_US, _shortest_us(host))
     n = _RUN_US // ts_us // SETPOINTS_PER_FRAME * SETPOINTS_PER_FRAME
     u = NOISE[:n]
     before, breaks = next_status(host), host.breaks
@@ -73,7 +73,7 @@ def _full_line(host: Host) -> None:
     expect(ks == list(range(n)), f"{len(ks)} of {n} samples at Ts {ts_us} us")
     bits = host.known.pwm_bits
     for m in samples:
-        expect(m.u_k == applied_code(u[m.k], bits) and not m.flags & _LOST, [m])
+        expect(m.u_k == applied_code(u[m.k], bits) and not m.flags & _LOSS_FLAGS, [m])
     expect(pongs == pings and host.breaks == breaks, f"{pongs} PONG of {pings} PING")
     after = next_status(host)
     lost = after.rx_lost - before.rx_lost, after.tx_dropped - before.tx_dropped
@@ -85,10 +85,11 @@ def _flood(host: Host) -> None:
     before, seq = next_status(host), host.seq
     armed(host, ts_us=_shortest_us(host))
     host.ask(Start)
-    host.put_together([Keepalive(0, 0)] * _FLOOD)
-    came = host.listen(_FLOOD * frame.wire_length(Keepalive) * 10_000 / host.baud + _SETTLES_MS)
+    host.put_together([Keepalive(0, 0)] * _FLOOD_FRAMES)
+    flood_ms = _FLOOD_FRAMES * frame.wire_length(Keepalive) * 10_000 / host.baud
+    came = host.listen(flood_ms + _SETTLING_MS)
     host.write(b"\0")
-    came += host.alive(_SETTLES_MS)
+    came += host.alive(_SETTLING_MS)
     host.to_idle()
     after, sent = next_status(host), (host.seq - seq) & 0xFFFF
     frames, lost = after.frames - before.frames, after.rx_lost - before.rx_lost
@@ -100,12 +101,12 @@ def _flood(host: Host) -> None:
 
 
 def _shortest_us(host: Host) -> int:
-    """Return the shortest Ts of scheduled mode, of this device on this line."""
+    """Return the shortest Ts of scheduled mode for this device and line, in µs."""
     return max(scheduled_us(host.baud, host.known.skew_us), host.known.ts_min_us)
 
 
 def _refill(host: Host, u: list[int], sent: int, ahead_of: int) -> int:
-    """Send what there is room for; return how many were sent by now."""
+    """Send the setpoints for which the queue has room; return the number sent so far."""
     while sent < len(u) and sent + SETPOINTS_PER_FRAME - ahead_of <= host.known.queue:
         put_setpoints(host, sent, u[sent : sent + SETPOINTS_PER_FRAME])
         sent += SETPOINTS_PER_FRAME

@@ -1,4 +1,4 @@
-"""Rules of what a line does not show and a pin does; they need simulated pins."""
+"""Rules about a board's pins; they need simulated pins."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from armrig_daemon.emulator.pin import sentence
 _RULES = (
     (
         7,
-        "At the pins: outside RUN the motor's pin and the enable line are low, from the reset on",
+        "At the pins: outside RUN, the motor's pin and the enable line are low, from the reset on",
         {Violation.PIN_HIGH_WITHOUT_ENABLE, Violation.DRIVEN_OUTSIDE_RUN},
     ),
     (
         5,
-        "At the pins: in RUN the motor's pin has the code that SAMPLE reports",
+        "At the pins: in RUN, the motor's pin has the code that SAMPLE reports",
         {Violation.CODE_NOT_AT_PIN},
     ),
     (
         1,
-        "At the pins: the program goes on, and the transmitter is not written over",
+        "At the pins: the program does not stop, and the transmitter is not overwritten",
         {Violation.CPU_STOPPED, Violation.TX_OVERRUN},
     ),
 )
 
 
 def pin_rules(violations: Sequence[Violated]) -> tuple[Rule, ...]:
-    """Return the rules that judge what was seen at a board's pins; to be tried after all others."""
+    """Return the rules about violations at a board's pins, to test after all others."""
     return tuple(_rule(section, text, kinds, violations) for section, text, kinds in _RULES)
 
 

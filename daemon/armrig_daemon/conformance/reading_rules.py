@@ -1,4 +1,4 @@
-"""Section 5: oversampling and CAL."""
+"""Rules of section 5: oversampling and CAL."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.rule import NotTried, codes, expect, rule, shown
 
 _U32 = 0xFFFF_FFFF
-_LONG_MS = 30
-"""Longer than any sample that might come though none should."""
+_SAMPLE_LIMIT_MS = 30
+"""Time, longer than any sample takes, in which an unexpected sample would arrive."""
 _ROUNDED_US = 3
-_MANY = 32
+_MAX_OVERSAMPLING = 32
 
 
 # ---------------------------------------------------------------- oversampling
 
 
 def _oversample(host: Host) -> int:
-    """Return how many conversions a reading has now, in READY."""
-    for m in (_MANY, 8, 4, 2):
+    """Configure the largest possible oversampling; return the conversions per reading, in READY."""
+    for m in (_MAX_OVERSAMPLING, 8, 4, 2):
         if host.configure(oversampling=m, ts_us=ts_min_us(host, m) + 10_000).code == Code.OK:
             return m
     raise NotTried("the device offers no oversampling")
 
 
-@rule(5, "With oversampling m, t_us is (2 m - 1) `skew_us` behind the EXCHANGE")
+@rule(5, "With oversampling m, t_us is (2 m - 1) `skew_us` after the EXCHANGE")
 def _mean_time(host: Host) -> None:
     for _ in range(5):
         m = _oversample(host)
         at, end = trigger(host, m)
-        # `skew_us` is rounded up: by less than 1 us each.
+        # `skew_us` is rounded up by less than 1 us.
         in_time = -_ROUNDED_US - 2 * m <= at <= end + _ROUNDED_US
-        expect(in_time, f"the first {at} us behind a PING, {end} the next; m={m}")
+        expect(in_time, f"the first {at} us after a PING, the next PING at {end} us; m={m}")
 
 
-@rule(5, "A second EXCHANGE waits and is TICK_LATE; a third meanwhile is lost, and not taken in")
+@rule(5, "A second EXCHANGE waits and is TICK_LATE; a third is lost, and not accepted")
 def _waiting(host: Host) -> None:
     m = _oversample(host)
     came: list[Message] = []
@@ -61,18 +61,18 @@ def _waiting(host: Host) -> None:
         k = host.sample().k
         host.k += 3
         host.put_together([Exchange(0, 0, k + i, 0) for i in (1, 2, 3)])
-        came = [*host.listen(_LONG_MS), *host.fence()]
+        came = [*host.listen(_SAMPLE_LIMIT_MS), *host.fence()]
         got = [x for x in came if isinstance(x, Sample)]
         if [bool(x.flags & Flag.TICK_LATE) for x in got] == [False, True]:
             apart = elapsed(got[0].t_us, got[1].t_us)
             expect(apart >= 2 * m * (host.known.skew_us - 1), f"{apart} us apart with m={m}")
-            again = host.exchange(0, k=k + 3)  # the third's was not taken
+            again = host.exchange(0, k=k + 3)  # the third was not accepted, so its k is new
             expect(isinstance(again, Sample), [again])
             return
-    expect(False, came)  # five times: that was not the way, which may part them
+    expect(False, came)  # five times: not because the line separated the frames
 
 
-@rule(5, "Where RUN ends before the latch, its SAMPLE tells state and code at its end: u_k 0")
+@rule(5, "If RUN ends before the latch, the SAMPLE reports the state and code after it: u_k 0")
 def _overtaken(host: Host) -> None:
     m = _oversample(host)
     config = {"oversampling": m, "ts_us": ts_min_us(host, m) + 10_000}
@@ -82,12 +82,12 @@ def _overtaken(host: Host) -> None:
         host.reach(State.RUN, **config)
         host.k += 1
         host.put_together([Exchange(0, 0, host.k, 30_000), Stop(0, 0)])
-        came = [*host.listen(_LONG_MS), *host.fence()]
+        came = [*host.listen(_SAMPLE_LIMIT_MS), *host.fence()]
         sample = only(Sample, came)
         if sample.state == State.RUN:
-            continue  # the way to the device has parted them
-        told = (sample.state, sample.u_k, sample.u_seq)
-        expect(told == (State.IDLE, 0, 0), [sample])
+            continue  # the line separated the frames
+        reported = (sample.state, sample.u_k, sample.u_seq)
+        expect(reported == (State.IDLE, 0, 0), [sample])
         return
     raise Broken(shown(came))
 
@@ -110,7 +110,7 @@ def _cal_reply(host: Host, channel: int, n: int) -> CalReply:
     return only(CalReply, host.until(lambda m: isinstance(m, CalReply), "CAL_R", 4 * PATIENCE_MS))
 
 
-@rule(5, "CAL answers with n readings of one channel, and figures that can be")
+@rule(5, "CAL answers with n readings of one channel, and possible statistics")
 def _cal(host: Host) -> None:
     _need_cal(host)
     for channel in (0, 1):
@@ -118,14 +118,14 @@ def _cal(host: Host) -> None:
             it = _cal_reply(host, channel, n)
             expect((it.channel, it.zero, it.n) == (channel, 0, n), f"{it}")
             expect(it.least * 256 <= it.mean_256 <= it.greatest * 256, f"{it}")
-            # The variance is largest where half of the readings lie at each end.
+            # The variance is largest if half of the readings are at each end.
             most = 256 * (it.greatest - it.least) ** 2 * n / (4 * max(n - 1, 1)) + 1
             expect(it.variance_256 <= (most if n > 1 else 0), f"{it}")
             spreads = it.greatest > it.least + 64
             expect(it.variance_256 > 0 or not spreads, f"{it}")
 
 
-@rule(5, "CAL with n of 0 or above 1024, another channel, or zero not 0 is BAD_VALUE")
+@rule(5, "CAL is BAD_VALUE with n of 0 or above 1024, an unknown channel, or zero not 0")
 def _cal_bounds(host: Host) -> None:
     _need_cal(host)
     for channel, zero, n in ((0, 0, 0), (0, 0, 1025), (2, 0, 1), (0, 1, 1)):
@@ -133,7 +133,7 @@ def _cal_bounds(host: Host) -> None:
         expect(codes(came) == [Code.BAD_VALUE], came)
 
 
-@rule(5, "During CAL another CAL, EXCHANGE and ARM are WRONG_STATE; CAL goes on, also into ESTOP")
+@rule(5, "During CAL, another CAL, EXCHANGE and ARM are WRONG_STATE; CAL continues, even in ESTOP")
 def _cal_meanwhile(host: Host) -> None:
     _need_cal(host)
     host.reach(State.READY)
@@ -141,7 +141,7 @@ def _cal_meanwhile(host: Host) -> None:
     busy: list[Message] = host.ask(Cal, channel=1, zero=0, n=1)
     busy += host.ask(Exchange, k=1, u=0) + host.ask(Arm)
     if any(isinstance(m, CalReply) for m in busy):
-        raise Broken("CAL_R came before the host had asked for more: it was held up")
+        raise Broken("CAL_R came before the next requests of the host, which was held up")
     expect(codes(busy) == [Code.WRONG_STATE] * 3 and len(busy) == 3, busy)
     host.reach(State.ESTOP)
     came = host.until(lambda m: isinstance(m, CalReply), "CAL_R", 4 * PATIENCE_MS)

@@ -1,4 +1,4 @@
-"""What a person and a program read of the suite."""
+"""Results of the suite, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ _INDENT = " " * 14
 
 
 def line_of(result: Result, columns: int = 0) -> str:
-    """Return a result as a line, and below it what came; folded to `columns` where there are."""
+    """Return a result as text: the rule, then the device's behaviour; folded if `columns` > 0."""
     lines = [f"{result.outcome:9}  {result.section}  {result.sentence}"]
     if result.came:
         lines.append(f"{_INDENT}{'came: ' if result.outcome == FAIL else ''}{result.came}")
     if columns:
-        lines = [fill(one, columns, subsequent_indent=_INDENT) for one in lines]
+        lines = [fill(line, columns, subsequent_indent=_INDENT) for line in lines]
     return "\n".join(lines)
 
 
 def sum_of(results: Sequence[Result]) -> str:
-    """Return what it comes to, as a line."""
+    """Return the summary of all results as a line."""
     n = {outcome: sum(r.outcome == outcome for r in results) for outcome in (PASS, FAIL, NOT_TRIED)}
     verdict = (
         f"{n[FAIL]} of {len(results)} rules are broken"
         if n[FAIL]
-        else f"all {n[PASS]} rules that were tried hold"
+        else f"all {n[PASS]} tested rules hold"
     )
     return f"{verdict}; {n[NOT_TRIED]} not tried"
 
 
 def json_of(facts: HelloReply | None, results: Sequence[Result]) -> dict[str, object]:
-    """Return all of it for a program: the device by its HELLO_R, and each rule."""
+    """Return all results as JSON for a program: the device's HELLO_R and each rule."""
     device = {} if facts is None else {k: v for k, v in facts._asdict().items() if k != "seq"}
     for name in ("uid", "boot_id", "schema", "firmware"):
         if name in device:

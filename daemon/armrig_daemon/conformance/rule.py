@@ -1,4 +1,4 @@
-"""A rule of PROTOCOL.md that can be tried, and what becomes of it."""
+"""Testable rules of PROTOCOL.md and their results."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from armrig_daemon.conformance.conversation import Broken
 from armrig_daemon.conformance.host import Host
 
 
-class NotTried(Exception):  # noqa: N818 - it is no error
-    """The rule cannot be tried here: the device does not offer it, or why else."""
+class NotTried(Exception):  # noqa: N818 - not an error
+    """The rule cannot be tested here, for example because the device does not offer it."""
 
 
 Check = Callable[[Host], None]
@@ -31,19 +31,19 @@ Check = Callable[[Host], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """One rule: where it stands, what it says, and how it is tried."""
+    """A rule: its section, its sentence and its test."""
 
     section: int
-    """Of PROTOCOL.md."""
+    """Section of PROTOCOL.md."""
     sentence: str
     check: Check
-    """Raises `Broken` where the device does otherwise, `NotTried` where it does not."""
+    """Test; raises `Broken` if the device breaks the rule, `NotTried` if the test is impossible."""
     silent: bool = False
-    """The host keeps silent in it, so that a silence is no sign of a stall."""
+    """True if the test needs a silent host, so that a silence is no sign of a stall."""
 
 
 def rule(section: int, sentence: str, *, silent: bool = False) -> Callable[[Check], Rule]:
-    """Return what makes a rule of the function that tries it."""
+    """Return a decorator that creates a rule from its test."""
 
     def named(check: Check) -> Rule:
         return Rule(section=section, sentence=sentence, check=check, silent=silent)
@@ -52,24 +52,24 @@ def rule(section: int, sentence: str, *, silent: bool = False) -> Callable[[Chec
 
 
 class Result(NamedTuple):
-    """What became of a rule."""
+    """Result of a rule."""
 
     section: int
     sentence: str
     outcome: str
     """`pass`, `FAIL` or `not tried`."""
     came: str
-    """What the device did otherwise, or why it was not tried."""
+    """Behaviour that breaks the rule, or the reason why the rule was not tested."""
 
 
 def expect(holds: bool, came: object) -> None:
-    """Raise `Broken` with what came, unless the rule holds."""
+    """Raise `Broken` with the device's behaviour unless the rule holds."""
     if not holds:
         raise Broken(shown(came))
 
 
 def shown(came: object) -> str:
-    """Return what a person reads of what came."""
+    """Return received messages as text for a person."""
     if isinstance(came, str):
         return came
     if isinstance(came, list):
@@ -94,10 +94,10 @@ def _name(kind: type[Code | State | Cause], number: int) -> str:
 
 
 def codes(came: Sequence[Message]) -> list[int]:
-    """Return what the ACKs say."""
+    """Return the codes of the ACKs."""
     return [m.code for m in came if isinstance(m, Ack)]
 
 
 def kinds(came: Sequence[Message]) -> list[type[Message]]:
-    """Return what came, by type."""
+    """Return the types of the messages."""
     return [type(m) for m in came]

@@ -1,4 +1,4 @@
-"""Section 6: scheduled mode."""
+"""Rules of section 6: scheduled mode."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ TS_US = 5_000
 NOISE = [(7_919 * k + 5_003) % 60_000 for k in range(2_000)]
 _PLACES = SETPOINTS_PER_FRAME
 _JITTER_US = 1
-_END_US = 1_000
+_MAX_END_LATE_US = 1_000
 
 
 class Took(NamedTuple):
-    """A run, from START to its end."""
+    """Messages of a run, from START to its end."""
 
     samples: list[Sample]
     end: Event
     started: tuple[int, int]
-    """When the PINGs around START had come."""
+    """Device times of the PINGs around START, in µs."""
 
 
 def armed(host: Host, **config: int) -> None:
-    """Go to ARMED in scheduled mode."""
+    """Bring the device to ARMED in scheduled mode."""
     if not host.known.capabilities & Capability.SCHEDULED:
         raise NotTried("the device offers no scheduled mode")
     host.reach(State.ARMED, **{"mode": Mode.SCHEDULED, "ts_us": TS_US, **config})
@@ -60,7 +60,7 @@ def put_setpoints(host: Host, k0: int, u: list[int], **fields: int) -> int:
 
 
 def fill(host: Host, u: list[int]) -> list[int]:
-    """Send setpoints from index 0 on, in full frames; return the seq that brought each."""
+    """Send setpoints from index 0 on, in full frames; return the seq of each setpoint's frame."""
     seqs: list[int] = []
     for k0 in range(0, len(u), _PLACES):
         part = u[k0 : k0 + _PLACES]
@@ -71,7 +71,7 @@ def fill(host: Host, u: list[int]) -> list[int]:
 
 
 def run_to_end(host: Host, k_stop: int, ts_us: int = TS_US) -> Took:
-    """Start, and return what came until the run ended."""
+    """Start a run, and return its messages up to its end."""
     host.fence()
     before = host.rx_us
     host.put(Start, k_stop=k_stop)
@@ -85,16 +85,16 @@ def run_to_end(host: Host, k_stop: int, ts_us: int = TS_US) -> Took:
     came += host.alive(limit_ms, ends)
     events = [m for m in came if isinstance(m, Event) and m.was == State.RUN]
     if not events:
-        raise Broken(f"the run did not end: {len(came)} frames came")
+        raise Broken(f"the run did not end; {len(came)} frames came")
     return Took([m for m in came if isinstance(m, Sample)], events[0], started)
 
 
 def queued(host: Host) -> int:
-    """Return what the queue holds, in ARMED."""
+    """Return the number of setpoints in the queue, in ARMED."""
     return host.sample().queued
 
 
-@rule(6, "Sample k latches u[k]: every u at its k, from the frame that brought it first")
+@rule(6, "Sample k applies u[k], the voltage of index k in the first frame that contains it")
 def _aligned(host: Host) -> None:
     armed(host)
     n = min(host.known.queue, 120)
@@ -106,14 +106,14 @@ def _aligned(host: Host) -> None:
     )
     bits = host.known.pwm_bits
     for m in took.samples:
-        told = (m.u_k, m.u_seq, m.queued)
+        reported = (m.u_k, m.u_seq, m.queued)
         wanted = (applied_code(NOISE[m.k], bits), seqs[m.k], n - 1 - m.k)
-        expect(told == wanted, f"k={m.k}: u_k, u_seq, queued {told}, not {wanted}")
+        expect(reported == wanted, f"k={m.k}: u_k, u_seq, queued {reported}, not {wanted}")
     for a, b in pairwise(took.samples):
-        expect(b.u_km1 == a.u_k, f"u_km1 {b.u_km1} behind u_k {a.u_k}")
+        expect(b.u_km1 == a.u_k, f"u_km1 {b.u_km1} after u_k {a.u_k}")
 
 
-@rule(6, "Sample k is triggered at t_0 + k Ts, to 1 us, and t_0 is one Ts behind START")
+@rule(6, "Sample k is triggered at t_0 + k Ts, to 1 us, and t_0 is one Ts after START")
 def _time(host: Host) -> None:
     armed(host)
     n = min(host.known.queue, 200)
@@ -127,10 +127,10 @@ def _time(host: Host) -> None:
     first, last = took.started
     early = elapsed(first, t_0 - took.samples[0].k * TS_US)
     span = elapsed(first, last)
-    expect(TS_US <= early <= span + TS_US, f"t_0 {early} us behind a PING, START within {span} us")
+    expect(TS_US <= early <= span + TS_US, f"t_0 {early} us after a PING, START within {span} us")
 
 
-@rule(6, "With k_stop the last input is held for its Ts; then EVENT(RUN to IDLE, END)")
+@rule(6, "With k_stop, the last input is held for its Ts; then EVENT(RUN to IDLE, END)")
 def _end(host: Host) -> None:
     armed(host)
     fill(host, [1_000] * 10)
@@ -139,13 +139,12 @@ def _end(host: Host) -> None:
     end = took.end
     expect((end.state, end.cause) == (State.IDLE, Cause.END), [end])
     held = elapsed(took.samples[-1].t_us, end.t_us) - host.known.hold_us
-    expect(TS_US - 2 <= held <= TS_US + _END_US, f"the last input was held for {held} us")
-    expect(host.configure(ts_us=0).config_crc == 0, "a configuration in force behind the end")
+    is_in_time = TS_US - 2 <= held <= TS_US + _MAX_END_LATE_US
+    expect(is_in_time, f"the last input was held for {held} us")
+    expect(host.configure(ts_us=0).config_crc == 0, "a configuration after the end")
 
 
-@rule(
-    6, "A dry queue is flagged UNDERRUN; ZERO latches u_rest, HOLD the last code for `hold` samples"
-)
+@rule(6, "An empty queue sets UNDERRUN; ZERO latches u_rest, HOLD the last code for `hold` samples")
 def _underrun(host: Host) -> None:
     bits = host.known.pwm_bits
     last = applied_code(30_000, bits)
@@ -164,7 +163,7 @@ def _underrun(host: Host) -> None:
         expect(got == codes_, f"{policy.name} {hold}: u_k {got}, not {codes_}")
 
 
-@rule(6, "What comes before `next` is dropped, and `next` goes on through an underrun")
+@rule(6, "Setpoints before `next` are dropped, and `next` advances during an underrun")
 def _late(host: Host) -> None:
     armed(host)
     host.put(Start, k_stop=0)
@@ -175,14 +174,14 @@ def _late(host: Host) -> None:
     got = {m.k: m for m in came if isinstance(m, Sample)}
     wanted = applied_code(9_000, host.known.pwm_bits)
     driven = [k for k, m in got.items() if m.u_k == wanted]
-    expect(bool(driven), "no sample had a setpoint that came in time")
-    expect(k0 + 2 < min(driven), f"sample {min(driven)} had a setpoint that came too late")
+    expect(bool(driven), "no sample had a setpoint that was in time")
+    expect(k0 + 2 < min(driven), f"sample {min(driven)} had a setpoint that was late")
     expect(max(driven) == k0 + _PLACES - 1, f"sample {max(driven)} was the last with a setpoint")
 
 
-@rule(6, "A repeat that ends where the dry queue stands makes no step: it is dropped unanswered")
+@rule(6, "A repeat that ends at `next` of an empty queue is no step in u: it is dropped unanswered")
 def _late_repeat(host: Host) -> None:
-    ramp = [1_000, 2_000, 3_000]  # by `slew`, and so far from the padding behind it
+    ramp = [1_000, 2_000, 3_000]  # in steps of `slew`, and thus far from the padding after it
     armed(host, slew=1_000, underrun=Underrun.HOLD, hold=255)
     fill(host, ramp)
     came: list[Message] = host.ask(Start)
@@ -190,11 +189,11 @@ def _late_repeat(host: Host) -> None:
         came += host.until(lambda m: isinstance(m, Sample), "SAMPLE")
         put_setpoints(host, max(0, getattr(came[-1], "k", 0) + 1 - len(ramp)), ramp)
     came += host.fence()
-    told = [m for m in came if not isinstance(m, Sample)]
-    expect(kinds(told) == [Ack, Event] and host.state == State.RUN, told)
+    others = [m for m in came if not isinstance(m, Sample)]
+    expect(kinds(others) == [Ack, Event] and host.state == State.RUN, others)
 
 
-@rule(6, "EXCHANGE in RUN is WRONG_STATE; SETPOINTS of a run are gone with it")
+@rule(6, "EXCHANGE in RUN is WRONG_STATE; the setpoints of a run end with it")
 def _exchange(host: Host) -> None:
     armed(host)
     fill(host, [500] * 48)
@@ -202,7 +201,7 @@ def _exchange(host: Host) -> None:
     refused = host.exchange(0)
     expect(codes([refused]) == [Code.WRONG_STATE], [refused])
     host.ask(Stop)
-    expect(host.state == State.IDLE, f"state {host.state} behind STOP")
+    expect(host.state == State.IDLE, f"state {host.state} after STOP")
     host.listen(30)
     armed(host)
     expect(queued(host) == 0, "the queue of the run before")

@@ -1,4 +1,4 @@
-"""Section 2: seq, echo, boot."""
+"""Rules of section 2: seq, echo, boot."""
 
 from __future__ import annotations
 
@@ -30,39 +30,39 @@ _U16 = 0xFFFF
 
 @rule(2, "A frame whose seq is not 1 ... 32767 ahead of the newest is ACK(STALE)")
 def _stale(host: Host) -> None:
-    for behind in (0, 1, 32_767, 32_768):
-        came = _at(host, behind)
+    for lag in (0, 1, 32_767, 32_768):
+        came = _answers_to_old(host, lag)
         expect(codes(came) == [Code.STALE], came)
 
 
-def _at(host: Host, behind: int) -> list[Message]:
-    """Return the answers to a KEEPALIVE whose seq lies behind the newest, which stays as it is."""
+def _answers_to_old(host: Host, lag: int) -> list[Message]:
+    """Return the answers to a KEEPALIVE with a seq `lag` below the newest."""
     newest = host.seq
-    host.put(Keepalive, seq=(newest - behind) & _U16)
+    host.put(Keepalive, seq=(newest - lag) & _U16)
     host.seq = newest
     return host.fence()
 
 
-@rule(2, "A seq 32767 ahead is newer, and the numbers wrap at 2^16")
+@rule(2, "A seq 32767 ahead is newer, and seq wraps at 2^16")
 def _ahead(host: Host) -> None:
     for _ in range(3):
         came = host.ask(Keepalive, seq=(host.seq + 32_767) & _U16)
         expect(not came, came)
 
 
-@rule(2, "A frame of unknown type is ACK(UNKNOWN_TYPE), and not taken in")
+@rule(2, "A frame of unknown type is ACK(UNKNOWN_TYPE), and not accepted")
 def _unknown(host: Host) -> None:
     for number in (UNKNOWN_TYPE, TYPES[Ack]):
         seq = (host.seq + 1) & _U16
         body = bytes(4) if number == TYPES[Ack] else b""
         host.write(framed(header(number, seq) + body))
-        came = host.ask(Keepalive)  # of the same seq: it is still free
+        came = host.ask(Keepalive)  # with the same seq, which is still unused
         expect(codes(came) == [Code.UNKNOWN_TYPE], came)
         ack = only(Ack, came)
         expect((ack.of_type, ack.of_seq) == (number, seq), f"ACK of {ack.of_type}, {ack.of_seq}")
 
 
-@rule(2, "Outside ARMED and RUN, HELLO is always taken in, and its seq is the newest then")
+@rule(2, "Outside ARMED and RUN, HELLO is always accepted, and its seq is then the newest")
 def _hello(host: Host) -> None:
     for state in (State.IDLE, State.READY, State.ESTOP):
         host.to_idle()
@@ -71,7 +71,7 @@ def _hello(host: Host) -> None:
         expect(kinds(came) == [HelloReply], came)
 
 
-@rule(2, "In ARMED and RUN an old HELLO is ACK(STALE)")
+@rule(2, "In ARMED and RUN, an old HELLO is ACK(STALE)")
 def _hello_armed(host: Host) -> None:
     for state in (State.ARMED, State.RUN):
         host.to_idle()
@@ -83,20 +83,20 @@ def _hello_armed(host: Host) -> None:
         expect(codes(came) == [Code.STALE] and len(came) == 1, came)
 
 
-@rule(2, "STOP takes effect whatever its seq, and moves the newest only forward")
+@rule(2, "STOP takes effect with any seq, and moves the newest seq only forward")
 def _stop_always(host: Host) -> None:
     for kind, state in ((Stop, State.IDLE), (Estop, State.ESTOP)):
         host.to_idle()
         host.reach(State.RUN)
         newest = host.seq
         host.put(kind, seq=(newest - 5) & _U16)
-        host.put(Keepalive, seq=(newest - 3) & _U16)  # ahead of it, and no newer for that
+        host.put(Keepalive, seq=(newest - 3) & _U16)  # newer than the STOP, but still stale
         host.seq = newest
         came = host.fence()
         expect(codes(came) == [Code.OK, Code.STALE] and host.state == state, came)
 
 
-@rule(2, "`echo` in SAMPLE is the seq of the newest frame taken in")
+@rule(2, "`echo` in SAMPLE is the seq of the newest accepted frame")
 def _echo(host: Host) -> None:
     for ahead in (1, 300, 32_767):
         host.seq = (host.seq + ahead - 1) & _U16
@@ -117,7 +117,7 @@ def _boot(host: Host) -> None:
 
 @rule(
     2,
-    "Where opening the port resets the device, that is IDLE, and a boot_id with another low half",
+    "If opening the port resets the device, it is in IDLE, and boot_id has another low half",
     silent=True,
 )
 def _reset(host: Host) -> None:
@@ -129,7 +129,7 @@ def _reset(host: Host) -> None:
     if after.boot_id == before:
         expect(host.state == State.READY, f"state {host.state} in the same boot, not READY")
         raise NotTried("opening the port does not reset this device")
-    expect(after.state == State.IDLE, f"state {after.state} behind a boot")
+    expect(after.state == State.IDLE, f"state {after.state} after a boot")
     halves = before & _U16, after.boot_id & _U16
     expect(halves[0] != halves[1], f"boot_id {before:08x} and then {after.boot_id:08x}")
     expect(host.configure(ts_us=0).config_crc == 0, "a configuration from before the boot")

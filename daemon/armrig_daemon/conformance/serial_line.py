@@ -1,4 +1,4 @@
-"""A serial port as the suite's line, in real time."""
+"""A line over a serial port, in real time."""
 
 from __future__ import annotations
 
@@ -9,32 +9,32 @@ from armrig_daemon.loop.link import open_link
 
 
 class SerialLine:
-    """A port that is ours alone."""
+    """A serial port that is opened exclusively."""
 
     def __init__(self, port: str, baud: int) -> None:
-        """Open it.
+        """Open the port.
 
         Raises
         ------
         LinkError
-            It cannot be opened; `TakenPortError` where a daemon holds it.
+            The port cannot be opened; `TakenPortError` if another program has it open.
         """
         self._port, self._baud = port, baud
         self._link = open_link(port, baud)
 
     def send(self, data: bytes) -> None:
-        """Put bytes on the line, all of them."""
+        """Put all bytes on the line."""
         self._link.write(data)
 
     def receive(self, within_ms: float) -> bytes:
-        """Return what has come, as soon as anything has; nothing where `within_ms` pass before."""
+        """Return the received bytes as soon as there are any; b"" after `within_ms`."""
         link = self._link
         if link.has_rest or select.select([link.fd], [], [], within_ms / 1000)[0]:
             return link.read()
         return b""
 
     def reopen(self, after_ms: float) -> None:
-        """Close the port, and open it again `after_ms` later."""
+        """Close the port, and open it `after_ms` later."""
         self._link.close()
         time.sleep(after_ms / 1000)
         self._link = open_link(self._port, self._baud)
@@ -44,5 +44,5 @@ class SerialLine:
         return time.monotonic_ns()
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the port."""
         self._link.close()

@@ -1,4 +1,4 @@
-"""Section 6: SETPOINTS and the queue."""
+"""Rules of section 6: SETPOINTS and the queue."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from armrig_daemon.conformance.scheduled_rules import (
 _PLACES = SETPOINTS_PER_FRAME
 
 
-@rule(6, "The queue has no holes: a gap is ignored unanswered, what agrees adds nothing")
+@rule(6, "The queue has no gaps: setpoints after a gap are ignored, equal setpoints add nothing")
 def _holes(host: Host) -> None:
     armed(host)
     for k0, u, wanted in (
@@ -41,10 +41,12 @@ def _holes(host: Host) -> None:
         came = host.fence()
         expect(not came, came)
         held = queued(host)
-        expect(held == wanted, f"{held} queued behind k0={k0}, n={len(u)}, not {wanted}")
+        expect(held == wanted, f"{held} queued after k0={k0}, n={len(u)}, not {wanted}")
 
 
-@rule(6, "What disagrees with the queue is BAD_VALUE, and nothing changes")
+@rule(
+    6, "Setpoints that differ from the queue's setpoints are BAD_VALUE; the queue does not change"
+)
 def _disagree(host: Host) -> None:
     armed(host)
     fill(host, [1_000, 2_000, 3_000])
@@ -59,16 +61,16 @@ def _disagree(host: Host) -> None:
     expect(got == [*wanted, 0], f"u_k {got}, not {[*wanted, 0]}")
 
 
-@rule(6, "It holds what HELLO_R says; what is beyond is dropped unanswered")
+@rule(6, "The queue has the capacity in HELLO_R; setpoints beyond it are dropped unanswered")
 def _capacity(host: Host) -> None:
     armed(host)
     queue = host.known.queue
     fill(host, NOISE[: queue + _PLACES])
     held = queued(host)
-    expect(held == queue, f"{held} queued, HELLO_R says {queue}")
+    expect(held == queue, f"{held} queued, {queue} in HELLO_R")
 
 
-@rule(6, "It holds the entries of `queue`/8 frames, however short; of one more nothing")
+@rule(6, "The queue holds entries of `queue`/8 frames, however short, and of no further frame")
 def _frames(host: Host) -> None:
     armed(host)
     most = host.known.queue // 8
@@ -77,10 +79,10 @@ def _frames(host: Host) -> None:
     came = host.fence()
     expect(not came, came)
     held = queued(host)
-    expect(held == most, f"{held} queued of {most + 1} frames with one each, not {most}")
+    expect(held == most, f"{held} queued of {most + 1} frames with one setpoint each, not {most}")
 
 
-@rule(6, "SETPOINTS with n of 0 or above 24, or zero not 0, is BAD_VALUE")
+@rule(6, "SETPOINTS is BAD_VALUE with n of 0 or above 24, or zero not 0")
 def _bad(host: Host) -> None:
     armed(host)
     for fields in ({"n": 0}, {"n": _PLACES + 1}, {"n": 255}, {"zero": 1}):
@@ -92,7 +94,7 @@ def _bad(host: Host) -> None:
 
 @rule(
     6,
-    "A code outside [u_min, u_max] refuses the whole frame: FAULT(RANGE); padding is not looked at",
+    "A frame with a code outside [u_min, u_max] is FAULT(RANGE) as a whole; padding is ignored",
 )
 def _range(host: Host) -> None:
     armed(host, u_max=30_000)
@@ -104,7 +106,7 @@ def _range(host: Host) -> None:
     _trips(host, 3, [4, 30_001], Cause.RANGE, 30_001)
 
 
-@rule(6, "A step of more than `slew` from one index to the next is FAULT(SLEW); before 0 is u_rest")
+@rule(6, "A step above `slew` from index to index is FAULT(SLEW); the code before 0 is u_rest")
 def _slew(host: Host) -> None:
     for frames, detail in (
         ([(0, [101])], 101),
@@ -123,8 +125,8 @@ def _trips(host: Host, k0: int, u: list[int], cause: Cause, detail: int) -> None
     came = host.fence()
     expect(kinds(came) == [Event], came)
     event = only(Event, came)
-    told = (event.was, event.state, event.cause, event.detail)
-    expect(told == (State.ARMED, State.FAULT, cause, detail), f"{told}")
+    reported = (event.was, event.state, event.cause, event.detail)
+    expect(reported == (State.ARMED, State.FAULT, cause, detail), f"{reported}")
 
 
 RULES = (

@@ -1,4 +1,4 @@
-"""Section 3: states, and what leads from one to the next."""
+"""Rules of section 3: states and transitions."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _FIELDS: dict[type[Message], dict[str, Any]] = {
     Cal: {"channel": 0, "zero": 0, "n": 1},
     Setpoints: {"k0": 0, "n": 1, "zero": 0, "u": (0,) * 24},
 }
-_NOT_TAKEN: dict[State, tuple[type[Message], ...]] = {
+_REFUSED_KINDS: dict[State, tuple[type[Message], ...]] = {
     State.IDLE: (Arm, Start, ClearFault, Setpoints),
     State.READY: (Start, ClearFault, Setpoints),
     State.ARMED: (Config, Arm, ClearFault, Setpoints, Cal),
@@ -50,19 +50,19 @@ _NOT_TAKEN: dict[State, tuple[type[Message], ...]] = {
     State.FAULT: (Config, Arm, Start, Stop, Setpoints, Cal),
     State.ESTOP: (Config, Arm, Start, Stop, Setpoints, Cal),
 }
-_OFFERED = {Setpoints: Capability.SCHEDULED, Cal: Capability.CAL}
+_NEEDED_CAPABILITY = {Setpoints: Capability.SCHEDULED, Cal: Capability.CAL}
 
 
 def _refuses(state: State, host: Host) -> None:
     host.reach(state)
-    for kind in _NOT_TAKEN[state]:
+    for kind in _REFUSED_KINDS[state]:
         came = host.ask(kind, **_FIELDS.get(kind, {}))
-        needed = _OFFERED.get(kind)
+        needed = _NEEDED_CAPABILITY.get(kind)
         offered = needed is None or host.known.capabilities & needed
         code = Code.WRONG_STATE if offered else Code.UNSUPPORTED
         answers = [m.code for m in came if isinstance(m, Ack | ConfigReply)]
         expect(answers == [code] and len(came) == 1, came)
-        expect(host.state == state, f"state {host.state} behind {kind.__name__}")
+        expect(host.state == state, f"state {host.state} after {kind.__name__}")
 
 
 def _wire_name(kind: type[Message]) -> str:
@@ -73,15 +73,15 @@ def _wire_name(kind: type[Message]) -> str:
 REFUSALS = tuple(
     Rule(
         section=3,
-        sentence=f"In {state.name} a request that it does not take is WRONG_STATE: "
+        sentence=f"In {state.name}, these requests are WRONG_STATE: "
         + ", ".join(map(_wire_name, kinds_)),
         check=partial(_refuses, state),
     )
-    for state, kinds_ in _NOT_TAKEN.items()
+    for state, kinds_ in _REFUSED_KINDS.items()
 )
 
 
-@rule(3, "HELLO, EXCHANGE, PING and KEEPALIVE are taken in any state but BOOT")
+@rule(3, "HELLO, EXCHANGE, PING and KEEPALIVE are accepted in any state but BOOT")
 def _everywhere(host: Host) -> None:
     for state in STATES:
         host.to_idle()
@@ -107,14 +107,14 @@ def _way(host: Host) -> None:
         came = host.ask(kind, **(CONFIG if kind is Config else {}))
         expect(kinds(came) == [answer, Event], came)
         event = only(Event, came)
-        told = (event.was, event.state, event.cause)
-        expect(told == (was, state, Cause.REQUEST), came)
+        reported = (event.was, event.state, event.cause)
+        expect(reported == (was, state, Cause.REQUEST), came)
         expect(all(m.state == state for m in came) and host.state == state, came)
         expect(came[0].code == Code.OK, came)  # type: ignore[union-attr]
         was = state
 
 
-@rule(3, "STOP leads from READY, ARMED and RUN to IDLE, where no configuration is in force")
+@rule(3, "STOP leads from READY, ARMED and RUN to IDLE, which has no configuration")
 def _stop(host: Host) -> None:
     for state in (State.READY, State.ARMED, State.RUN):
         host.to_idle()
@@ -128,7 +128,7 @@ def _stop(host: Host) -> None:
 
 
 @rule(
-    3, "In every state but RUN the code is 0, whatever EXCHANGE carries; the flags tell the state"
+    3, "In every state but RUN, the code is 0, whatever EXCHANGE contains; the flags show the state"
 )
 def _zero_volts(host: Host) -> None:
     of_state = {
@@ -137,14 +137,14 @@ def _zero_volts(host: Host) -> None:
         State.FAULT: Flag.RANGE,
         State.ESTOP: Flag.ESTOP,
     }
-    told = Flag.ARMED | Flag.RUN | Flag.ESTOP | Flag.RANGE | Flag.WATCHDOG | Flag.SLEW
+    state_flags = Flag.ARMED | Flag.RUN | Flag.ESTOP | Flag.RANGE | Flag.WATCHDOG | Flag.SLEW
     for state in STATES:
         host.to_idle()
         host.reach(state)
         for _ in range(2):
             sample = host.sample(40_000)
             expect(state is State.RUN or sample.u_k == 0, [sample])
-            expect(sample.flags & told == of_state.get(state, 0), [sample])
+            expect(sample.flags & state_flags == of_state.get(state, 0), [sample])
         if state is State.RUN:
             expect(sample.u_k != 0, [sample])
             host.ask(Stop)
@@ -152,7 +152,7 @@ def _zero_volts(host: Host) -> None:
             expect((sample.u_k, sample.u_km1, sample.u_seq) == (0, 0, 0), [sample])
 
 
-@rule(3, "RUN begins with u_rest latched; other than 0 it needs an enable line")
+@rule(3, "RUN begins with u_rest latched; u_rest other than 0 needs an enable line")
 def _rest(host: Host) -> None:
     u_rest = 20_000 if host.known.capabilities & Capability.ENABLE_LINE else 0
     host.reach(State.RUN, u_rest=u_rest)
@@ -160,7 +160,7 @@ def _rest(host: Host) -> None:
     expect(sample.u_km1 == sample.u_k and (sample.u_km1 > 0) == (u_rest > 0), [sample])
 
 
-@rule(3, "An EVENT tells when its transition was made, between the two PONGs around it")
+@rule(3, "An EVENT contains the time of its transition, between the two PONGs around it")
 def _event_time(host: Host) -> None:
     host.fence()
     before = host.rx_us
@@ -170,7 +170,7 @@ def _event_time(host: Host) -> None:
     expect(is_between, f"t_us {event.t_us}, not from {before} to {host.rx_us}")
 
 
-@rule(3, "PONG carries host_ns back, and its two times are in order")
+@rule(3, "PONG returns host_ns, and its two times are in order")
 def _pong(host: Host) -> None:
     pong, last = None, host.rx_us
     for _ in range(20):

@@ -1,4 +1,4 @@
-"""The suite: every rule of PROTOCOL.md that can be tried over a line, and the way to try them."""
+"""The suite: all rules of PROTOCOL.md that can be tested over a line, and their execution."""
 
 from __future__ import annotations
 
@@ -39,26 +39,28 @@ RULES: tuple[Rule, ...] = (
     *load_rules.RULES,
     *byte_rules.LAST,
 )
-_TRIES = 6
+_MAX_TRIES = 6
 _STALL_MS = 80
-"""A silence of the host after which a rule that failed is tried again."""
-_LONGEST_MS, _MOST_RECEIVED = 600_000, 1 << 22
+"""Silence of the host, in ms, after which a failed rule is tested again."""
+_MAX_SUITE_MS, _MAX_RECEIVED_BYTES = 600_000, 1 << 22
 """Limits of the whole suite; an Uno needs 24 s, and sends 0.23 MB."""
 PASS, FAIL, NOT_TRIED = "pass", "FAIL", "not tried"
 
 
-def run(host: Host, tell: Callable[[Result], None], wanted: Sequence[Rule] = RULES) -> list[Result]:
-    """Try each rule and return what became of it; the device ends at 0 V, whatever happens.
+def run(
+    host: Host, report: Callable[[Result], None], wanted: Sequence[Rule] = RULES
+) -> list[Result]:
+    """Test each rule and return the results; at the end the device is at 0 V in every case.
 
-    A device that floods the line, or takes minutes, breaks the rule that is being tried; the rules
-    after it are not tried.
+    A device that floods the line, or takes minutes, breaks the current rule. The later rules are
+    then not tested.
 
     Parameters
     ----------
-    tell : callable
-        Is told of each result at once.
+    report : callable
+        Function that is called with each result at once.
     wanted : sequence of Rule
-        The rules to be tried, in order.
+        The rules to test, in order.
 
     Raises
     ------
@@ -67,11 +69,11 @@ def run(host: Host, tell: Callable[[Result], None], wanted: Sequence[Rule] = RUL
     """
     results: list[Result] = []
     left = iter(wanted)
-    host.limit(_LONGEST_MS, _MOST_RECEIVED)
+    host.limit(_MAX_SUITE_MS, _MAX_RECEIVED_BYTES)
 
     def add(result: Result) -> None:
         results.append(result)
-        tell(result)
+        report(result)
 
     try:
         host.hello(BOOT_MS)
@@ -92,9 +94,9 @@ def run(host: Host, tell: Callable[[Result], None], wanted: Sequence[Rule] = RUL
 
 
 def _tried(host: Host, rule: Rule) -> Result:
-    """Try a rule; again where the host was held up, for then it says nothing of the device."""
+    """Test a rule; repeat a failed test during which the host stalled."""
     came, outcome = "", FAIL
-    for _ in range(_TRIES):
+    for _ in range(_MAX_TRIES):
         try:
             host.to_idle()
             host.silence_ms = 0.0
@@ -113,9 +115,11 @@ def _tried(host: Host, rule: Rule) -> Result:
 
 
 def leave(host: Host) -> None:
-    """Leave the device at 0 V: STOP, and ESTOP where that is not confirmed."""
+    """Leave the device at 0 V: send STOP, and ESTOP if STOP is not confirmed."""
     for kind in (Stop, Estop):
-        with suppress(Broken, OSError):  # a port that is gone: the device's watchdog is next
+        with suppress(
+            Broken, OSError
+        ):  # if the port is gone, the device's watchdog stops the motor
             for _ in range(3):
                 host.put(kind)
             host.fence()

@@ -1,34 +1,34 @@
-"""A device to which time is given as the suite's line: all of it in virtual time."""
+"""A line to a device in virtual time."""
 
 from __future__ import annotations
 
 from collections import deque
 from typing import Protocol
 
-_MS = 1_000_000
+_NS_PER_MS = 1_000_000
 
 
 class TimedDevice(Protocol):
-    """A device to which time is given, and that the opening of its port may reset."""
+    """A device whose time is an argument; the opening of its port may reset it."""
 
     def receive(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the wire to it."""
+        """Put bytes on the wire to the device."""
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Let time pass; return frames, each with its last byte's departure."""
+        """Advance to a time; return the sent frames, each with the time of its last byte."""
 
     def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Let time pass up to `limit_ns` or to a frame; return the time that it is then, and it."""
+        """Advance to `limit_ns` or to a frame; return the time and the sent frames."""
 
     def reset(self, now_ns: int) -> None:
-        """Reset the processor; what is on the wires is lost."""
+        """Reset the processor; bytes on the wires are lost."""
 
 
 class VirtualLine:
-    """A device at the end of a line that takes no time of its own."""
+    """A line to a device that adds no delays."""
 
     def __init__(self, device: TimedDevice, *, resets: bool = True) -> None:
-        """Begin when it is switched on; `resets` has the opening of the port reset it."""
+        """Start at power-on; if `resets` is True, the opening of the port resets the device."""
         self.device = device
         self._resets = resets
         self._now_ns = 0
@@ -39,8 +39,8 @@ class VirtualLine:
         self.device.receive(self._now_ns, data)
 
     def receive(self, within_ms: float) -> bytes:
-        """Let time pass until a frame has come, or for `within_ms`."""
-        end_ns = self._now_ns + round(within_ms * _MS)
+        """Advance until a frame arrives, at most by `within_ms`; return the frame."""
+        end_ns = self._now_ns + round(within_ms * _NS_PER_MS)
         while True:
             if self._due and self._due[0][0] <= self._now_ns:
                 return self._due.popleft()[1]
@@ -51,13 +51,13 @@ class VirtualLine:
             self._due.extend(frames)
 
     def reopen(self, after_ms: float) -> None:
-        """Let time pass; what was on its way is lost."""
-        self._now_ns += round(after_ms * _MS)
+        """Advance by `after_ms`; frames on the line are lost."""
+        self._now_ns += round(after_ms * _NS_PER_MS)
         self.device.advance(self._now_ns)
         self._due.clear()
         if self._resets:
             self.device.reset(self._now_ns)
 
     def now_ns(self) -> int:
-        """Return the time that has passed."""
+        """Return the virtual time, in ns."""
         return self._now_ns

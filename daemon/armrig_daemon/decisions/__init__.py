@@ -1,1 +1,1 @@
-"""What decides: pure, without a clock, randomness or a log."""
+"""The decisions: pure functions without a clock, randomness or a log."""

@@ -1,4 +1,4 @@
-"""What the wire can carry: the shortest sampling time for a baud rate, in either mode."""
+"""Shortest sampling time that a baud rate permits, in exchange and in scheduled mode."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from armrig_protocol.messages import SETPOINTS_PER_FRAME, Exchange, Ping, Pong, 
 
 BITS_PER_BYTE = 10  # 8N1
 CONVERSION_US = (
-    104  # ATmega328P: 13 clocks of the ADC at 125 kHz; a device tells its own in HELLO_R
+    104  # ATmega328P: 13 clocks of the ADC at 125 kHz; a device reports its own in HELLO_R
 )
-PING_US = 25_000
-"""How often a scheduled run asks for the device's clock, in µs."""
-_SPARE = 1.1  # room for EVENT and for what is sent again
+PING_INTERVAL_US = 25_000
+"""Interval between requests for the device's clock in a scheduled run, in µs."""
+_SPARE_FACTOR = 1.1  # room for EVENT and for repeated frames
 
 
 def exchange_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: int = 1) -> int:
     """Return the shortest sampling time of exchange mode, in µs.
 
-    A tick carries the request, `oversampling` conversions of each channel and the answer, one after
-    the other.
+    In each tick, three phases follow one after the other: the request, `oversampling` conversions
+    of each channel, and the answer.
     """
     length = wire_length(Exchange) + wire_length(Sample)
     return ceil(length * BITS_PER_BYTE / baud * 1e6 + 2 * oversampling * conversion_us)
@@ -30,14 +30,15 @@ def exchange_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: i
 def scheduled_us(baud: int, conversion_us: float = CONVERSION_US, oversampling: int = 1) -> int:
     """Return the shortest sampling time of scheduled mode, in µs.
 
-    Each direction counts by itself: a sample one way, a share of a frame of setpoints the other,
-    and a question for the clock now and then; and the converter must have been read.
+    The two directions of the line are independent. In each sampling time, a sample is sent to the
+    host, and a share of a frame of setpoints to the device. PING and PONG for the clock are added.
+    The conversions must also fit into the sampling time.
     """
     byte_us = BITS_PER_BYTE / baud * 1e6
-    up = wire_length(Sample) * byte_us / (1 - wire_length(Pong) * byte_us / PING_US)
+    up = wire_length(Sample) * byte_us / (1 - wire_length(Pong) * byte_us / PING_INTERVAL_US)
     share = wire_length(Setpoints) / SETPOINTS_PER_FRAME
-    down = share * byte_us / (1 - wire_length(Ping) * byte_us / PING_US)
-    return ceil(max(_SPARE * up, _SPARE * down, 2 * oversampling * conversion_us))
+    down = share * byte_us / (1 - wire_length(Ping) * byte_us / PING_INTERVAL_US)
+    return ceil(max(_SPARE_FACTOR * up, _SPARE_FACTOR * down, 2 * oversampling * conversion_us))
 
 
 def check(
@@ -48,7 +49,7 @@ def check(
     scheduled: bool = False,
     oversampling: int = 1,
 ) -> None:
-    """Raise ValueError, with the sampling time that would do, where `ts_us` cannot fit."""
+    """Raise ValueError with the shortest possible sampling time if `ts_us` does not fit."""
     least = (scheduled_us if scheduled else exchange_us)(baud, conversion_us, oversampling)
     if ts_us < least:
         mode = "scheduled" if scheduled else "exchange"

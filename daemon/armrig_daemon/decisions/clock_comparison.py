@@ -1,4 +1,4 @@
-"""The device's clock compared with ours, from every exchange that has four stamps."""
+"""Comparison of the device's clock with the host's, by each exchange with four time stamps."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon.decisions import clockmap
-from armrig_daemon.decisions.budget import BITS_PER_BYTE, PING_US
+from armrig_daemon.decisions.budget import BITS_PER_BYTE, PING_INTERVAL_US
 from armrig_daemon.decisions.state import Clock, Sent, State
 
 
 def by_pong(state: State, now_ns: int, pong: Pong) -> State:
-    """Return the state after a PONG, which carries the device's two stamps."""
+    """Return the state after a PONG, which contains two time stamps of the device."""
     ways = (Ping, Pong)
     clock, stamps = state.clock, (pong.host_ns, pong.rx_us, pong.tx_us, now_ns)
     return state if clock is None else _compared(state, clock, ways, *stamps)
@@ -23,11 +23,12 @@ def by_pong(state: State, now_ns: int, pong: Pong) -> State:
 def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
     """Return the state after a SAMPLE that answers an EXCHANGE.
 
-    The request had come when alpha was first triggered, with oversampling m 2 m - 1 conversions
-    before `t_us`, the last trigger of theta_1; the answer began to leave one conversion after it.
+    The request had arrived when alpha was first triggered. With oversampling m, this trigger is 2 m
+    - 1 conversions before `t_us`, the last trigger of theta_1. The device began to send the answer
+    one conversion after `t_us`.
     """
     device, clock = state.device, state.clock
-    if device is None or clock is None or now_ns - clock.compared_ns < PING_US * 1000:
+    if device is None or clock is None or now_ns - clock.compared_ns < PING_INTERVAL_US * 1000:
         return state
     before_us = (2 * _oversampling(state, sent, m) - 1) * device.skew_us
     rx_us, tx_us = (m.t_us - before_us) & 0xFFFFFFFF, (m.t_us + device.skew_us) & 0xFFFFFFFF
@@ -36,10 +37,10 @@ def by_sample(state: State, now_ns: int, sent: Sent, m: DeviceSample) -> State:
 
 
 def _oversampling(state: State, sent: Sent, m: DeviceSample) -> int:
-    """Return how many conversions of each channel a reading is made of, and 1 where that is open.
+    """Return the number of conversions in a reading of a channel; 1 if the number is not known.
 
-    Too few make a round trip that looks long, and counts for little; too many one that looks
-    shorter than any, and would lead.
+    If the number is too small, the round trip appears long and gets little weight. If the number is
+    too large, the round trip appears shorter than all others and dominates the estimate.
     """
     in_force = state.configuration
     if m.state == DeviceState.IDLE or in_force is None or sent.sent_ns < in_force.asked_ns:
@@ -61,6 +62,6 @@ def _compared(
     )
     rx = clockmap.extend(clock.device_us or rx_us, rx_us)
     tx = clockmap.extend(rx, tx_us)
-    # The time on the wire is known, and different for each pair of frames: it is taken off here.
+    # Each pair of frames has its own time on the wire; it is subtracted here.
     compared = clockmap.update(clock.map, h1_ns + request_ns, rx, tx, h4_ns - answer_ns)
     return replace(state, clock=Clock(clock.boot_id, h4_ns, tx, compared))

@@ -1,19 +1,20 @@
-"""The map from the device's clock to the host's, from exchanges of PING and PONG.
+"""Map from the device's clock to the host's, estimated from exchanges of PING and PONG.
 
-An exchange has four stamps: PING leaves the host at `h1_ns` and has come to the device at
-`rx_us`; PONG begins to leave it at `tx_us` and has come to the host at `h4_ns`. With the times
-on the wire known, the host's time at the middle of `rx_us` and `tx_us` is the middle of `h1_ns`
-and `h4_ns`, but for (qf - qb)/2, where qf and qb >= 0 are what the request and the answer waited
-besides. Only their sum is seen, e = qf + qb, so that the error is c · e with c in [-1/2, 1/2].
+An exchange has four time stamps. PING leaves the host at `h1_ns` and has arrived at the device at
+`rx_us`. PONG begins to leave the device at `tx_us` and has arrived at the host at `h4_ns`. The
+times on the wire are known and subtracted. Then the middle of `h1_ns` and `h4_ns` is the host's
+time at the middle of `rx_us` and `tx_us`, with an error of (qf - qb)/2. Here qf and qb >= 0 are the
+waiting times of the request and of the answer. Only their sum e = qf + qb is observed, so the error
+is c · e with c in [-1/2, 1/2].
 
-A waiting time has one sign: its mean does not average out. So c counts as unknown and common
-to all exchanges, with the variance 1/12 of a uniform one, and short round trips lead.
+A waiting time is never negative, so its mean does not average out. Therefore c is treated as
+unknown but equal in all exchanges, with the variance 1/12 of a uniform distribution. Short round
+trips get the largest weights.
 
-What no exchange shows is the part of qf - qb that is always there: half of it, at most
-`Estimate.bound_ns`, is in the offset and not in its standard deviation. It does not touch
-the drift.
+No exchange shows the constant part of qf - qb. Half of this part, at most `Estimate.bound_ns`, is
+in the offset and not in its standard deviation. The drift is not affected.
 
-Raw times stay: the map is asked, never applied in place.
+Raw times are kept: the map is evaluated where it is needed, never applied in place.
 
 References
 ----------
@@ -33,16 +34,16 @@ _WRAP = 1 << 32
 _BACK_US = 1 << 24  # 16.8 s; leaves 71.3 min of silence before a wrap is missed
 _DRIFT_PRIOR = 1 / 3.0**2  # (ns/µs)⁻²: 3000 ppm, a ceramic resonator is good to 0.5 %
 _C_VARIANCE = 1 / 12  # of c, uniform in [-1/2, 1/2]
-_WINDOW = 100  # round trips among which the least is looked for
-_FEW = 8  # round trips of which no quantile says anything
-_GATE = 5.0**2  # the error of an honest exchange is within √3 of its part of the deviation
-_MOST_REJECTED = 8
-_BRISK = 4.0  # the lag is a mean over a quarter of what the regression remembers
-_MOST_FADING = 10.0  # time constants; more would only overflow
+_WINDOW_SIZE = 100  # newest round trips, whose minimum is taken
+_MIN_QUANTILE_SIZE = 8  # with fewer round trips a quantile is meaningless
+_GATE_VARIANCES = 5.0**2  # |c| <= 1/2 keeps an error within √3 of its standard deviation
+_MAX_REJECTED = 8
+_LAG_GAIN = 4.0  # the lag is a mean over a quarter of the regression's memory
+_MAX_FADING = 10.0  # time constants; with more, 1/weight would overflow
 
 
 class Link(NamedTuple):
-    """What is known beforehand of the way to the device."""
+    """Known properties of the line to the device."""
 
     request_ns: int = 0
     """Time of PING on the wire."""
@@ -55,11 +56,11 @@ class Link(NamedTuple):
 
 
 class ClockMap(NamedTuple):
-    """What the exchanges so far say of the device's clock.
+    """Estimate of the device's clock from the exchanges so far.
 
-    A weighted regression of y = host - 1000 · device (ns) on d = device (µs), and of the round
-    trip r on d, by weighted means and centred moments; y and d count from the last exchange, in
-    integers, so that nothing cancels however long it runs.
+    The estimate is a weighted regression of y = host - 1000 · device (ns) on d = device (µs), and
+    of the round trip r on d. It is stored as weighted means and centred moments. y and d count from
+    the last exchange, in integers, so that no digits cancel in a long run.
     """
 
     link: Link = Link()
@@ -68,7 +69,7 @@ class ClockMap(NamedTuple):
     device_us: int = 0
     """Device's time from which y and d count: rx of the last exchange."""
     weight: float = 0.0
-    """Sum of 1/variance, faded, in ns⁻²; 0 where nothing is known."""
+    """Sum of 1/variance, faded, in ns⁻²; 0 before the first exchange."""
     d: float = 0.0
     """Mean of d, in µs."""
     y: float = 0.0
@@ -76,74 +77,75 @@ class ClockMap(NamedTuple):
     r: float = 0.0
     """Mean of r, in ns."""
     dd: float = 0.0
-    """Centred moment of d with d, weighted, as the next two."""
+    """Weighted centred moment of d with d; `dy` and `dr` are the moments of d with y and with r."""
     dy: float = 0.0
     dr: float = 0.0
     lag: float = 0.0
-    """Mean of the newest innovations, in ns: 0 but for noise while the drift is constant."""
+    """Mean of the newest innovations, in ns; 0 except for noise while the drift is constant."""
     round_trips: tuple[int, ...] = ()
-    """The newest, in ns, at most `_WINDOW`."""
+    """Newest round trips, in ns, at most `_WINDOW_SIZE`."""
     floor_ns: int = 0
-    """The least of them."""
+    """Minimum of `round_trips`."""
     median_ns: int = 0
-    """The median of them."""
+    """Median of `round_trips`."""
     gap_ns: float = 0.0
-    """How far the shortest round trip possible may lie below the least one seen."""
+    """Estimated distance from the shortest possible round trip up to `floor_ns`, in ns."""
     rejected: int = 0
-    """Exchanges in a row that did not fit."""
+    """Number of consecutive exchanges that the map rejected."""
     restarts: int = 0
-    """How often the map began anew because they did not."""
+    """Number of restarts of the map after too many rejected exchanges."""
 
 
 class Estimate(NamedTuple):
-    """The two clocks against each other, at the last exchange."""
+    """Offset and drift between the two clocks, at the last exchange."""
 
     offset_ns: int
-    """Host's time less 1000 times the device's."""
+    """Host's time minus 1000 times the device's."""
     offset_std_ns: float
     drift_ppm: float
-    """What the offset gains; positive where the device's clock is slow."""
+    """Growth of the offset; positive if the device's clock is slow."""
     drift_std_ppm: float
     bound_ns: float
-    """Half of the least round trip beyond the wire: the most that a constant asymmetry hides."""
+    """Bound of a constant asymmetry: half the shortest round trip, less the time on the wire."""
 
 
 def start(link: Link) -> ClockMap:
-    """Return a map that knows nothing yet but the link."""
+    """Return a map without an exchange."""
     return ClockMap(link)
 
 
 def extend(last_us: int, raw_us: int) -> int:
-    """Return the device's time, wraps undone, that is next to `last_us` and reads `raw_us`.
+    """Return the time of the device without wraps that is next to `last_us` and reads `raw_us`.
 
-    It is at most 16.8 s before `last_us` (messages overtake each other), or less than 71.3 min
-    after it; a longer silence loses a wrap. The first reading extends itself.
+    The result is at most 16.8 s before `last_us` (messages overtake each other), or less than 71.3
+    min after it; a longer silence loses a wrap. The extended time of the first reading is the
+    reading itself.
     """
     return last_us - _BACK_US + ((raw_us - last_us + _BACK_US) % _WRAP)
 
 
 def update(clock: ClockMap, h1_ns: int, rx_us: int, tx_us: int, h4_ns: int) -> ClockMap:
-    """Return the map that knows of one exchange more.
+    """Return the map with one more exchange.
 
     Parameters
     ----------
     clock : ClockMap
     h1_ns, h4_ns : int
-        When PING was sent and PONG had come, by the host's monotonic clock.
+        Times at which PING was sent and PONG had arrived, by the host's monotonic clock.
     rx_us, tx_us : int
-        When PING had come and PONG began to leave, by the device's clock, extended.
+        Times at which PING had arrived and PONG began to leave, by the device's clock, extended.
 
     Notes
     -----
-    v is the variance of an exchange's error where c is random. It counts with less than 1/v, the
-    less the longer its round trip: long ones have an error whose mean does not average out.
-    Where the innovation is beyond five times its standard deviation the exchange is left out;
-    after eight in a row the map begins anew, with the last of them.
+    v is the variance of an exchange's error for a random c. The weight is less than 1/v and
+    decreases as the round trip grows: the mean error of long round trips does not average out.
+    If the innovation exceeds five times its standard deviation, the exchange is rejected. After
+    eight rejections in a row the map restarts with the last exchange.
     """
     link = clock.link
     r = h4_ns - h1_ns - 1000 * (tx_us - rx_us)
     if r < -2000 * link.resolution_us or tx_us < rx_us:
-        return _reject(clock)  # the device's clock jumped between its two stamps
+        return _reject(clock)  # the device's clock jumped between its two time stamps
     clock = _window(clock, r)
     excess = r - clock.floor_ns
     step = (1000.0 * link.resolution_us) ** 2
@@ -157,12 +159,12 @@ def update(clock: ClockMap, h1_ns: int, rx_us: int, tx_us: int, h4_ns: int) -> C
         return _add(_blank(moved), d, y, r, w, 0.0)
     innovation = y - moved.y - _slope(moved) * (d - moved.d)
     variance = v + _variance(moved, d, 1.0)
-    if innovation * innovation > _GATE * variance:
-        if clock.rejected + 1 < _MOST_REJECTED:
+    if innovation * innovation > _GATE_VARIANCES * variance:
+        if clock.rejected + 1 < _MAX_REJECTED:
             return _reject(clock)
-        anew = _blank(moved)._replace(restarts=clock.restarts + 1)
-        return _add(anew, d, y, r, w, 0.0)
-    # A stalled exchange agrees with anything: only one of the better half ends a row.
+        restarted = _blank(moved)._replace(restarts=clock.restarts + 1)
+        return _add(restarted, d, y, r, w, 0.0)
+    # A stalled exchange fits any map: only a round trip up to the median ends a row of rejections.
     rejected = 0 if r <= clock.median_ns else clock.rejected
     return _add(moved._replace(rejected=rejected), d, y, r, w, innovation)
 
@@ -184,9 +186,9 @@ def host_ns_at(clock: ClockMap, device_us: int) -> int:
 def std_ns_at(clock: ClockMap, device_us: int) -> float:
     """Return the standard deviation of `host_ns_at`, in ns.
 
-    Beyond the last exchange what is known fades with the time constant of the regression, and
-    the standard deviation grows. It holds at least the device's resolution, which repeats from
-    reading to reading and does not average out.
+    After the last exchange the weights fade with the time constant of the regression, and the
+    standard deviation grows. The result is at least the standard deviation of the device's
+    resolution. The resolution's error repeats from reading to reading and does not average out.
 
     Raises
     ------
@@ -215,8 +217,8 @@ def estimate(clock: ClockMap) -> Estimate:
     std_ns = std_ns_at(clock, clock.device_us)
     link = clock.link
     variance = 1 / (clock.dd + _DRIFT_PRIOR) + _C_VARIANCE * _trend(clock) ** 2
-    # Where the drift changes at a rate a, y lags by a s² and the drift by 2 a s, s² the variance
-    # of d (exponential memory; within 15 % for a short, even one).
+    # If the drift changes at a rate a, y lags by a s² and the drift by 2 a s. s² is the variance
+    # of d (exponential memory; within 15 % for a short, uniform memory).
     variance += 4 * clock.lag**2 * clock.weight / (clock.dd + _DRIFT_PRIOR)
     return Estimate(
         host_ns - 1000 * clock.device_us,
@@ -233,41 +235,41 @@ def _slope(clock: ClockMap) -> float:
 
 
 def _trend(clock: ClockMap) -> float:
-    """Return how the round trip grows, in ns/µs: so much times c is taken for drift."""
+    """Return the growth of the round trip, in ns/µs; c times this growth appears as drift."""
     return clock.dr / (clock.dd + _DRIFT_PRIOR)
 
 
 def _variance(clock: ClockMap, d: float, fading: float) -> float:
-    """Return the variance of the regression's y at d, in ns², where the weights have faded."""
+    """Return the variance of the regression's y at d, in ns², with weights faded by `fading`."""
     from_mean = (d - clock.d) ** 2
     averaged = 1 / (fading * clock.weight) + from_mean / (fading * clock.dd + _DRIFT_PRIOR)
     excess = clock.r - clock.floor_ns + clock.gap_ns
     common = excess * excess + _trend(clock) ** 2 * from_mean
     step = (1000.0 * clock.link.resolution_us) ** 2
-    # A drift that goes on changing as it did: (1 + x)² is at least 1 + 2 x + x²/2.
+    # The drift may go on changing at the same rate: (1 + x)² is at least 1 + 2 x + x²/2.
     ahead = 1 + max(0.0, d) * math.sqrt(clock.weight / (clock.dd + _DRIFT_PRIOR))
     return averaged + _C_VARIANCE * (common + step) + (clock.lag * ahead * ahead) ** 2
 
 
 def _fading(link: Link, past_ns: int) -> float:
-    """Return the share of its weight that an exchange keeps over a time."""
-    return math.exp(-min(max(0.0, past_ns / link.tau_ns), _MOST_FADING))
+    """Return the share of its weight that an exchange still has after a time."""
+    return math.exp(-min(max(0.0, past_ns / link.tau_ns), _MAX_FADING))
 
 
 def _window(clock: ClockMap, r: int) -> ClockMap:
-    """Take note of a round trip, and of how near the least of the window is to the least of all.
+    """Add a round trip to the window, and estimate the distance of its minimum from the shortest.
 
-    Two exponential waiting times with means m and m' fall both below x with a chance of
-    x²/(2 m m'), so that the least of N has the root mean square √(2 m m'/N): at most
-    0.84/√N times the median, which stalls do not touch.
+    The sum of two exponential waiting times with means m and m' is below x with a probability of
+    x²/(2 m m'). So the least of N sums has the root mean square √(2 m m'/N), at most 0.84/√N times
+    the median. Stalls do not change the median.
     """
     link = clock.link
-    round_trips = (*clock.round_trips[1 - _WINDOW :], r)
+    round_trips = (*clock.round_trips[1 - _WINDOW_SIZE :], r)
     floor_ns = min(round_trips)
     n = len(round_trips)
     median_ns = sorted(round_trips)[n // 2]
     spread = median_ns - floor_ns
-    if n < _FEW:
+    if n < _MIN_QUANTILE_SIZE:
         gap_ns = float(max(spread, floor_ns - link.request_ns - link.answer_ns))
     else:
         gap_ns = 0.84 * spread / (math.sqrt(n) - 0.84)
@@ -277,7 +279,7 @@ def _window(clock: ClockMap, r: int) -> ClockMap:
 
 
 def _moved(clock: ClockMap, host_ns: int, device_us: int) -> ClockMap:
-    """Count from another instant, and fade what is known up to it."""
+    """Move the origin of y and d to another instant, and fade the weights up to this instant."""
     d_us, h_ns = device_us - clock.device_us, host_ns - clock.host_ns
     fading = _fading(clock.link, h_ns)
     return clock._replace(
@@ -293,7 +295,7 @@ def _moved(clock: ClockMap, host_ns: int, device_us: int) -> ClockMap:
 
 
 def _add(clock: ClockMap, d: float, y: float, r: int, w: float, error: float) -> ClockMap:
-    """Put an exchange of weight w, which came as a surprise of `error`, into the regression."""
+    """Add an exchange of weight w and innovation `error` to the regression."""
     weight = clock.weight + w
     share = w / weight
     d_off, y_off, r_off = d - clock.d, y - clock.y, r - clock.r
@@ -306,7 +308,7 @@ def _add(clock: ClockMap, d: float, y: float, r: int, w: float, error: float) ->
         dd=clock.dd + moment * d_off,
         dy=clock.dy + moment * y_off,
         dr=clock.dr + moment * r_off,
-        lag=clock.lag + min(1.0, _BRISK * share) * (error - clock.lag),
+        lag=clock.lag + min(1.0, _LAG_GAIN * share) * (error - clock.lag),
     )
 
 
@@ -315,7 +317,7 @@ def _reject(clock: ClockMap) -> ClockMap:
 
 
 def _blank(clock: ClockMap) -> ClockMap:
-    """Forget the clocks; the way between them is what it was."""
+    """Forget the regression, but keep the round trips: the line has not changed."""
     return clock._replace(
         weight=0.0, d=0.0, y=0.0, r=0.0, dd=0.0, dy=0.0, dr=0.0, lag=0.0, rejected=0
     )

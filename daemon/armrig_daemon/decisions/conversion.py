@@ -1,4 +1,4 @@
-"""A sample of the device in the units of the telemetry."""
+"""Conversion of a device's sample to the units of the telemetry."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ _ADC0_RAIL, _ADC1_RAIL = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
 
 
 def extended(last: int, raw: int) -> int:
-    """Return a 32-bit clock without its wraps, where `last` is the extended value before."""
+    """Return a 32-bit clock without its wraps; `last` is the previous extended value."""
     return last + ((raw - last) & 0xFFFFFFFF)
 
 
 def is_older(last: int, raw: int) -> bool:
-    """Return whether a 32-bit clock stood so before it stood at `last`; half its range is ahead."""
+    """Return whether a 32-bit clock read `raw` before `last`, by less than half its range."""
     return (raw - last) & 0xFFFFFFFF > 0x7FFFFFFF
 
 
@@ -32,7 +32,7 @@ def converted(
     device_us: int,
     code: int,
 ) -> Sample:
-    """Return a sample in s, V and rad, with its raw counts; an angle at a rail is not a number."""
+    """Return a sample in ns, V and rad, with its raw counts; an angle at a rail is NaN."""
     return Sample(
         k,
         sched_ns,

@@ -1,4 +1,4 @@
-"""The faults that the daemon latches: what a program tells them by, and what a person is to do."""
+"""Faults that the daemon latches: a code for programs, a cause and a remedy for people."""
 
 from __future__ import annotations
 
@@ -9,64 +9,66 @@ from armrig_protocol.messages import Cause
 
 
 class Id(StrEnum):
-    """What a program tells a fault by; it does not change from release to release."""
+    """Code of a fault, for programs; it does not change from release to release."""
 
     LINK = "link"
     """The port is gone."""
     STALE = "stale"
-    """No round trip for too long."""
+    """No frame was answered for too long."""
     PAUSE = "pause"
-    """The host was away for too long."""
+    """The host did not run the loop for too long."""
     MISSED = "missed"
     """More ticks in a row were missed than the config allows."""
     SERVICE = "service"
     """The service is frozen."""
     LEASE = "lease"
-    """The holder's commands stayed away."""
+    """No command of the lease's holder arrived in time."""
     LIMITS = "limits"
     """An experiment left the limits."""
     RESET = "reset"
-    """The device started anew."""
+    """The device restarted."""
     DEVICE = "device"
     """The device stopped by itself."""
     STATE = "state"
-    """The device is in a state that nobody asked for."""
+    """The device is in a state that the daemon did not request."""
     APPLIED = "applied"
-    """The device latched another code than was commanded."""
+    """The device latched a code other than the commanded code."""
     REQUEST = "request"
-    """The device does not do what it is asked."""
+    """The device refuses or does not answer a request."""
     FIRMWARE = "firmware"
-    """Another firmware, or one that must not be driven."""
+    """The firmware is unknown, or must not drive a motor."""
     INTERNAL = "internal"
-    """The daemon contradicts itself."""
+    """The state of the daemon is inconsistent."""
 
 
 class Fault(NamedTuple):
-    """A fault as it happened."""
+    """A fault, with the values that were observed."""
 
     id: Id
     cause: str
-    """What came and what is allowed, for a person."""
+    """Observed and allowed values, as text for a person."""
+    device_cause: int = Cause.NONE
+    """Cause that the device reported, a `Cause` if it is known; NONE for other faults."""
 
 
 REMEDIES: dict[Id, str] = {
-    Id.LINK: "plug the rig in, and see that its supply is on",
-    Id.STALE: "see to the cable, the baud rate and the load of this host (`armrig doctor`)",
-    Id.PAUSE: "let this host neither sleep nor starve the daemon (`armrig doctor`)",
-    Id.MISSED: "lower the load of this host, or sample slower (`armrig doctor`)",
-    Id.SERVICE: "start armrigd anew; what it printed before may say why",
-    Id.LEASE: "have the client send a command more often: in 0.1 s or 5 Ts, the longer of the two",
+    Id.LINK: "plug the rig in, and check that its supply is on",
+    Id.STALE: "check the cable, the baud rate and the load of this host (`armrig doctor`)",
+    Id.PAUSE: "keep this host from sleeping, and lower its load (`armrig doctor`)",
+    Id.MISSED: "lower the load of this host, or sample more slowly (`armrig doctor`)",
+    Id.SERVICE: "start armrigd again; its earlier output may say why it froze",
+    Id.LEASE: "let the client send a command at least every 0.1 s or 5 Ts, whichever is longer",
     Id.LIMITS: "keep the input within [limits] of the configuration",
-    Id.RESET: "see to the supply and the cable of the rig",
-    Id.DEVICE: "keep to the limit that it names; if this host was late, close other programs "
+    Id.RESET: "check the supply and the cable of the rig",
+    Id.DEVICE: "stay within the limit in this message; if this host was late, close other programs "
     "(`armrig doctor`)",
-    Id.STATE: "see that nobody else talks to the device",
+    Id.STATE: "check that no other program uses the device",
     Id.APPLIED: "do not drive this rig: its firmware or its converter is broken",
-    Id.REQUEST: "see to the cable, then unplug the device and plug it in again",
+    Id.REQUEST: "check the cable, then unplug the device and plug it in again",
     Id.FIRMWARE: "flash firmware of this version of the wire (firmware_protocol/PROTOCOL.md)",
-    Id.INTERNAL: "report it with the recording: this is a bug in armrig",
+    Id.INTERNAL: "report this bug of armrig, with the recording",
 }
-"""What to do about each, before `armrig reset`."""
+"""Remedy of each fault, before `armrig reset`."""
 
 
 OF_DEVICE: dict[int, str] = {
@@ -79,11 +81,11 @@ OF_DEVICE: dict[int, str] = {
     Cause.VCC_LOW: "its supply is too low",
     Cause.INTERNAL: "a check of its firmware on itself failed",
 }
-"""What each cause is for which a device stops by itself."""
+"""Meaning of each cause for which a device stops by itself."""
 
 
 def of_device(cause: int) -> str:
-    """Return the cause in a frame of the device: its name where it has one, and what it is."""
+    """Return the name of a cause that the device reported, or its number, and its meaning."""
     name = Cause(cause).name if cause in set(Cause) else str(cause)
     return f"{name}, {OF_DEVICE[cause]}" if cause in OF_DEVICE else name
 

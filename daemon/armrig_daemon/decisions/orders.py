@@ -1,4 +1,4 @@
-"""What the service asks of the core; anything that is not allowed is refused and told."""
+"""Orders of the service to the core; an order that is not allowed is refused with a reason."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
 from armrig_daemon.decisions.requests import NO_DEVICE, Step, answer, ask, refuse
-from armrig_daemon.decisions.state import Action, Asked, Lease, Phase, Rules, State, Want
+from armrig_daemon.decisions.state import Action, Lease, PendingRequest, Phase, RequestKind, State
 from armrig_daemon.decisions.stopping import end_run, leave, stop
 from armrig_daemon.decisions.transitions import begin_arming, state_name
 from armrig_daemon.pipe import (
@@ -27,13 +27,13 @@ from armrig_daemon.pipe import (
 )
 
 NOT_HELD = "not the lease in force: arm first"
-"""What is said to who commands without holding the rig."""
+"""Refusal of a command from a client that does not hold the rig."""
 BY_HAND = "the motor is driven by hand: disarm first"
 _AT_REST = (DeviceState.IDLE, DeviceState.READY)
 
 
 def handle(state: State, now_ns: int, order: Order) -> Step:
-    """Carry out one order, or refuse it."""
+    """Carry out an order, or refuse it."""
     state = replace(state, service_ns=now_ns)
     match order:
         case Alive():
@@ -54,17 +54,17 @@ def handle(state: State, now_ns: int, order: Order) -> Step:
 
 
 def not_newer(n: int, last: int) -> str:
-    """Return what is said of a command whose number does not exceed the last."""
+    """Return the refusal of a command whose number does not exceed the last number."""
     return f"n={n} must be greater than the last, {last}"
 
 
 def held_by(owner: str) -> str:
-    """Return what is said to who arms a rig that somebody holds."""
+    """Return the refusal of an arming while an owner holds the rig."""
     return f"{owner} has the rig: wait until it is free, or end it with `armrig stop`"
 
 
 def quit_(state: State, now_ns: int) -> Step:
-    """Stop and exit; the exit waits until the device is seen stopped, or cannot be."""
+    """Stop and exit; if a device answers, exit after the device has reported that it stopped."""
     if state.quitting:
         return state, []
     state = replace(state, quitting=True)
@@ -78,7 +78,7 @@ def quit_(state: State, now_ns: int) -> Step:
 def _stop(state: State, now_ns: int, order: Stop) -> Step:
     may_turn = state.phase in (Phase.ARMED, Phase.ACTIVE) or state.asked is not None
     if state.device is None or state.phase is Phase.FAULT or not may_turn:
-        return state, answer(order, {"done": True})  # at 0 V, or out of our reach
+        return state, answer(order, {"done": True})  # at 0 V, or without a link
     return stop(state, now_ns, order.reason, order, order.outcome_code)
 
 
@@ -90,13 +90,13 @@ def _reset(state: State, now_ns: int, order: Reset) -> Step:
     if state.asked is not None:
         return state, _refuse_as_busy(order, state.asked)
     latched = state.device_state in (DeviceState.FAULT, DeviceState.ESTOP)
-    return ask(state, now_ns, Want.CLEAR if latched else Want.HELLO, order)
+    return ask(state, now_ns, RequestKind.CLEAR if latched else RequestKind.HELLO, order)
 
 
 def _calibrate(state: State, order: Calibrate) -> Step:
-    """Take another calibration at rest, so that a run has one from its first sample to its last.
+    """Replace the calibration, at rest only: each run has a single calibration.
 
-    Only the conversion of samples reads it: it leads to no frame, and changes no limit.
+    Only the conversion of samples uses the calibration. It changes no frame and no limit.
     """
     if state.phase is Phase.FAULT:
         return state, _refuse_in_fault(order, state)
@@ -123,7 +123,7 @@ def _arm(state: State, now_ns: int, order: Arm) -> Step:
         return state, refuse(order, NO_DEVICE, RefusalCode.NO_DEVICE)
     if state.asked is not None:
         return state, _refuse_as_busy(order, state.asked)
-    age_ns, limit_ns = now_ns - link.fresh_ns, state.rules.age_ns(state.ts_us)
+    age_ns, limit_ns = now_ns - link.last_round_trip_ns, state.rules.age_ns(state.ts_us)
     if age_ns > limit_ns:
         text = f"no answer from the device for {age_ns / 1e6:.0f} ms: try again"
         return state, refuse(order, text, RefusalCode.STALE, age_ms=age_ns / 1e6)
@@ -131,9 +131,9 @@ def _arm(state: State, now_ns: int, order: Arm) -> Step:
         text = f"no sample of the device in the last {limit_ns / 1e6:.0f} ms: try again"
         return state, refuse(order, text, RefusalCode.STALE, limit_ms=limit_ns / 1e6)
     if link.device_state not in _AT_REST:
-        # HELLO finds out what it is at, and leads back to rest.
+        # HELLO asks for the device's state, and leads back to rest.
         error = f"the device is in {state_name(link.device_state)}, not at rest: try again"
-        state, actions = ask(state, now_ns, Want.HELLO)
+        state, actions = ask(state, now_ns, RequestKind.HELLO)
         return state, [*refuse(order, error, RefusalCode.NOT_AT_REST), *actions]
     return begin_arming(state, now_ns, order)
 
@@ -157,12 +157,12 @@ def _leased(state: State, now_ns: int, order: Leased) -> Step:
     if isinstance(order, Set) and state.phase is Phase.ACTIVE:
         return replace(state, code=order.code), answer(order, {"done": True})
     if isinstance(order, Run) and order.scheduled:
-        # By way of a stop: a device takes another mode in IDLE and READY only.
-        return ask(state, now_ns, Want.STOP, order)
-    return ask(state, now_ns, Want.START, order)
+        # First a stop: a device accepts another mode in IDLE and READY only.
+        return ask(state, now_ns, RequestKind.STOP, order)
+    return ask(state, now_ns, RequestKind.START, order)
 
 
-def _refuse_as_busy(order: Order, asked: Asked) -> list[Action]:
+def _refuse_as_busy(order: Order, asked: PendingRequest) -> list[Action]:
     text = f"busy with {asked.want}: try again"
     return refuse(order, text, RefusalCode.BUSY, want=asked.want)
 
@@ -172,7 +172,7 @@ def _refuse_as_held(order: Order, lease: Lease) -> list[Action]:
 
 
 def _refuse_in_fault(order: Order, state: State) -> list[Action]:
-    text = f"in fault ({state.reason}): mend it, then reset"
+    text = f"in fault ({state.reason}): correct the cause, then reset"
     fault = state.fault.id if state.fault else ""
     return refuse(order, text, RefusalCode.IN_FAULT, fault=fault, reason=state.reason)
 
@@ -185,45 +185,48 @@ def _refusal(state: State, order: Leased) -> list[Action]:
                 text = f"the experiment {state.run.run_id} is running: stop it first"
                 return refuse(order, text, RefusalCode.RUNNING)
             if state.lease is not None and state.ts_us != state.lease.ts_us:
-                return refuse(order, _too_short_for_exchange(state), RefusalCode.CANNOT_PACE)
-            error = _out_of_range(state.code, order.code, state.rules)
-            return refuse(order, error) if error else []
+                return _refuse_as_too_short(state, order)
+            return _out_of_range(state, order)
         case Run():
             if state.phase is not Phase.ARMED:
                 return refuse(order, BY_HAND, RefusalCode.BY_HAND)
             if state.run is not None:
                 text = f"the experiment {state.run.run_id} is about to start: stop it first"
                 return refuse(order, text, RefusalCode.RUNNING)
-            error = _cannot_pace(state, order)
-            if error:
-                return refuse(order, error, RefusalCode.CANNOT_PACE)
-            # Each code is checked when it is sent: a million at once would hold up the tick.
+            if refusal := _cannot_pace(state, order):
+                return refusal
+            # Each code is checked when it is sent: to check a million at once would delay the tick.
             return [] if order.codes else refuse(order, "the experiment is empty")
     return []
 
 
-def _cannot_pace(state: State, order: Run) -> str:
-    """Return why the device cannot pace a run as it was asked for, or nothing."""
+def _cannot_pace(state: State, order: Run) -> list[Action]:
+    """Return the refusal of a run that the device cannot pace, or nothing."""
     if order.scheduled:
-        able = state.device is not None and state.device.capabilities & Capability.SCHEDULED
-        return "" if able else "this device has no scheduled mode: ask for exchange"
+        if state.device is not None and state.device.capabilities & Capability.SCHEDULED:
+            return []
+        text = "this device has no scheduled mode: request exchange mode"
+        return refuse(order, text, RefusalCode.CANNOT_PACE)
     if state.lease is not None and state.ts_us != state.lease.ts_us:
-        return _too_short_for_exchange(state)
-    return ""
+        return _refuse_as_too_short(state, order)
+    return []
 
 
-def _too_short_for_exchange(state: State) -> str:
+def _refuse_as_too_short(state: State, order: Order) -> list[Action]:
     ts_s = state.lease.ts_us / 1e6 if state.lease else 0
-    return (
+    text = (
         f"Ts={ts_s:g} s cannot be carried in exchange mode: run scheduled, or arm with a longer Ts"
     )
+    return refuse(order, text, RefusalCode.CANNOT_PACE)
 
 
-def _out_of_range(before: int, code: int, rules: Rules) -> str:
+def _out_of_range(state: State, order: Set) -> list[Action]:
+    """Return the refusal of a voltage outside the limits, or nothing."""
+    rules, before, code = state.rules, state.code, order.code
     low, high = volts_of(rules.code_min), volts_of(rules.code_max)
     if not rules.code_min <= code <= rules.code_max:
-        return f"u={volts_of(code):.4g} V is outside {low:.4g} … {high:.4g} V"
+        return refuse(order, f"u={volts_of(code):.4g} V is outside {low:.4g} … {high:.4g} V")
     if not rules.allows(before, code):
-        step = volts_of(abs(code - before))
-        return f"u steps by {step:.4g} V: at most {volts_of(rules.slew):.4g} V in a sample"
-    return ""
+        step, most = volts_of(abs(code - before)), volts_of(rules.slew)
+        return refuse(order, f"u steps by {step:.4g} V: at most {most:.4g} V in a sample")
+    return []

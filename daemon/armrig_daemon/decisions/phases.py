@@ -1,4 +1,4 @@
-"""Every way from phase to phase, as one table; docs/safety.md draws it."""
+"""Table of all transitions between phases; docs/safety.md draws it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from armrig_daemon.decisions.state import Phase, State
 
 
 class On(Enum):
-    """What moves the daemon from phase to phase, as the diagram says it."""
+    """Cause of a transition between phases; its value is the text in the diagram."""
 
     CONFIGURED = "the device is at rest and has accepted its configuration"
     ARMED = "the device is armed for an owner"
@@ -33,9 +33,12 @@ TRANSITIONS: dict[On, dict[Phase, Phase]] = {
     On.LOST: {_INIT: _INIT, _SAFE: _INIT, _FAULT: _FAULT},
     On.ENDED: {_INIT: _INIT, _SAFE: _INIT, _ARMED: _INIT, _ACTIVE: _INIT, _FAULT: _FAULT},
 }
-"""Phase before and after. What is not here fails: the loop then stops the motor and ends."""
+"""Next phase for each cause and phase.
+
+Any other pair raises an exception; the loop then stops the motor and ends.
+"""
 
 
 def moved(state: State, on: On, **changes: Any) -> State:
-    """Return the state in the phase that follows, with further changes."""
+    """Return the state in the next phase, with further changes."""
     return replace(state, phase=TRANSITIONS[on][state.phase], **changes)

@@ -1,4 +1,4 @@
-"""What a device says, and what the core makes of it."""
+"""Messages of the device, and the core's reactions to them."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import clock_comparison, sampling, transitions
 from armrig_daemon.decisions.faults import Fault, Id, of_device
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import Step, ask, linked, log, say_state, send
-from armrig_daemon.decisions.state import Action, Phase, RoundTrip, State, Want
+from armrig_daemon.decisions.requests import Step, ask, linked, log, report_state, send
+from armrig_daemon.decisions.state import Action, Phase, RequestKind, RoundTrip, State
 from armrig_daemon.decisions.stopping import end_run, trip
 
 _TYPES = {
-    Want.HELLO: TYPES[Hello],
-    Want.CONFIGURE: TYPES[Config],
-    Want.ARM: TYPES[Arm],
-    Want.START: TYPES[Start],
-    Want.STOP: TYPES[Stop],
-    Want.CLEAR: TYPES[ClearFault],
+    RequestKind.HELLO: TYPES[Hello],
+    RequestKind.CONFIGURE: TYPES[Config],
+    RequestKind.ARM: TYPES[Arm],
+    RequestKind.START: TYPES[Start],
+    RequestKind.STOP: TYPES[Stop],
+    RequestKind.CLEAR: TYPES[ClearFault],
 }
 
 
@@ -64,9 +64,9 @@ def handle(state: State, now_ns: int, message: Message) -> Step:
 def _pong(state: State, now_ns: int, pong: Pong) -> Step:
     link = state.link
     if link is None or pong.host_ns != link.ping_ns:
-        return state, []  # an old one: it says nothing of now
+        return state, []  # the answer to an earlier PING
     round_trip = RoundTrip(now_ns - pong.host_ns)
-    state = linked(state, fresh_ns=max(link.fresh_ns, pong.host_ns))
+    state = linked(state, last_round_trip_ns=max(link.last_round_trip_ns, pong.host_ns))
     state = clock_comparison.by_pong(state, now_ns, pong)
     state, done = transitions.note_state(state, now_ns, pong.state)
     return state, [round_trip, *done]
@@ -77,7 +77,7 @@ def _is_other_boot(state: State, boot: int) -> bool:
 
 
 def _rebooted(state: State, now_ns: int) -> Step:
-    """Meet a device that has started anew: it is at 0 V and knows nothing of us."""
+    """Handle a restart of the device, after which the device is at 0 V without a configuration."""
     was_driving = state.phase in (Phase.ARMED, Phase.ACTIVE)
     state = replace(linked(state, sent=(), device_state=0), device=None)
     done: list[Action] = []
@@ -85,10 +85,10 @@ def _rebooted(state: State, now_ns: int) -> Step:
         state, done = trip(state, now_ns, Fault(Id.RESET, "the device was reset"))
     elif state.phase is not Phase.FAULT:
         state = moved(state, On.LOST)
-        done = [log(now_ns, "warning", "the device was reset"), say_state(state, now_ns)]
-    # Whatever was played is over, and no STOP will be confirmed: HELLO takes its place.
+        done = [log(now_ns, "warning", "the device was reset"), report_state(state, now_ns)]
+    # The run is over, and no STOP will be confirmed: HELLO replaces it.
     state, ended = end_run(state, now_ns)
-    state, actions = ask(state, now_ns, Want.HELLO)
+    state, actions = ask(state, now_ns, RequestKind.HELLO)
     return state, [*done, *ended, *actions]
 
 
@@ -98,15 +98,20 @@ def _ack(state: State, now_ns: int, ack: Ack) -> Step:
         return transitions.note_state(state, now_ns, ack.state)
     if ack.code == Code.OK:
         if ack.of_type == _TYPES[asked.want]:
-            state = linked(state, fresh_ns=max(link.fresh_ns, asked.sent_ns))
+            state = linked(state, last_round_trip_ns=max(link.last_round_trip_ns, asked.sent_ns))
         return transitions.note_state(state, now_ns, ack.state)
     if ack.code == Code.STALE:
-        if asked.want is Want.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
-            # Old frames hold it there, played again, and HELLO has to wait: STOP has not.
+        if asked.want is RequestKind.HELLO and ack.state in (DeviceState.ARMED, DeviceState.RUN):
+            # Replayed old frames keep the device in this state. HELLO must wait; STOP need not.
             return send(state, now_ns, encode(Stop(0, link.seq)))
         return state, []  # it will be sent again, with a newer seq
-    if asked.want is Want.STOP and state.phase is Phase.FAULT and ack.code == Code.WRONG_STATE:
-        # It has stopped by itself, and its state says so; else STOP is sent again.
+    if (
+        asked.want is RequestKind.STOP
+        and state.phase is Phase.FAULT
+        and ack.code == Code.WRONG_STATE
+    ):
+        # If the state shows that the device has stopped by itself, STOP is done; otherwise repeat
+        # STOP.
         return transitions.note_state(state, now_ns, ack.state)
     text = f"the device refuses {asked.want}: {transitions.name_of(ack.code)}"
     return transitions.give_up(state, now_ns, text)
@@ -121,6 +126,5 @@ def _event(state: State, now_ns: int, event: DeviceEvent) -> Step:
         detail = f" ({unit.format(event.detail)})" if event.detail else ""
         state = linked(state, device_state=event.state)
         cause = f"the device stopped by itself: {of_device(event.cause)}{detail}"
-        fault = Fault(Id.DEVICE, cause)
-        return trip(state, now_ns, fault)
+        return trip(state, now_ns, Fault(Id.DEVICE, cause, event.cause))
     return transitions.note_state(state, now_ns, event.state, ended=event.cause == Cause.END)

@@ -1,4 +1,4 @@
-"""Requests to the device, and what the core says of itself."""
+"""Requests to the device, and the records of the core about its state."""
 
 from __future__ import annotations
 
@@ -27,58 +27,58 @@ from armrig_daemon import pipe
 from armrig_daemon.decisions.faults import REMEDIES
 from armrig_daemon.decisions.state import (
     Action,
-    Asked,
     Emit,
+    PendingRequest,
+    RequestKind,
     Rules,
     Send,
     Sent,
     State,
     Traffic,
     Unechoed,
-    Want,
 )
 from armrig_daemon.pipe import Answer, Log, Order
 from armrig_daemon.pipe import State as StateRecord
 
 NO_DEVICE = "no device answers; see that it is plugged in, and that its supply is on: try again"
-"""What is said to who wants something of a device that is not there, or is silent for a moment."""
+"""Refusal of an order that needs a device while none answers."""
 Step = tuple[State, list[Action]]
-"""What each part of the core returns: the next state, and what is to be done."""
+"""Result of each part of the core: the next state, and the actions."""
 
 
-MOST_BEATS = 64  # frames without an echo that are remembered; the age trips long before
-MANY_TRIES = 18
-"""HELLOs without an answer, 0.1 s apart, after which a person is told."""
+MAX_REMEMBERED_FRAMES = 64  # frames without an echo; the round trip's age trips long before
+NOTICE_TRIES = 18
+"""HELLOs without an answer, 0.1 s apart, after which the daemon reports the silent device."""
 
 
 def linked(state: State, **changes: Any) -> State:
-    """Return the state with changes in its link; without a link nothing changes."""
+    """Return the state with changes in its link; a state without a link does not change."""
     link = state.link
     return state if link is None else replace(state, link=replace(link, **changes))
 
 
 def send(state: State, now_ns: int, data: bytes, exchange: Sent | None = None) -> Step:
-    """Send the frame that carries the present seq; of an EXCHANGE the SAMPLE is awaited."""
+    """Send the frame with the next seq; remember an EXCHANGE until its SAMPLE arrives."""
     link, in_force = state.link, state.configuration
     if link is None:
         return state, []
     beats, sent = link.beats, link.sent
     if in_force is not None and in_force.scheduled:
-        beats = (*beats[1 - MOST_BEATS :], Unechoed(link.seq, now_ns))
+        beats = (*beats[1 - MAX_REMEMBERED_FRAMES :], Unechoed(link.seq, now_ns))
     if exchange is not None:
         sent = (*sent, exchange)
     seq = (link.seq + 1) & 0xFFFF
-    link = replace(link, seq=seq, any_ns=now_ns, beats=beats, sent=sent)
+    link = replace(link, seq=seq, last_send_ns=now_ns, beats=beats, sent=sent)
     return replace(state, link=link), [Send(data)]
 
 
 def log(now_ns: int, level: str, message: str, **fields: str) -> Action:
-    """Return a line for a person, and what it is about."""
+    """Return a record for the log: a line for a person, and the fields of the line."""
     return Emit(Log(t_host_ns=now_ns, level=level, message=message, fields=fields))
 
 
 def answer(order: Order | None, body: dict[str, object]) -> list[Action]:
-    """Return the answer to an order, if there was one."""
+    """Return the answer to an order; nothing if the order is None."""
     return [] if order is None else [Emit(Answer(order=order.order, body=body))]
 
 
@@ -88,14 +88,14 @@ def refuse(
     code: RefusalCode = RefusalCode.NOT_ALLOWED,
     **parameters: str | int | float,
 ) -> list[Action]:
-    """Return the refusal of an order, if there was one."""
+    """Return the refusal of an order; nothing if the order is None."""
     if order is None:
         return []
     return [Emit(Answer(order=order.order, error=error, code=code, parameters=parameters))]
 
 
 def device_facts(device: HelloReply | None) -> dict[str, object]:
-    """Return what a device said of itself, by name, large numbers in hex."""
+    """Return the properties of the device in its HELLO_R, by name; identifiers are hexadecimal."""
     if device is None:
         return {}
     facts: dict[str, object] = dict(device._asdict())
@@ -107,48 +107,48 @@ def device_facts(device: HelloReply | None) -> dict[str, object]:
 
 
 def motor(state: State) -> str:
-    """Return what is known of the motor, for a person."""
+    """Return the state of the motor, as text for a person."""
     watchdog = f"its watchdog stops it within {state.rules.watchdog_ms} ms"
     if state.device is None or state.link is None:
-        return f"not known, for the device does not answer; {watchdog}"
+        return f"not known: the device does not answer; {watchdog}"
     if state.device_state != DeviceState.RUN:
-        return "at 0 V, says the device"
-    if state.asked is not None and state.asked.want is Want.STOP:
-        return "told to stop, not confirmed yet"
-    return f"told to stop, but not confirmed; {watchdog}" if state.fault else "driven"
+        return "at 0 V, as the device reports"
+    if state.asked is not None and state.asked.want is RequestKind.STOP:
+        return "stop sent, not confirmed yet"
+    return f"stop sent, but not confirmed; {watchdog}" if state.fault else "driven"
 
 
 def unanswered(state: State) -> str:
-    """Return why there is no device that says who it is, and what to try, or nothing."""
+    """Return the reason why no device answers HELLO, and a remedy; "" if there is no problem."""
     link = state.link
     if link is None:
         return (
-            "no rig is there, and the daemon waits for it: see that it is plugged in, and that "
-            "this is its port"
+            "no rig is connected, and the daemon waits for one: check that the rig is plugged in, "
+            "and that this is its port"
         )
     asked, came, baud = state.asked, link.came, state.rules.baud
-    if asked is None or asked.want is not Want.HELLO or asked.tries < MANY_TRIES:
+    if asked is None or asked.want is not RequestKind.HELLO or asked.tries < NOTICE_TRIES:
         return ""
     if came.frames:
         found = (
-            f"{came.frames} frames came, but no answer to the question who it is; see that its "
-            "firmware speaks this version of the wire, and that nothing else is on this port"
+            f"{came.frames} frames came, but no answer to HELLO; check that its firmware speaks "
+            "this version of the wire, and that nothing else is on this port"
         )
     elif came.bytes:
         found = (
-            f"of the {came.bytes} bytes that came at {baud} baud none was a frame; see that its "
-            "firmware has the same [device] baud, and that this is its port"
+            f"{came.bytes} bytes came at {baud} baud, but no frame; check that its firmware has "
+            "the same [device] baud, and that this is its port"
         )
     else:
         found = (
-            f"it was asked {asked.tries} times at {baud} baud, and nothing came back; see that "
-            "it has power, that this is its port, and that its firmware is on it"
+            f"{asked.tries} requests at {baud} baud had no answer; check that the device has "
+            "power, that this is its port, and that it contains the firmware"
         )
     return f"the device does not answer: {found}"
 
 
-def say_state(state: State, now_ns: int) -> Action:
-    """Return the state for whoever watches, with the period of the samples that come."""
+def report_state(state: State, now_ns: int) -> Action:
+    """Return the record of the state, which includes the sampling time."""
     paces_itself = state.scheduled and state.device_state == DeviceState.RUN
     return Emit(
         StateRecord(
@@ -163,6 +163,7 @@ def say_state(state: State, now_ns: int) -> Action:
             remedy=REMEDIES[state.fault.id] if state.fault else "",
             line=unanswered(state),
             owner_checked=state.lease.owner_checked if state.lease else "",
+            device_cause=state.fault.device_cause if state.fault else 0,
         )
     )
 
@@ -191,16 +192,16 @@ def config(rules: Rules, ts_us: int, seq: int, *, scheduled: bool) -> Config:
 def ask(
     state: State,
     now_ns: int,
-    want: Want,
+    want: RequestKind,
     order: Order | None = None,
     *,
     ts_us: int = 0,
     scheduled: bool = False,
     tries: int = 1,
 ) -> Step:
-    """Send the request that leads to `want`, and remember it until it has had its effect.
+    """Send a request to the device, and remember it until it has had its effect.
 
-    It takes the place of what was asked for before; whoever wished that is told.
+    The request replaces a pending request; the order of the pending request is answered.
     """
     link, in_force = state.link, state.configuration
     if link is None:
@@ -209,34 +210,34 @@ def ask(
     config_crc, nonce = (in_force.config_crc, in_force.nonce) if in_force else (0, 0)
     before = state.asked.order if state.asked else None
     overtaken = [] if before is order else _overtaken(before, want, state.outcome)
-    if want is Want.HELLO and tries == 1:
+    if want is RequestKind.HELLO and tries == 1:
         state = linked(state, came=Traffic())
     boot_id = state.device.boot_id if state.device else 0
     request: Message
     match want:
-        case Want.HELLO:
+        case RequestKind.HELLO:
             request = Hello(0, seq, VERSION, SCHEMA_HASH)
-        case Want.CONFIGURE:
+        case RequestKind.CONFIGURE:
             request = config(state.rules, ts_us, seq, scheduled=scheduled)
-        case Want.ARM:
+        case RequestKind.ARM:
             request = Arm(0, seq, boot_id, config_crc, nonce)
-        case Want.START:
+        case RequestKind.START:
             request = Start(0, seq, state.run.samples if state.run else 0, nonce)
-        case Want.STOP:
+        case RequestKind.STOP:
             request = Stop(0, seq)
-        case Want.CLEAR:
+        case RequestKind.CLEAR:
             request = ClearFault(0, seq, link.token)
-    asked = Asked(want, now_ns, seq, tries, ts_us, scheduled, order)
-    # A frame begins with a 00 of its own where the line may hold rubbish.
-    lead = b"\0" if want is Want.HELLO else b""
+    asked = PendingRequest(want, now_ns, seq, tries, ts_us, scheduled, order)
+    # The line may hold noise before HELLO: a 00 ends it.
+    lead = b"\0" if want is RequestKind.HELLO else b""
     state, sending = send(replace(state, asked=asked), now_ns, lead + encode(request))
     return state, [*overtaken, *sending]
 
 
-def _overtaken(order: Order | None, want: Want, outcome: str) -> list[Action]:
-    """Return what is said to who had wished for something else; a wish to stop is granted."""
+def _overtaken(order: Order | None, want: RequestKind, outcome: str) -> list[Action]:
+    """Return the answer to the replaced order: a stop is granted, another order is refused."""
     if isinstance(order, pipe.Stop | pipe.Disarm):
         return answer(order, {"done": True})
-    stopped = want is Want.STOP and outcome
+    stopped = want is RequestKind.STOP and outcome
     text = f"not begun: {outcome}" if stopped else f"overtaken by {want}"
     return refuse(order, text, RefusalCode.OVERTAKEN)

@@ -1,7 +1,8 @@
-"""A sample of the device: which k it has, what it shows, and whether its input is as commanded.
+"""Samples of the device: number k and values of each sample, and the check of its input.
 
-It comes by one of two ways. In exchange mode it answers an EXCHANGE of ours; in a scheduled run the
-device makes it by its own timer. Each way finds out which sample was due; the rest is the same.
+In exchange mode a sample answers an EXCHANGE of the daemon. In a scheduled run the device samples
+by its own timer. Each mode determines in its own way which sample was due; the other code is
+shared.
 """
 
 from __future__ import annotations
@@ -21,28 +22,28 @@ from armrig_daemon.decisions.requests import Step, linked, log
 from armrig_daemon.decisions.state import ActiveRun, Link, Phase, Publish, RoundTrip, Sent, State
 from armrig_daemon.decisions.stopping import trip
 
-_RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # an enum's `&` makes an enum: 0.5 µs each time
+_RUN, _UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)  # `&` of a Flag makes a Flag: 0.5 µs each
 _ARMED, _ACTIVE, _FAULT = Phase.ARMED, Phase.ACTIVE, Phase.FAULT
 
-ENOUGH_EXCHANGES = 8
-"""Exchanges after which the map of the clocks is better than the time of START."""
+MIN_MAP_EXCHANGES = 8
+"""Number of exchanges after which the clock map is more accurate than the time of START."""
 
 
 class _Due(NamedTuple):
-    """A sample that was due, and has come."""
+    """Sample that was due and has arrived."""
 
     k: int
     sched_ns: int
     asked_ns: int
-    """When it was asked for; when it came, where nobody asks."""
+    """Time at which the sample was requested; without a request, the time of its arrival."""
     code: int
-    """Commanded for it."""
+    """Code that was commanded for the sample."""
     expected: int
     """Code that the device must have applied."""
 
 
 def handle(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Return the state after a sample of the boot that we know."""
+    """Return the state after a sample of the current boot of the device."""
     in_force = state.configuration
     if in_force is not None and in_force.scheduled and m.flags & _RUN:
         return _handle_self_paced(state, now_ns, m)
@@ -50,48 +51,49 @@ def handle(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Take the answer to an EXCHANGE; what answers none of ours is ignored, its state as well."""
+    """Handle the answer to an EXCHANGE of the daemon; ignore any other sample and its state."""
     link, device = state.link, state.device
     at = None if link is None else _find_exchange(link.sent, m.k)
     if link is None or at is None or device is None or is_ahead(link, m.echo):
         return state, []  # an old burst, or an echo of another host
     if _is_older_than_last(state, m):
         return state, []
-    sent, behind = link.sent[at], link.sent[at + 1 :]
-    if sent.k <= state.told:
-        return linked(state, sent=behind), []  # overtaken: told as a gap already
+    sent, later = link.sent[at], link.sent[at + 1 :]
+    if sent.k <= state.last_reported_k:
+        return linked(state, sent=later), []  # overtaken: reported as a gap already
     for before in link.sent[:at]:
         state = gaps.note(state, gaps.lost(before, now_ns))
     expected = applied_code(sent.code, device.pwm_bits) if m.flags & _RUN else 0
     due = _Due(sent.k, sent.sched_ns, sent.sent_ns, sent.code, expected)
-    link = replace(link, sent=behind, fresh_ns=sent.sent_ns)
+    link = replace(link, sent=later, last_round_trip_ns=sent.sent_ns)
     state, done = _publish(state, link, state.run, now_ns, m, due)
     done.append(RoundTrip(now_ns - sent.sent_ns))
     state = clock_comparison.by_sample(state, now_ns, sent, m)
-    # The state is looked at behind the sample: where the device has stopped, this one still counts.
+    # The state is noted after the sample: if the device has stopped, this sample still counts.
     state, actions = transitions.note_state(state, now_ns, m.state)
     done += actions
     state, actions = setpoints.note_queue(state, now_ns, 0, m.queued)
     done += actions
     if state.phase is _FAULT:
-        return state, done  # its code is 0 from here on, and the first cause stands
+        return state, done  # the commanded code is 0 now, and the first cause is kept
     state, actions = _check_applied(state, now_ns, m, due)
     return state, done + actions
 
 
 def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
-    """Return which EXCHANGE asked for sample `k`, a number that wraps; None where none did."""
-    for at, one in enumerate(sent):
-        if one.k & 0xFFFFFFFF == k:
+    """Return the index of the EXCHANGE for sample `k`, or None; `k` wraps at 2^32."""
+    for at, exchange in enumerate(sent):
+        if exchange.k & 0xFFFFFFFF == k:
             return at
     return None
 
 
 def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Take a sample of a device that paces itself."""
-    # First: with the sample setpoints go out, and behind them an echo ahead would look like ours.
+    """Handle a sample of a device that samples by its own timer."""
+    # The echo is checked first: the sample makes us send setpoints, and an echo that is ahead
+    # could then look like an echo of ours.
     state, done = _check_echo(state, now_ns, m)
-    # The state is looked at before the sample: RUN shows that START has worked, and gives it its k.
+    # The state is noted before the sample: RUN shows that START has worked, and defines k.
     state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
     done += actions
     state, actions = _handle_of_run(state, now_ns, m)
@@ -99,7 +101,7 @@ def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _check_echo(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Trip where the device that we drive has heard somebody else: our own frames are stale now."""
+    """Trip if the driven device has received frames of another host."""
     link = state.link
     if link is None or state.phase not in (_ARMED, _ACTIVE) or not is_ahead(link, m.echo):
         return state, []
@@ -108,7 +110,7 @@ def _check_echo(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Take a sample of a scheduled run; one that came before, or belongs to none, is ignored."""
+    """Handle a sample of a scheduled run; ignore a repeated sample and a sample without a run."""
     run, device, link = state.run, state.device, state.link
     if run is None or run.k_first < 0 or not run.due <= m.k < run.samples:
         return state, []
@@ -125,38 +127,38 @@ def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
     if m.flags & _UNDERRUN:
         text = f"no setpoint was there for sample {due.k}: the input was {volts_of(m.u_k):.3g} V"
         return state, [*done, log(now_ns, "warning", text)]
-    # In a fault, too: it drives on by its own queue, and STOP goes out again at once.
+    # Also in a fault: if the device still plays its queue, STOP is sent again at once.
     state, actions = _check_applied(state, now_ns, m, due)
     return state, done + actions
 
 
 def _sched_ns(state: State, run: ActiveRun, m: DeviceSample) -> int:
-    """Return when a sample was due on our clock: by the map of the clocks, once there is one."""
+    """Return the host's time at which a sample was due, by the clock map if it is accurate."""
     clock = state.clock
-    if clock is not None and clock.map.weight and len(clock.map.round_trips) >= ENOUGH_EXCHANGES:
+    if clock is not None and clock.map.weight and len(clock.map.round_trips) >= MIN_MAP_EXCHANGES:
         return host_ns_at(clock.map, extend(clock.device_us, m.t_us))
     return run.t_zero_ns + m.k * state.ts_us * 1000
 
 
 def note_echo(state: State, echo: int) -> State:
-    """Take note that the device has heard the frame `echo`: that is what proves a round trip."""
+    """Note that the device has received the frame `echo`, which proves a round trip."""
     link = state.link
     if link is None or is_ahead(link, echo):
         return state
     newest = [b for b in link.beats if (echo - b.seq) & 0xFFFF < 0x8000]
     if not newest:
         return state
-    link = replace(link, beats=link.beats[len(newest) :], fresh_ns=newest[-1].sent_ns)
+    link = replace(link, beats=link.beats[len(newest) :], last_round_trip_ns=newest[-1].sent_ns)
     return replace(state, link=link)
 
 
 def is_ahead(link: Link, echo: int) -> bool:
-    """Return whether `echo` is of a frame that we have not sent: another's, or an old one."""
+    """Return whether the frame `echo` was sent by another host, or before this link."""
     return (echo - link.seq) & 0xFFFF < 0x8000
 
 
 def _is_older_than_last(state: State, m: DeviceSample) -> bool:
-    """Return whether a sample is older than the last: within a boot the clock never goes back."""
+    """Return whether a sample is older than the last sample, by the clock of the device's boot."""
     return bool(state.sampled_ns) and is_older(state.t_us, m.t_us)
 
 
@@ -169,8 +171,8 @@ def _publish(
     due: _Due,
     queued: int = -1,
 ) -> Step:
-    """Publish a sample after the gaps before it; `link` and `run` include the sample."""
-    state, done = gaps.tell_missing(state, due.k, now_ns, m.u_km1)
+    """Publish the gaps before a sample, then the sample; `link` and `run` already include it."""
+    state, done = gaps.report_missing(state, due.k, now_ns, m.u_km1)
     t_us = extended(state.t_us, m.t_us)
     calibration = state.rules.calibration
     sample = converted(calibration, m, due.k, due.sched_ns, due.asked_ns, t_us, due.code)
@@ -182,13 +184,13 @@ def _publish(
         sampled_ns=due.asked_ns,
         t_us=t_us,
         applied=m.u_k,
-        told=due.k,
+        last_reported_k=due.k,
     )
     return state, done
 
 
 def _check_applied(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:
-    """Trip where the device applied another code than the one commanded (S5)."""
+    """Trip if the device applied another code than the commanded code (S5)."""
     if m.u_k == due.expected:
         return state, []
     text = f"the device applied code {m.u_k} where {due.code} was commanded"

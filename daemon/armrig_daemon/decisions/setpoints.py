@@ -1,34 +1,35 @@
-"""Scheduled runs: setpoints kept ahead of the device.
+"""Scheduled runs: setpoints are sent ahead of the device.
 
-The device's timer makes the samples; what we owe it is to have u[k] there before k. Setpoints go
-back-N: a sample's `queued` says up to where the device has them, and what does not arrive in time
-is sent again from there. Nothing else acknowledges them.
+The device's timer paces the samples; u[k] must be in the device before sample k. The protocol of
+the setpoints is go-back-N: `queued` of a sample shows up to which index the device has them. If the
+index does not grow in time, all setpoints from this index on are sent again. Setpoints have no
+other acknowledgement.
 """
 
 from __future__ import annotations
 
-from armrig_core.codes import OutcomeCode
+from armrig_core.codes import GapCode, OutcomeCode
 from armrig_core.volts import applied_code
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import SETPOINTS_PER_FRAME, Ping, Setpoints
 from msgspec.structs import replace
 
 from armrig_daemon.decisions import gaps
-from armrig_daemon.decisions.budget import PING_US
+from armrig_daemon.decisions.budget import PING_INTERVAL_US
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import Step, ask, linked, send
-from armrig_daemon.decisions.state import Absent, Action, ActiveRun, Phase, Queue, State, Want
+from armrig_daemon.decisions.state import Action, ActiveRun, Phase, Queue, RequestKind, State
 from armrig_daemon.decisions.stopping import ending, stop, trip
 from armrig_daemon.pipe import Run
 
 _ARMED, _FAULT = Phase.ARMED, Phase.FAULT
 
 RESEND_NS = 30_000_000
-"""Setpoints that the device does not show after so long are sent again, in ns."""
+"""Time without progress of the device's queue after which setpoints are sent again, in ns."""
 FILL_NS = 2_000_000_000
-"""How long filling the queue before the start may take, in ns."""
-MOST_FRAMES = 8
-"""Frames of setpoints sent at once: what else is on the line must not wait long behind them."""
+"""Longest time to fill the queue before the start, in ns."""
+MAX_FRAMES = 8
+"""Frames of setpoints that are sent at once; more would delay other frames for too long."""
 
 
 def begin(state: State, now_ns: int, order: Run) -> Step:
@@ -39,7 +40,7 @@ def begin(state: State, now_ns: int, order: Run) -> Step:
 
 
 def refill(state: State, now_ns: int) -> Step:
-    """Send what the device has room for."""
+    """Send the setpoints that the device has room for."""
     queue, run = state.queue, state.run
     if queue is None or run is None or state.device is None or is_stopping(state):
         return state, []
@@ -48,7 +49,7 @@ def refill(state: State, now_ns: int) -> Step:
         sent, moved_ns = queue.held, now_ns
     end = min(run.samples, queue.base + state.device.queue)
     done: list[Action] = []
-    while len(done) < MOST_FRAMES and (
+    while len(done) < MAX_FRAMES and (
         end - sent >= SETPOINTS_PER_FRAME or sent < end == run.samples
     ):
         codes = [run.code(i) for i in range(sent, min(sent + SETPOINTS_PER_FRAME, end))]
@@ -70,18 +71,18 @@ def refill(state: State, now_ns: int) -> Step:
 
 
 def note_queue(state: State, now_ns: int, base: int, queued: int) -> Step:
-    """Take note of what the device holds, start when it is enough, and send more."""
+    """Note the number of setpoints in the device; start if they are enough, and send more."""
     queue, run = state.queue, state.run
     if queue is None or run is None:
         return state, []
     held = base + queued
     moved_ns = now_ns if held > queue.held else queue.moved_ns
-    # A sample may be older than what was sent since; a start again from `held` may be behind it.
+    # The sample may be older than the newest setpoints sent, or newer than a return to `held`.
     queue = replace(queue, base=base, held=held, sent=max(queue.sent, held), moved_ns=moved_ns)
     state = replace(state, queue=queue)
     if state.phase is _ARMED and state.asked is None:
         if _is_filled(state):
-            return ask(state, now_ns, Want.START, queue.order)
+            return ask(state, now_ns, RequestKind.START, queue.order)
         if now_ns - queue.asked_ns > FILL_NS:
             text = "the device does not take the setpoints"
             return stop(state, now_ns, text, code=OutcomeCode.DEVICE)
@@ -97,19 +98,19 @@ def _is_filled(state: State) -> bool:
 
 
 def is_stopping(state: State) -> bool:
-    """Return whether the device is to stop: then it gets no setpoint and nothing to live on."""
+    """Return whether the device must stop; a stopping device gets no setpoint and no keepalive."""
     asked = state.asked
-    return state.phase is _FAULT or (asked is not None and asked.want is Want.STOP)
+    return state.phase is _FAULT or (asked is not None and asked.want is RequestKind.STOP)
 
 
 def tick(state: State, now_ns: int) -> Step:
-    """Keep the device fed and the clock compared while it paces itself."""
+    """Fill the device's queue and compare the clocks during a scheduled run."""
     if is_stopping(state):
-        # Given up, but it still drives: on and on, and its own watchdog beside it.
-        return (state, []) if state.asked is not None else ask(state, now_ns, Want.STOP)
+        # Given up, but the device still drives: repeat STOP until its own watchdog stops it, too.
+        return (state, []) if state.asked is not None else ask(state, now_ns, RequestKind.STOP)
     state, done = refill(state, now_ns)
     link = state.link
-    if link is not None and now_ns - link.ping_ns >= PING_US * 1000:
+    if link is not None and now_ns - link.ping_ns >= PING_INTERVAL_US * 1000:
         ping = encode(Ping(0, link.seq, now_ns))
         state, sending = send(linked(state, ping_ns=now_ns), now_ns, ping)
         done += sending
@@ -117,7 +118,7 @@ def tick(state: State, now_ns: int) -> Step:
 
 
 def complete(state: State, now_ns: int) -> Step:
-    """Take note that the device has made its last sample; what has not come never will."""
+    """Note that the device has taken its last sample; samples that did not arrive are missing."""
     run = state.run
     if run is None:
         return state, []
@@ -127,10 +128,10 @@ def complete(state: State, now_ns: int) -> Step:
 
 
 def note_missing(state: State, run: ActiveRun, end: int, now_ns: int) -> State:
-    """Note the samples of a run before `end` that have not come; their input was the queue's."""
+    """Note the missing samples of a run before `end`; the queue was their input."""
     bits = state.device.pwm_bits if state.device else 16
-    for i in range(max(run.due, end - gaps.MOST_ABSENT), end):
+    for i in range(max(run.due, end - gaps.MAX_MISSING_PIECES), end):
         code = applied_code(run.code(i), bits)
-        absent = Absent(run.k_first + i, 1, "a frame was lost", code, now_ns, now_ns)
+        absent = gaps.missing(run.k_first + i, 1, GapCode.FRAME_LOST, code, now_ns, now_ns)
         state = gaps.note(state, absent)
     return state

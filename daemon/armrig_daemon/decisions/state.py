@@ -1,4 +1,4 @@
-"""The state of the core: what the daemon knows and holds, as one immutable value."""
+"""State of the core, as one immutable value, with its events and actions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import msgspec
 from armrig_core.calibration import Calibration
-from armrig_core.codes import Ending, OutcomeCode
+from armrig_core.codes import Ending, GapCode, OutcomeCode
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import HelloReply
 
@@ -17,22 +17,22 @@ from armrig_daemon.pipe import Order, Record, Run
 
 
 class Phase(StrEnum):
-    """Where the daemon is; see ARCHITECTURE.md."""
+    """Phase of the daemon; see ARCHITECTURE.md."""
 
     INIT = "init"
-    """No device that we know and that knows us."""
+    """No device has answered and accepted its configuration."""
     SAFE = "safe"
-    """Sampling, 0 V, nobody holds the rig."""
+    """Sampling at 0 V; no owner holds the rig."""
     ARMED = "armed"
-    """Held by an owner, 0 V."""
+    """An owner holds the rig, at 0 V."""
     ACTIVE = "active"
     """The input drives the motor."""
     FAULT = "fault"
     """Latched at 0 V until a reset."""
 
 
-class Want(StrEnum):
-    """What was asked of the device and is not yet there."""
+class RequestKind(StrEnum):
+    """Kind of a request to the device."""
 
     HELLO = "HELLO"
     CONFIGURE = "CONFIG"
@@ -43,16 +43,16 @@ class Want(StrEnum):
 
 
 class Rules(msgspec.Struct, frozen=True, kw_only=True):
-    """What the core is told once, at the start."""
+    """Configuration of the core, fixed at the start except for the calibration."""
 
     code_min: int
-    """Lowest code that a command may ask for."""
+    """Lowest code that a command may contain."""
     code_max: int
-    """Highest code that a command may ask for."""
+    """Highest code that a command may contain."""
     slew: int
-    """Largest change of the code in one sample; 0 is none."""
+    """Largest change of the code in one sample; 0 is no limit."""
     ts_us: int
-    """Sampling time where no command asks for another, in µs."""
+    """Sampling time, in µs, if a command contains no sampling time."""
     watchdog_ms: int
     """The device's watchdog, in ms."""
     baud: int
@@ -60,20 +60,20 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     turns: int
     """Turns of theta_1 allowed in a run, in turns/100; 0 is no limit."""
     rail_ticks: int
-    """Samples in a row at a rail that are FAULT(ADC_RAIL) in a run; 0 is no limit."""
+    """Consecutive samples at a rail that cause FAULT(ADC_RAIL) in a run; 0 is no limit."""
     oversampling: int = 1
-    """Conversions averaged in one reading of each channel; a trace without it has 1."""
+    """Conversions averaged in one reading of each channel; 1 in a trace without this field."""
     calibration: Calibration
     service_ns: int = 0
-    """Silence of the service after which the motor is stopped; 0 where there is none to watch."""
+    """Silence of the service after which the motor is stopped, in ns; 0 without a service."""
 
     stop_after: int
-    """Ticks missed in a row after which the motor is stopped; 0 goes on."""
+    """Number of consecutive missed ticks after which the motor is stopped; 0 is no limit."""
 
     def age_ns(self, ts_us: int, *, scheduled: bool = False) -> int:
         """Return the age of the last round trip beyond which the motor is stopped.
 
-        A device that paces itself goes on without us for as long as its watchdog allows.
+        A device in a scheduled run continues without the host until its watchdog stops the motor.
         """
         return self._watchdog_ns if scheduled else max(50_000_000, 3_000 * ts_us)
 
@@ -86,40 +86,40 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
         return self.watchdog_ms * 1_000_000
 
     def allows(self, before: int, code: int) -> bool:
-        """Return whether `code` may follow `before`: within the limits, and not too far from it."""
+        """Return whether `code` is within the limits and may follow the code `before`."""
         inside = self.code_min <= code <= self.code_max
         return inside and (self.slew == 0 or abs(code - before) <= self.slew)
 
     def lease_ns(self, ts_us: int) -> int:
-        """Return how long a voltage held by hand outlives the command for it."""
+        """Return how long a voltage set by hand is held without another command."""
         return max(100_000_000, 5_000 * ts_us)
 
 
-class Asked(NamedTuple):
-    """A request to the device that has not had its effect yet."""
+class PendingRequest(NamedTuple):
+    """Request to the device that has had no effect yet."""
 
-    want: Want
+    want: RequestKind
     sent_ns: int
     seq: int
     tries: int
     ts_us: int
-    """Sampling time that CONFIG asks for."""
+    """Sampling time that CONFIG requests, in µs."""
     scheduled: bool
-    """Pacing that CONFIG asks for."""
+    """True if CONFIG requests scheduled mode."""
     order: Order | None
-    """Whose wish it is, and who is answered."""
+    """Order that caused the request and gets the answer; None if no order caused it."""
 
 
 class Traffic(NamedTuple):
-    """What the line has brought since the device was first asked who it is, and did not say."""
+    """Bytes and frames that have arrived since the first HELLO without an answer."""
 
     bytes: int = 0
     frames: int = 0
-    """Sound ones."""
+    """Frames without an error."""
 
 
 class Sent(NamedTuple):
-    """An EXCHANGE whose SAMPLE has not come."""
+    """EXCHANGE whose SAMPLE has not arrived."""
 
     seq: int
     k: int
@@ -128,46 +128,47 @@ class Sent(NamedTuple):
     code: int
 
 
-class Absent(NamedTuple):
-    """Samples that will not come: found at a tick, told before the next sample that does."""
+class MissingSamples(NamedTuple):
+    """Missing samples: detected at a tick, and reported before the next sample."""
 
     k: int
     n: int
     reason: str
     code: int | None
-    """Latched there as far as is known; None where the one before was held."""
+    """Code latched during the samples, as far as known; None if the earlier code was held."""
     t_from_ns: int
     t_to_ns: int
+    reason_code: GapCode
 
 
 class Lease(msgspec.Struct, frozen=True, gc=False):
-    """Who holds the rig."""
+    """Lease of the rig, and its owner."""
 
     lease: str
     owner: str
     ts_us: int
-    """Sampling time that the owner asked for."""
+    """Sampling time that the owner requested."""
     n: int
     """Number of the newest command."""
     renewed_ns: int
     owner_checked: str = ""
-    """What the service has checked of the owner."""
+    """Identity of the owner that the service has verified; empty if none was verified."""
 
 
 class ActiveRun(msgspec.Struct, frozen=True, gc=False):
-    """An experiment that is played."""
+    """Experiment that is played."""
 
     run_id: str
     codes: bytes
     """One u16, little-endian, for each sample."""
     k_first: int
-    """Index under which its first sample is published; -1 before that."""
+    """Number k of the run's first sample; -1 before the first sample."""
     scheduled: bool = False
-    """The device paces it."""
+    """True if the device's timer paces the run."""
     due: int = 0
-    """Index of the next sample: scheduled, to come; else, to be asked for."""
+    """Index of the next sample to arrive in a scheduled run, or to request in exchange mode."""
     t_zero_ns: int = 0
-    """Scheduled: host's estimate of when sample 0 was due."""
+    """In a scheduled run: the host's estimate of the time at which sample 0 was due."""
 
     @property
     def samples(self) -> int:
@@ -175,15 +176,15 @@ class ActiveRun(msgspec.Struct, frozen=True, gc=False):
         return len(self.codes) // 2
 
     def code(self, i: int) -> int:
-        """Return u[i]; standstill before the first."""
+        """Return u[i]; 0 before the first sample."""
         return self.codes[2 * i] | self.codes[2 * i + 1] << 8 if i >= 0 else 0
 
 
 class Queue(msgspec.Struct, frozen=True, gc=False):
-    """The setpoints of a scheduled run on their way to the device."""
+    """Setpoints of a scheduled run on their way to the device."""
 
     order: Run | None
-    """Whose run it is, until it has been answered."""
+    """Order of the run, until it has been answered."""
     base: int = 0
     """Index of the next sample that the device takes."""
     held: int = 0
@@ -191,111 +192,112 @@ class Queue(msgspec.Struct, frozen=True, gc=False):
     sent: int = 0
     """All setpoints before this index were sent."""
     moved_ns: int = 0
-    """When `held` last grew, or the first frame behind it was sent."""
+    """Time at which `held` last grew, or at which the first frame from `held` on was sent."""
     asked_ns: int = 0
-    """When the run was ordered."""
+    """Time of the run's order."""
 
 
 class Unechoed(NamedTuple):
-    """A frame whose echo will tell that the device has heard it."""
+    """Frame whose echo has not arrived; the echo proves that the device has received the frame."""
 
     seq: int
     sent_ns: int
 
 
+# Names of fields are keys of a trace: `name=` keeps the key of a field that is renamed.
 class Link(msgspec.Struct, frozen=True, gc=False):
-    """What an open port has brought and taken."""
+    """State of the link to the device while the port is open."""
 
     pending: bytes = b""
-    """Bytes of a frame that has not ended."""
+    """Bytes of an unfinished frame from the device."""
     seq: int = 0
-    """Of the next frame to the device."""
-    any_ns: int = 0
-    """When the last frame was sent."""
+    """Sequence number of the next frame to the device."""
+    last_send_ns: int = msgspec.field(default=0, name="any_ns")
+    """Time of the last frame to the device."""
     sent: tuple[Sent, ...] = ()
     beats: tuple[Unechoed, ...] = ()
-    """Scheduled: frames whose echo has not come yet."""
-    fresh_ns: int = 0
-    """When the newest frame was sent that the device has shown to have heard (S4)."""
+    """In a scheduled run: frames whose echo has not arrived yet."""
+    last_round_trip_ns: int = msgspec.field(default=0, name="fresh_ns")
+    """Time of the newest frame to the device that the device has answered or echoed (S4)."""
     ping_ns: int = 0
-    """When the device was last asked for its clock."""
+    """Time of the last PING."""
     came: Traffic = Traffic()
-    """Counted while HELLO is asked."""
+    """Traffic from the device, counted while HELLO has no answer."""
     device_state: int = 0
-    """What the device last said of its own state, as the wire numbers it."""
+    """State that the device last reported, by its number on the wire."""
     token: int = 0
 
 
 class Configuration(msgspec.Struct, frozen=True, gc=False):
-    """What the device has accepted last."""
+    """Configuration that the device accepted last."""
 
     ts_us: int
     scheduled: bool
     config_crc: int
     nonce: int
-    """What ARM and START carry."""
+    """Nonce that ARM and START must contain."""
     asked_ns: int = 0
-    """When its CONFIG was sent."""
+    """Time at which the CONFIG of this configuration was sent."""
 
 
 class Clock(msgspec.Struct, frozen=True, gc=False):
-    """The device's clock against ours, in one boot of it."""
+    """Comparison of the device's clock with the host's, within one boot of the device."""
 
     boot_id: int
     compared_ns: int = 0
-    """When they were last compared."""
+    """Host's time of the last comparison."""
     device_us: int = 0
-    """The device's clock then, wraps undone."""
+    """Device's time of the last comparison, without wraps."""
     map: ClockMap = ClockMap()
 
 
 class State(msgspec.Struct, frozen=True, gc=False):
-    """All that the core knows; a struct for speed (docs/decisions/0003)."""
+    """All knowledge of the core; a struct for speed (docs/decisions/0003)."""
 
     rules: Rules
     phase: Phase = Phase.INIT
     fault: Fault | None = None
-    """Why the rig is latched; None in every other phase."""
+    """Fault that is latched; None in every phase except FAULT."""
     quitting: bool = False
     link: Link | None = None
     """None while no port is open."""
     device: HelloReply | None = None
-    asked: Asked | None = None
+    asked: PendingRequest | None = None
     configuration: Configuration | None = None
-    """None until a device has accepted one."""
+    """None until a device has accepted a configuration."""
     clock: Clock | None = None
-    """None until a device has been met."""
+    """None until a device has answered HELLO."""
     pace_us: int = 0
-    """Period of our ticks, in µs; a device that paces itself has ticks of its own."""
+    """Period of the loop's ticks, in µs; in a scheduled run the device has its own ticks."""
     tick_ns: int = 0
-    """When the last tick was done."""
+    """Time of the last tick."""
     service_ns: int = 0
-    """When the service was last heard of."""
+    """Time of the last order of the service."""
     k: int = -1
-    """The last tick done."""
-    told: int = -1
-    """Up to here each sample was published or told as a gap."""
-    absent: tuple[Absent, ...] = ()
-    """What is known of the samples behind `told`."""
+    """Number of the last tick."""
+    last_reported_k: int = msgspec.field(default=-1, name="told")
+    """Number of the last sample that was published or reported missing."""
+    absent: tuple[MissingSamples, ...] = ()
+    """Samples after `last_reported_k` that are known to be missing."""
     applied: int = 0
-    """Code that the device last said it latched."""
+    """Code that the device last reported as latched."""
     t_us: int = 0
-    """Device clock of the last sample, wraps undone."""
+    """Device's time of the last sample, without wraps."""
     sampled_ns: int = 0
-    """When the newest sample was asked for, or came by itself; 0 where this link has seen none."""
+    """Time at which the newest sample was requested or, scheduled, arrived; 0 without a sample."""
     lease: Lease | None = None
     run: ActiveRun | None = None
     queue: Queue | None = None
     outcome: str = ""
-    """How the run ends; it has ended once the device has stopped."""
+    """Outcome of the run, as a sentence; the run has ended once the device has stopped."""
     code: int = 0
-    """Held by hand."""
+    """Code set by hand."""
     outcome_code: OutcomeCode | None = None
-    """How the run ends, for programs; None where `outcome` says nothing yet."""
+    """Outcome of the run, for programs; None while `outcome` is empty."""
 
     @property
     def ending(self) -> Ending:
-        """Return how the run ends; it was stopped if nothing else is known."""
+        """Return the outcome of the run; STOPPED if no other outcome is known."""
         return Ending(self.outcome_code or OutcomeCode.STOPPED, self.outcome)
 
     @property
@@ -306,95 +308,95 @@ class State(msgspec.Struct, frozen=True, gc=False):
 
     @property
     def scheduled(self) -> bool:
-        """Return whether the configuration in force is of scheduled mode."""
+        """Return whether the configuration in force has scheduled mode."""
         return self.configuration is not None and self.configuration.scheduled
 
     @property
     def device_state(self) -> int:
-        """Return what the device last said of its own state, as the wire numbers it."""
+        """Return the state that the device last reported, by its number on the wire."""
         return 0 if self.link is None else self.link.device_state
 
     @property
     def reason(self) -> str:
-        """Return the cause of the fault, or nothing."""
+        """Return the cause of the fault, or an empty text."""
         return self.fault.cause if self.fault else ""
 
 
 class Send(NamedTuple):
-    """Write these bytes to the device."""
+    """Action: write these bytes to the device."""
 
     data: bytes
 
 
 class Publish(NamedTuple):
-    """Hand this sample to the service."""
+    """Action: pass this sample to the service."""
 
     sample: Sample
     queued: int = -1
-    """Setpoints that the device holds behind it; -1 where it has no queue."""
+    """Setpoints that the device holds after this sample; -1 without a queue."""
 
 
 class RoundTrip(NamedTuple):
-    """A question to the device came back after so long."""
+    """Action: measure the time between a request to the device and its answer."""
 
     ns: int
 
 
 class Emit(NamedTuple):
-    """Hand this record to the service."""
+    """Action: pass this record to the service."""
 
     record: Record
 
 
-class Repace(NamedTuple):
-    """Tick with this period from now on, in µs, beginning with tick `k`."""
+class SetPeriod(NamedTuple):
+    """Action: tick with this period, in µs, from tick `k` on."""
 
     period_us: int
     k: int
 
 
 class Exit(NamedTuple):
-    """All is said; end the process."""
+    """Action: end the process, after all records have been passed on."""
 
 
-Action = Send | Publish | RoundTrip | Emit | Repace | Exit
+Action = Send | Publish | RoundTrip | Emit | SetPeriod | Exit
 
 
 class Tick(NamedTuple):
-    """Tick `k`, due at `sched_ns`, is now."""
+    """Event: tick `k`, due at `sched_ns`, is now."""
 
     k: int
     sched_ns: int
 
 
-class Beat(NamedTuple):
-    """Nothing happened until the time that the core asked to be woken at."""
+class Wakeup(NamedTuple):
+    """Event: the time of `step.wake_ns` was reached without another event."""
 
 
 class Received(NamedTuple):
-    """Bytes came from the device."""
+    """Event: bytes from the device arrived."""
 
     data: bytes
 
 
 class Ordered(NamedTuple):
-    """The service asks for something."""
+    """Event: an order from the service arrived."""
 
     order: Order
 
 
 class LinkUp(NamedTuple):
-    """The port is open."""
+    """Event: the port is open."""
 
 
 class LinkDown(NamedTuple):
-    """The port is gone."""
+    """Event: the port is gone."""
 
     reason: str
 
 
 class ServiceGone(NamedTuple):
-    """The service's pipes have ended."""
+    """Event: the service's pipes have ended."""
 
 
-Event = Tick | Beat | Received | Ordered | LinkUp | LinkDown | ServiceGone
+Event = Tick | Wakeup | Received | Ordered | LinkUp | LinkDown | ServiceGone

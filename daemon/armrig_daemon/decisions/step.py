@@ -1,15 +1,16 @@
-"""The daemon's only decision maker: `step(state, now_ns, events) -> (state', actions)`.
+"""All decisions of the daemon: `step(state, now_ns, events) -> (state', actions)`.
 
-Pure: no clock, I/O, randomness, logging or threads. What it keeps, by the invariants of
-ARCHITECTURE.md: every non-zero code it sends is that of a command of the lease's holder (S5),
-within the limits (S1), while the round trip is fresh (S4); a trip latches (S6).
+The function is pure: no clock, I/O, randomness, logging or threads. It keeps these invariants of
+ARCHITECTURE.md. Every non-zero code that the function sends belongs to a command of the lease's
+holder (S5). The code is within the limits (S1), and the last round trip is recent enough (S4). A
+trip latches (S6).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from armrig_core.codes import OutcomeCode, RefusalCode
+from armrig_core.codes import GapCode, OutcomeCode, RefusalCode
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import Spoilt, Unknown, encode
 from armrig_protocol.messages import MAX_UNECHOED, Exchange, Keepalive
@@ -19,11 +20,9 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import gaps, orders, replies, setpoints, transitions
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import Step, ask, linked, log, refuse, say_state, send
+from armrig_daemon.decisions.requests import Step, ask, linked, log, refuse, report_state, send
 from armrig_daemon.decisions.state import (
-    Absent,
     Action,
-    Beat,
     Emit,
     Event,
     Link,
@@ -32,33 +31,34 @@ from armrig_daemon.decisions.state import (
     Ordered,
     Phase,
     Received,
+    RequestKind,
     Rules,
     Sent,
     ServiceGone,
     State,
     Tick,
     Traffic,
-    Want,
+    Wakeup,
 )
 from armrig_daemon.decisions.stopping import end_run, leave, stop, trip
 from armrig_daemon.pipe import RunStarted
 
 ARMED_NS = 10_000_000_000
-"""How long the rig may be held armed without a command, at 0 V, in ns."""
+"""Longest time for which the rig is held armed without a command, at 0 V, in ns."""
 _NEVER = 1 << 62
 _NOISE = (Spoilt, Unknown)
-# By names of their own: an enum's member, looked up in it, takes 0.08 µs each time.
+# Names of their own: to look a member up in its enum takes 0.08 µs each time.
 _RUN, _ARMED, _ACTIVE = DeviceState.RUN, Phase.ARMED, Phase.ACTIVE
 _DRIVING = (_ARMED, _ACTIVE)
 
 
 def start(rules: Rules) -> State:
-    """Return the state before anything has happened."""
+    """Return the state before the first event."""
     return State(rules=rules, pace_us=rules.ts_us)
 
 
 def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
-    """Return the state after `events`, which happened by `now_ns`, and what is to be done."""
+    """Return the state after `events`, which happened by `now_ns`, and the actions."""
     done: list[Action] = []
     for event in events:
         state, actions = _one(state, now_ns, event)
@@ -67,11 +67,11 @@ def step(state: State, now_ns: int, events: Iterable[Event]) -> Step:
 
 
 def wake_ns(state: State) -> int:
-    """Return when the core wants a `Beat`, should nothing happen before."""
+    """Return the time at which the core needs a `Wakeup` if no event arrives earlier, in ns."""
     if state.asked is not None:
         return transitions.retry_ns(state.asked)
     link = state.link
-    return _NEVER if link is None else link.any_ns + state.rules.watchdog_ms * 1_000_000 // 3
+    return _NEVER if link is None else link.last_send_ns + state.rules.watchdog_ms * 1_000_000 // 3
 
 
 def _one(state: State, now_ns: int, event: Event) -> Step:
@@ -80,12 +80,12 @@ def _one(state: State, now_ns: int, event: Event) -> Step:
             return _received(state, now_ns, event.data)
         case Tick():
             return _tick(state, now_ns, event)
-        case Beat():
-            return _beat(state, now_ns)
+        case Wakeup():
+            return _wakeup(state, now_ns)
         case Ordered():
             return orders.handle(state, now_ns, event.order)
         case LinkUp():
-            return ask(replace(state, link=Link()), now_ns, Want.HELLO)
+            return ask(replace(state, link=Link()), now_ns, RequestKind.HELLO)
         case LinkDown():
             return _link_down(state, now_ns, event.reason)
         case ServiceGone():
@@ -102,9 +102,9 @@ def _link_down(state: State, now_ns: int, reason: str) -> Step:
     if state.phase in _DRIVING:
         state, actions = trip(state, now_ns, Fault(Id.LINK, f"link lost: {reason}"))
         return state, done + actions
-    state, ended = end_run(state, now_ns)  # its STOP will not be confirmed any more
+    state, ended = end_run(state, now_ns)  # without a link its STOP cannot be confirmed
     state = moved(state, On.LOST)
-    said = [log(now_ns, "warning", f"no link: {reason}"), say_state(state, now_ns)]
+    said = [log(now_ns, "warning", f"no link: {reason}"), report_state(state, now_ns)]
     return state, [*done, *ended, *said]
 
 
@@ -115,14 +115,14 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
     pending, received = feed(link.pending, data)
     if pending != link.pending:
         state = linked(state, pending=pending)
-    if state.asked is not None and state.asked.want is Want.HELLO:
+    if state.asked is not None and state.asked.want is RequestKind.HELLO:
         sound = sum(not isinstance(message, _NOISE) for message in received)
         came = Traffic(link.came.bytes + len(data), link.came.frames + sound)
         state = linked(state, came=came)
     done: list[Action] = []
     for message in received:
         if isinstance(message, _NOISE):
-            # Noise on the line is the line's; the sample it cost is a gap of its own.
+            # If noise cost a sample, the sample is reported as a gap.
             done.append(log(now_ns, "debug", f"line: {message}"))
             continue
         state, actions = replies.handle(state, now_ns, message)
@@ -130,7 +130,7 @@ def _received(state: State, now_ns: int, data: bytes) -> Step:
     return state, done
 
 
-def _beat(state: State, now_ns: int) -> Step:
+def _wakeup(state: State, now_ns: int) -> Step:
     if state.asked is not None:
         return transitions.retry(state, now_ns)
     link = state.link
@@ -138,12 +138,12 @@ def _beat(state: State, now_ns: int) -> Step:
         return state, []
     drives = link.device_state == _RUN
     if drives and (setpoints.is_stopping(state) or _lapsed(state, now_ns)):
-        return linked(state, any_ns=now_ns), []  # nothing that would feed its watchdog
+        return linked(state, last_send_ns=now_ns), []  # a KEEPALIVE would feed its watchdog
     return send(state, now_ns, encode(Keepalive(0, link.seq)))
 
 
 def _lapsed(state: State, now_ns: int) -> bool:
-    """Tell whether the next tick will stop the motor: after a pause a beat comes before it."""
+    """Return whether the next tick will stop the motor; a Wakeup may precede this tick."""
     rules = state.rules
     if state.k >= 0 and now_ns - state.tick_ns > rules.pause_ns(
         state.ts_us, scheduled=_is_self_paced(state)
@@ -153,13 +153,13 @@ def _lapsed(state: State, now_ns: int) -> bool:
 
 
 def _has_run_out(state: State, now_ns: int) -> bool:
-    """Tell whether the lease's holder has given no command for too long (S2)."""
+    """Return whether the lease's holder has given no command for too long (S2)."""
     lease = state.lease
     return lease is not None and now_ns - lease.renewed_ns > state.rules.lease_ns(state.ts_us)
 
 
 def _is_self_paced(state: State) -> bool:
-    """Tell whether the device plays a schedule by its own clock."""
+    """Return whether the device is in a scheduled run, paced by its own clock."""
     in_force, link = state.configuration, state.link
     if in_force is None or link is None:
         return False
@@ -172,16 +172,16 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     skipped = tick.k - state.k - 1 if state.k >= 0 else 0
     pause_ns = now_ns - state.tick_ns if state.k >= 0 else 0
     if skipped > 0 and not self_paced:
-        state = _skip(state, tick.k - skipped, skipped, now_ns, "the host was late")
+        state = _skip(state, tick.k - skipped, skipped, now_ns, GapCode.HOST_LATE)
     state = replace(state, k=tick.k, tick_ns=now_ns)
     link = state.link
     if link is None:
         return state, done
     if state.device is None:
         if state.asked is not None:
-            return transitions.retry(state, now_ns)  # where a line is never quiet there is no beat
-        # A HELLO that a STOP has overtaken must not be the last one (T1).
-        return ask(state, now_ns, Want.HELLO)
+            return transitions.retry(state, now_ns)  # a line that is never quiet has no Wakeup
+        # A HELLO that a STOP has replaced must not be the last HELLO (T1).
+        return ask(state, now_ns, RequestKind.HELLO)
     rules, driving, ts_us = state.rules, state.phase in _DRIVING, state.ts_us
     fault: Fault | None = None
     if pause_ns > rules.pause_ns(ts_us, scheduled=self_paced):
@@ -194,17 +194,18 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     if driving and fault:
         state, actions = trip(state, now_ns, fault)
         return state, done + actions
-    if now_ns - link.fresh_ns > rules.age_ns(ts_us, scheduled=self_paced):
-        state, actions = _stale(state, now_ns, now_ns - link.fresh_ns, driving=driving)
+    if now_ns - link.last_round_trip_ns > rules.age_ns(ts_us, scheduled=self_paced):
+        state, actions = _stale(state, now_ns, now_ns - link.last_round_trip_ns, driving=driving)
         return state, done + actions
     if self_paced:
         state, actions = setpoints.tick(state, now_ns)
         return state, done + actions
     if state.run is not None and state.run.scheduled and state.run.k_first >= 0:
-        return state, done  # it has stopped, but not ended: our count goes on behind its last
+        # The run has stopped, but not ended: the ticks continue from its last sample.
+        return state, done
     if len(link.sent) >= MAX_UNECHOED:
-        # Never more stale commands in the line than this; the age above ends it.
-        return _skip(state, tick.k, 1, now_ns, "the device was late"), done
+        # This limits the stale commands on the line; the limit on their age stops the motor.
+        return _skip(state, tick.k, 1, now_ns, GapCode.DEVICE_LATE), done
     state, code, actions = _decide(state, now_ns, tick.k)
     done += actions
     seq = link.seq if state.link is None else state.link.seq
@@ -214,8 +215,8 @@ def _tick(state: State, now_ns: int, tick: Tick) -> Step:
     return state, done + actions
 
 
-def _skip(state: State, k: int, count: int, now_ns: int, reason: str) -> State:
-    return gaps.note(state, Absent(k, count, reason, None, state.tick_ns, now_ns))
+def _skip(state: State, k: int, count: int, now_ns: int, reason: GapCode) -> State:
+    return gaps.note(state, gaps.missing(k, count, reason, None, state.tick_ns, now_ns))
 
 
 def _stale(state: State, now_ns: int, age_ns: int, *, driving: bool) -> Step:
@@ -226,15 +227,15 @@ def _stale(state: State, now_ns: int, age_ns: int, *, driving: bool) -> Step:
     if state.asked is not None:
         return state, []
     state = moved(linked(state, sent=()), On.LOST, device=None)
-    state, actions = ask(state, now_ns, Want.HELLO)
-    text = f"no answer from the device for {age_ms:.0f} ms; asking who is there"
-    return state, [log(now_ns, "warning", text), say_state(state, now_ns), *actions]
+    state, actions = ask(state, now_ns, RequestKind.HELLO)
+    text = f"no answer from the device for {age_ms:.0f} ms; sending HELLO"
+    return state, [log(now_ns, "warning", text), report_state(state, now_ns), *actions]
 
 
 def _decide(state: State, now_ns: int, k: int) -> tuple[State, int, list[Action]]:
-    """Return the code for tick `k`; anything but 0 only while a valid command stands behind it."""
+    """Return the code for tick `k`: the code of a valid command, or 0 without a valid command."""
     lease = state.lease
-    if lease is None or (state.asked is not None and state.asked.want is Want.STOP):
+    if lease is None or (state.asked is not None and state.asked.want is RequestKind.STOP):
         return state, 0, []
     if state.phase is _ARMED and now_ns - lease.renewed_ns > ARMED_NS:
         state, actions = stop(state, now_ns, "")

@@ -1,20 +1,28 @@
-"""Every way in which the motor is brought to 0 V."""
+"""All ways of bringing the motor to 0 V."""
 
 from __future__ import annotations
 
-from armrig_core.codes import OutcomeCode, RefusalCode
+from armrig_core.codes import GapCode, OutcomeCode, RefusalCode
 from msgspec.structs import replace
 
 from armrig_daemon.decisions import gaps
 from armrig_daemon.decisions.faults import Fault, sentence
 from armrig_daemon.decisions.phases import On, moved
-from armrig_daemon.decisions.requests import Step, ask, linked, log, refuse, say_state
-from armrig_daemon.decisions.state import Absent, Emit, Exit, Phase, Repace, State, Want
+from armrig_daemon.decisions.requests import Step, ask, linked, log, refuse, report_state
+from armrig_daemon.decisions.state import (
+    Emit,
+    Exit,
+    MissingSamples,
+    Phase,
+    RequestKind,
+    SetPeriod,
+    State,
+)
 from armrig_daemon.pipe import Order, RunEnded
 
 
 def end_run(state: State, now_ns: int) -> Step:
-    """Say that the run is over, once no sample of it can come any more."""
+    """Report the end of the run, as soon as no further sample of the run can arrive."""
     queue, run = state.queue, state.run
     done = refuse(queue.order, state.outcome or "stopped", RefusalCode.OVERTAKEN) if queue else []
     state = replace(linked(state, beats=()), queue=None)
@@ -26,27 +34,28 @@ def end_run(state: State, now_ns: int) -> Step:
         for sent in (s for s in waiting if s.k < end):
             state = gaps.note(state, gaps.lost(sent, now_ns))
         if run.scheduled and state.phase is Phase.FAULT:
-            # What the device would have sampled by now, had it not stopped.
+            # The samples that the device would have taken by now if it had not stopped.
             by_now = (now_ns - run.t_zero_ns) // (state.ts_us * 1000) + 1
             n = max(0, min(by_now, run.samples) - run.due)
             due_ns = gaps.due_ns(state, end)
-            state = gaps.note(state, Absent(end, n, state.outcome, 0, due_ns, now_ns))
+            missing = MissingSamples(end, n, state.outcome, 0, due_ns, now_ns, GapCode.FAULT)
+            state = gaps.note(state, missing)
             run, end = replace(run, due=run.due + n), end + n
-        state, actions = gaps.tell_missing(state, end, now_ns)
+        state, actions = gaps.report_missing(state, end, now_ns)
         done += actions
         state = linked(state, sent=tuple(s for s in waiting if s.k >= end))
     if run.scheduled and run.k_first >= 0:
-        # The device has counted on its own: our ticks go on behind its last sample.
+        # The device has counted the samples: the loop's ticks continue after the last sample.
         k = run.k_first + run.due - 1
         state = replace(state, k=k, pace_us=state.rules.ts_us)
-        done.append(Repace(state.rules.ts_us, k + 1))
+        done.append(SetPeriod(state.rules.ts_us, k + 1))
     code, text = state.ending
     done.append(Emit(RunEnded(run_id=run.run_id, outcome=text, outcome_code=code)))
     return replace(state, run=None, outcome="", outcome_code=None), done
 
 
 def ending(state: State, outcome: str, code: OutcomeCode) -> State:
-    """Take note of how the run ends; what was noted first stays."""
+    """Note the outcome of the run, unless an outcome is already noted."""
     if state.outcome or not outcome:
         return state
     return replace(state, outcome=outcome, outcome_code=code)
@@ -59,24 +68,24 @@ def stop(
     order: Order | None = None,
     code: OutcomeCode = OutcomeCode.STOPPED,
 ) -> Step:
-    """Go to 0 V in good order: the run ends when the device has stopped."""
+    """Stop the motor as ordered; the run ends when the device has stopped."""
     state = replace(ending(state, outcome, code), code=0)
-    return ask(state, now_ns, Want.STOP, order)
+    return ask(state, now_ns, RequestKind.STOP, order)
 
 
 def leave(state: State) -> Step:
-    """Exit with nobody holding the rig: frames that come in the same step report no stray state."""
+    """Exit without a lease, so that later frames of the same step cannot cause a fault."""
     return moved(state, On.ENDED, lease=None, code=0), [Exit()]
 
 
 def trip(state: State, now_ns: int, fault: Fault) -> Step:
-    """Go to 0 V and latch: only a reset, then arm, leads out (S6)."""
+    """Stop the motor and latch the fault, which ends only by a reset and an arming (S6)."""
     state = ending(state, fault.cause, OutcomeCode.FAULT)
     state = moved(state, On.TRIPPED, fault=fault, lease=None, code=0)
     if state.link is not None:
-        state, done = ask(state, now_ns, Want.STOP)
+        state, done = ask(state, now_ns, RequestKind.STOP)
     else:
-        # No way to tell the device: its own watchdog stops it.
+        # The device cannot be reached: its own watchdog stops it.
         state, done = end_run(state, now_ns)
     text = f"stopped at 0 V: {sentence(fault)}; then `armrig reset`, then repeat"
-    return state, [*done, log(now_ns, "error", text, cause=fault.id), say_state(state, now_ns)]
+    return state, [*done, log(now_ns, "error", text, cause=fault.id), report_state(state, now_ns)]

@@ -1,7 +1,7 @@
-"""What the core was told and what it then sent, step by step: a run can be decided once more.
+"""Trace of a run: the core's inputs and the frames that it sent, step by step, for a replay.
 
-A trace begins with the state in which the run started and holds the arguments of every call of
-`decisions/step.py: step` since. It is a pure function: the same arguments give the same decisions.
+A trace begins with the state at the start of the run and contains the arguments of each later call
+of `decisions/step.py: step`. `step` is pure: the same arguments result in the same decisions.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from msgspec.structs import replace
 from armrig_daemon.decisions import trace_v1
 from armrig_daemon.decisions.state import (
     Action,
-    Beat,
     Event,
     LinkDown,
     LinkUp,
@@ -25,24 +24,25 @@ from armrig_daemon.decisions.state import (
     ServiceGone,
     State,
     Tick,
+    Wakeup,
 )
 from armrig_daemon.pipe import Arm, Leased, Order, Orders, Run
 
 T = TypeVar("T")
 VERSION = 2
-"""Of the words in which a trace is written; `trace_v1` reads those of before."""
-CHUNK = 3000
-"""Bytes of steps that are handed over together: with its state a chunk fits into 4096."""
-_HELD = "held"  # in place of the lease in force
-_STEP_BYTES, _EVENT_BYTES = 12, 24  # what a step and an event take beyond their data, at most
+"""Version of the names in a trace; `trace_v1` reads version 1."""
+CHUNK_BYTES = 3000
+"""Largest size of the steps in a chunk, in bytes: with its state a chunk fits into 4096."""
+_HELD = "held"  # replaces the lease in force
+_STEP_BYTES, _EVENT_BYTES = 12, 24  # largest overhead of a step and of an event
 _KINDS: tuple[type[Event], ...] = (
-    Tick, Beat, Received, Ordered, LinkUp, LinkDown, ServiceGone,
+    Tick, Wakeup, Received, Ordered, LinkUp, LinkDown, ServiceGone,
 )  # fmt: skip
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
 
 class Step(NamedTuple):
-    """One call of the core, and the frames to the device that it decided."""
+    """One call of the core, and the frames to the device that it returned."""
 
     now_ns: int
     events: tuple[Event, ...]
@@ -57,20 +57,20 @@ _ORDER_OF = {1: trace_v1.order_of, VERSION: msgspec.msgpack.Decoder(Orders).deco
 
 
 class Chunk(NamedTuple):
-    """Some steps that follow each other."""
+    """Consecutive steps of a trace."""
 
     number: int
-    """Counted from 0 at the start of the run."""
+    """Number of the chunk, from 0 at the start of the run."""
     state: bytes
-    """The state before the first step, in the first chunk; else empty."""
+    """State before the first step, in the first chunk; else empty."""
     steps: bytes
 
 
 class Trace:
-    """The steps of a run that have not been handed over yet."""
+    """Steps of a run, until they are returned in a chunk."""
 
     def __init__(self, state: State) -> None:
-        """Begin with the state in which the run has just started."""
+        """Begin with the state at the start of the run."""
         self._state = written_state(state)
         self._lease = state.lease.lease if state.lease else ""
         self._number = 0
@@ -79,11 +79,11 @@ class Trace:
         self._bytes = len(self._state)
 
     def note(self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]) -> None:
-        """Note a step; it is written later, for what it decided must not wait."""
+        """Note a step. The step is written later, because its actions must not wait."""
         self._noted.append((now_ns, events, actions))
 
     def full(self) -> list[Chunk]:
-        """Write what was noted; return the chunks that are full."""
+        """Write the noted steps; return the chunks that are full."""
         chunks = []
         for now_ns, events, actions in self._noted:
             chunk = self._write(now_ns, events, actions)
@@ -93,13 +93,13 @@ class Trace:
         return chunks
 
     def rest(self) -> list[Chunk]:
-        """Write what was noted; return all that was not handed over yet."""
+        """Write the noted steps; return all chunks that were not returned yet."""
         return [*self.full(), self._next_chunk()]
 
     def _write(
         self, now_ns: int, events: Iterable[Event], actions: Iterable[Action]
     ) -> Chunk | None:
-        """Add a step; return those before it once they are enough for a chunk."""
+        """Add a step; if the earlier steps fill a chunk, return this chunk."""
         written = [(_NUMBERS[type(e)], _written_event(e, self._lease)) for e in events]
         sent = [a.data for a in actions if type(a) is Send]
         size = _STEP_BYTES
@@ -108,8 +108,8 @@ class Trace:
         for data in sent:
             size += len(data)
         begun = self._steps or self._state  # a state leaves no room for a long first step
-        full = self._next_chunk() if begun and self._bytes + size > CHUNK else None
-        if size > CHUNK:  # a flood of orders: the hole shows in the numbers
+        full = self._next_chunk() if begun and self._bytes + size > CHUNK_BYTES else None
+        if size > CHUNK_BYTES:  # a flood of orders: the numbers of the chunks show the hole
             self._number += 1
             return full
         self._steps.append((now_ns, written, sent))
@@ -123,10 +123,10 @@ class Trace:
 
 
 def written_state(state: State) -> bytes:
-    """Return a state as bytes, without the codes of its run, and without its lease.
+    """Return a state as bytes, without the codes of its run and without its lease.
 
-    The recording has the input; and who may read the recording must not hold the rig by it. What is
-    known of missing samples, up to 45 kB, decides neither a frame nor a sample.
+    The recording contains the input. A reader of the recording must not be able to hold the rig by
+    its lease. The missing samples, up to 45 kB, decide neither a frame nor a sample.
     """
     run, lease = state.run, state.lease
     return _ENCODER.encode(
@@ -145,14 +145,14 @@ def restored(data: bytes, codes: bytes, version: int = VERSION) -> State:
     Raises
     ------
     msgspec.DecodeError
-        They are not the bytes of a state, or the version is not known.
+        The bytes do not encode a state, or the version is unknown.
     """
     state = _known(_STATE_OF, version)(data)
     return state if state.run is None else replace(state, run=replace(state.run, codes=codes))
 
 
 def steps_of(chunk: bytes, version: int = VERSION) -> list[Step]:
-    """Return the steps of a chunk; raises as `restored`."""
+    """Return the steps of a chunk; raises as `restored` does."""
     order_of = _known(_ORDER_OF, version)
     return [
         Step(now_ns, tuple(_event(number, data, order_of) for number, data in events), tuple(sent))
@@ -175,9 +175,9 @@ def _written_event(event: Event, lease: str) -> bytes:
 
 
 def _without_secrets(order: Order, lease: str) -> Order:
-    """Return an order that fits, and that says only whether its lease is the one in force.
+    """Return an order without the codes of a run; its lease only shows whether it was valid.
 
-    A second experiment is refused, whatever its codes are.
+    The codes are not needed, because a second experiment is refused whatever its codes are.
     """
     if isinstance(order, Run):
         order = replace(order, codes=b"")

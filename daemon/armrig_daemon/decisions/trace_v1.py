@@ -1,4 +1,4 @@
-"""Traces of version 1 in today's words: their recordings are decided once more as any other.
+"""Conversion of traces of version 1 to the current names, so that they can be replayed.
 
 A trace without a version is of version 1.
 """
@@ -17,20 +17,20 @@ _PARTS = {"link": Link, "configuration": Configuration, "clock": Clock}
 
 
 def state_of(data: bytes) -> State:
-    """Return a state of version 1, in which all fields stood in one; of a run there is a link."""
+    """Return a state of version 1, whose fields were all in one table; a run implies a link."""
     fields = msgspec.msgpack.decode(data)
     fields["map"] = fields.pop("clock")
     rules = fields["rules"]
     rules["code_min"], rules["code_max"] = rules.pop("u_min"), rules.pop("u_max")
     parts = {
-        name: {field: fields[field] for field in kind.__struct_fields__ if field in fields}
+        name: {key: fields[key] for key in kind.__struct_encode_fields__ if key in fields}
         for name, kind in _PARTS.items()
     }
     return msgspec.convert(fields | parts, State)
 
 
 def order_of(data: bytes) -> Orders:
-    """Return an order of version 1 under its tag of today."""
+    """Return an order of version 1 with its current tag."""
     fields = msgspec.msgpack.decode(data)
     fields["type"] = _TAGS.get(fields["type"], fields["type"])
     order: Orders = msgspec.convert(fields, Orders)

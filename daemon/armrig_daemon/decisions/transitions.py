@@ -1,4 +1,4 @@
-"""From state to state of the device: each request, its effect, its refusal, its retry."""
+"""Transitions of the device: each request with its effect, its refusal and its retry."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from armrig_daemon.decisions.budget import check, exchange_us
 from armrig_daemon.decisions.faults import OF_DEVICE, Fault, Id, of_device, sentence
 from armrig_daemon.decisions.phases import On, moved
 from armrig_daemon.decisions.requests import (
-    MANY_TRIES,
     NO_DEVICE,
+    NOTICE_TRIES,
     Step,
     answer,
     ask,
@@ -31,48 +31,48 @@ from armrig_daemon.decisions.requests import (
     linked,
     log,
     refuse,
-    say_state,
+    report_state,
     unanswered,
 )
 from armrig_daemon.decisions.state import (
     Action,
     ActiveRun,
-    Asked,
     Clock,
     Configuration,
     Emit,
     Lease,
+    PendingRequest,
     Phase,
-    Repace,
+    RequestKind,
+    SetPeriod,
     State,
-    Want,
 )
 from armrig_daemon.decisions.stopping import end_run, leave, trip
-from armrig_daemon.pipe import Arm, Order, Reset, Run, RunStarted, Set
+from armrig_daemon.pipe import Arm, Disarm, Order, Reset, Run, RunStarted, Set, Stop
 
-_RETRY_NS = {Want.HELLO: 100_000_000, Want.STOP: 20_000_000}
+_RETRY_NS = {RequestKind.HELLO: 100_000_000, RequestKind.STOP: 20_000_000}
 _OTHER_RETRY_NS = 50_000_000
-_TRIES = 5
-_TRIES_A_SECOND, _TRIES_A_MINUTE = 10, 600  # of HELLO
-CARE_US = 10_000
-"""How often a device that paces itself is looked after, in µs."""
+_MAX_TRIES = 5
+_HELLOS_PER_SECOND, _HELLOS_PER_MINUTE = 10, 600
+CARE_PERIOD_US = 10_000
+"""Period of the loop's ticks during a scheduled run, in µs."""
 _EXPECTED = {Phase.ARMED: DeviceState.ARMED, Phase.ACTIVE: DeviceState.RUN}
 _DRIVES = (DeviceState.ARMED, DeviceState.RUN)
 _LATCHED = (DeviceState.FAULT, DeviceState.ESTOP)
 _KNOWN = (DeviceState.IDLE, DeviceState.READY, *_DRIVES, *_LATCHED)
 
 
-def retry_ns(asked: Asked) -> int:
-    """Return when a request that had no effect is sent again."""
+def retry_ns(asked: PendingRequest) -> int:
+    """Return the time at which a request without effect is sent again."""
     return asked.sent_ns + _RETRY_NS.get(asked.want, _OTHER_RETRY_NS)
 
 
 def retry(state: State, now_ns: int) -> Step:
-    """Send the request again, or give up: then the motor is stopped if it may turn."""
+    """Send the request again; after too many tries cancel it, and stop the motor if it may turn."""
     asked = state.asked
     if asked is None or now_ns < retry_ns(asked):
         return state, []
-    if asked.want is Want.HELLO or asked.tries < _TRIES:
+    if asked.want is RequestKind.HELLO or asked.tries < _MAX_TRIES:
         state, actions = ask(
             state,
             now_ns,
@@ -87,49 +87,49 @@ def retry(state: State, now_ns: int) -> Step:
 
 
 def _unanswered_notice(state: State, now_ns: int) -> list[Action]:
-    """Return what is said of a device that does not answer: in the state, and seldom in the log."""
+    """Return the reports of a silent device: a state each second, a log line each minute."""
     text, tries = unanswered(state), state.asked.tries if state.asked else 0
-    if not text or (tries - MANY_TRIES) % _TRIES_A_SECOND:
+    if not text or (tries - NOTICE_TRIES) % _HELLOS_PER_SECOND:
         return []
-    notice = [say_state(state, now_ns)]
-    if (tries - MANY_TRIES) % _TRIES_A_MINUTE == 0:
+    notice = [report_state(state, now_ns)]
+    if (tries - NOTICE_TRIES) % _HELLOS_PER_MINUTE == 0:
         notice.insert(0, log(now_ns, "warning", text))
     return notice
 
 
 def give_up(state: State, now_ns: int, error: str) -> Step:
-    """Give up what was asked for."""
+    """Cancel the pending request, and refuse its order."""
     asked = state.asked
     state = replace(state, asked=None)
     done = refuse(asked.order if asked else None, error, RefusalCode.NO_EFFECT)
-    if asked is not None and asked.want is Want.STOP:
-        # More cannot be done from here: the device's own watchdog is next.
+    if asked is not None and asked.want is RequestKind.STOP:
+        # The host cannot do more: the device's own watchdog is next.
         state, actions = end_run(state, now_ns)
         done += actions
         if state.quitting:
             state, actions = leave(state)
             return state, done + actions
         if state.phase is Phase.FAULT:
-            return state, [*done, log(now_ns, "error", error), say_state(state, now_ns)]
+            return state, [*done, log(now_ns, "error", error), report_state(state, now_ns)]
         state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
-        # The run is over: this cause is of no later one.
+        # The run is over: its outcome must not be the outcome of a later run.
         return replace(state, asked=None, outcome="", outcome_code=None), done + actions
     if state.phase in (Phase.ARMED, Phase.ACTIVE):
         state, actions = trip(state, now_ns, Fault(Id.REQUEST, error))
         return state, done + actions
-    state, actions = ask(state, now_ns, Want.HELLO)
+    state, actions = ask(state, now_ns, RequestKind.HELLO)
     return state, [*done, log(now_ns, "warning", error), *actions]
 
 
 def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False) -> Step:
-    """Take note of the state in a frame of the device: it is what shows that a request worked.
+    """Note the state in a frame of the device, which shows whether a request has worked.
 
     Parameters
     ----------
     reported : int
-        The device's state, as the frame says it.
+        State of the device in the frame.
     ended : bool, default False
-        The frame tells of the end of a run, at its k_stop.
+        Whether the frame reports the end of a run, at its k_stop.
     """
     link = state.link
     before = 0 if link is None else link.device_state
@@ -137,17 +137,17 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
         state = linked(state, device_state=reported)
     if state.asked is not None:
         reached = {
-            Want.ARM: reported == DeviceState.ARMED,
-            Want.START: reported == DeviceState.RUN,
-            Want.STOP: reported not in _DRIVES,
-            Want.CLEAR: reported == DeviceState.IDLE,
+            RequestKind.ARM: reported == DeviceState.ARMED,
+            RequestKind.START: reported == DeviceState.RUN,
+            RequestKind.STOP: reported not in _DRIVES,
+            RequestKind.CLEAR: reported == DeviceState.IDLE,
         }
         if reached.get(state.asked.want, False):
             return _reached(state, now_ns, state.asked)
     run = state.run
     idle = reported == DeviceState.IDLE and before == DeviceState.RUN
     if idle and run and run.scheduled and (ended or _is_over(state, run, now_ns)):
-        # The device has come to k_stop; what it sampled before has arrived before this.
+        # The device has reached k_stop; its earlier samples have arrived before this frame.
         state, done = setpoints.complete(state, now_ns)
         state, actions = rest(state, now_ns, None)
         return state, done + actions
@@ -155,7 +155,7 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
     latched = reported in _LATCHED
     strayed = expected is not None and state.asked is None and reported != expected
     if strayed and not latched:
-        cause = f"the device is in {state_name(reported)}, and nobody asked it to"
+        cause = f"the device is in {state_name(reported)}, which the daemon did not request"
         return trip(state, now_ns, Fault(Id.STATE, cause))
     if latched and before not in _LATCHED and state.phase is not Phase.FAULT:
         cause = f"the device is in {DeviceState(reported).name}"
@@ -164,24 +164,24 @@ def note_state(state: State, now_ns: int, reported: int, *, ended: bool = False)
 
 
 def _is_over(state: State, run: ActiveRun, now_ns: int) -> bool:
-    """Return whether a scheduled run must be over by now, should its end not have been heard."""
+    """Return whether a scheduled run must be over by now, even if its end was not received."""
     return run.due >= run.samples or now_ns >= run.t_zero_ns + run.samples * state.ts_us * 1000
 
 
-def _reached(state: State, now_ns: int, asked: Asked) -> Step:
+def _reached(state: State, now_ns: int, asked: PendingRequest) -> Step:
     state = replace(state, asked=None)
     match asked.want:
-        case Want.ARM:
+        case RequestKind.ARM:
             return _armed(state, now_ns, asked)
-        case Want.START:
+        case RequestKind.START:
             return _started(state, now_ns, asked)
-        case Want.CLEAR:
-            return ask(state, now_ns, Want.HELLO, asked.order)
+        case RequestKind.CLEAR:
+            return ask(state, now_ns, RequestKind.HELLO, asked.order)
         case _:
             return _stopped(state, now_ns, asked)
 
 
-def _armed(state: State, now_ns: int, asked: Asked) -> Step:
+def _armed(state: State, now_ns: int, asked: PendingRequest) -> Step:
     order = asked.order
     if isinstance(order, Run):
         return setpoints.begin(state, now_ns, order)
@@ -198,16 +198,16 @@ def _armed(state: State, now_ns: int, asked: Asked) -> Step:
         "u_min": round(volts_of(rules.code_min), 4),
         "u_max": round(volts_of(rules.code_max), 4),
     }
-    return state, [say_state(state, now_ns), *answer(order, granted)]
+    return state, [report_state(state, now_ns), *answer(order, granted)]
 
 
-def _started(state: State, now_ns: int, asked: Asked) -> Step:
+def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
     order = asked.order
     if state.lease is None or not isinstance(order, Run | Set):
         return trip(state, now_ns, Fault(Id.INTERNAL, "started without an owner"))
     # The lease counts from the command, however long its START took.
     state = moved(linked(state, beats=()), On.STARTED, outcome="", outcome_code=None, code=0)
-    done = [say_state(state, now_ns), *answer(order, {"done": True})]
+    done = [report_state(state, now_ns), *answer(order, {"done": True})]
     if isinstance(order, Set):
         return replace(state, code=order.code), done
     if state.run is None or state.queue is None:
@@ -222,45 +222,45 @@ def _started(state: State, now_ns: int, asked: Asked) -> Step:
     return replace(state, run=run, queue=queue), [*done, Emit(started)]
 
 
-def _stopped(state: State, now_ns: int, asked: Asked) -> Step:
+def _stopped(state: State, now_ns: int, asked: PendingRequest) -> Step:
     if isinstance(asked.order, Run):
-        # Not a stop: on the way from the owner's ARM to that of a scheduled run.
+        # This STOP is only the first step from the owner's ARM to the ARM of a scheduled run.
         ts_us = state.lease.ts_us if state.lease else state.rules.ts_us
-        return ask(state, now_ns, Want.CONFIGURE, asked.order, ts_us=ts_us, scheduled=True)
+        return ask(state, now_ns, RequestKind.CONFIGURE, asked.order, ts_us=ts_us, scheduled=True)
     return rest(state, now_ns, asked.order)
 
 
 def rest(state: State, now_ns: int, order: Order | None) -> Step:
-    """Go on at 0 V with nobody holding the rig, once the device has stopped."""
+    """Continue at 0 V without a lease, once the device has stopped."""
     state, done = end_run(state, now_ns)
     if state.quitting:
         state, actions = leave(state)
         return state, done + actions
     state = replace(state, lease=None)
     if state.phase is Phase.FAULT and not isinstance(order, Reset):
-        return state, [*done, say_state(state, now_ns)]
-    state, actions = ask(state, now_ns, Want.CONFIGURE, order, ts_us=state.rules.ts_us)
+        return state, [*done, report_state(state, now_ns)]
+    state, actions = ask(state, now_ns, RequestKind.CONFIGURE, order, ts_us=state.rules.ts_us)
     return state, done + actions
 
 
 def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
-    """Meet the device: from here on it is sampled, at 0 V."""
+    """Handle the answer to HELLO: a device that fits is configured, then sampled at 0 V."""
     asked = state.asked
-    if asked is None or asked.want is not Want.HELLO:
-        return state, []  # nobody asked: it proves no round trip
+    if asked is None or asked.want is not RequestKind.HELLO:
+        return state, []  # an unrequested reply proves no round trip
     if reply.state == DeviceState.BOOT:
-        return state, []  # it is still starting up: the question stands, and is asked again
+        return state, []  # the device still boots: HELLO stays pending, and is sent again
     clock = state.clock
-    if clock is None or clock.boot_id != reply.boot_id:  # its clock has begun anew
+    if clock is None or clock.boot_id != reply.boot_id:  # its clock has restarted
         clock = Clock(reply.boot_id, clock.compared_ns if clock else 0)
         state = replace(state, clock=clock, t_us=0, device=None)
     if state.device is None:
-        state = replace(state, sampled_ns=0)  # the samples before were another link's, or boot's
+        state = replace(state, sampled_ns=0)  # earlier samples were of another link or boot
     state = linked(
         replace(state, asked=None, device=reply),
         token=reply.token,
         device_state=reply.state,
-        fresh_ns=asked.sent_ns,
+        last_round_trip_ns=asked.sent_ns,
         sent=(),
     )
     if (reply.version, reply.schema) != (VERSION, SCHEMA_HASH):
@@ -269,62 +269,63 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
             f"this daemon {VERSION}, {SCHEMA_HASH:08x}"
         )
         return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
-    error = _unfit(reply)
-    if error:
-        return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
+    if unfit := _unfit(reply):
+        return _latch(state, now_ns, asked, unfit)
     if reply.state in _LATCHED:
-        cause = f"the device is in {DeviceState(reply.state).name}"
+        fault = Fault(Id.DEVICE, f"the device is in {DeviceState(reply.state).name}")
         if reply.cause in OF_DEVICE:
-            cause += f": {of_device(reply.cause)}"
-        return _latch(state, now_ns, asked, Fault(Id.DEVICE, cause))
+            fault = Fault(Id.DEVICE, f"{fault.cause}: {of_device(reply.cause)}", reply.cause)
+        return _latch(state, now_ns, asked, fault)
     if reply.state in _DRIVES:
-        # Left over from another host, or from a fault whose STOPs were lost: stop first.
-        return ask(state, now_ns, Want.STOP, asked.order)
+        # It still drives for another host, or after a fault whose STOPs were lost: stop it first.
+        return ask(state, now_ns, RequestKind.STOP, asked.order)
     if state.phase is Phase.FAULT and asked.order is None:
-        return state, [say_state(state, now_ns)]
-    return ask(state, now_ns, Want.CONFIGURE, asked.order, ts_us=state.rules.ts_us)
+        return state, [report_state(state, now_ns)]
+    return ask(state, now_ns, RequestKind.CONFIGURE, asked.order, ts_us=state.rules.ts_us)
 
 
-def _unfit(device: HelloReply) -> str:
-    """Return why a device that speaks our language is none that we may drive."""
+def _unfit(device: HelloReply) -> Fault | None:
+    """Return the fault of a device that must not be driven in spite of its protocol, or None."""
     if device.state not in _KNOWN:
-        return f"the device says that it is in state {device.state}, which the wire does not know"
-    if device.full_scale_mv != FULL_SCALE_MV:
-        return (
+        text = f"the device reports state {device.state}, which the protocol does not define"
+    elif device.full_scale_mv != FULL_SCALE_MV:
+        text = (
             f"the device's full scale is {device.full_scale_mv} mV, not {FULL_SCALE_MV} mV: "
             "each code would mean another voltage"
         )
-    if not device.capabilities & Capability.EXCHANGE:
-        return "the device has no exchange mode"
-    if not 1 <= device.pwm_bits <= 16:
-        return f"the device's duty has {device.pwm_bits} bits: 1 to 16 are possible"
-    return ""
+    elif not device.capabilities & Capability.EXCHANGE:
+        text = "the device has no exchange mode"
+    elif not 1 <= device.pwm_bits <= 16:
+        text = f"the device's duty has {device.pwm_bits} bits: 1 to 16 are possible"
+    else:
+        return None
+    return Fault(Id.FIRMWARE, text)
 
 
-def _latch(state: State, now_ns: int, asked: Asked, fault: Fault) -> Step:
+def _latch(state: State, now_ns: int, asked: PendingRequest, fault: Fault) -> Step:
     done = refuse(asked.order, fault.cause, RefusalCode.NO_EFFECT)
     if state.fault != fault:
         state = moved(state, On.TRIPPED, fault=fault)
         done.append(log(now_ns, "error", sentence(fault), cause=fault.id))
-    return state, [*done, say_state(state, now_ns)]  # in any case: the device is known again
+    return state, [*done, report_state(state, now_ns)]  # in each case: the device is known again
 
 
 def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
-    """Take the device's answer to CONFIG, which carries what it really accepted."""
+    """Handle the answer to CONFIG, which contains the CRC of the accepted configuration."""
     asked = state.asked
     in_force = state.configuration
     if (
         asked is not None
-        and asked.want is Want.ARM
+        and asked.want is RequestKind.ARM
         and in_force is not None
         and _is_renewed(in_force, reply)
     ):
-        # CONFIG was sent twice, for its answer was late: only the nonce of the second arms.
-        if asked.tries >= _TRIES:
+        # CONFIG was sent twice, because its answer was late: only the second nonce can arm.
+        if asked.tries >= _MAX_TRIES:
             return state, []
         state = replace(state, configuration=replace(in_force, nonce=reply.nonce))
-        return ask(state, now_ns, Want.ARM, asked.order, tries=asked.tries + 1)
-    if asked is None or asked.want is not Want.CONFIGURE:
+        return ask(state, now_ns, RequestKind.ARM, asked.order, tries=asked.tries + 1)
+    if asked is None or asked.want is not RequestKind.CONFIGURE:
         return state, []
     if reply.code != Code.OK:
         error = f"the device refuses the configuration: {name_of(reply.code)}"
@@ -333,21 +334,23 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
                 f"; it may not have [device] oversampling = {state.rules.oversampling}, or not at "
                 f"Ts={asked.ts_us / 1e6:g} s: lower it, or sample slower"
             )
-        return give_up(state, now_ns, error)
+        if isinstance(asked.order, Arm | Run):
+            return give_up(state, now_ns, error)
+        return _refused_at_rest(state, now_ns, asked, error)
     wanted = config(state.rules, asked.ts_us, 0, scheduled=asked.scheduled)
     if reply.config_crc != config_crc(wanted):
-        if asked.tries < _TRIES:
-            return state, []  # of an earlier CONFIG, late; ours is asked for again in time
+        if asked.tries < _MAX_TRIES:
+            return state, []  # a late answer to an earlier CONFIG; ours is sent again in time
         return give_up(state, now_ns, "the device accepted another configuration than was sent")
     before_us = state.pace_us
-    pace_us = CARE_US if asked.scheduled else asked.ts_us
+    pace_us = CARE_PERIOD_US if asked.scheduled else asked.ts_us
     arms = isinstance(asked.order, Arm | Run)
-    # The pace begins anew here: the ticks before it say nothing of the new period. Which of our
-    # frames it answers it does not say, so that it proves no round trip to who wants to drive.
+    # The pace restarts here: earlier ticks do not measure the new period. The answer does not
+    # name the frame that it answers, so it proves no round trip to a client that wants to drive.
     accepted = Configuration(
         asked.ts_us, asked.scheduled, reply.config_crc, reply.nonce, asked.sent_ns
     )
-    proven = {} if arms else {"fresh_ns": asked.sent_ns}
+    proven = {} if arms else {"last_round_trip_ns": asked.sent_ns}
     state = replace(
         linked(state, beats=(), **proven),
         asked=None,
@@ -355,19 +358,29 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
         pace_us=pace_us,
         tick_ns=now_ns,
     )
-    done: list[Action] = [] if before_us == pace_us else [Repace(pace_us, state.k + 1)]
+    done: list[Action] = [] if before_us == pace_us else [SetPeriod(pace_us, state.k + 1)]
     if arms:
         if done and state.phase is Phase.ARMED:
-            done.append(say_state(state, now_ns))
-        state, actions = ask(state, now_ns, Want.ARM, asked.order)
+            done.append(report_state(state, now_ns))
+        state, actions = ask(state, now_ns, RequestKind.ARM, asked.order)
         return state, done + actions
     on = On.RESET if isinstance(asked.order, Reset) else On.CONFIGURED
     state = moved(state, on, fault=None, lease=None)
-    return state, [*done, say_state(state, now_ns), *answer(asked.order, {"done": True})]
+    return state, [*done, report_state(state, now_ns), *answer(asked.order, {"done": True})]
+
+
+def _refused_at_rest(state: State, now_ns: int, asked: PendingRequest, error: str) -> Step:
+    """Latch the fault: the device would refuse the same CONFIG after the next HELLO, too."""
+    done: list[Action] = []
+    if isinstance(asked.order, Stop | Disarm):  # the device has stopped, so the order is done
+        done, asked = answer(asked.order, {"done": True}), asked._replace(order=None)
+    state = replace(state, asked=None)
+    state, actions = _latch(state, now_ns, asked, Fault(Id.REQUEST, error))
+    return state, done + actions
 
 
 def _is_renewed(in_force: Configuration, reply: ConfigReply) -> bool:
-    """Return whether the configuration in force was accepted once more, under another nonce."""
+    """Return whether the configuration in force was accepted again, under another nonce."""
     same = reply.code == Code.OK and reply.config_crc == in_force.config_crc
     return same and reply.nonce != in_force.nonce
 
@@ -388,17 +401,17 @@ def begin_arming(state: State, now_ns: int, order: Arm) -> Step:
     if ts_us < least_us:
         error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"
         return state, refuse(order, f"{error} {least_us / 1e6:g} s")
-    # Until a run begins the host paces, as fast as the wire allows it.
+    # Until a run begins the host paces: at this Ts if the wire carries it, else at the default.
     fits = ts_us >= exchange_us(baud, device.skew_us, m)
     paced_us = ts_us if fits else state.rules.ts_us
-    return ask(state, now_ns, Want.CONFIGURE, order, ts_us=paced_us)
+    return ask(state, now_ns, RequestKind.CONFIGURE, order, ts_us=paced_us)
 
 
 def name_of(code: int) -> str:
-    """Return the name of an answer's code, or its number where it has none."""
+    """Return the name of an answer's code, or its number if it has no name."""
     return Code(code).name if code in set(Code) else str(code)
 
 
 def state_name(state: int) -> str:
-    """Return the name of a state of the device, or its number where it has none."""
+    """Return the name of a state of the device, or its number if it has no name."""
     return DeviceState(state).name if state in set(DeviceState) else str(state)

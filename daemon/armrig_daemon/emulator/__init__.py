@@ -1,1 +1,1 @@
-"""A plant behind a pseudo-terminal or a socket that answers as the real rig does."""
+"""An emulated rig at a pseudo-terminal or a socket, which answers as the real rig does."""

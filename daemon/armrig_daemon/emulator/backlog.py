@@ -1,15 +1,15 @@
-"""What the line does not take at once: kept in order up to a bound, then dropped by the frame."""
+"""Queue of frames that the line does not accept at once; frames beyond its capacity are dropped."""
 
 from __future__ import annotations
 
 from collections import deque
 from typing import Final
 
-CAPACITY: Final = 1 << 16  # as much as the driver of a USB-serial adapter keeps
+CAPACITY_BYTES: Final = 1 << 16  # like the driver of a USB-serial adapter
 
 
 class Backlog:
-    """Frames in the order in which they leave, the first of them perhaps begun."""
+    """Frames in the order of sending; the first frame may be partly sent."""
 
     def __init__(self) -> None:
         """Begin empty."""
@@ -19,8 +19,8 @@ class Backlog:
         self.dropped_bytes = 0
 
     def put(self, frame: bytes) -> None:
-        """Keep a frame behind the others; one that finds no room is dropped whole and counted."""
-        if self.waiting_bytes + len(frame) > CAPACITY:
+        """Append a frame; if it does not fit, drop the whole frame and count it."""
+        if self.waiting_bytes + len(frame) > CAPACITY_BYTES:
             self.dropped_frames += 1
             self.dropped_bytes += len(frame)
         else:
@@ -28,17 +28,17 @@ class Backlog:
             self.waiting_bytes += len(frame)
 
     def first(self) -> bytes:
-        """Return what is to leave next, in one piece; empty where nothing waits."""
+        """Return the next piece to send; b"" if no frame is waiting."""
         return self._frames[0] if self._frames else b""
 
     def sent(self, n_bytes: int) -> None:
-        """Note that `n_bytes` of the first piece have left."""
+        """Remove the first `n_bytes` of the next piece, which were sent."""
         rest = self._frames.popleft()[n_bytes:]
         if rest:
             self._frames.appendleft(rest)
         self.waiting_bytes -= n_bytes
 
     def clear(self) -> None:
-        """Forget what waits: nobody is there to have it."""
+        """Discard all frames: no program is connected."""
         self._frames.clear()
         self.waiting_bytes = 0

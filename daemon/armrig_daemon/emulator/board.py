@@ -1,7 +1,7 @@
-"""The board: the pin that drives the motor, the converter's inputs, and the arm on them.
+"""The board: the pin that drives the motor, the converter's inputs, and the arm.
 
-Here, and only here, the terminal voltage is made. That it stays in [0, 5] V (S1) is asserted at
-each change, in the model of the device, whatever the layers above let through.
+Only this module sets the terminal voltage. It asserts at each change that the voltage is in
+[0, 5] V (S1), independently of the layers above.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ BROWN_OUT_MV = 3500
 
 
 class VoltageError(Exception):
-    """The terminal voltage would have left [0, 5] V: the rig would be destroyed (S1)."""
+    """The terminal voltage would leave [0, 5] V and destroy the rig (S1)."""
 
 
 class Change(NamedTuple):
-    """The terminal voltage changed."""
+    """A change of the terminal voltage."""
 
     t_ns: int
     volts: float
     state: State
-    """State that drives it from now on."""
+    """State of the device after the change."""
     cause: Cause
 
 
@@ -43,27 +43,27 @@ Witness = Callable[[Change], None]
 
 @lru_cache
 def reported(code: int, pwm_bits: int) -> int:
-    """Return the code of what the pin really gives for `code`."""
+    """Return the code that the pin applies for `code`."""
     return applied_code(code, pwm_bits) if pwm_bits else code
 
 
 @lru_cache
 def volts(code: int, pwm_bits: int) -> float:
-    """Return the mean terminal voltage for `code` behind an ideal driver."""
+    """Return the mean terminal voltage for `code` with an ideal driver."""
     if not pwm_bits:
         return FULL_SCALE_V * code / CODE_FULL_SCALE
     return FULL_SCALE_V * duty(code, pwm_bits) / (1 << pwm_bits)
 
 
 def driven(volts: float, gain: float, offset_v: float) -> float:
-    """Return the terminal voltage behind a driver; its supply ends at 0 and 5 V, and 0 V is off."""
+    """Return the terminal voltage of a driver, which saturates at 0 and 5 V; 0 V is off."""
     if not volts or (gain == 1.0 and offset_v == 0.0):
-        return volts  # an ideal one hides nothing: what is too much is still too much at the motor
+        return volts  # an ideal driver does not saturate, so that an excess stays visible
     return min(max(gain * volts + offset_v, 0.0), FULL_SCALE_V)
 
 
 class Board:
-    """The rig as the firmware's pins see it; time is given, and never goes back."""
+    """The rig at the firmware's pins; time is an argument and never decreases."""
 
     def __init__(
         self,
@@ -72,14 +72,14 @@ class Board:
         rng: np.random.Generator,
         witness: Witness | None = None,
     ) -> None:
-        """Start at rest, with the pin low.
+        """Put the rig at rest, with the pin low.
 
         Parameters
         ----------
         rng : numpy.random.Generator
-            Noise of the readings.
+            Source of the noise of the readings.
         witness : callable, optional
-            Is told of each change of the voltage.
+            Function that is called at each change of the voltage.
         """
         self._plant = plant.build(
             settings.arm_parameters(),
@@ -101,7 +101,7 @@ class Board:
         self._x = plant.REST
         self._volts = 0.0
         self.code = 0
-        """Code of what the motor gets, 0 while the pin is off."""
+        """Code of the motor's voltage; 0 while the pin is off."""
 
     @property
     def volts(self) -> float:
@@ -109,46 +109,46 @@ class Board:
         return self._volts
 
     def motion(self, now_ns: int) -> plant.State:
-        """Return where the arm is now, and how fast."""
+        """Return the angles of the arm and their rates."""
         if now_ns == self._now_ns:
-            return self._x  # as at each latch: theta_1 was held at the same instant
+            return self._x  # the case of each latch: theta_1 was held at the same instant
         self._x = plant.advance(self._plant, self._x, self._volts, now_ns - self._now_ns)
         self._now_ns = now_ns
         return self._x
 
     def latch(self, now_ns: int, code: int, cause: Cause) -> None:
-        """Give the motor the voltage of `code` from now on; only RUN does this."""
+        """Apply the voltage of `code` from now on; only RUN does this."""
         if not 0 <= code <= CODE_FULL_SCALE:
-            raise VoltageError(f"code {code} at the pin; it must be from 0 to {CODE_FULL_SCALE}")
+            raise VoltageError(f"code {code} at the pin: must be from 0 to {CODE_FULL_SCALE}")
         self.code = reported(code, self._pwm_bits)
         terminal_v = driven(volts(code, self._pwm_bits), *self._driver)
         self._apply(now_ns, terminal_v, _RUN, cause)
 
     def release(self, now_ns: int, state: State, cause: Cause) -> None:
-        """Disconnect the pin, drive it and the enable line low: 0 V."""
+        """Disconnect the pin and drive it and the enable line low: 0 V."""
         self.code = 0
         self._apply(now_ns, 0.0, state, cause)
 
     def supply_mv(self, now_ns: int) -> int:
-        """Return the supply, in mV."""
+        """Return the supply voltage, in mV."""
         low = self._browns_out and now_ns >= self._brown_out_ns
         return BROWN_OUT_MV if low else self._supply_mv
 
     def drive(self, now_ns: int, share: float, state: State, cause: Cause) -> None:
-        """Give the motor the share of the full voltage that was measured at a real pin.
+        """Apply the share of the full voltage that was measured at a simulated board's pin.
 
-        It is known after the period in which it began, when the arm may have moved on: the voltage
-        then changes where the arm is.
+        The share is known only at the end of its PWM period. The arm may have moved during the
+        period, and the voltage then changes at the arm's current position.
         """
         terminal_v = driven(FULL_SCALE_V * share, *self._driver)
         self._apply(max(now_ns, self._now_ns), terminal_v, state, cause)
 
     def theta_1(self, now_ns: int) -> int:
-        """Return the reading of theta_1."""
+        """Return the reading of theta_1, in counts."""
         return self._read(self._theta_1, self.motion(now_ns)[0])
 
     def alpha(self, now_ns: int) -> int:
-        """Return the reading of alpha."""
+        """Return the reading of alpha, in counts."""
         return self._read(self._alpha, self.motion(now_ns)[1])
 
     def _read(self, pot: Potentiometer, angle: float) -> int:
@@ -156,7 +156,7 @@ class Board:
 
     def _apply(self, now_ns: int, terminal_v: float, state: State, cause: Cause) -> None:
         if not 0.0 <= terminal_v <= FULL_SCALE_V:
-            raise VoltageError(f"{terminal_v} V at the motor; it must be from 0 to {FULL_SCALE_V}")
+            raise VoltageError(f"{terminal_v} V at the motor: must be from 0 to {FULL_SCALE_V}")
         if terminal_v == self._volts:
             return
         self.motion(now_ns)

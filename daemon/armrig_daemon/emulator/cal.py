@@ -1,4 +1,4 @@
-"""CAL: readings of one channel, and what they come to (PROTOCOL.md, section 5)."""
+"""CAL: readings of one channel and their statistics (PROTOCOL.md, section 5)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MOST_READINGS = 1024
 
 
 class Statistics(NamedTuple):
-    """What CAL_R tells of the readings."""
+    """Statistics of the readings, as in CAL_R."""
 
     mean_256: int
     variance_256: int
@@ -22,7 +22,7 @@ class Statistics(NamedTuple):
 
 
 def statistics(codes: list[int]) -> Statistics:
-    """Return mean and variance in 1/256, rounded, a tie up; the variance of one reading is 0."""
+    """Return mean and variance in 1/256, ties rounded up; the variance of a single reading is 0."""
     n, total = len(codes), sum(codes)
     pairs = n * (n - 1)
     spread = n * sum(code * code for code in codes) - total * total
@@ -35,7 +35,7 @@ def statistics(codes: list[int]) -> Statistics:
 
 
 def cal(fw: Firmware, now_ns: int, m: Cal) -> list[Message]:
-    """Give the converter to CAL; what it reads is answered when the last conversion has ended."""
+    """Request the conversions of CAL; the answer follows after the last conversion."""
     taken = fw.cal is not None or fw.pending
     if fw.state not in (State.IDLE, State.READY) or taken:
         return [fw.answer(TYPES[Cal], m.seq, Code.WRONG_STATE)]
@@ -46,8 +46,8 @@ def cal(fw: Firmware, now_ns: int, m: Cal) -> list[Message]:
 
 
 def answer(fw: Firmware, codes: list[int]) -> Message:
-    """Return CAL_R, and give the converter back."""
+    """Return CAL_R, and release the converter for samples."""
     if fw.cal is None:
-        raise RuntimeError("the readings of a CAL that nobody asked for")
+        raise RuntimeError("no CAL is in progress")
     channel, fw.cal = fw.cal.channel, None
     return CalReply(fw.state, UNNUMBERED, channel, 0, len(codes), *statistics(codes))

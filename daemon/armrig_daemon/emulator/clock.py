@@ -1,4 +1,4 @@
-"""The device's clock: it starts at reset, and is wrong by what its oscillator is wrong by."""
+"""The device's clock: it starts at reset and has the error of its oscillator."""
 
 from __future__ import annotations
 
@@ -7,39 +7,39 @@ from typing import Final
 
 from armrig_daemon.emulator.settings import EmulatorSettings
 
-_BILLION: Final = 1_000_000_000
+_NS_PER_S: Final = 1_000_000_000
 U32: Final = 0xFFFF_FFFF
 
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Device time over given time, in integers, so that no second of it is ever lost."""
+    """Conversion between given time and device time, in integers, without accumulated rounding."""
 
     reset_ns: int
-    """Given time at which it began with 0."""
-    second_ns: int = _BILLION
-    """Given time in which it counts a second; more is a slow oscillator."""
+    """Given time at which the clock began at 0."""
+    second_ns: int = _NS_PER_S
+    """Given time, in ns, in which the clock counts one second; above 1e9 for a slow oscillator."""
 
     def device_ns(self, now_ns: int) -> int:
-        """Return what it shows, in whole ns."""
-        return (now_ns - self.reset_ns) * _BILLION // self.second_ns
+        """Return the device time at a given time, in whole ns."""
+        return (now_ns - self.reset_ns) * _NS_PER_S // self.second_ns
 
     def instant(self, device_ns: int) -> int:
-        """Return the first ns of given time at which it shows `device_ns`."""
-        return self.reset_ns - (-device_ns * self.second_ns // _BILLION)
+        """Return the first ns of given time at which the clock shows `device_ns`."""
+        return self.reset_ns - (-device_ns * self.second_ns // _NS_PER_S)
 
     def after(self, now_ns: int, dt_ns: int) -> int:
-        """Return when `dt_ns` of device time will have passed since `now_ns`."""
-        # `instant` of `device_ns` and dt, in one: each frame and each act passes here.
-        end_ns = (now_ns - self.reset_ns) * _BILLION // self.second_ns + dt_ns
-        return self.reset_ns - (-end_ns * self.second_ns // _BILLION)
+        """Return the given time after `now_ns` and `dt_ns` of device time."""
+        # `instant(device_ns(now_ns) + dt_ns)` without the calls, for each frame and each step.
+        end_ns = (now_ns - self.reset_ns) * _NS_PER_S // self.second_ns + dt_ns
+        return self.reset_ns - (-end_ns * self.second_ns // _NS_PER_S)
 
 
 def started(settings: EmulatorSettings, now_ns: int) -> Clock:
-    """Return the clock of a device that is reset now."""
-    return Clock(now_ns, _BILLION + round(settings.clock_ppm * 1000))
+    """Return the clock of a device that is reset at `now_ns`."""
+    return Clock(now_ns, _NS_PER_S + round(settings.clock_ppm * 1000))
 
 
 def microseconds(device_ns: int) -> int:
-    """Return device time as the wire carries it; it wraps at 2^32."""
+    """Return device time in µs as on the wire; it wraps at 2^32."""
     return device_ns // 1000 & U32

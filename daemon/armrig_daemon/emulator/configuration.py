@@ -1,4 +1,4 @@
-"""What the device accepts as a configuration (PROTOCOL.md, section 4)."""
+"""Check of a configuration by the device (PROTOCOL.md, section 4)."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ NONE_IN_FORCE = (0,) * (len(Config._fields) - HEADER_FIELDS)
 
 
 def check_config(config: Config, *, ts_min_us: int, skew_us: int) -> Code:
-    """Return OK, or why this device refuses `config`.
+    """Return OK, or the code with which this device refuses `config`.
 
     Parameters
     ----------
     ts_min_us, skew_us : int
-        As HELLO_R tells them.
+        Values of HELLO_R.
     """
     pairs_more = config.oversampling - 1
     allowed = (
         config.ts_us >= ts_min_us + 2 * pairs_more * skew_us
         and config.u_min <= config.u_max
-        # The device has an enable line, so that a rest other than 0 is allowed.
+        # The device has an enable line, so a rest other than 0 is allowed.
         and (config.u_rest == 0 or config.u_min <= config.u_rest <= config.u_max)
         and WATCHDOG_MIN_MS <= config.watchdog_ms <= WATCHDOG_MAX_MS
         and config.mode in set(Mode)

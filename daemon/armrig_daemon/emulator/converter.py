@@ -1,6 +1,6 @@
-"""The converter: one conversion after the other, for one sample after the other, or for a CAL.
+"""The converter: consecutive conversions for a sample or for a CAL.
 
-Its times follow from the first trigger, in device time; `due_ns` and `end_ns` are given time.
+All times follow from the first trigger, in device time; `due_ns` and `end_ns` are given time.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from armrig_daemon.emulator.sensors import mean
 
 
 class Converter:
-    """Takes the samples that wait in `fw.pending`, and the readings of `fw.cal`."""
+    """Converter that takes the samples in `fw.pending` and the readings of `fw.cal`."""
 
     def __init__(self, fw: Firmware) -> None:
         """Begin idle."""
@@ -23,16 +23,16 @@ class Converter:
         self._conversion_ns = fw.hardware.conversion_ns
         self._hold_ns = fw.hardware.hold_ns
         self._codes: tuple[list[int], list[int]] = ([], [])
-        """What was read of theta_1 and of alpha since the first trigger."""
+        """Readings of theta_1 and of alpha since the first trigger."""
         self._trigger_ns = 0
         self._held = self._conversions = 0
         self.due_ns = NEVER
-        """When the next act is due."""
+        """Time of the next step."""
         self.end_ns = NEVER
-        """When the sample or CAL under way will have ended."""
+        """Time at which the present sample or CAL ends."""
 
     def wake(self) -> None:
-        """Begin with the first that waits, unless one is under way."""
+        """Begin the first waiting sample or CAL, unless another is in progress."""
         fw = self._fw
         if self._conversions:
             return
@@ -42,7 +42,7 @@ class Converter:
             self._trigger(fw.cal.due_ns, fw.cal.n)
 
     def step(self, t_ns: int) -> list[Message]:
-        """Hold the next input, latching behind theta_1's last; behind the last answer."""
+        """Hold the next input; latch u after the last hold; answer after the last conversion."""
         fw, codes = self._fw, self._codes
         if self._held == self._conversions:
             return self._end(t_ns)
@@ -55,7 +55,7 @@ class Converter:
             self.due_ns = fw.clock.instant(self._trigger_ns + after_ns)
         else:
             if fw.cal is None:
-                # theta_1 is held just before the latch, so that it cannot know of this u.
+                # theta_1 is held just before the latch, so its reading does not depend on this u.
                 latch(fw, t_ns)
             self.due_ns = self.end_ns
         return []
@@ -75,7 +75,7 @@ class Converter:
         return messages
 
     def _trigger(self, device_ns: int, conversions: int) -> None:
-        """Start the first conversion, and plan all that follows from it."""
+        """Start the first conversion and compute the times of the others."""
         clock = self._fw.clock
         self._codes = ([], [])
         self._trigger_ns, self._held, self._conversions = device_ns, 0, conversions

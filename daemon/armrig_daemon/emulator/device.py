@@ -1,7 +1,7 @@
-"""The device on its wire: when bytes arrive, conversions end and frames leave.
+"""The device on its wire: the times at which bytes arrive, conversions end and frames leave.
 
-Time is given, in integer nanoseconds, and never goes back. What falls due is done at its own
-instant, in order, when `advance` is called: a late caller gets the same bytes with the same times.
+Time is an argument, in integer nanoseconds, and never decreases. `advance` performs each due step
+at its own time and in order. A late caller therefore gets the same bytes with the same times.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from armrig_daemon.emulator.transmission import Transmission
 from armrig_daemon.emulator.uart import wire_ns
 
 HOLD_NS = 12_000  # ATmega328P data sheet, table 24-1: sample and hold after 1.5 clocks of 125 kHz
-LEAD_NS = 80_000  # twice what an answer takes to be made, so that it is there when it is due
+LEAD_NS = 80_000  # twice the time to compute an answer, so that the answer is ready when it is due
 STATUS_NS = 1_000_000_000
 SUPPLY_NS = 100_000_000
 MOST_PENDING = 2
@@ -32,20 +32,20 @@ POWER_ON_FLAGS, EXTERNAL_RESET_FLAGS = 0x01, 0x02  # PORF, EXTRF in MCUSR
 
 
 class Device:
-    """An emulated rig: bytes in, bytes out, and an arm that moves."""
+    """An emulated rig: bytes in, bytes out, and a moving arm."""
 
     violations: tuple[()] = ()
-    """None: the pins of this board do what its firmware says."""
+    """Empty: the pins of this board always follow its firmware."""
 
     def __init__(
         self, settings: EmulatorSettings, now_ns: int, witness: Witness | None = None
     ) -> None:
-        """Switch it on.
+        """Switch the device on.
 
         Parameters
         ----------
         witness : callable, optional
-            Is told of each change of the terminal voltage.
+            Function that is called at each change of the terminal voltage.
         """
         noise, self._rng = (
             np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2)
@@ -79,33 +79,34 @@ class Device:
 
     @property
     def board(self) -> Board:
-        """The pins and the arm, for who wants to look at them."""
+        """The pins and the arm."""
         return self._board
 
     def reset(self, now_ns: int) -> None:
-        """Reset the processor, as opening the port of an Uno does; what is on the wires is lost."""
+        """Reset the processor, like the opening of an Uno's port; bytes on the wires are lost."""
         self.advance(now_ns)
         self._begin(now_ns, EXTERNAL_RESET_FLAGS)
 
     def receive(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the wire to the device; they arrive one after the other from `now_ns` on."""
+        """Put bytes on the wire to the device; they arrive one by one from `now_ns` on."""
         self._rx.put(now_ns, data)
         self._next_ns = min(self._next_ns, self._rx.first_ns)
 
     def rx_backlog_ns(self, now_ns: int) -> int:
-        """Return how long the bytes given so far still occupy the wire to the device."""
+        """Return the time for which the bytes so far still occupy the wire to the device, in ns."""
         return self._rx.backlog_ns(now_ns)
 
     def next_ns(self) -> int:
-        """Return when something can happen next: call `advance` then."""
+        """Return the time of the next step, at which `advance` must be called."""
         return self._next_ns
 
     def visible_ns(self) -> int:
         """Return a time before which no byte can leave and the watchdog cannot trip.
 
-        Later than `next_ns` where only inner work is due: who has nothing to do but write bytes
-        can sleep until then, have the same bytes, and have answers `LEAD_NS` before they are due.
-        No host waits for a sample of the timer: it is there when it is due, for one sleep less.
+        The time is later than `next_ns` if only internal work is due. A caller that only writes
+        bytes can sleep until this time and gets the same bytes. Answers are ready `LEAD_NS` before
+        they are due. A sample of the timer is ready only when it is due: no host waits for the
+        sample, and one sleep is saved.
         """
         fw, sample_ns = self._fw, self._sample_ns
         timer_ns, answer_ns = fw.timer_ns, max(0, sample_ns - LEAD_NS)
@@ -131,23 +132,23 @@ class Device:
         )
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Do what is due until `now_ns`; return frames, each with its last byte's departure."""
+        """Advance to `now_ns`; return the sent frames, each with the time of its last byte."""
         while self._next_ns <= now_ns:
             self._step(self._next_ns)
         return self._tx.pop_sent()
 
     def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Let time pass up to a limit or to what is due next; return the time, and as `advance`."""
+        """Advance to a limit or to the next step; return the time and the sent frames."""
         now_ns = min(limit_ns, self._next_ns)
         return now_ns, self.advance(now_ns)
 
     def advance_to_frame(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Do what is due until `now_ns` or the next frame, whatever is first; return as `advance`.
+        """Advance to `now_ns` or to the next frame, whichever is earlier; return the sent frames.
 
-        Who has it called again, with all that happens to the device in between, gets the frames
-        that `advance` gives, and none of the calls between them.
+        Repeated calls perform the same events as `advance` and return the same frames, one frame
+        per call.
         """
-        if self._next_ns > now_ns:  # as it is most times that it is asked
+        if self._next_ns > now_ns:  # the usual case
             return []
         tx = self._tx
         while self._next_ns <= now_ns:
@@ -175,12 +176,12 @@ class Device:
         self._booted_ns = self._fw.clock.after(now_ns, self._boot_ns)
         self._status_ns = self._fw.clock.after(now_ns, max(STATUS_NS, self._boot_ns + 1))
         self._supply_ns = NEVER
-        self._next_ns = self._booted_ns  # nothing else is due before
+        self._next_ns = self._booted_ns  # no other event is due earlier
 
     def _step(self, t_ns: int) -> None:
-        """Do one thing that is due at `t_ns`, and look ahead to the next.
+        """Perform one step that is due at `t_ns`, and compute the time of the next step.
 
-        Bytes come first, so that a STOP beats a latch.
+        Bytes are processed first, so that a STOP takes effect before a latch at the same time.
         """
         fw, rx, converter = self._fw, self._rx, self._converter
         if rx.first_ns == t_ns:
@@ -196,20 +197,20 @@ class Device:
             self._tx.send(fw, t_ns, fw.trip_on_silence(t_ns))
         elif converter.due_ns == t_ns:
             made = converter.step(t_ns)
-            if made:  # two of three acts make nothing
+            if made:  # two of three steps create no message
                 self._tx.send(fw, t_ns, made)
         elif fw.timer_ns == t_ns:
             self._tx.send(fw, t_ns, fw.tick(t_ns))
             converter.wake()
         elif self._supply_ns == t_ns:
-            self._supply_ns = converter.end_ns  # where it is taken: as soon as it is free
+            self._supply_ns = converter.end_ns  # if the converter is busy: as soon as it is free
             if self._supply_ns == NEVER:
                 self._supply_ns = fw.clock.after(t_ns, SUPPLY_NS)
                 self._tx.send(fw, t_ns, fw.measure_supply(t_ns))
         else:
             self._status_ns = fw.clock.after(t_ns, STATUS_NS)
             self._tx.send(fw, t_ns, [fw.status(t_ns)])
-        self._next_ns = min(  # kept, because it is asked far more often
+        self._next_ns = min(  # stored, because it is read far more often
             rx.first_ns,
             converter.due_ns,
             fw.watchdog_ns,
@@ -220,25 +221,25 @@ class Device:
         )
 
     def _next_makes_sample(self) -> bool:
-        """Return whether the next piece to arrive is an EXCHANGE that a sample will answer."""
+        """Return whether the next piece is an EXCHANGE whose answer is a sample."""
         match self._rx.peek():
             case [Exchange() as exchange]:
                 return makes_sample(self._fw, exchange)
         return False
 
     def _arrive(self, t_ns: int) -> None:
-        """Take in the piece that is complete at `t_ns`."""
+        """Receive the piece that is complete at `t_ns`."""
         fw = self._fw
         received = self._rx.pop()
         if fw.state is _BOOT:
             return
         for item in received:
-            # Where the timer samples, an EXCHANGE never waits: it is refused.
+            # While the timer samples, an EXCHANGE never waits: it is refused.
             waits = isinstance(item, Exchange) and fw.timer is None
-            if waits and sum(one.u is not None for one in fw.pending) >= MOST_PENDING:
+            if waits and sum(sample.u is not None for sample in fw.pending) >= MOST_PENDING:
                 fw.count_lost(frame.wire_length(Exchange))
                 continue
             answers = handle(fw, t_ns, item)
-            if answers:  # an EXCHANGE is answered by its sample
+            if answers:  # the answer to an EXCHANGE is its sample
                 self._tx.send(fw, t_ns, answers)
             self._converter.wake()

@@ -1,7 +1,7 @@
-"""What the firmware remembers between frames, and its transitions (PROTOCOL.md, section 3).
+"""State of the firmware, and its transitions (PROTOCOL.md, section 3).
 
-`requests` says what each frame does with it, `sampling` what each sample does, `device` when.
-Frames are made with seq 0; `device` numbers them in the order in which they leave.
+`requests` implements the effect of each frame, `sampling` the steps of each sample, and `device`
+the times. Frames are created with seq 0; `device` numbers them in the order of sending.
 """
 
 from __future__ import annotations
@@ -23,66 +23,66 @@ from armrig_daemon.emulator.queue import SetpointQueue
 from armrig_daemon.emulator.timer import Timer
 
 NEVER: Final = 1 << 62
-"""Later than any clock: the deadline of what is not awaited."""
+"""Deadline that no clock reaches."""
 U16: Final = 0xFFFF
 UNNUMBERED: Final = 0
-"""seq of a frame before it leaves."""
+"""Sequence number of a frame before it leaves."""
 SUPPLY_LOW_MV = 4000
 MOTOR_MAY_TURN: Final = (State.ARMED, State.RUN)
-NO_STACK_LIMIT = 0xFFFF  # an emulator has no stack to run out of
+NO_STACK_LIMIT = 0xFFFF  # an emulator cannot run out of stack
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hardware:
-    """What the hardware is like."""
+    """Properties of the hardware."""
 
     conversion_ns: int
-    """One conversion: alpha's, then theta_1's."""
+    """Time of one conversion; in a sample, alpha is converted first, then theta_1."""
     hold_ns: int
-    """From a trigger to its sampling."""
+    """Time from a trigger to the hold of its input."""
     adc_bits: int
     pwm_bits: int
     queue: int
-    """Setpoints that there is room for."""
+    """Capacity of the queue, in setpoints."""
 
     @property
     def ts_min_us(self) -> int:
-        """Shortest sampling time: that of two conversions, rounded up."""
+        """Shortest sampling time: two conversions, rounded up."""
         return -(-2 * self.conversion_ns // 1000)
 
     @property
     def skew_us(self) -> int:
-        """From one conversion to the next, rounded up."""
+        """Time from one conversion to the next, rounded up."""
         return -(-self.conversion_ns // 1000)
 
 
 class PendingSample(msgspec.Struct, frozen=True, gc=False):
-    """A sample that an EXCHANGE or the timer asked for and that is not taken yet."""
+    """A sample that an EXCHANGE or the timer requested, and that is not converted yet."""
 
     due_ns: int
-    """Device time at which its conversions are to begin."""
+    """Device time of the first conversion."""
     k: int
     seq: int = 0
-    """Of the EXCHANGE."""
+    """Sequence number of the EXCHANGE."""
     u: int | None = None
-    """None is what the queue has for k when it is latched."""
+    """Code to latch; None to latch the setpoint of sample k in the queue."""
     drives: bool = True
-    """u is to be latched: it was asked for in this RUN."""
+    """True if u must be latched, because the request arrived in the current RUN."""
 
 
 class PendingCal(msgspec.Struct, frozen=True, gc=False):
-    """The readings that a CAL asked for and that are not all taken yet."""
+    """A CAL in progress."""
 
     due_ns: int
-    """Device time at which the first conversion is to begin."""
+    """Device time of the first conversion."""
     channel: int
-    """0 theta_1, 1 alpha."""
+    """Channel: 0 is theta_1, 1 is alpha."""
     n: int
 
 
 @dataclass(slots=True, kw_only=True)
 class Counters:
-    """What STATUS tells, since boot."""
+    """Counters of STATUS since boot."""
 
     frames: int = 0
     spoilt: int = 0
@@ -100,98 +100,98 @@ class Firmware:
     board: Board
     hardware: Hardware
     rng: np.random.Generator
-    """Tokens come from it."""
+    """Generator of tokens and boot ids."""
     clock: Clock
     boot_id: int
     mcusr: int
     """Reset flags of the processor."""
     state: State = State.BOOT
     cause: Cause = Cause.POWER_ON
-    """Of the last transition."""
+    """Cause of the last transition."""
     token: int = 0
     config: Config | None = None
-    """In force; None where none is."""
+    """Current configuration; None if there is none."""
     config_crc: int = 0
     nonce: int = 0
-    """Of the configuration in force; 0 where none is."""
+    """Nonce of the current configuration; 0 if there is none."""
     accepted: int = 0
-    """Configurations accepted in this boot, of which each has a nonce of its own."""
+    """Number of configurations accepted in this boot; each has its own nonce."""
     newest: int | None = None
-    """seq of the newest frame taken in; None before the first of this boot."""
+    """Sequence number of the newest accepted frame; None before the first of this boot."""
     fed_ns: int = 0
-    """When it came."""
+    """Time of the last frame that fed the watchdog."""
     watchdog_ns: int = NEVER
-    """When the watchdog trips; kept by `feed` and `enter`, because it is read far more often."""
+    """Time at which the watchdog trips; stored, because it is read far more often than set."""
     k: int | None = None
-    """Of the last EXCHANGE; None where the next may be any."""
+    """Index of the last EXCHANGE; None if the next may have any index."""
     u: int = 0
-    """Code last accepted in RUN, as the host sent it."""
+    """Last code accepted in RUN, as the host sent it."""
     u_seq: int = 0
-    """seq of the frame that supplied the code in force; 0 outside RUN."""
+    """Sequence number of the frame that contained the applied code; 0 outside RUN."""
     u_km1: int = 0
-    """Code in force before the last latch."""
+    """Code applied before the last latch."""
     guards: Guards = NOTHING_SEEN
     new_flags: int = 0
-    """Flags to be told once, in the next SAMPLE."""
+    """Flags to report once, in the next SAMPLE."""
     pending: deque[PendingSample] = field(default_factory=deque)
     cal: PendingCal | None = None
-    """Holds the converter."""
+    """CAL that occupies the converter."""
     supply_mv: int = 0
-    """As measured last."""
+    """Last measured supply voltage, in mV."""
     queue: SetpointQueue | None = None
-    """In ARMED and RUN of scheduled mode; elsewhere None, and so empty."""
+    """Queue in ARMED and RUN of scheduled mode; None otherwise."""
     timer: Timer | None = None
-    """In RUN of scheduled mode."""
+    """Timer in RUN of scheduled mode; None otherwise."""
     timer_ns: int = NEVER
-    """When it is due; kept by `set_timer` and `enter`, because it is read far more often."""
+    """Time at which the timer is due; stored, because it is read far more often than set."""
     counters: Counters = field(default_factory=Counters)
 
     def accept(self, config: Config) -> None:
-        """Put a configuration in force, under a nonce that this boot has not had."""
+        """Apply a configuration with a new nonce of this boot."""
         self.config, self.config_crc = config, config_crc(config)
-        # 1 ... 2^32 - 1 in turn; begun at boot_id, so that no other boot has the same ones.
+        # 1 ... 2^32 - 1 in turn, from boot_id on, so that other boots have other nonces.
         self.nonce = (self.boot_id + self.accepted) % U32 + 1
         self.accepted += 1
 
     @property
     def conversions(self) -> int:
-        """How many a sample that begins now takes, of both channels together."""
+        """Number of conversions of a sample that begins now, of both channels together."""
         return 2 * self.config.oversampling if self.config is not None else 2
 
     @property
     def supply_is_low(self) -> bool:
-        """Whether the supply was too low when it was measured last."""
+        """True if the last measured supply voltage was too low."""
         return self.supply_mv < SUPPLY_LOW_MV
 
     def measure_supply(self, now_ns: int) -> list[Message]:
-        """Measure the supply; too low a one trips where the motor may turn."""
+        """Measure the supply; trip if it is too low and the motor may turn."""
         self.supply_mv = self.board.supply_mv(now_ns)
         if not self.supply_is_low or self.state not in MOTOR_MAY_TURN:
             return []
         return [self.enter(now_ns, State.FAULT, Cause.VCC_LOW, detail=self.supply_mv)]
 
     def device_us(self, now_ns: int) -> int:
-        """Return the device's clock, which starts at reset and wraps at 2^32."""
+        """Return the device's clock in µs, which starts at reset and wraps at 2^32."""
         return microseconds(self.clock.device_ns(now_ns))
 
     def feed(self, now_ns: int) -> None:
-        """Note that a frame was taken in."""
+        """Note an accepted frame, which restarts the watchdog."""
         self.fed_ns = now_ns
         self._set_watchdog()
 
     def _set_watchdog(self) -> None:
-        """Set the watchdog, which is on in ARMED and RUN only."""
+        """Set the watchdog, which is active only in ARMED and RUN."""
         self.watchdog_ns = NEVER
         if self.config is not None and self.state in MOTOR_MAY_TURN:
             self.watchdog_ns = self.clock.after(self.fed_ns, self.config.watchdog_ms * 1_000_000)
 
     def set_timer(self, timer: Timer | None) -> None:
-        """Let the timer's next act be due at its time."""
+        """Set the timer and the time of its next act."""
         self.timer = timer
         self.timer_ns = self.clock.instant(timer.due_ns) if timer else NEVER
 
     def tick(self, now_ns: int) -> list[Message]:
-        """Ask for the sample that is due; behind the last one end the run."""
+        """Request the due sample; after the last sample, end the run."""
         if self.timer is None or self.timer.ends:
             return [self.enter(now_ns, State.IDLE, Cause.END)]
         self.pending.append(PendingSample(self.timer.due_ns, self.timer.k))
@@ -200,7 +200,7 @@ class Firmware:
         return []
 
     def enter(self, now_ns: int, state: State, cause: Cause, *, detail: int = 0) -> Message:
-        """Make a transition and return its EVENT."""
+        """Perform a transition and return its EVENT."""
         was, self.state, self.cause = self.state, state, cause
         if state is not State.RUN:
             self.board.release(now_ns, state, cause)
@@ -209,8 +209,8 @@ class Firmware:
             if state is not State.ARMED:
                 self.queue = None
         if was is State.RUN:
-            # What still waits for its conversions was meant for the run that is over.
-            self.pending = deque(replace(one, drives=False) for one in self.pending)
+            # Samples that still wait for conversions belong to the run that is over.
+            self.pending = deque(replace(sample, drives=False) for sample in self.pending)
         self.token = 0
         if state in (State.FAULT, State.ESTOP):
             self.token = int(self.rng.integers(1, U32, endpoint=True))
@@ -229,27 +229,27 @@ class Firmware:
         )
 
     def trip_on_silence(self, now_ns: int) -> list[Message]:
-        """Trip on the host's silence."""
+        """Trip the watchdog."""
         return [self.enter(now_ns, State.FAULT, Cause.WATCHDOG)]
 
     def answer(self, number: int, of_seq: int, code: Code) -> Message:
-        """Return the ACK of a frame; what is not OK had no effect, and is counted."""
+        """Return the ACK of a frame; count the frame if it was refused."""
         if code is not Code.OK:
             self.counters.refused += 1
         return Ack(self.state, UNNUMBERED, of_type=number, code=code, of_seq=of_seq)
 
     def count_lost(self, n_bytes: int) -> None:
-        """Count received bytes that found no room."""
+        """Count received bytes for which there was no room."""
         self.counters.rx_lost += n_bytes
         self.new_flags |= int(Flag.RX_OVERFLOW)
 
     def count_dropped(self) -> None:
-        """Count a frame that found no room on its way out."""
+        """Count a frame to the host for which there was no room."""
         self.counters.tx_dropped += 1
         self.new_flags |= int(Flag.TX_DROP)
 
     def status(self, now_ns: int) -> Message:
-        """Return the counters."""
+        """Return STATUS with the counters."""
         counters = self.counters
         return Status(
             self.state,

@@ -1,4 +1,4 @@
-"""Where the firmware's binary is, and the harness that runs it."""
+"""Paths of the firmware's binary and of the harness that runs it."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ _PROTOCOL = Path(__file__).parents[3] / "firmware_protocol"  # of a checkout
 
 
 def harness_program(environ: Mapping[str, str], checkout: Path = _PROTOCOL) -> Path:
-    """Return the harness: what ARMRIG_FIL names, or that of the checkout.
+    """Return the path of the harness, from ARMRIG_FIL or in the checkout.
 
     Raises
     ------
     OperationError
-        There is none; says how to build it.
+        The program does not exist; the message shows how to build it.
     """
     program = Path(environ.get(VARIABLE) or checkout / "simavr" / "fil")
     if not program.is_file():
         raise OperationError(
             f"{program}: no such program; build it in a checkout by `make fil` (Debian's "
-            f"libsimavr-dev), or say by {VARIABLE} where it is"
+            f"libsimavr-dev), or set {VARIABLE} to its path"
         )
     return program
 
 
 def firmware_image(image: Path | None) -> Path:
-    """Return the firmware to run: `image`, or the Uno's that is shipped.
+    """Return the path of the firmware: `image`, or the shipped firmware of the Uno.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def firmware_image(image: Path | None) -> Path:
     if not found.is_file():
         raise OperationError(f"{found}: no such firmware; `make firmware` builds it in a checkout")
     try:
-        read_image(found)  # simavr runs a file that was cut off, up to the cut
+        read_image(found)  # simavr would run a cut file up to the cut
     except FileError as err:
         raise OperationError(str(err)) from err
     except OSError as err:

@@ -1,4 +1,4 @@
-"""Guards over the readings in RUN: long on a rail, too many turns (PROTOCOL.md, section 7)."""
+"""Guards over the readings in RUN: readings at a rail, too many turns (PROTOCOL.md, section 7)."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from armrig_protocol.messages import Cause
 
 from armrig_daemon.emulator.sensors import at_rail
 
-_TURN = 1 << 16
+_TURN_CODES = 1 << 16
 _NONE = Cause.NONE
 
 
 class Guards(msgspec.Struct, frozen=True, gc=False):
-    """What was seen since START."""
+    """State of the guards since START."""
 
     rails: tuple[int, int] = (0, 0)
-    """Samples in a row at a rail, of theta_1 and of alpha."""
+    """Consecutive samples at a rail, of theta_1 and of alpha."""
     turned: int = 0
-    """Way of theta_1, in codes."""
+    """Rotation of theta_1, in codes."""
     y0: int | None = None
-    """Last reading of theta_1; None before the first."""
+    """Last reading of theta_1; None before the first reading."""
 
 
 NOTHING_SEEN = Guards()
@@ -33,17 +33,18 @@ def watch(guards: Guards, y0: int, y1: int, *, rail_ticks: int, turns: int) -> t
     y0, y1 : int
         Readings of theta_1 and alpha.
     rail_ticks : int
-        Samples in a row at a rail that are too many; 0 is none.
+        Consecutive samples at a rail that cause a fault; 0 is no guard.
     turns : int
-        Hundredths of a turn from START, in either direction, that are too many; 0 is none.
+        Rotation from START, in either direction, that causes a fault, in hundredths of a turn; 0 is
+        no guard.
     """
     last = y0 if guards.y0 is None else guards.y0
-    turned = guards.turned + (y0 - last + _TURN // 2) % _TURN - _TURN // 2
+    turned = guards.turned + (y0 - last + _TURN_CODES // 2) % _TURN_CODES - _TURN_CODES // 2
     theta_1, alpha = guards.rails
     rails = (theta_1 + 1 if at_rail(y0) else 0, alpha + 1 if at_rail(y1) else 0)
     cause = _NONE
     if rail_ticks and max(rails) >= rail_ticks:
         cause = Cause.ADC_RAIL
-    elif turns and abs(turned) * 100 >= turns * _TURN:
+    elif turns and abs(turned) * 100 >= turns * _TURN_CODES:
         cause = Cause.REV_LIMIT
     return Guards(rails, turned, y0), cause

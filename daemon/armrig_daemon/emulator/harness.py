@@ -1,6 +1,6 @@
 """The harness that runs the firmware's binary (firmware_protocol/simavr), and the pipe to it.
 
-Virtual time, in cycles of the processor: nothing on the board happens but by an order of ours.
+Time is virtual, in cycles of the processor, and advances only at a command of this module.
 """
 
 from __future__ import annotations
@@ -23,68 +23,68 @@ _FIGURES = Struct("<6Q")
 
 
 class Violation(IntEnum):
-    """What must not happen on the board (fil.h; from 5 on judged by `pin`)."""
+    """Forbidden events on the board (fil.h; from 5 on, `pin` detects them)."""
 
     PIN_HIGH_WITHOUT_ENABLE = 1
     """The PWM pin is high while the driver's enable line is low."""
     RX_OVERRUN = 2
-    """A byte was lost in the receiver of two bytes."""
+    """A byte was lost because the receiver can store only two bytes."""
     TX_OVERRUN = 3
     """A byte was written into a full transmit buffer."""
     CPU_STOPPED = 4
     """The processor left its program, or sleeps with interrupts off."""
     DRIVEN_OUTSIDE_RUN = 5
-    """The PWM pin or the enable line is high in another state than RUN."""
+    """The PWM pin or the enable line is high outside RUN."""
     CODE_NOT_AT_PIN = 6
     """The PWM pin has another duty than the code that SAMPLE reports."""
 
 
 class Duty(NamedTuple):
-    """What the PWM pin was measured to do in a period, and does until told otherwise."""
+    """Duty of the PWM pin, measured over a period; the duty is valid until the next `Duty`."""
 
     cycle: int
     high: int
-    """Cycles of 1024."""
+    """Number of cycles, of the 1024 in a period, during which the pin is high."""
     enabled: bool
 
 
 class Left(NamedTuple):
-    """A byte has left to the host."""
+    """A byte was sent to the host."""
 
     cycle: int
     byte: int
 
 
 class Violated(NamedTuple):
-    """Something happened that must not."""
+    """A forbidden event."""
 
     cycle: int
     what: Violation
 
 
 class Figures(NamedTuple):
-    """What the harness has counted."""
+    """Counts and times of the harness."""
 
     last_high: int
     """Cycle at which the PWM pin was last high."""
     interrupts_off_max: int
     """Longest time with interrupts off, in cycles."""
     interrupts_off_pc: int
-    """Where in the program it began."""
+    """Address in the program at which the longest time with interrupts off began."""
     idle: int
-    """Cycles asleep."""
+    """Number of cycles asleep."""
     boots: int
     edges: int
-    """Of the PWM pin."""
+    """Number of edges of the PWM pin."""
 
 
 Record = Duty | Left | Violated
 Convert = Callable[[int, int], int]
-"""Returns the ten bits of a conversion, given the cycle of its hold and its channel."""
+"""Function of the cycle of a hold and of a channel; returns the ten bits of the conversion."""
 
 
 class Harness:
-    """One simulated Uno, switched on and at its cycle 0."""
+    """A simulated Uno, switched on at cycle 0."""
 
     def __init__(
         self,
@@ -94,12 +94,12 @@ class Harness:
         baud: int,
         trace: Path | None = None,
     ) -> None:
-        """Start it.
+        """Start the harness.
 
         Parameters
         ----------
         baud : int
-            Speed of the host's line.
+            Speed of the host's line, in bit/s.
         trace : Path, optional
             VCD file for the two pins.
         """
@@ -111,7 +111,7 @@ class Harness:
                 [*arguments, str(image)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                start_new_session=True,  # Ctrl-C is for us, who end it
+                start_new_session=True,  # Ctrl-C goes to this process, which ends the harness
             )
         except OSError as err:
             raise OperationError(f"{program}: {err.strerror}") from err
@@ -120,9 +120,9 @@ class Harness:
     def advance(
         self, cycle: int, convert: Convert, *, until_frame: bool = False
     ) -> Iterator[Record]:
-        """Run to a cycle, or to the end of a frame to the host; yield what happens, to its end.
+        """Run to a cycle, or to the end of a frame to the host; yield the records of the interval.
 
-        `convert` is asked for each reading.
+        `convert` is called for each reading. The caller must consume all records.
         """
         self._order(b"A", cycle, until_frame)
         while True:
@@ -146,23 +146,23 @@ class Harness:
         self._order(b"I", cycle, len(data), data)
 
     def reset(self, deaf_cycles: int = 0) -> None:
-        """Reset it by its pin; with a boot loader it is deaf at first, and forgets the cause."""
+        """Reset the board by its pin; `deaf_cycles` > 0 is a boot loader, which clears MCUSR."""
         self._order(b"R", 0, deaf_cycles)
 
     def optiboot(self, version: int, r2: int) -> None:
-        """Let a boot loader of this version, such as 0x0803, stand in flash and leave r2 so."""
+        """Put a boot loader of a version, such as 0x0803, into flash; it sets r2 to `r2`."""
         self._order(b"O", r2, version)
 
     def supply(self, millivolts: int) -> None:
-        """Let the supply be this."""
+        """Set the supply voltage, in mV."""
         self._order(b"V", 0, millivolts)
 
     def stand(self, *, is_to: bool = True) -> None:
-        """Let the converter stand still, or go on."""
+        """Stop the converter, or let it continue."""
         self._order(b"S", 0, is_to)
 
     def eeprom_byte(self, us: int) -> None:
-        """Let a byte of the EEPROM take so long to write."""
+        """Set the time to write a byte of the EEPROM, in µs."""
         self._order(b"B", 0, us)
 
     def read_eeprom(self, start: int, n: int) -> bytes:
@@ -175,15 +175,15 @@ class Harness:
         self._order(b"W", start, len(data), data)
 
     def figures(self) -> Figures:
-        """Return what it has counted so far."""
+        """Return the counts so far."""
         self._order(b"F", 0, 0)
         return Figures._make(_FIGURES.unpack(self._data()))
 
     def close(self) -> None:
-        """End it."""
+        """End the harness."""
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
-                with suppress(BrokenPipeError):  # it has ended already, and an order is left
+                with suppress(BrokenPipeError):  # the harness has ended, and an order is unread
                     pipe.close()
         self._process.wait()
 

@@ -1,6 +1,6 @@
-"""Compare what a simulated board's pins do with what its firmware reports.
+"""Comparison of a simulated board's pins with the reports of its firmware.
 
-The harness measures the pins. The frames report the state, and SAMPLE the code that the motor has.
+The harness measures the pins. The frames report the state, and SAMPLE reports the applied code.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from armrig_protocol.messages import CODE_FULL_SCALE, TYPES, Ack, Sample, Start,
 from armrig_daemon.emulator.harness import CYCLES_PER_US, Duty, Violated, Violation
 
 PERIOD: Final = 1024
-"""Cycles of a period of the PWM."""
+"""Period of the PWM, in cycles."""
 _START = TYPES[Start]
 _U32 = (1 << 32) - 1
-_SAME_US = 3
-_HOLDS = 64
-"""Most holds of theta_1 that SAMPLE tells of later."""
+_TOLERANCE_US = 3
+_MAX_HOLDS = 64
+"""Largest number of stored holds of theta_1, which a later SAMPLE may report."""
 
 
 def sentence(what: Violation) -> str:
-    """Return what a person reads of a violation."""
+    """Return the sentence of a violation."""
     return _SENTENCES[what]
 
 
@@ -41,29 +41,29 @@ _SENTENCES: Final = {
 
 
 class Pins:
-    """The pins since the board was switched on."""
+    """Record of the pins since power-on."""
 
     def __init__(self, note: Callable[[Violated], None]) -> None:
-        """Begin in BOOT; `note` is told of each violation."""
+        """Begin in BOOT; `note` is called for each violation."""
         self._note = note
         self.duties: list[Duty] = []
-        """What was measured, changes only."""
+        """Measured changes of the duty."""
         self._received = b""
         self.reset(0)
 
     def reset(self, cycle: int) -> None:
-        """Take note of a reset by the pin: BOOT, 0 V from now on."""
+        """Note a reset by the pin: BOOT, 0 V from now on."""
         self._low_from: int | None = cycle
-        """Cycle of the first report of another state than RUN, if no START was sent since."""
+        """Cycle of the first report of a state other than RUN; None if a START was sent later."""
         self._start: int | None = None
-        """Seq of the START that is not answered yet."""
+        """Sequence number of the START that is not answered yet; None if there is none."""
         self._is_noted = False
-        self._holds: deque[int] = deque(maxlen=_HOLDS)
+        self._holds: deque[int] = deque(maxlen=_MAX_HOLDS)
         self._offsets_us: set[int] = set()
-        """Possible differences between the device's clock at a trigger and ours at its hold."""
+        """Possible offsets, in µs: time of a hold in cycles minus device time of its trigger."""
 
     def send(self, cycle: int, data: bytes) -> None:
-        """Take note of what the host sends: a START may be obeyed from now on."""
+        """Note the host's bytes; after a START the device may drive the pin."""
         self._received, messages = decoder.feed(self._received, data)
         for message in messages:
             if isinstance(message, Start):
@@ -71,11 +71,11 @@ class Pins:
                 self._low_from, self._start = None, message.seq
 
     def hold(self, cycle: int) -> None:
-        """Take note of a reading of theta_1: just behind it u is latched."""
+        """Note a reading of theta_1; u is latched just after it."""
         self._holds.append(cycle)
 
     def measure(self, duty: Duty) -> None:
-        """Take note of a change at the pin."""
+        """Note a change at the pin."""
         self.look(duty.cycle)
         self.duties.append(duty)
         if not _drives(duty):
@@ -84,14 +84,14 @@ class Pins:
             self._outside_run(duty.cycle)
 
     def look(self, cycle: int) -> None:
-        """Judge the pin up to now: what was measured last goes on."""
+        """Check the pin up to `cycle`, assuming that the last measured duty continues."""
         if self._low_from is None or not self.duties or not _drives(self.duties[-1]):
             return
-        if cycle - self._low_from > 2 * PERIOD:  # what is measured is known at a period's end
+        if cycle - self._low_from > 2 * PERIOD:  # a duty is known at the end of its period
             self._outside_run(cycle)
 
     def tell(self, begun: int, message: Received) -> None:
-        """Take note of a frame of the device, the first byte of which began to leave at a cycle."""
+        """Note a frame of the device; `begun` is the cycle at which its first byte began."""
         if isinstance(message, Spoilt | Unknown):
             return
         if isinstance(message, Ack) and (message.of_type, message.of_seq) == (_START, self._start):
@@ -109,7 +109,7 @@ class Pins:
         self._is_noted = True
 
     def _latched(self, begun: int, m: Sample) -> None:
-        """Judge the code that the pin had up to the latch of a sample."""
+        """Compare the pin's duty before the latch of a sample with the reported code."""
         hold = self._hold_of(begun, m)
         high = self._high_at(hold - PERIOD) if hold is not None else None
         wanted = (m.u_km1 * PERIOD + CODE_FULL_SCALE // 2) // CODE_FULL_SCALE
@@ -117,10 +117,10 @@ class Pins:
             self._note(Violated(hold, Violation.CODE_NOT_AT_PIN))
 
     def _hold_of(self, begun: int, m: Sample) -> int | None:
-        """Return when theta_1 was held for a sample, once the device's clock is known.
+        """Return the cycle at which theta_1 was held for a sample; None until the clock is known.
 
-        A SAMPLE may leave when the next one's theta_1 was held already: each hold before it may be
-        its own, until later samples have ruled out all but one.
+        A SAMPLE may leave after the next sample's theta_1 was held. Each earlier hold may therefore
+        belong to the SAMPLE, until later samples exclude all holds except one.
         """
         held = {hold // CYCLES_PER_US - m.t_us & _U32: hold for hold in self._holds if hold < begun}
         if self._offsets_us:
@@ -128,7 +128,7 @@ class Pins:
                 offset: hold
                 for offset in self._offsets_us
                 for us, hold in held.items()
-                if (us - offset + _SAME_US) & _U32 <= 2 * _SAME_US
+                if (us - offset + _TOLERANCE_US) & _U32 <= 2 * _TOLERANCE_US
             }
         else:
             near = held

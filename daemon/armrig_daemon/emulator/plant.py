@@ -1,8 +1,8 @@
-"""The arm moving under a held voltage, over any whole number of nanoseconds.
+"""Motion of the arm under a held voltage, over any whole number of nanoseconds.
 
-Between changes of the input the linear arm is integrated exactly: x(t + dt) = Phi x(t) + Gamma u,
-with Phi and Gamma from exponentials that were made once, one for each digit of dt in base 256.
-Coulomb friction and a stiffening spring are kicks between exact linear flows (Strang splitting)::
+Between changes of the input, the linear arm is integrated exactly: x(t + dt) = Phi x(t) + Gamma u.
+Phi and Gamma are matrix exponentials, computed once for each digit of dt in base 256. Coulomb
+friction and a stiffening spring are kicks between exact linear flows (Strang splitting)::
 
     J_1 theta_1'' = N K_m (u - N K_m theta_1') / R_m - b_1 theta_1' - T_c sign(theta_1') + T_s
     J_2 (theta_1'' + alpha'') = -T_s,    T_s = K_lin alpha + k_3 alpha³
@@ -21,10 +21,10 @@ from armrig_core.errors import InputError
 from scipy.linalg import expm
 
 State = tuple[float, float, float, float]
-"""theta_1 (rad, turns counted), alpha (rad), and their rates (rad/s)."""
+"""theta_1 (rad, turns included), alpha (rad), and their rates (rad/s)."""
 
 # Rows theta_1, alpha, theta_1', alpha' of [Phi Gamma], columns alpha, theta_1', alpha', u: sixteen
-# numbers. Phi's first column is the identity's: nothing depends on where the chassis stands.
+# numbers. Phi's first column is the identity's: nothing depends on the angle of the chassis.
 # Plain floats: at this size a product in Python takes 0.25 µs, numpy's 0.7 µs.
 _Step = tuple[float, ...]
 _Table = tuple[tuple[_Step, ...], ...]
@@ -33,13 +33,13 @@ REST: Final[State] = (0.0, 0.0, 0.0, 0.0)
 
 _DIGIT_BITS = 8
 _DIGITS = 4
-_LONGEST_NS = (1 << _DIGIT_BITS * _DIGITS) - 1
+_MAX_STEP_NS = (1 << _DIGIT_BITS * _DIGITS) - 1
 SUBSTEP_NS = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """One arm with its exponentials; made by `build`."""
+    """An arm with its matrix exponentials; `build` creates it."""
 
     free: _Table
     """Flow of the linear arm."""
@@ -69,16 +69,17 @@ def build(
     arm : ArmParameters
         Inertias, spring, gear, motor and viscous friction.
     arm_removed : bool, default False
-        The rotating part is taken off: alpha stays 0 and the chassis turns alone.
+        True if the rotating part is removed: alpha stays 0 and the chassis turns alone.
     coulomb_nm, stiffening : float, default 0
-        T_c in Nm and k_3 in Nm/rad³; 0 leaves the effect out.
+        Coulomb friction T_c in Nm, and cubic part k_3 of the spring in Nm/rad³; 0 disables an
+        effect.
     substep_ns : int, default 100 000
-        Step of the splitting; it matters only with one of the two effects.
+        Step of the splitting, in ns; it has an effect only with friction or stiffening.
 
     Raises
     ------
     ValueError
-        An effect is negative or not finite, or the step is not positive.
+        `coulomb_nm` or `stiffening` is negative or not finite, or the step is not positive.
     """
     for name, value in (("coulomb_nm", coulomb_nm), ("stiffening", stiffening)):
         if not isfinite(value) or value < 0:
@@ -97,11 +98,12 @@ def build(
 
 
 def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
-    """Return the state `dt_ns` later under the voltage `u`, held.
+    """Return the state after `dt_ns` under the held voltage `u`.
 
-    Without Coulomb friction and stiffening the result is exact but for rounding. With them it is of
-    second order in `substep_ns` while the chassis keeps its direction; a stop or a reversal costs
-    at most T_c substep / J_1 in speed, once. A chassis at rest stays there while |torque| <= T_c.
+    Without Coulomb friction and stiffening, the result is exact except for rounding. With them, it
+    is of second order in `substep_ns` while the chassis keeps its direction. Each stop or reversal
+    adds an error of at most T_c substep / J_1 in speed. A chassis at rest stays at rest while
+    |torque| <= T_c.
 
     Raises
     ------
@@ -121,10 +123,10 @@ def advance(plant: Plant, x: State, u: float, dt_ns: int) -> State:
 
 
 def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
-    """Return the state after the linear flow of `table`, one product for each digit of dt."""
-    while dt_ns > _LONGEST_NS:
-        x = _flow(table, x, u, _LONGEST_NS)
-        dt_ns -= _LONGEST_NS
+    """Return the state after the linear flow of `table`, by one product per digit of dt."""
+    while dt_ns > _MAX_STEP_NS:
+        x = _flow(table, x, u, _MAX_STEP_NS)
+        dt_ns -= _MAX_STEP_NS
     theta, alpha, omega, rate = x
     for level in table:
         if not dt_ns:
@@ -143,14 +145,14 @@ def _flow(table: _Table, x: State, u: float, dt_ns: int) -> State:
 
 
 def _split(plant: Plant, x: State, u: float, dt_ns: int) -> State:
-    """Return the state after kicks of half a step around linear flows of one step."""
+    """Return the state after steps of half a kick, a linear flow and half a kick."""
     while dt_ns:
         step_ns = min(dt_ns, plant.substep_ns)
         dt_ns -= step_ns
         torque = _torque(plant, x, u)
         half_s = step_ns * 0.5e-9
         x = _kick(plant, x, half_s, held=_is_held(plant, x, torque), breakaway=torque)
-        # Without this a chassis that the kick has stopped would creep on, a little in each step.
+        # Without this check, a chassis that the kick has stopped would creep on in each step.
         held = _is_held(plant, x, torque)
         x = _flow(plant.locked if held else plant.free, x, u, step_ns)
         x = _kick(plant, x, half_s, held=held, breakaway=0.0)
@@ -163,16 +165,16 @@ def _is_held(plant: Plant, x: State, torque: float) -> bool:
 
 
 def _torque(plant: Plant, x: State, u: float) -> float:
-    """Return the torque on the chassis at rest, friction left out, in Nm."""
+    """Return the torque on the chassis at rest without friction, in Nm."""
     alpha = x[1]
     spring = (plant.arm.K_lin + plant.stiffening * alpha * alpha) * alpha
     return plant.arm.torque_per_volt * u + spring
 
 
 def _kick(plant: Plant, x: State, dt_s: float, *, held: bool, breakaway: float) -> State:
-    """Return the state after the impulses of spring and friction alone, which are exact.
+    """Return the state after the impulses of spring and friction, which are computed exactly.
 
-    The speed of the arm in the room, theta_1' + alpha', feels the spring only.
+    Only the spring acts on the absolute speed of the arm, theta_1' + alpha'.
     """
     theta, alpha, omega, rate = x
     spring = plant.stiffening * alpha * alpha * alpha * dt_s
@@ -181,7 +183,7 @@ def _kick(plant: Plant, x: State, dt_s: float, *, held: bool, breakaway: float) 
         return theta, alpha, omega, rate
     friction = plant.coulomb_nm / plant.arm.J_1 * dt_s
     if omega == 0:
-        # About to move: friction acts against the torque from the first half step on.
+        # The chassis starts to move: friction opposes the torque from the first half step on.
         after = spring / plant.arm.J_1 - (copysign(friction, breakaway) if breakaway else 0.0)
     else:
         pushed = omega + spring / plant.arm.J_1
@@ -207,7 +209,7 @@ def _tables(arm: ArmParameters, arm_removed: bool) -> tuple[_Table, _Table]:
 def _table(A: Matrix, B: Matrix) -> _Table:
     """Return exp([A B; 0 0] digit 256^level ns) for every digit of every level.
 
-    One exponential a level; the other digits are products of at most eight of its squarings.
+    Each level needs one matrix exponential; the other digits are products of at most eight squares.
     """
     block = np.zeros((5, 5))
     block[:4, :4], block[:4, 4:] = A, B

@@ -1,4 +1,4 @@
-"""The queue of setpoints in scheduled mode: codes by sample index (PROTOCOL.md, section 6)."""
+"""Queue of the setpoints in scheduled mode: codes by sample index (PROTOCOL.md, section 6)."""
 
 from __future__ import annotations
 
@@ -9,40 +9,40 @@ from typing import NamedTuple
 
 from armrig_protocol.messages import Cause, Config, Setpoints, Underrun
 
-_INDICES = 1 << 32
-LEAST_A_FRAME = 8  # so many entries at least must a frame bring for the queue to be filled
+_INDEX_MODULUS = 1 << 32
+MIN_SETPOINTS_PER_FRAME = 8  # with fewer per frame, the queue cannot be filled
 
 
 class Setpoint(NamedTuple):
-    """A code, and the frame that brought it."""
+    """A code, and the frame that contained it."""
 
     u: int
     seq: int
-    """0 where it is u_rest, which no frame brought."""
+    """Sequence number of the frame; 0 for u_rest, which no frame contains."""
 
 
 class SetpointQueue:
-    """What is to be latched at `next`, `next` + 1 ..., from ARM to the end of RUN."""
+    """Setpoints of the samples `next`, `next` + 1 ..., from ARM to the end of RUN."""
 
     def __init__(self, config: Config, capacity: int) -> None:
-        """Begin empty, at sample 0, with u_rest before it."""
+        """Create an empty queue; sample 0 is next, and the last code is u_rest."""
         self._config, self._capacity = config, capacity
         self._rest = Setpoint(config.u_rest, 0)
         self._entries: deque[Setpoint] = deque()
         self._frames: deque[int] = deque()
-        """How many of the entries each frame brought that is still among them."""
+        """Number of entries of each frame that are still in the queue."""
         self._dry = 0
         self.next = 0
-        """Index of the next sample to be latched; does not wrap."""
+        """Index of the next sample to latch; it does not wrap."""
         self.in_force = self._rest
-        """What was latched last, as the host sent it."""
+        """Setpoint latched last, as the host sent it."""
 
     def __len__(self) -> int:
-        """Return how many samples from `next` on have their setpoint."""
+        """Return the number of samples from `next` on that have a setpoint."""
         return len(self._entries)
 
     def violation(self, m: Setpoints) -> tuple[Cause, int]:
-        """Return RANGE or SLEW with the code outside it, or NONE; every code of `m` counts."""
+        """Return RANGE or SLEW with the first code that violates it, or NONE."""
         config, codes = self._config, m.u[: m.n]
         for u in codes:
             if not config.u_min <= u <= config.u_max:
@@ -54,9 +54,9 @@ class SetpointQueue:
         return Cause.NONE, 0
 
     def add(self, m: Setpoints) -> bool:
-        """Take in what is new and in time; return whether `m` agrees with what is here.
+        """Add the new setpoints; return whether `m` agrees with the queue's entries.
 
-        What is too late, comes behind a gap or finds no room is dropped.
+        Setpoints that are late, follow a gap or find no room are dropped.
         """
         offset, have = self._offset(m.k0), len(self._entries)
         if offset > have:
@@ -67,15 +67,15 @@ class SetpointQueue:
         if any(entry.u != u for entry, u in zip(known, codes, strict=False)):
             return False
         new = codes[have - first : self._capacity - first]
-        if new and len(self._frames) < self._capacity // LEAST_A_FRAME:
+        if new and len(self._frames) < self._capacity // MIN_SETPOINTS_PER_FRAME:
             self._entries.extend(Setpoint(u, m.seq) for u in new)
             self._frames.append(len(new))
         return True
 
     def advance(self) -> bool:
-        """Put the setpoint of `next` in force; return whether there was one.
+        """Latch the setpoint of `next`; return whether the queue had it.
 
-        Where there was none, the policy decides: u_rest, or the last code for a while.
+        If the queue is empty, the policy decides: u_rest, or the last code for `hold` samples.
         """
         self.next += 1
         if self._entries:
@@ -91,11 +91,12 @@ class SetpointQueue:
         return False
 
     def _offset(self, k0: int) -> int:
-        """Return how far behind `next` index `k0` lies, negative before it; modulo 2^32."""
-        return (k0 - self.next + _INDICES // 2) % _INDICES - _INDICES // 2
+        """Return `k0` - `next` modulo 2^32, as a signed number."""
+        half = _INDEX_MODULUS // 2
+        return (k0 - self.next + half) % _INDEX_MODULUS - half
 
     def _steps(self, offset: int, codes: tuple[int, ...]) -> Iterator[tuple[int, int]]:
-        """Return the steps that latching `codes` would make, each from and to."""
+        """Yield each step of the voltage in `codes`, as (code before, code after)."""
         yield from pairwise(codes)
         if self.next + offset == 0:
             yield self._rest.u, codes[0]
@@ -103,5 +104,5 @@ class SetpointQueue:
             if offset == len(self._entries):
                 yield self._entries[-1].u, codes[0]
         elif -len(codes) < offset <= 0:
-            # After an underrun the motor has what the policy gave it, whatever the frame says.
+            # After an underrun, the motor has the policy's code, whatever the frame contains.
             yield self.in_force.u, codes[-offset]

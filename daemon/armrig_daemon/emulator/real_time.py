@@ -1,7 +1,8 @@
-"""The emulator on a pseudo-terminal or a socket, in real time: the edge around `device`.
+"""The emulator at a pseudo-terminal or a socket, in real time: input and output of `device`.
 
-Opening the port resets an Uno. Neither line has a DTR: here the reset is the moment when the port
-is opened. Closing it resets nothing, as on an Uno; what the device says then is lost.
+Opening the port resets an Uno. A pseudo-terminal or a socket has no DTR, so the emulator resets the
+device when a program opens the port. Closing the port resets nothing, as on an Uno; the device's
+frames are then lost.
 """
 
 from __future__ import annotations
@@ -35,50 +36,50 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.emulator.uart import wire_ns
 
-PRIORITY = 20  # below the loop's: the device is fast enough, and must not starve who drives it
+PRIORITY = 20  # below the loop's: the device is fast enough, and must not starve the daemon
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 _libc = ctypes.CDLL(None)
-_TELL_NS = 1_000_000_000
-"""How often it is told at most that the machine stalls, in ns."""
+_REPORT_INTERVAL_NS = 1_000_000_000
+"""Shortest time between two reports of stalls, in ns."""
 
 
 class RealTimeDevice(Protocol):
-    """A device to which time is given: the emulated one, or the firmware's binary."""
+    """A device whose time is an argument: the emulated device, or the firmware's binary."""
 
     @property
     def board(self) -> Board:
-        """The pins and the arm."""
+        """Return the pins and the arm."""
 
     @property
     def state(self) -> State:
-        """State of the firmware."""
+        """Return the state of the firmware."""
 
     @property
     def cause(self) -> Cause:
-        """Cause of the last transition."""
+        """Return the cause of the last transition."""
 
     @property
     def violations(self) -> Sequence[Violated]:
-        """What was seen at simulated pins, and must not happen."""
+        """Return the violations at the simulated pins so far."""
 
     def reset(self, now_ns: int) -> None:
         """Reset the processor."""
 
     def receive(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the wire to it."""
+        """Put bytes on the wire to the device."""
 
     def rx_backlog_ns(self, now_ns: int) -> int:
-        """Return how long the bytes given so far still occupy that wire."""
+        """Return the time for which the received bytes still occupy the wire, in ns."""
 
     def visible_ns(self) -> int:
-        """Return a time before which nobody has to look."""
+        """Return a time before which `advance` need not be called."""
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Let time pass; return frames, each with its last byte's departure."""
+        """Advance to a time; return the sent frames, each with the time of its last byte."""
 
 
 SwitchOn = Callable[[EmulatorSettings, int, Witness], RealTimeDevice]
-"""Makes a device that is switched on at a time, in ns."""
+"""Function that creates a device switched on at a time, in ns."""
 
 
 def emulate(
@@ -90,30 +91,30 @@ def emulate(
     started: str = "",
     held_up: Callable[[int], None] = lambda ns: None,
 ) -> int:
-    """Run a rig behind `port` until SIGTERM or SIGINT; return the exit code.
+    """Run a rig at `port` until SIGTERM or SIGINT; return the exit code.
 
-    It is 1 if the pins of a simulated board did what they must not; each kind is printed once.
+    The exit code is 1 after a violation at a simulated board's pins; each kind is printed once.
 
     Parameters
     ----------
     port : Path
-        A symbolic link to be made to a pseudo-terminal, or `unix:PATH`, a socket; removed at the
-        end.
+        Path of the symbolic link to a pseudo-terminal, or `unix:PATH`, a socket; it is created, and
+        removed at the end.
     switch_on : callable, optional
-        Makes the device; the emulated one unless told otherwise.
+        Function that creates the device; default: the emulated device.
     trace : Path, optional
-        File for the witness: one line `t_monotonic_ns,volts,state,cause` for each change of the
-        terminal voltage, the first for the start.
+        File for the voltages: one line `t_monotonic_ns,volts,state,cause` for each change of the
+        terminal voltage. The first line is the state at the start.
     started : str, default ""
-        What to say once the port is there.
+        Message to print when the port exists.
     held_up : callable, optional
-        Is told how long the device's clock stood still, in ns, where the settings tolerate stalls
-        of this process; it must not wait.
+        Called with the time for which the device's clock stood still, in ns, if the settings
+        tolerate stalls of this process; it must not wait.
 
     Raises
     ------
     OperationError
-        `port` or `trace` cannot be made.
+        `port` or `trace` cannot be created.
     """
     with ExitStack() as stack:
         wake = _ended_by(stack)
@@ -134,17 +135,17 @@ def emulate(
         time = HostTime(now_ns, tolerates_stalls=settings.tolerates_stalls)
         device = switch_on(settings, now_ns, witness)
         witness(Change(now_ns, device.board.volts, device.state, device.cause))
-        # Last, so that who finds the link finds the device awake.
+        # Last, so that the device is running when a program finds the link.
         with _naming(port):
             line.offer(port, stack)
         if started:
             print(started, file=sys.stderr, flush=True)
-        _run(line, device, time, settings, wake, held_up, partial(_say_violation, port))
+        _run(line, device, time, settings, wake, held_up, partial(_print_violation, port))
         lost = line.backlog
         if lost.dropped_frames:
-            said = f"{lost.dropped_frames} frames ({lost.dropped_bytes} bytes) dropped"
-            print(f"{port}: {said}, not read in time", file=sys.stderr)
-        # Bytes that its host sends too fast the firmware counts by itself.
+            text = f"{lost.dropped_frames} frames ({lost.dropped_bytes} bytes) dropped"
+            print(f"{port}: {text}, not read in time", file=sys.stderr)
+            # The firmware itself counts the bytes that the host sends too fast.
         wrong = {violated.what for violated in device.violations} - {Violation.RX_OVERRUN}
     return 1 if wrong else 0
 
@@ -158,32 +159,32 @@ def _run(
     held_up: Callable[[int], None],
     violated: Callable[[Violated], None],
 ) -> None:
-    """Carry bytes between line and device until `wake` becomes readable; times are given ones."""
+    """Pass bytes between line and device until `wake` is readable; times are the device's."""
     full_ns = wire_ns(READ_BYTES, settings.baud) if settings.model_baud else 0
     replies: deque[tuple[int, bytes]] = deque()
-    due_ns = told_ns = tell_ns = looked = 0
+    due_ns = reported_ns = next_report_ns = looked = 0
     seen: set[Violation] = set()
     with closing(Waiter()) as waiter:
         waiter.watch(wake)
         line.watch(waiter)
         while True:
             now_ns = time.given_ns(monotonic_ns(), due_ns)
-            if time.held_up_ns > told_ns and now_ns >= tell_ns:
-                held_up(time.held_up_ns - told_ns)
-                told_ns, tell_ns = time.held_up_ns, now_ns + _TELL_NS
+            if time.held_up_ns > reported_ns and now_ns >= next_report_ns:
+                held_up(time.held_up_ns - reported_ns)
+                reported_ns, next_report_ns = time.held_up_ns, now_ns + _REPORT_INTERVAL_NS
             replies.extend(device.advance(now_ns))
-            for one in device.violations[looked:]:
+            for violation in device.violations[looked:]:
                 looked += 1
-                if one.what not in seen:
-                    violated(one)
-                seen.add(one.what)
+                if violation.what not in seen:
+                    violated(violation)
+                seen.add(violation.what)
             while replies and replies[0][0] <= now_ns:
                 line.write(replies.popleft()[1])
             due_ns = device.visible_ns()
             if replies:
                 due_ns = min(due_ns, replies[0][0])
             if line.connected and line.has_input:
-                # Read no faster than the wire carries: behind it the kernel holds the host back.
+                # Read no faster than the wire carries, so that the kernel holds the host back.
                 due_ns = min(due_ns, now_ns + device.rx_backlog_ns(now_ns) - full_ns)
             line.watch_room()
             due_ns = time.look_ns(due_ns)
@@ -204,17 +205,17 @@ def _run(
                     device.receive(time.given_ns(monotonic_ns(), due_ns), data)
 
 
-def _say_violation(port: Path, violated: Violated) -> None:
-    """Tell a person the first violation of its kind."""
+def _print_violation(port: Path, violated: Violated) -> None:
+    """Print the first violation of a kind."""
     ms = violated.cycle / CYCLES_PER_US / 1000
     with suppress(OSError):
-        said = f"{port}: {sentence(violated.what)}, {ms:.2f} ms after power-on"
-        print(said, file=sys.stderr, flush=True)
+        text = f"{port}: {sentence(violated.what)}, {ms:.2f} ms after power-on"
+        print(text, file=sys.stderr, flush=True)
 
 
 @contextmanager
 def _naming(path: Path) -> Iterator[None]:
-    """Turn what the system says about a file into one line."""
+    """Convert the system's error about a file into an OperationError that names the file."""
     try:
         yield
     except OSError as err:
@@ -222,7 +223,7 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _line(port: Path, stack: ExitStack) -> Line:
-    """Return a line of the kind that the name of a port asks for."""
+    """Return a socket for a port `unix:PATH`, and a pseudo-terminal for any other port."""
     try:
         path = socket_path(str(port))
     except ValueError as err:
@@ -231,7 +232,7 @@ def _line(port: Path, stack: ExitStack) -> Line:
 
 
 def _ended_by(stack: ExitStack) -> int:
-    """Return a descriptor that SIGTERM and SIGINT make readable, until `stack` ends."""
+    """Return a descriptor that becomes readable at SIGTERM or SIGINT, until `stack` ends."""
     signals = SignalPipe([signal.SIGTERM, signal.SIGINT])
 
     def close(failed: type[BaseException] | None, *_: object) -> None:
@@ -242,14 +243,14 @@ def _ended_by(stack: ExitStack) -> int:
 
 
 def _be_punctual(stack: ExitStack) -> None:
-    """Ask for what keeps the replies on time, and say once what is not granted."""
+    """Request real-time scheduling; print a message if it is refused."""
     _libc.prctl(PR_SET_TIMERSLACK, ctypes.c_ulong(1), 0, 0, 0)
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
         stack.callback(os.sched_setscheduler, 0, *before)
     except PermissionError:
-        print("emulator: no SCHED_FIFO here, replies may come late", file=sys.stderr)
+        print("emulator: SCHED_FIFO is refused, so replies may be late", file=sys.stderr)
     gc.freeze()
     gc.disable()
     stack.callback(gc.unfreeze)

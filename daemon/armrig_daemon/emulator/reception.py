@@ -1,4 +1,4 @@
-"""The bytes on their way to the device, and what the decoder makes of them."""
+"""The bytes on the wire to the device, and their decoding."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from armrig_daemon.emulator.uart import arrivals, wire_ns
 
 
 class Reception:
-    """A wire to the device that carries one byte after the other, and the decoder at its end."""
+    """A wire to the device, which transmits one byte at a time, and the decoder at its end."""
 
     def __init__(self, now_ns: int, baud: int) -> None:
-        """Begin with an empty wire; baud 0 is one that takes no time."""
+        """Create an empty wire; with baud 0, bytes take no time."""
         self._baud = baud
         self._free_ns = now_ns
         self._pieces: deque[tuple[int, bytes]] = deque()
         self._pending = b""
         self.first_ns = NEVER
-        """When the next piece has arrived."""
+        """Time of the next piece's arrival."""
         self._peeked: tuple[bytes, list[Received]] | None = None
 
     def put(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the wire, behind those that are on it."""
+        """Append bytes to the bytes on the wire."""
         pieces = arrivals(self._free_ns, now_ns, data, self._baud)
         if pieces:
             self._pieces.extend(pieces)
@@ -33,11 +33,11 @@ class Reception:
             self.first_ns = self._pieces[0][0]
 
     def backlog_ns(self, now_ns: int) -> int:
-        """Return how long the wire is still busy."""
+        """Return the time for which the wire is still busy, in ns."""
         return max(0, self._free_ns - now_ns)
 
     def second_ns(self) -> int:
-        """Return when the piece after the next one has arrived, NEVER where there is none."""
+        """Return the arrival time of the piece after the next; NEVER if there is none."""
         return self._pieces[1][0] if len(self._pieces) > 1 else NEVER
 
     def first(self) -> bytes:
@@ -45,13 +45,13 @@ class Reception:
         return self._pieces[0][1]
 
     def peek(self) -> list[Received]:
-        """Return what the next piece will bring."""
+        """Return the contents of the next piece before its arrival."""
         if self._peeked is None:
             self._peeked = decoder.feed(self._pending, self._pieces[0][1])
         return self._peeked[1]
 
     def pop(self) -> list[Received]:
-        """Return what the next piece brings, which has arrived."""
+        """Remove the next piece, which has arrived, and return its contents."""
         _, piece = self._pieces.popleft()
         self._pending, received = self._peeked or decoder.feed(self._pending, piece)
         self._peeked = None
@@ -59,7 +59,7 @@ class Reception:
         return received
 
     def forget(self, now_ns: int) -> None:
-        """Throw away what has arrived, and of a frame under way the bytes that have."""
+        """Discard the bytes that have arrived, including the bytes of an incomplete frame."""
         self._pending, self._peeked = b"", None
         byte_ns = wire_ns(1, self._baud)
         if self._pieces and byte_ns:

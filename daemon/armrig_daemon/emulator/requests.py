@@ -1,4 +1,4 @@
-"""What each frame of the host does (PROTOCOL.md, sections 2 to 6)."""
+"""The effect of each frame of the host (PROTOCOL.md, sections 2 to 6)."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, U16, UNNUMBERED, Fir
 from armrig_daemon.emulator.setpoints import setpoints
 
 _RUN, _NONE = State.RUN, Cause.NONE
-NO_IMAGE = 0  # an emulator has no image to take a CRC of
+NO_IMAGE = 0  # an emulator has no image and thus no CRC
 CAPABILITIES = int(
     Capability.EXCHANGE | Capability.SCHEDULED | Capability.CAL | Capability.ENABLE_LINE
 )
 
 
 def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
-    """Return the answers to what the line brought; EXCHANGE puts a sample into `fw.pending`."""
+    """Return the answers to a received item; EXCHANGE adds a sample to `fw.pending`."""
     if isinstance(received, Spoilt):
         fw.counters.spoilt += 1
         fw.new_flags |= int(Flag.CRC_ERR)
@@ -61,11 +61,11 @@ def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
     handler = _HANDLERS.get(kind)
     if handler is None:  # a type that only devices send
         return [fw.answer(TYPES[kind], received.seq, Code.UNKNOWN_TYPE)]
-    # Where the motor may turn, a HELLO that was played again must not make old frames new.
+    # While the motor may turn, a replayed HELLO must not make old frames valid.
     resynchronises = kind is Hello and fw.state not in MOTOR_MAY_TURN
     if resynchronises or is_newer(received.seq, fw.newest, U16):
         fw.newest = received.seq
-        if kind is not Hello:  # who asks who is there does not command
+        if kind is not Hello:  # HELLO asks for the identity and commands nothing
             fw.feed(now_ns)
     elif kind is not Stop and kind is not Estop:
         return [fw.answer(TYPES[kind], received.seq, Code.STALE)]
@@ -73,25 +73,26 @@ def handle(fw: Firmware, now_ns: int, received: Received) -> list[Message]:
 
 
 def is_newer(number: int, last: int | None, mask: int) -> bool:
-    """Return whether `number` is ahead of `last` by 1 ... mask // 2, modulo mask + 1."""
+    """Return whether `number` is newer than `last`: 1 to mask // 2 ahead, modulo mask + 1."""
     return last is None or 1 <= (number - last) & mask <= mask // 2
 
 
 def makes_sample(fw: Firmware, m: Exchange) -> bool:
-    """Return whether `m`, taken in the present state, is answered by a sample."""
+    """Return whether the answer to `m` in the present state is a sample."""
     fresh = is_newer(m.seq, fw.newest, U16) and is_newer(m.k, fw.k, U32)
     free = fw.timer is None and fw.cal is None
     return free and fresh and _trip(fw, m) is _NONE
 
 
 def _trip(fw: Firmware, m: Exchange) -> Cause:
-    """Return the fault that the u of `m` is, or NONE; only in RUN is it looked at."""
+    """Return the fault that the u of `m` causes in RUN; NONE if it causes none."""
     config = fw.config
     if fw.state is not _RUN or config is None:
         return _NONE
     if not config.u_min <= m.u <= config.u_max:
         return Cause.RANGE
-    # Against the code as the host sent it: against the rounded duty an allowed ramp could trip.
+    # Compared with the code that the host sent: compared with the rounded duty, an allowed ramp may
+    # trip.
     if config.slew and abs(m.u - fw.u) > config.slew:
         return Cause.SLEW
     return _NONE
@@ -141,7 +142,7 @@ def _hello(fw: Firmware, now_ns: int, m: Hello) -> list[Message]:
 
 
 def _ping(fw: Firmware, now_ns: int, m: Ping) -> list[Message]:
-    # tx_us is put in by `device`, which alone knows when the wire is free.
+    # `device` sets tx_us, because only it knows when the wire is free.
     return [Pong(fw.state, UNNUMBERED, host_ns=m.host_ns, rx_us=fw.device_us(now_ns), tx_us=0)]
 
 

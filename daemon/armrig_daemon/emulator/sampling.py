@@ -1,4 +1,4 @@
-"""What each sample does: the latch of u, the guards, SAMPLE (PROTOCOL.md, sections 5 to 7)."""
+"""The steps of each sample: latch of u, guards, SAMPLE (PROTOCOL.md, sections 5 to 7)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from armrig_daemon.emulator.guards import watch
 from armrig_daemon.emulator.queue import Setpoint
 from armrig_daemon.emulator.sensors import at_rail
 
-# By names of their own: an enum's member, looked up in it, takes 0.08 µs each time.
+# Names at module level: the lookup of a member in its enum takes 0.08 µs each time.
 _RUN, _FAULT, _REQUEST, _NONE = State.RUN, State.FAULT, Cause.REQUEST, Cause.NONE
 _STATE_FLAGS = {
     State.RUN: int(Flag.RUN | Flag.ARMED),
@@ -23,13 +23,13 @@ _FAULT_FLAGS = {
     Cause.SLEW: int(Flag.SLEW),
     Cause.REV_LIMIT: int(Flag.REV_LIMIT),
 }
-_RAIL_0, _RAIL_1 = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
-_LATE, _UNDERRUN = int(Flag.TICK_LATE), int(Flag.UNDERRUN)
-_VCC_LOW = int(Flag.VCC_LOW)
+_RAIL_0_FLAG, _RAIL_1_FLAG = int(Flag.ADC0_RAIL), int(Flag.ADC1_RAIL)
+_LATE_FLAG, _UNDERRUN_FLAG = int(Flag.TICK_LATE), int(Flag.UNDERRUN)
+_VCC_LOW_FLAG = int(Flag.VCC_LOW)
 
 
 def latch(fw: Firmware, now_ns: int) -> None:
-    """Latch u of the first pending sample, unless the run it was meant for is over."""
+    """Latch u of the first pending sample, unless its run is over."""
     wanted = fw.pending[0]
     fw.u_km1 = fw.board.code
     if not wanted.drives:
@@ -39,28 +39,29 @@ def latch(fw: Firmware, now_ns: int) -> None:
 
 
 def _next_setpoint(fw: Firmware) -> Setpoint:
-    """Return what is to be latched now, from the queue or by the policy for a dry one."""
+    """Return the setpoint to latch: from the queue, or by the policy for an empty queue."""
     if fw.queue is None:
-        raise RuntimeError("a sample of scheduled mode is to be latched without a queue")
+        raise RuntimeError("a sample of scheduled mode needs a queue")
     if not fw.queue.advance():
-        fw.new_flags |= _UNDERRUN
+        fw.new_flags |= _UNDERRUN_FLAG
         fw.counters.underruns += 1
     return fw.queue.in_force
 
 
 def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool) -> list[Message]:
-    """Return SAMPLE for the first pending one, and the EVENT of a guard that trips.
+    """Return SAMPLE of the first pending sample, and the EVENT of a guard that trips.
 
-    A guard judges when theta_1's conversion has ended; SAMPLE, made then, tells of the fault.
+    The guards are checked after the conversion of theta_1. SAMPLE is created afterwards and reports
+    the fault.
 
     Parameters
     ----------
     t_us : int
-        Trigger of theta_1's conversion.
+        Time of the trigger of theta_1's conversion.
     y0, y1 : int
         Readings of theta_1 and alpha.
     late : bool
-        The conversions had to wait for those of another sample.
+        True if the conversions had to wait for the conversions of another sample.
     """
     wanted, config = fw.pending.popleft(), fw.config
     events: list[Message] = []
@@ -74,16 +75,16 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
     if fw.state is _FAULT:
         flags |= _FAULT_FLAGS.get(fw.cause, 0)
     if at_rail(y0):
-        flags |= _RAIL_0
+        flags |= _RAIL_0_FLAG
     if at_rail(y1):
-        flags |= _RAIL_1
+        flags |= _RAIL_1_FLAG
     if fw.supply_is_low:
-        flags |= _VCC_LOW
+        flags |= _VCC_LOW_FLAG
     if late:
-        flags |= _LATE
+        flags |= _LATE_FLAG
         fw.counters.late += 1
     fw.new_flags = 0
-    taken = Sample(  # by place: by name it would take twice as long, at each sample
+    taken = Sample(  # positional: keywords would take twice as long at each sample
         fw.state,
         UNNUMBERED,
         fw.boot_id & U16,
@@ -98,5 +99,5 @@ def sample(fw: Firmware, now_ns: int, t_us: int, y0: int, y1: int, *, late: bool
         flags,
         0 if fw.queue is None else len(fw.queue),
     )
-    # SAMPLE answers a request, and so leaves before the EVENT of the transition that it made.
+    # SAMPLE is the answer to a request, so it leaves before the EVENT of the transition.
     return [taken, *events]

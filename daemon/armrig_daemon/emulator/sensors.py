@@ -1,9 +1,9 @@
-"""What the converter reads from the two potentiometers.
+"""Readings of the two potentiometers by the converter.
 
-A wiper travels over `range_rad` of track. Where the shaft turns on (theta_1), the rest of the turn
-is a dead band: the wiper touches nothing, and the pull-down that the wiring guide asks for grounds
-the input, so that the reading is 0. The noise, which comes from the wiper, is gone there too.
-Where the shaft does not turn on (alpha), the wiper stops at the end of its track.
+A wiper moves over `range_rad` of track. If the shaft can turn further (theta_1), the rest of the
+turn is a dead band. In the dead band the wiper has no contact. The pull-down resistor of the wiring
+guide grounds the input, so the reading is 0 and has no noise. If the shaft cannot turn further
+(alpha), the wiper stops at the end of its track.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ class Potentiometer:
     """A track and its wiper."""
 
     range_rad: float
-    """Angle over which the wiper touches the track, in rad."""
+    """Angle over which the wiper has contact with the track, in rad."""
     zero_rad: float
     """Angle from the track's beginning to the wiper when the shaft is at 0, in rad."""
     wraps: bool
-    """The shaft turns on beyond the track's ends."""
+    """True if the shaft can turn beyond the track's ends."""
     low: float = 0.0
-    """Wiper's voltage at the track's beginning, over the reference."""
+    """Wiper's voltage at the track's beginning, as a fraction of the reference."""
     high: float = 1.0
-    """Wiper's voltage at the track's end, over the reference."""
+    """Wiper's voltage at the track's end, as a fraction of the reference."""
     sign: float = 1.0
-    """-1 where the wiper goes towards the track's beginning when the angle grows."""
+    """-1 if the wiper moves towards the track's beginning with increasing angle; otherwise 1."""
 
 
 def wiper(pot: Potentiometer, angle: float) -> float | None:
-    """Return the wiper's voltage as a fraction of the reference, None in the dead band."""
+    """Return the wiper's voltage as a fraction of the reference; None in the dead band."""
     position = pot.sign * angle + pot.zero_rad
     if pot.wraps:
         position %= tau
@@ -51,10 +51,10 @@ def wiper(pot: Potentiometer, angle: float) -> float | None:
 
 
 def mean(codes: list[int]) -> int:
-    """Return the reading that conversions of one channel make: their mean, a tie up.
+    """Return the reading from several conversions of one channel: their mean, ties rounded up.
 
-    Where one of them is at a rail it is the last: between both ends of a track, across the dead
-    band, lies an angle that the shaft has never had.
+    If any conversion is at a rail, the reading is the last conversion. The mean of readings at both
+    ends of the track would be an angle at which the shaft never was.
     """
     n = len(codes)
     if n == 1 or any(map(at_rail, codes)):
@@ -70,19 +70,19 @@ def at_rail(code: int) -> bool:
 def convert(fraction: float | None, bits: int, noise_v: float, rng: np.random.Generator) -> int:
     """Return the reading of a wiper, left-justified to 16 bits.
 
-    The first transition is at half a step, as in the data sheet of the ATmega328P (section 24.7): a
-    reading is the nearest step, and the mean error over a step is 0.
+    The first transition is at half a step, as in the data sheet of the ATmega328P (section 24.7). A
+    reading is therefore the nearest step, and the mean error over a step is 0.
 
     Parameters
     ----------
     fraction : float or None
-        Voltage over the reference; None is an open wiper.
+        Voltage as a fraction of the reference; None is an open wiper.
     bits : int
         Resolution, 1 ... 16.
     noise_v : float
-        Standard deviation of the noise, in V; 0 draws nothing.
+        Standard deviation of the noise, in V; 0 for no noise.
     rng : numpy.random.Generator
-        Where the noise comes from.
+        Source of the noise.
     """
     if fraction is None:
         return 0

@@ -1,4 +1,4 @@
-"""Settings of the emulator: the table `[emulator]` of a TOML, checked key by key."""
+"""Settings of the emulator: the table `[emulator]` of a TOML file, each key checked."""
 
 from __future__ import annotations
 
@@ -47,74 +47,74 @@ CHOICES: dict[str, tuple[int, ...]] = {
 
 
 class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the emulated rig is like; the defaults are the demo's."""
+    """Properties of the emulated rig; the defaults describe the rig of the demonstration."""
 
     seed: int = 1
     """Seed of all noise and of the boot ids."""
     boot_ms: float = 50.0
-    """From reset to the first frame, in ms; a real Uno's boot loader takes about 1500."""
+    """Time from reset to the first frame, in ms; a real Uno's boot loader takes about 1500."""
     baud: int = 500_000
-    """Speed of the emulated wire, in bit/s."""
+    """Speed of the emulated line, in bit/s."""
     model_baud: bool = True
-    """Bytes take their time on the wire."""
+    """True if `baud` determines the time of bytes on the line; false if bytes take no time."""
     conversion_us: float = 104.0
-    """One conversion, in µs: 13 clocks of the ATmega328P's ADC at 125 kHz."""
+    """Time of one conversion, in µs; 104 is 13 clocks of the ATmega328P's ADC at 125 kHz."""
     clock_ppm: float = 0.0
-    """How slow the device's oscillator is, in parts per million: its µs last 1 + clock_ppm 1e-6 µs.
+    """Error of the device's oscillator, in parts per million: its µs last 1 + clock_ppm 1e-6 µs.
 
-    So does whatever it times by itself: Ts, conversions, the watchdog; not the bits on the wire.
+    The error affects Ts, conversions and the watchdog, but not the bits on the line.
     """
     tolerates_stalls: bool = False
-    """The device's clock stops while its process is stalled by more than 10 ms.
+    """True to stop the device's clock while its process is stalled by more than 10 ms.
 
-    Where nobody says it, that of `run --emulate` does so. A real device cannot.
+    The default of `run --emulate` is true. A real device cannot do this.
     """
     pwm_bits: int = 10
-    """Resolution of the duty; 0 is none."""
+    """Resolution of the duty, in bits; 0 is unlimited."""
     adc_bits: int = 10
-    """Resolution of the converter; 0 is all 16 bits of the code."""
+    """Resolution of the converter, in bits; 0 is all 16 bits of the code."""
     adc_noise_v: float = 0.0025
     """Standard deviation of the converter's noise, in V; 0.0025 is half a step of 10 bits."""
     potentiometers: bool = True
-    """Tracks with ends and a dead band; off is an ideal sensor of 360° on both joints."""
+    """True for tracks with ends and a dead band; false for ideal sensors of 360° on both joints."""
     theta_1_range_deg: float = 352.0
-    """Electrical range of theta_1's track, in degrees; the rest of the turn is dead."""
+    """Electrical range of theta_1's track, in degrees; the rest of the turn is the dead band."""
     theta_1_zero_deg: float = 176.0
-    """Wiper's place on the track at theta_1 = 0, in degrees."""
+    """Position of the wiper on the track at theta_1 = 0, in degrees."""
     alpha_range_deg: float = 352.0
-    """Electrical range of alpha's track, in degrees; it does not turn on."""
+    """Electrical range of alpha's track, in degrees; the shaft stops at its ends."""
     alpha_zero_deg: float = 176.0
-    """Wiper's place on the track at alpha = 0, in degrees."""
+    """Position of the wiper on the track at alpha = 0, in degrees."""
     theta_1_low_v: float = 0.0
     """Wiper's voltage at the beginning of theta_1's track, in V."""
     theta_1_high_v: float = 5.0
     """Wiper's voltage at the end of theta_1's track, in V."""
     theta_1_reversed: bool = False
-    """The wiper goes towards its track's beginning when theta_1 grows."""
+    """True if the wiper moves towards its track's beginning with increasing theta_1."""
     alpha_low_v: float = 0.0
     """Wiper's voltage at the beginning of alpha's track, in V."""
     alpha_high_v: float = 5.0
     """Wiper's voltage at the end of alpha's track, in V."""
     alpha_reversed: bool = False
-    """The wiper goes towards its track's beginning when alpha grows."""
+    """True if the wiper moves towards its track's beginning with increasing alpha."""
     driver_gain: float = 1.0
-    """Terminal volts for one volt of the duty."""
+    """Terminal voltage per volt of the duty, before `driver_offset_v` is added."""
     driver_offset_v: float = 0.0
-    """Terminal voltage that comes on top of it where the duty is not 0; within 0 to 5 V."""
+    """Voltage added at the terminals if the duty is not 0, in V; the sum stays in 0 to 5 V."""
     queue: int = QUEUE_CAPACITY
-    """Setpoints that it holds in scheduled mode; an Uno has room for 256."""
+    """Capacity of the queue in scheduled mode, in setpoints; an Uno has 256."""
     supply_v: float = 5.0
-    """Its supply, in V; below 4 V it does not drive the motor."""
+    """Supply voltage, in V; below 4 V, the device does not drive the motor."""
     brown_out_s: float = 0.0
-    """Time after which its supply is 3.5 V, in s; 0 is never."""
+    """Time after which the supply drops to 3.5 V, in s; 0 for no drop."""
     arm_removed: bool = False
-    """The rotating part is taken off."""
+    """True if the rotating part is removed."""
     coulomb_nm: float = 0.0
-    """Coulomb friction of the chassis, in Nm; 0 is none."""
+    """Coulomb friction of the chassis, in Nm; 0 for no friction."""
     stiffening: float = 0.0
-    """Cubic part of the spring, in Nm/rad³; 0 is none."""
+    """Cubic part of the spring, in Nm/rad³; 0 for a linear spring."""
     arm: dict[str, float] = {}
-    """Parameters of the arm that differ from the handout's, by name; b_1 is viscous friction."""
+    """Parameters of the arm other than the handout's values, by name; b_1 is viscous friction."""
 
     def __post_init__(self) -> None:
         """Refuse a value out of its range."""
@@ -128,16 +128,16 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
                 raise InputError(f"{key}={getattr(self, key)!r} must be one of {allowed}")
         if self.alpha_zero_deg > self.alpha_range_deg:
             raise InputError(
-                f"alpha_zero_deg={self.alpha_zero_deg!r} must lie on the track, "
+                f"alpha_zero_deg={self.alpha_zero_deg!r} must be on the track, "
                 f"from 0 to alpha_range_deg={self.alpha_range_deg!r}"
             )
         if self.arm:
             self.arm_parameters()
 
     def arm_parameters(self) -> ArmParameters:
-        """Return the handout's parameters with those of `arm` in their place."""
-        # Here, not above: the daemon's configuration holds these settings, and its loop, which
-        # reads it, must not load scipy for an arm that it does not know.
+        """Return the handout's parameters, overridden by `arm`."""
+        # Imported here: the daemon's configuration contains these settings, and the loop, which
+        # reads the configuration, must not load scipy.
         from armrig_core.arm import ArmParameters
 
         allowed = ArmParameters.__dataclass_fields__
@@ -159,12 +159,12 @@ class _File(msgspec.Struct, frozen=True, kw_only=True):
 def load(path: Path) -> EmulatorSettings:
     """Return the settings in the table `[emulator]` of the TOML at `path`.
 
-    Other tables are ignored; a key that is left out has its default.
+    Other tables are ignored; a missing key has its default.
 
     Raises
     ------
     InputError
-        The file cannot be read, is no TOML, or holds a key or value that is not allowed.
+        The file cannot be read, is not TOML, or contains a key or value that is not allowed.
     """
     try:
         tables = read_toml(path, CONFIGURATION_LIMIT)

@@ -1,4 +1,4 @@
-"""A Unix socket as the device's line: opened, reset and closed as a serial port is."""
+"""A Unix socket as the device's line, with the opening, reset and closing of a serial port."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Final
 
-from armrig_core.emulator_socket import folder_fault, is_socket, lock_path, peer_fault
-from armrig_core.errors import OperationError
+from armrig_core.emulator_socket import is_socket, lock_path, require_safe_folder, stranger
+from armrig_core.errors import InputError, OperationError
 from armrig_core.waiting import Waiter
 
 from armrig_daemon.emulator.line import Line
 
-_MOST_WAITING: Final = 8
-"""Connections that wait to be accepted, at most; the kernel refuses more."""
+_MAX_PENDING_CONNECTIONS: Final = 8
+"""Largest number of connections that wait to be accepted; the kernel refuses more."""
 
 
 class SocketLine(Line):
-    """A listening Unix socket, and the one connection that has the port open."""
+    """A listening Unix socket, and the connection of the program that has the port open."""
 
     def __init__(self, path: Path, stack: ExitStack) -> None:
-        """Make a socket that `offer` puts at `path`; `stack` closes it."""
+        """Create a socket, which `offer` places at `path`; `stack` closes the socket."""
         super().__init__()
         self._path = path
         kind = socket.SOCK_STREAM | socket.SOCK_NONBLOCK
@@ -32,21 +32,23 @@ class SocketLine(Line):
         stack.callback(self._close)
 
     def offer(self, port: Path, stack: ExitStack) -> None:
-        """Make the socket in one step, in place of one at which no emulator answers."""
+        """Create the socket in one step; replace a socket at which no emulator answers."""
         path = self._path
-        if fault := folder_fault(path):
-            raise OperationError(f"{port}: {fault}")
+        try:
+            require_safe_folder(path)
+        except InputError as err:
+            raise OperationError(f"{port}: {err}") from err
         if fault := _occupied(path):
             raise OperationError(f"{port}: {fault}; choose another --port")
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         os.close(os.open(lock_path(path), flags, 0o600))
         folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         stack.callback(os.close, folder)
-        # By the folder's descriptor, for the other name must not be too long where `path` is not.
+        # By the folder's descriptor, because the temporary name may be too long if `path` is not.
         fresh = Path(f"/proc/self/fd/{folder}/.{os.getpid()}")
         self._listener.bind(os.fspath(fresh))
         fresh.chmod(0o600)
-        self._listener.listen(_MOST_WAITING)
+        self._listener.listen(_MAX_PENDING_CONNECTIONS)
         fresh.replace(path)
         inode = path.lstat().st_ino
 
@@ -59,18 +61,18 @@ class SocketLine(Line):
         stack.callback(remove)
 
     def was_opened(self) -> bool:
-        """Return whether somebody opened the port since the last call.
+        """Return whether a program has opened the port since the last call.
 
-        The connection of another user's program is closed at once, and so is a second connection
-        while one program has the port open.
+        Connections of other users' programs are closed at once. While a program has the port open,
+        a second connection is also closed.
         """
         opened = False
-        for _ in range(_MOST_WAITING):
+        for _ in range(_MAX_PENDING_CONNECTIONS):
             try:
                 connection, _ = self._listener.accept()
             except BlockingIOError:
                 break
-            if peer_fault(connection) or (self.connected and not self._is_closed()):
+            if stranger(connection) is not None or (self.connected and not self._is_closed()):
                 connection.close()
                 continue
             self.hang_up()
@@ -81,7 +83,7 @@ class SocketLine(Line):
         return opened
 
     def hang_up(self) -> None:
-        """Close the connection: another program may open the port."""
+        """Close the connection, so that another program may open the port."""
         super().hang_up()
         self._waits_for_room = False
         if self.fd >= 0 and self._waiter is not None:
@@ -89,14 +91,14 @@ class SocketLine(Line):
         self._close()
 
     def drain(self) -> None:
-        """Send what waits, as far as the line takes it; drop it if the port was closed."""
+        """Send the waiting frames as far as possible; discard them if the port was closed."""
         try:
             super().drain()
         except (BrokenPipeError, ConnectionResetError):
             self.backlog.clear()
 
     def watch(self, waiter: Waiter) -> None:
-        """Add the line to a waiter, with the openings of its port."""
+        """Add the line and the openings of its port to a waiter."""
         super().watch(waiter)
         self._watch_connection()
 
@@ -105,7 +107,7 @@ class SocketLine(Line):
             self._waiter.watch_terminal(self.fd)
 
     def _is_closed(self) -> bool:
-        """Return whether the program that had the port open has closed it; its bytes may wait."""
+        """Return whether the program has closed the port; its last bytes may still be unread."""
         poll = select.poll()
         poll.register(self.fd, 0)
         return bool(poll.poll(0))
@@ -117,18 +119,18 @@ class SocketLine(Line):
 
 
 def _occupied(path: Path) -> str:
-    """Return why no socket may be put at `path`, or nothing.
+    """Return the reason why no socket may be created at `path`; "" if it may be created.
 
-    A connection finds out whether an emulator answers; if nobody has its port open, that resets its
-    device.
+    A test connection shows whether an emulator answers. If no program has opened the port of this
+    emulator, the connection resets its device.
     """
     try:
         if not is_socket(path):
-            return "is there and no socket"
+            return "exists and is not a socket"
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
             probe.connect(os.fspath(path))
     except (FileNotFoundError, ConnectionRefusedError):
         return ""
-    except BlockingIOError:  # too many connections wait for it
+    except BlockingIOError:  # too many connections are waiting
         pass
     return "another emulator answers there"

@@ -1,4 +1,4 @@
-"""The timer of scheduled mode (PROTOCOL.md, section 6): when each sample is due, in device ns."""
+"""The timer of scheduled mode (PROTOCOL.md, section 6), in ns of device time."""
 
 from __future__ import annotations
 
@@ -7,29 +7,29 @@ from dataclasses import dataclass
 
 @dataclass(slots=True, kw_only=True)
 class Timer:
-    """Ticks at t_0 + k Ts, each a product and no sum, so that nothing drifts."""
+    """Ticks at t_0 + k Ts; each tick is computed as a product, so that no errors accumulate."""
 
     first_ns: int
     """t_0: trigger of theta_1's conversion in sample 0."""
     period_ns: int
-    """Ts."""
+    """Sampling time Ts."""
     lead_ns: int
-    """The first conversion is triggered this long before theta_1's last."""
+    """Time from the first trigger to the trigger of theta_1's last conversion."""
     hold_ns: int
-    """u is latched this long after theta_1's trigger."""
+    """Time from theta_1's trigger to the latch of u."""
     k_stop: int
-    """Samples to take; 0 is no end."""
+    """Number of samples to take; 0 for a run without an end."""
     k: int = 0
-    """Index of the next sample to be triggered; does not wrap."""
+    """Index of the next sample; it does not wrap."""
 
     @property
     def ends(self) -> bool:
-        """Whether no sample is left: what comes next is the end of the run."""
+        """True if all samples were taken, so that the end of the run is due next."""
         return 0 < self.k_stop <= self.k
 
     @property
     def due_ns(self) -> int:
-        """When the first conversion for sample k is due, or the end of the run."""
+        """Time of the first conversion of sample k, or of the end of the run."""
         tick_ns = self.first_ns + self.k * self.period_ns
-        # The end takes the place of a latch, so that the last input is held for its whole Ts.
+        # The end is due where a latch would be, so that the last input is held for its whole Ts.
         return tick_ns + self.hold_ns if self.ends else tick_ns - self.lead_ns

@@ -1,4 +1,4 @@
-"""The requests that lead from state to state (PROTOCOL.md, sections 3 and 4)."""
+"""The requests that change the state (PROTOCOL.md, sections 3 and 4)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from armrig_daemon.emulator.timer import Timer
 
 
 def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
-    """Take a configuration, or say why not."""
+    """Accept a configuration, or refuse it with a code."""
     code = Code.WRONG_STATE
     if fw.state is State.IDLE or fw.state is State.READY:
         code = check_config(m, ts_min_us=fw.hardware.ts_min_us, skew_us=fw.hardware.skew_us)
@@ -43,7 +43,7 @@ def config(fw: Firmware, now_ns: int, m: Config) -> list[Message]:
 
 
 def arm(fw: Firmware, now_ns: int, m: Arm) -> list[Message]:
-    """Bind the device to the host that knows this boot, this configuration and its nonce."""
+    """Arm the device if the host sends the current boot id, configuration CRC and nonce."""
     if fw.state is not State.READY or fw.cal is not None:
         code = Code.WRONG_STATE
     elif m.boot_id != fw.boot_id:
@@ -60,7 +60,7 @@ def arm(fw: Firmware, now_ns: int, m: Arm) -> list[Message]:
 
 
 def start(fw: Firmware, now_ns: int, m: Start) -> list[Message]:
-    """Let the motor have u_rest, and in scheduled mode the timer run."""
+    """Apply u_rest to the motor; in scheduled mode start the timer."""
     if fw.state is not State.ARMED or fw.config is None:
         return [fw.answer(TYPES[Start], m.seq, Code.WRONG_STATE)]
     if m.nonce != fw.nonce:
@@ -88,7 +88,7 @@ def _timer(fw: Firmware, now_ns: int, period_ns: int, k_stop: int) -> Timer:
 
 
 def stop(fw: Firmware, now_ns: int, m: Stop) -> list[Message]:
-    """End what is going on."""
+    """Return to IDLE from every state except FAULT and ESTOP."""
     if fw.state in (State.FAULT, State.ESTOP):
         return [fw.answer(TYPES[Stop], m.seq, Code.WRONG_STATE)]
     if fw.state is State.IDLE:
@@ -97,7 +97,7 @@ def stop(fw: Firmware, now_ns: int, m: Stop) -> list[Message]:
 
 
 def clear_fault(fw: Firmware, now_ns: int, m: ClearFault) -> list[Message]:
-    """Leave FAULT or ESTOP, for who knows the token."""
+    """Leave FAULT or ESTOP if the host sends the token."""
     if fw.state not in (State.FAULT, State.ESTOP):
         return [fw.answer(TYPES[ClearFault], m.seq, Code.WRONG_STATE)]
     if m.token != fw.token:
@@ -106,13 +106,13 @@ def clear_fault(fw: Firmware, now_ns: int, m: ClearFault) -> list[Message]:
 
 
 def estop(fw: Firmware, now_ns: int, m: Estop) -> list[Message]:
-    """Latch 0 V."""
+    """Enter ESTOP, which latches 0 V."""
     if fw.state is State.ESTOP:
         return [fw.answer(TYPES[Estop], m.seq, Code.OK)]
     return _transition(fw, now_ns, m, State.ESTOP)
 
 
 def _transition(fw: Firmware, now_ns: int, m: Message, state: State) -> list[Message]:
-    """Return ACK(OK) and the EVENT, in the order in which they leave."""
+    """Return ACK(OK) and the EVENT, in the order of sending."""
     event = fw.enter(now_ns, state, Cause.REQUEST)
     return [fw.answer(TYPES[type(m)], m.seq, Code.OK), event]

@@ -1,4 +1,4 @@
-"""Time on the wire: ten bits a byte, one byte after the other."""
+"""Times of bytes on the wire: ten bits per byte, one byte at a time."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ BITS_PER_BYTE = 10  # 8N1: start bit, eight data bits, stop bit
 
 
 def wire_ns(n_bytes: int, baud: int) -> int:
-    """Return how long `n_bytes` take at `baud`, in ns; 0 for baud 0, a wire that takes no time."""
+    """Return the time of `n_bytes` at `baud`, in ns; baud 0 is a wire that takes no time."""
     return n_bytes * BITS_PER_BYTE * 1_000_000_000 // baud if baud else 0
 
 
 def departure_ns(free_ns: int, now_ns: int, n_bytes: int, baud: int) -> int:
-    """Return when the last of `n_bytes` has left, on a wire that is busy until `free_ns`."""
+    """Return the end time of the last of `n_bytes` on a wire that is busy until `free_ns`."""
     return max(free_ns, now_ns) + wire_ns(n_bytes, baud)
 
 
 def arrivals(free_ns: int, now_ns: int, data: bytes, baud: int) -> list[tuple[int, bytes]]:
-    """Return the pieces of `data` that end in 00 (and the rest), each with its last byte's arrival.
+    """Return the pieces of `data`, each up to a 00, and the rest, with their arrival times.
 
-    The wire is busy until `free_ns`; the last arrival is when it is free again.
+    The arrival time of a piece is that of its last byte. The wire is busy until `free_ns`, and free
+    again at the last arrival time.
     """
     start_ns = max(free_ns, now_ns)
     pieces: list[tuple[int, bytes]] = []

@@ -1,7 +1,8 @@
-"""The firmware's binary on a simulated Uno, with the arm on its pins.
+"""The firmware's binary on a simulated Uno, with the arm at its pins.
 
-It is driven as `device` is: time is given, in integer nanoseconds, and never goes back. Beside the
-bytes it has only what a real board has, its pins: the voltage is measured at the PWM pin.
+It has the interface of `device`: time is an argument, in integer nanoseconds, and never decreases.
+Like a real board, the simulated board has only its line and its pins, so the voltage is measured at
+the PWM pin.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ from armrig_daemon.emulator.uart import wire_ns
 ADC_BITS: Final = 10
 THETA_1, ALPHA = 0, 1
 OPTIBOOT_NS: Final = 1_000_000_000
-"""How long a boot loader hears nothing of what is for the program."""
-LIVELY_NS: Final = 20_000_000
-"""So long after a byte another one is looked for often."""
-OFTEN_NS, SELDOM_NS = 250_000, 2_000_000
+"""Time for which a boot loader passes no bytes to the program, in ns."""
+ACTIVE_NS: Final = 20_000_000
+"""Time after a byte during which the simulation is polled at the short interval, in ns."""
+ACTIVE_POLL_NS, IDLE_POLL_NS = 250_000, 2_000_000
 Stuck = Callable[[int, int], int | None]
-"""Reading of a converter that is stuck, given the time and the channel; None where it is not."""
+"""Function of time and channel; returns the reading of a stuck converter, None if it works."""
 
 
 class Uno:
-    """A board with its firmware, and an arm that moves."""
+    """A simulated board with its firmware and a moving arm."""
 
     def __init__(
         self,
@@ -50,16 +51,17 @@ class Uno:
         boot_loader: bool = False,
         trace: Path | None = None,
     ) -> None:
-        """Switch it on.
+        """Switch the board on.
 
         Parameters
         ----------
         program, image : Path
-            The harness, and the firmware as Intel HEX.
+            Path of the harness, and of the firmware as Intel HEX.
         settings : EmulatorSettings
-            The arm, its sensors and the speed of the line; the board's own are the binary's.
+            Settings of the arm, its sensors and the line's speed; the binary determines the others.
         boot_loader : bool, default False
-            A reset by the port ends in Optiboot, which is deaf for a second and clears MCUSR.
+            True if a reset by the port starts Optiboot, which ignores bytes for a second and clears
+            MCUSR.
         trace : Path, optional
             VCD file for the two pins.
         """
@@ -76,24 +78,24 @@ class Uno:
         self.harness = Harness(program, image, baud=settings.baud, trace=trace)
         finalize(self, self.harness.close)
         self.state = State.BOOT
-        """As the newest frame tells."""
+        """State in the newest frame."""
         self.cause = Cause.POWER_ON
-        """As the newest EVENT tells."""
+        """Cause in the newest EVENT."""
         self.violations: list[Violated] = []
         self._pins = Pins(self.violations.append)
         self.stuck: Stuck = lambda t_ns, channel: None
 
     @property
     def duties(self) -> list[Duty]:
-        """What was measured at the pin since it was switched on, changes only."""
+        """Changes of the pin since power-on."""
         return self._pins.duties
 
     def close(self) -> None:
-        """Switch it off."""
+        """Switch the board off."""
         self.harness.close()
 
     def ns(self, cycle: int) -> int:
-        """Return when a cycle ends, in given time."""
+        """Return the given time at the end of a cycle."""
         return self._origin_ns - (-cycle * 1000 // CYCLES_PER_US)
 
     def cycle(self, now_ns: int) -> int:
@@ -101,7 +103,7 @@ class Uno:
         return (now_ns - self._origin_ns) * CYCLES_PER_US // 1000
 
     def reset(self, now_ns: int) -> None:
-        """Reset the processor, as opening the port of an Uno does; what is on the wires is lost."""
+        """Reset the processor, like the opening of an Uno's port; bytes on the wires are lost."""
         self.advance(now_ns)
         self._frame.clear()
         self._line_free_ns = now_ns
@@ -110,30 +112,31 @@ class Uno:
         self.state, self.cause = State.BOOT, Cause.POWER_ON
 
     def receive(self, now_ns: int, data: bytes) -> None:
-        """Put bytes on the wire to the device; they arrive one after the other from `now_ns` on."""
+        """Put bytes on the wire to the device; they arrive one by one from `now_ns` on."""
         self._line_free_ns = max(self._line_free_ns, now_ns) + wire_ns(len(data), self._baud)
         self._byte_ns = self._line_free_ns
         self.harness.send(self.cycle(now_ns), data)
         self._pins.send(self.harness.cycle, data)
 
     def rx_backlog_ns(self, now_ns: int) -> int:
-        """Return how long the bytes given so far still occupy the wire to the device."""
+        """Return the time for which the bytes so far still occupy the wire to the device, in ns."""
         return max(0, self._line_free_ns - now_ns)
 
     def visible_ns(self) -> int:
-        """Return when to look again: nobody can know when the program will send."""
+        """Return the time of the next poll; the time of the program's next byte is unknown."""
         now_ns = self.ns(self.harness.cycle)
-        return now_ns + (OFTEN_NS if now_ns - self._byte_ns < LIVELY_NS else SELDOM_NS)
+        is_active = now_ns - self._byte_ns < ACTIVE_NS
+        return now_ns + (ACTIVE_POLL_NS if is_active else IDLE_POLL_NS)
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Let time pass; return frames, each with its last byte's departure."""
+        """Advance to a time; return the sent frames, each with the time of its last byte."""
         self._run(now_ns, until_frame=False)
         frames = list(self._frames)
         self._frames.clear()
         return frames
 
     def advance_until(self, limit_ns: int) -> tuple[int, list[tuple[int, bytes]]]:
-        """Let time pass up to `limit_ns` or to a frame; return the time that it is then, and it."""
+        """Advance to `limit_ns` or to a frame; return the time and the sent frames."""
         self._run(limit_ns, until_frame=True)
         frames = list(self._frames)
         self._frames.clear()
@@ -170,7 +173,7 @@ class Uno:
                 self.cause = Cause(message.cause)
 
     def _apply(self, duty: Duty) -> None:
-        """Give the motor what was measured; a period is over when it is known."""
+        """Apply the measured duty to the motor; the duty is known at the end of its period."""
         self._pins.measure(duty)
         self.board.drive(self.ns(duty.cycle), duty.high / PERIOD, self.state, self.cause)
 

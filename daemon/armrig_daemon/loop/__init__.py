@@ -1,1 +1,1 @@
-"""The process that drives the rig: it does, and decides nothing."""
+"""The process that drives the rig: it carries out the decisions of the core."""

@@ -1,4 +1,4 @@
-"""The last word to a device whose daemon has died: ESTOP, three times, and what it answers."""
+"""ESTOP for a device whose daemon has died: sent three times, with a check of the answer."""
 
 from __future__ import annotations
 
@@ -14,40 +14,40 @@ from armrig_protocol.messages import State as DeviceState
 from armrig_daemon.loop.link import Link, TakenPortError, open_link
 
 WITHIN_S = 0.5
-"""How long all of it may take, in s."""
-_FREE_S = 0.2  # a daemon that is dying gives its port back within milliseconds
-_TIMES = 3  # PROTOCOL.md, section 9, ESTOP
-_APART_S = 0.02  # a burst that spoils one frame does not spoil them all
-_LOOK_S = 0.01
+"""Longest time of the whole call, in s."""
+_PORT_WAIT_S = 0.2  # a dying daemon releases its port within milliseconds
+_ESTOP_COUNT = 3  # PROTOCOL.md, section 9, ESTOP
+_SPACING_S = 0.02  # a burst of noise that spoils one frame does not spoil them all
+_POLL_S = 0.01
 
 
 def estop(port: str, baud: int) -> bool:
-    """Send ESTOP three times; return whether the device said that it has stopped.
+    """Send ESTOP three times; return whether the device reported that it has stopped.
 
-    A device that is reset by the opening of its port is at 0 V by that, throws away what comes
-    while it boots, and is sent ESTOP three times more when it says that it has booted.
+    Opening the port may reset the device. A reset device is at 0 V and discards all bytes that
+    arrive while it boots. When it reports that it has booted, ESTOP is sent three more times.
 
-    Of a daemon that holds the port nothing is taken and nothing is disturbed: not a byte is sent.
+    If a daemon has opened the port, no byte is sent and the daemon is not disturbed.
 
     Raises
     ------
     LinkError
-        The port cannot be opened, or takes no bytes; `TakenPortError` where another holds it.
+        The port cannot be opened or written; `TakenPortError` if another program has opened it.
     """
     until_s = time.monotonic() + WITHIN_S
-    link = _opened(port, baud, time.monotonic() + _FREE_S)
+    link = _opened(port, baud, time.monotonic() + _PORT_WAIT_S)
     try:
         pending, has_to_hear, seq = b"", True, 0
         while (now_s := time.monotonic()) < until_s:
-            last = seq + _TIMES if has_to_hear else seq
+            last = seq + _ESTOP_COUNT if has_to_hear else seq
             heard = []
             while seq < last:
-                # Begun by a 00: what another sender has left half said is then no part of it.
+                # The 00 first ends an unfinished frame of another sender.
                 link.write(b"\0" + encode(Estop(0, seq)))
                 seq += 1
-                pending, messages = _hear(link, pending, time.monotonic() + _APART_S)
+                pending, messages = _hear(link, pending, time.monotonic() + _SPACING_S)
                 heard += messages
-            pending, messages = _hear(link, pending, min(until_s, now_s + _LOOK_S))
+            pending, messages = _hear(link, pending, min(until_s, now_s + _POLL_S))
             heard += messages
             if any(message.state == DeviceState.ESTOP for message in heard):
                 return True
@@ -58,16 +58,16 @@ def estop(port: str, baud: int) -> bool:
 
 
 def _opened(port: str, baud: int, until_s: float) -> Link:
-    """Open the port; one that is taken is tried again for a while."""
+    """Open the port; try again for a while if another program holds it."""
     while time.monotonic() < until_s:
         with contextlib.suppress(TakenPortError):
             return open_link(port, baud)
-        time.sleep(_LOOK_S)
+        time.sleep(_POLL_S)
     return open_link(port, baud)
 
 
 def _hear(link: Link, pending: bytes, until_s: float) -> tuple[bytes, list[Message]]:
-    """Return what is left over, and what the device has said by then."""
+    """Return the bytes of an unfinished frame, and the messages that arrive until `until_s`."""
     heard: list[Message] = []
     while (left_s := until_s - time.monotonic()) > 0:
         if select.select([link.fd], [], [], left_s)[0] or link.has_rest:

@@ -1,11 +1,12 @@
-"""The line to the device, read and written without ever waiting.
+"""The line to the device, read and written without waiting.
 
-A serial port is opened by pyserial. An emulated rig may have a Unix socket in its place.
+pyserial opens a serial port. An emulated rig may have a Unix socket instead.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import socket
@@ -15,36 +16,36 @@ from typing import Final
 
 import serial
 from armrig_core.emulator_socket import (
-    folder_fault,
     is_socket,
     lock_path,
-    peer_fault,
+    require_safe_folder,
     socket_path,
+    stranger,
 )
-from armrig_core.errors import ArmrigError
+from armrig_core.errors import ArmrigError, InputError
 from armrig_core.waiting import TERMINAL_BYTES, Waiter
 
 READ = 2048
-"""Bytes handed on at once: with what is sent for them they fit into one record of the pipe."""
+"""Largest number of bytes read in a step; with the frames sent in answer, they fit one record."""
 SEND_BUFFER_BYTES: Final = 1 << 16
-"""SO_SNDBUF of a socket, in bytes: room for 171 frames, each of which takes about 0.75 kB of it.
+"""SO_SNDBUF of a socket, in bytes: room for 171 frames, which occupy about 0.75 kB each.
 
-At Ts 0.5 ms an exchange sends 100 frames in the 50 ms after which S4 ends it. More room would only
-give the device more old frames.
+At Ts 0.5 ms, exchange mode sends 100 unanswered frames in the 50 ms until S4 stops the motor. With
+more room, the device would only receive more old frames.
 """
 
 _TAKEN = (
-    "it is taken by another program, maybe another rig's daemon; end that one, or give "
+    "it is taken by another program, maybe another rig's daemon; end that program, or give "
     "this rig a port of its own"
 )
 
 
 class LinkError(ArmrigError, OSError):
-    """The port cannot be opened or is gone; says which and why."""
+    """The port cannot be opened or is gone; the message names the port and the reason."""
 
 
 class NoPortError(LinkError):
-    """There is no such port: the rig may not be plugged in yet."""
+    """The port does not exist: the rig may not be plugged in yet."""
 
 
 class TakenPortError(LinkError):
@@ -57,8 +58,8 @@ def open_link(port: str, baud: int) -> Link:
     Raises
     ------
     LinkError
-        The port cannot be opened; `NoPortError` if it is not there, `TakenPortError` if another
-        program holds it.
+        The port cannot be opened; `NoPortError` if it does not exist, `TakenPortError` if another
+        program has opened it.
     """
     try:
         path = socket_path(port)
@@ -68,25 +69,25 @@ def open_link(port: str, baud: int) -> Link:
 
 
 class Link:
-    """An open port. Each failure of it is a `LinkError`.
+    """Open port. Each failure of the port raises a `LinkError`.
 
-    Reading takes all that the terminal holds, in one call: another one would find it empty, and on
-    an empty terminal the kernel waits for its worker before it says so.
+    A single call reads all bytes of the terminal. A second call would find the terminal empty. The
+    kernel returns from a read of an empty terminal only after its worker has run.
     """
 
     def __init__(self, port: str, baud: int) -> None:
-        """Open `port` for us alone."""
+        """Open `port` exclusively."""
         try:
             self._serial = serial.Serial(
                 port, baudrate=baud, timeout=0, write_timeout=0, exclusive=True
             )
-            _tell_nothing_from_the_end(self._serial.fileno())
+            _distinguish_empty_from_end(self._serial.fileno())
         except (OSError, ValueError, termios.error) as err:
             kind, reason = _reason(port, err)
             raise kind(f"{port} cannot be opened: {reason}") from err
         self._begin(port, self._serial.fileno())
         with contextlib.suppress(OSError, ValueError, termios.error, NotImplementedError):
-            # Best effort: a pseudo-terminal has no such mode, and needs none.
+            # Best effort: a pseudo-terminal has no low-latency mode, and needs none.
             self._serial.set_low_latency_mode(True)
 
     def _begin(self, port: str, fd: int) -> None:
@@ -100,11 +101,11 @@ class Link:
 
     @property
     def has_rest(self) -> bool:
-        """Whether bytes were read that `read` has not returned yet."""
+        """True if `read` has not returned all received bytes yet."""
         return bool(self._rest)
 
     def read(self) -> bytes:
-        """Return bytes that are there, at most `READ`, the oldest first."""
+        """Return the received bytes, at most `READ`, the oldest first."""
         data = self._rest or self._read_terminal()
         self._rest = data[READ:]
         return data[:READ]
@@ -121,7 +122,7 @@ class Link:
         return data
 
     def write(self, data: bytes) -> None:
-        """Send all of `data`, or fail: a frame is never left half sent in silence."""
+        """Send all of `data`, or raise LinkError: half a frame is always reported."""
         try:
             sent = os.write(self.fd, data)
         except BlockingIOError:
@@ -138,13 +139,14 @@ class Link:
 
 
 class SocketLink(Link):
-    """An open socket of an emulated rig, whose bytes no kernel worker carries.
+    """Open socket of an emulated rig; its bytes need no worker of the kernel.
 
-    One program at a time opens it, as it does a port, and the opening resets the device.
+    As with a port, only one program at a time can open the socket, and the opening resets the
+    device.
     """
 
     def __init__(self, port: str, path: Path) -> None:
-        """Open the socket at `path` for us alone."""
+        """Open the socket at `path` exclusively."""
         with contextlib.ExitStack() as stack:
             try:
                 connection = _connected(path, stack)
@@ -155,7 +157,7 @@ class SocketLink(Link):
         self._begin(port, connection.fileno())
 
     def watch(self, waiter: Waiter) -> None:
-        """Add the socket to a waiter, by level: to look at a socket never waits."""
+        """Add the socket to a waiter, level-triggered, because a query of a socket never waits."""
         waiter.watch(self.fd)
 
     def close(self) -> None:
@@ -164,11 +166,13 @@ class SocketLink(Link):
 
 
 def _connected(path: Path, stack: contextlib.ExitStack) -> socket.socket:
-    """Lock the port and connect to its emulator; `stack` closes first the socket, then the lock."""
-    if fault := folder_fault(path):
-        raise LinkError(fault)
+    """Lock the port and connect to its emulator; `stack` first closes the socket, then the lock."""
+    try:
+        require_safe_folder(path)
+    except InputError as err:
+        raise LinkError(str(err)) from err
     if not is_socket(path):
-        raise LinkError("it is no socket; give that of an emulator")
+        raise LinkError("it is no socket; give the socket of an emulator")
     lock = os.open(lock_path(path), os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     stack.callback(os.close, lock)
     try:
@@ -179,13 +183,15 @@ def _connected(path: Path, stack: contextlib.ExitStack) -> socket.socket:
     stack.enter_context(connection)
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
     connection.connect(os.fspath(path))
-    if fault := peer_fault(connection):
-        raise LinkError(fault)
+    if (uid := stranger(connection)) is not None:
+        raise LinkError(
+            f"a program of another user (uid {uid}) answers; start the emulator as this user"
+        )
     return connection
 
 
-def _tell_nothing_from_the_end(fd: int) -> None:
-    """Have a read of a line with nothing on it fail with EAGAIN; pyserial has it give 0 bytes."""
+def _distinguish_empty_from_end(fd: int) -> None:
+    """Make a read of an empty line fail with EAGAIN; pyserial's setting returns 0 bytes."""
     attributes = termios.tcgetattr(fd)
     attributes[6][termios.VMIN] = 1
     termios.tcsetattr(fd, termios.TCSANOW, attributes)
@@ -218,11 +224,13 @@ def _reason(port: str, err: Exception) -> tuple[type[LinkError], str]:
             NoPortError,
             "it is not there; plug the rig in, or give its port as [device] port",
         )
-    text = str(err).lower()
-    if not Path(port).is_char_device() or "inappropriate ioctl" in text:
-        return LinkError, "it is no serial port; give that of the rig, such as /dev/ttyACM0"
-    if "exclusively lock" in text or "busy" in text:
+    # pyserial passes on the errno of opening and locking; the errno of termios is in the context.
+    unset = err if isinstance(err, termios.error) else err.__context__
+    number = unset.args[0] if isinstance(unset, termios.error) else getattr(err, "errno", None)
+    if not Path(port).is_char_device() or number == errno.ENOTTY:
+        return LinkError, "it is no serial port; give the rig's port, such as /dev/ttyACM0"
+    if number in (errno.EAGAIN, errno.EBUSY):
         return TakenPortError, _TAKEN
-    if "permission" in text:
+    if number in (errno.EACCES, errno.EPERM):
         return LinkError, "not permitted; add this user to the group of the port (dialout)"
     return LinkError, str(err).splitlines()[0]

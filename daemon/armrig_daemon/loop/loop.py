@@ -1,7 +1,7 @@
-"""The loop: at each tick one exchange with the device, as the core decides.
+"""The loop: at each tick it exchanges frames with the device, as the core decides.
 
-It waits for its next deadline and for the device's answer, and for nothing else. It knows no
-device, no clock and no pipe: those are its `Ports`.
+The loop waits only for its next deadline, for events and for the device's answer. It accesses the
+device, the clock and the pipes through its `Ports`.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from armrig_protocol.messages import Flag
 from armrig_daemon.decisions import step
 from armrig_daemon.decisions.state import (
     Action,
-    Beat,
     Emit,
     Event,
     Exit,
     Ordered,
     Publish,
-    Repace,
     RoundTrip,
     Rules,
     Send,
+    SetPeriod,
     State,
     Tick,
+    Wakeup,
 )
 from armrig_daemon.decisions.trace import VERSION, Chunk, Trace
 from armrig_daemon.loop.meter import Meter, clock_record
@@ -34,10 +34,10 @@ from armrig_daemon.pipe import Trace as TraceRecord
 
 
 class Loop:
-    """One rig's loop; `run` returns when the core wants to exit."""
+    """Loop of one rig; `run` returns when the core exits."""
 
     def __init__(self, rules: Rules, ports: Ports) -> None:
-        """Start with the first tick one period from now."""
+        """Set the first tick to one period from now."""
         self.ports = ports
         self.state: State = step.start(rules)
         self.ended = False
@@ -47,19 +47,19 @@ class Loop:
         self._outbox = Outbox(ports)
         self._meter = Meter(now)
         self._trace: Trace | None = None
-        self._late: list[Event] = []  # orders that came with a deadline that was missed
+        self._late: list[Event] = []  # orders that came together with a missed deadline
 
     def run(self) -> None:
-        """Tick until the core wants to exit."""
+        """Perform ticks until the core exits."""
         while not self.ended:
             self.turn()
 
     def turn(self) -> None:
-        """Serve what comes until the next tick is due, and tick."""
+        """Handle events until the next tick is due, then perform the tick."""
         due = self._pace.due_ns(self._k)
         until = due - self.ports.margin_ns
         now = self._serve_until(until, due)
-        # Else the pace has changed meanwhile, or it is over.
+        # Otherwise the pace has changed meanwhile, or the loop has ended.
         if not self.ended and now >= until:
             self._tick(due)
         if self._late and not self.ended:
@@ -67,7 +67,7 @@ class Loop:
             self._step(self.ports.now_ns(), late)
 
     def _serve_until(self, until_ns: int, due_ns: int) -> int:
-        """Take what comes, and wake for the core's own times, until shortly before the tick."""
+        """Handle events, and wake at the core's own times, until shortly before the tick."""
         pace, ports = self._pace, self.ports
         now = ports.now_ns()
         while now < until_ns and not self.ended and self._pace is pace:
@@ -75,13 +75,13 @@ class Loop:
             events = ports.wait(until_ns if wake > until_ns else max(wake, now))
             now = ports.now_ns()
             if now >= due_ns:
-                # The tick first: after a pause it trips, and orders of before it are refused.
+                # The tick goes first: after a pause it trips, and earlier orders are refused.
                 self._late = [e for e in events if isinstance(e, Ordered)]
                 events = [e for e in events if not isinstance(e, Ordered)]
             if events:
                 self._step(now, events)
             elif now >= wake:
-                self._step(now, [Beat()])
+                self._step(now, [Wakeup()])
         return now
 
     def _tick(self, due_ns: int) -> None:
@@ -108,7 +108,7 @@ class Loop:
         failures = [f for action in actions if (f := self._do(action, now_ns)) is not None]
         if trace is not None and trace is self._trace:
             self._put_trace(trace.full(), now_ns)
-        if failures:  # behind all that was decided before: what is told last is what is so
+        if failures:  # after all earlier decisions, so that the last report is the current state
             self._step(now_ns, failures)
 
     def _put_trace(self, chunks: list[Chunk], now_ns: int) -> None:
@@ -119,13 +119,13 @@ class Loop:
             self._outbox.put(record)
 
     def _do(self, action: Action, now_ns: int) -> Event | None:
-        """Do what the core has decided; return what is wrong with the line, if anything is."""
+        """Carry out an action of the core; return the failure of the line, if any."""
         match action:
             case Send():
                 return self.ports.write(action.data)
             case Publish():
                 self._outbox.put_sample(action.sample)
-                # Outside a run the host asks, also of a device that is to pace one.
+                # Outside a run the host requests the samples, even if the device will pace the run.
                 is_run = action.sample.flags & Flag.RUN
                 ts_ns = self.state.ts_us * 1000 if is_run else self._pace.period_ns
                 self._meter.sampled(action.sample, ts_ns)
@@ -143,7 +143,7 @@ class Loop:
                     self._trace = Trace(self.state)
                 elif isinstance(action.record, RunEnded):
                     self.ports.tidy()
-            case Repace():
+            case SetPeriod():
                 self._k = action.k
                 self._pace = change(self._pace, self._k, action.period_us * 1000, now_ns)
                 self._meter.forget_device()

@@ -1,4 +1,4 @@
-"""What the loop's timing was, second by second."""
+"""Statistics of the loop's timing, for each second."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _SECOND_NS = 1_000_000_000
 
 
 class Meter:
-    """What the timing was, second by second."""
+    """Histograms of the current second of the loop's timing."""
 
     def __init__(self, now_ns: int) -> None:
-        """Begin the first second now."""
+        """Start the first second now."""
         self._begin(now_ns)
         self._device: tuple[int, int, int] | None = None
 
@@ -33,22 +33,22 @@ class Meter:
         self._trip.add(round_trip_ns)
 
     def queued(self, depth: int) -> None:
-        """Count how many setpoints the device held."""
+        """Count a value of the number of setpoints in the device's queue."""
         self._queue.add(depth)
 
     def sampled(self, sample: Sample, ts_ns: int) -> None:
-        """Count how far the device was from its period."""
+        """Count a deviation of the device's sampling interval from its period."""
         last, self._device = self._device, (sample.k, sample.t_device_us, ts_ns)
         if last is not None and sample.k > last[0] and ts_ns == last[2]:
             apart_ns = (sample.t_device_us - last[1]) * 1000
             self._error.add(abs(apart_ns - (sample.k - last[0]) * ts_ns))
 
     def forget_device(self) -> None:
-        """Do not compare across a change of the period."""
+        """Forget the last sample, so that no interval includes a change of the period."""
         self._device = None
 
     def each_second(self, now_ns: int, collections: int) -> Timing | None:
-        """Return the statistics once a second, the garbage collections so far among them."""
+        """Return the statistics once a second, with the number of garbage collections so far."""
         if now_ns - self._since_ns < _SECOND_NS:
             return None
         timing = Timing(
@@ -64,7 +64,7 @@ class Meter:
 
 
 def clock_record(clock: ClockMap, now_ns: int) -> Clock | None:
-    """Return what is known of the device's clock, or None where nothing is yet."""
+    """Return the estimate of the device's clock, or None before the first exchange."""
     if not clock.weight:
         return None
     known = estimate(clock)

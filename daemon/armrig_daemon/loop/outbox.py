@@ -1,9 +1,10 @@
-"""What the loop says to the service, through a pipe that it never waits for."""
+"""Records of the loop for the service, through a pipe for which the loop never waits."""
 
 from __future__ import annotations
 
 from collections import deque
 
+from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample, encode_sample
 
 from armrig_daemon.loop.ports import Ports
@@ -19,29 +20,29 @@ from armrig_daemon.pipe import (
     sample_bytes,
 )
 
-MOST_WAITING = 1000
-"""Records that may wait for room in the pipe before those that only inform are dropped."""
+MAX_WAITING_RECORDS = 1000
+"""Number of waiting records from which on records that only inform are dropped."""
 _INFORM = (Log, State, Timing, Clock, Trace)
 
 
 class Outbox:
-    """The way to the service: never waits, keeps the order, and tells what it drops.
+    """Queue of records for the service: the queue never blocks, keeps the order and reports losses.
 
-    Samples that find no room are counted and told as one gap. Records wait for room; where too
-    many wait, those that only inform are dropped and counted.
+    Samples that find no room are counted and reported as one gap. Other records wait for room. If
+    too many records wait, further records that only inform are dropped and counted.
     """
 
     def __init__(self, ports: Ports) -> None:
-        """Start with nothing waiting."""
+        """Start with an empty queue."""
         self._ports = ports
         self._waiting: deque[bytes] = deque()
         self._gap: Gap | None = None
         self._dropped = 0
 
     def put(self, record: Record) -> None:
-        """Hand over a record, now or when there is room."""
+        """Pass on a record, now or when the pipe has room."""
         self.flush()
-        if len(self._waiting) >= MOST_WAITING and isinstance(record, _INFORM):
+        if len(self._waiting) >= MAX_WAITING_RECORDS and isinstance(record, _INFORM):
             self._dropped += 1
             return
         self._close_gap()
@@ -49,7 +50,7 @@ class Outbox:
         self.flush()
 
     def put_sample(self, sample: Sample) -> None:
-        """Hand over a sample, now or never."""
+        """Pass on a sample now, or count it as missing."""
         if self._has_room_after_gap() and self._ports.put(sample_bytes(encode_sample(sample))):
             return
         first = self._gap
@@ -59,29 +60,30 @@ class Outbox:
             t_from_ns=first.t_from_ns if first else sample.t_host_ns,
             t_to_ns=sample.t_host_ns,
             u_held_v=sample.u_applied_v,
-            reason="the service did not keep up",
+            reason=GapCode.SERVICE_LATE.sentence,
+            code=GapCode.SERVICE_LATE,
         )
 
     def flush(self) -> None:
-        """Hand over what waits, as far as there is room."""
+        """Pass on the waiting records as far as the pipe has room."""
         while self._waiting and self._ports.put(self._waiting[0]):
             self._waiting.popleft()
         if self._dropped and not self._waiting:
-            text = f"{self._dropped} messages were dropped: the service did not keep up"
+            text = f"{self._dropped} messages were dropped: {GapCode.SERVICE_LATE.sentence}"
             self._dropped = 0
             self._waiting.append(
                 record_bytes(Log(t_host_ns=self._ports.now_ns(), level="warning", message=text))
             )
 
     def _has_room_after_gap(self) -> bool:
-        """Hand over what came before the next sample; return whether all of it went."""
+        """Pass on the waiting records and the gap; return whether the pipe took all of them."""
         self.flush()
         if self._gap is not None and not self._waiting and self._ports.put(record_bytes(self._gap)):
             self._gap = None
         return not self._waiting and self._gap is None
 
     def _close_gap(self) -> None:
-        """Put the gap in its place: before what comes now."""
+        """Put the gap into the queue, before the next record."""
         if self._gap is not None:
             self._waiting.append(record_bytes(self._gap))
             self._gap = None

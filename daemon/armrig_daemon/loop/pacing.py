@@ -1,4 +1,4 @@
-"""Deadlines of the ticks, absolute, so that nothing adds up."""
+"""Deadlines of the ticks, as absolute times, so that delays do not add up."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ class Pace(NamedTuple):
     k_origin: int
 
     def due_ns(self, k: int) -> int:
-        """Return when tick `k` is due."""
+        """Return the time at which tick `k` is due."""
         return self.origin_ns + (k - self.k_origin) * self.period_ns
 
     def current(self, k: int, now_ns: int) -> int:
-        """Return the tick to do now, where `k` is the next one: `k`, or the newest that is due.
+        """Return the tick to perform now: the newest tick that is due, or `k` if none is due.
 
         Missed ticks are skipped. Catching up in a burst would sample at the wrong times.
         """
@@ -26,9 +26,9 @@ class Pace(NamedTuple):
 
 
 def change(pace: Pace, k: int, period_ns: int, now_ns: int) -> Pace:
-    """Return a pace whose next tick is `k`: in step with the old one where the period is the same.
+    """Return a pace whose next tick is `k`; with an unchanged period the phase stays the same.
 
-    Another period begins with its first tick one period from now.
+    With another period, tick `k` is one period from now.
     """
     if period_ns == pace.period_ns:
         return Pace(period_ns, now_ns + (pace.origin_ns - now_ns) % period_ns, k)

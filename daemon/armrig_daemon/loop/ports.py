@@ -1,4 +1,4 @@
-"""What the loop needs of the world; the product, the tests and the simulator each bring theirs."""
+"""Interface of the loop to the world, for the product, the tests and the simulator."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from armrig_daemon.decisions.state import Event
 
 
 class Ports(Protocol):
-    """Clock, line and pipes of one loop."""
+    """Clock, line and pipes of a loop."""
 
     @property
     def margin_ns(self) -> int:
-        """How long before a deadline `wait` ends and `sleep_until` begins, in ns."""
+        """Time before a deadline at which `wait` ends and `sleep_until` begins, in ns."""
 
     @property
     def collections(self) -> int:
-        """How often garbage was collected, each time a stall."""
+        """Number of garbage collections; each collection stalls the loop."""
 
     def now_ns(self) -> int:
         """Return the monotonic time."""
 
     def sleep_until(self, deadline_ns: int) -> int:
-        """Return at the deadline, as exactly as can be, with the time it then is."""
+        """Wait until the deadline, as exactly as possible; return the current time."""
 
     def wait(self, until_ns: int) -> list[Event]:
-        """Return what came, as soon as anything has, or nothing at `until_ns`."""
+        """Return events as soon as one arrives, or an empty list at `until_ns`."""
 
     def write(self, data: bytes) -> Event | None:
-        """Send bytes to the device; what went wrong is an event."""
+        """Send bytes to the device; return a failure as an event."""
 
     def put(self, text: bytes) -> bool:
-        """Hand one record to the service without waiting; False where the pipe is full."""
+        """Pass one record to the service without waiting; return False if the pipe is full."""
 
     def tidy(self) -> None:
-        """Do what costs time and can wait until no run goes on."""
+        """Perform lengthy work that can wait until the end of a run."""

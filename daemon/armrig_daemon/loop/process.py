@@ -1,6 +1,7 @@
-"""The loop as a program of its own: `python -m armrig_daemon.loop.process FD FD`, by the service.
+"""The loop as a program, which the service starts: `python -m armrig_daemon.loop.process FD FD`.
 
-One Python thread and nothing heavy: it must never wait for the interpreter's lock.
+The program has a single Python thread, so that it never waits for the interpreter's lock. It
+imports no large modules.
 """
 
 from __future__ import annotations
@@ -33,16 +34,16 @@ from armrig_daemon.loop.loop import Loop
 from armrig_daemon.pipe import Host, Log, Quit, record_bytes, take_orders
 
 NO_PORT = 2
-"""Exit code where the port could not be opened; why has been said."""
+"""Exit code if the port could not be opened; the reason has been reported."""
 REOPEN_NS = 500_000_000
 _READ = 65536
-# Woken from the long sleep in `wait` our caches are cold, after a short second one they are not:
-# what it brings and what it costs is in docs/benchmarks.md.
+# After the long sleep in `wait` the processor's caches are cold; after a short second sleep they
+# are not. docs/benchmarks.md states the gain and the cost.
 _MARGIN_NS = 90_000
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
-    """What the service tells this program on its first line of orders."""
+    """Settings that the service passes to this program as an argument."""
 
     rules: Rules
     port: str
@@ -53,15 +54,15 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ProcessPorts:
-    """The ports of the product: the monotonic clock, the serial line, the service's pipes."""
+    """Ports of the product: the monotonic clock, the serial line, the service's pipes."""
 
     def __init__(self, settings: Settings, orders_fd: int, records_fd: int) -> None:
-        """Take the pipes and open the line; one that is not there is waited for, as a lost one is.
+        """Take the pipes and open the line; the loop waits for a missing line as for a lost line.
 
         Raises
         ------
         LinkError
-            The port is taken, not permitted, or no serial port.
+            The port is open in another program, not permitted, or not a serial port.
         """
         self._settings = settings
         self._orders_fd = orders_fd
@@ -84,18 +85,18 @@ class ProcessPorts:
         self.spin_ns = 0
 
     def end_at(self, signals: SignalPipe) -> None:
-        """End in good order at one of these signals."""
+        """Let the core quit as soon as one of these signals arrives."""
         self._signals = signals
         self._waiter.watch(signals.fd)
 
     @property
     def margin_ns(self) -> int:
-        """Return the time of the spin and of a short sleep before it."""
+        """Return the duration of the spin and of a short sleep before it, in ns."""
         return self.spin_ns + _MARGIN_NS
 
     @property
     def collections(self) -> int:
-        """Return how often garbage was collected; it is done between runs, and nowhere else."""
+        """Return the number of garbage collections, which take place only between runs."""
         return sum(generation["collections"] for generation in gc.get_stats())
 
     def now_ns(self) -> int:
@@ -120,7 +121,7 @@ class ProcessPorts:
                 names = (signal.Signals(number).name for number in self._signals.read())
                 events += [Ordered(Quit(reason=name)) for name in names]
             elif self._link is not None:
-                # It is told once: of a line that hung up, what it still held is read before.
+                # Each arrival is reported once. The bytes of a line that hung up are read first.
                 self._is_hung_up = bool(flags & ~EPOLLIN)
                 if events and isinstance(events[0], Received):
                     self._is_unread = True  # a step takes one piece: see `READ`
@@ -139,7 +140,7 @@ class ProcessPorts:
         return None
 
     def put(self, text: bytes) -> bool:
-        """Write one record whole, or not at all: a pipe takes up to 4096 bytes as one."""
+        """Write one record completely or not at all: a pipe accepts 4096 bytes atomically."""
         if self._has_no_reader:
             return False
         try:
@@ -147,17 +148,18 @@ class ProcessPorts:
         except BlockingIOError:
             return False
         except BrokenPipeError:
-            # Not its end: that is told by the orders, which must go on being read for it.
+            # The end of the service is detected at the pipe of the orders, which must therefore
+            # still be read.
             self._has_no_reader = True
             return False
 
     def tidy(self) -> None:
-        """Collect what the last run left behind; the next one shall not stumble over it."""
+        """Collect the garbage of the last run, so that no collection delays the next run."""
         gc.collect()
         gc.freeze()
 
     def stop_hard(self) -> None:
-        """Send ESTOP three times: the loop itself has failed."""
+        """Send ESTOP three times, because the loop itself has failed."""
         if self._link is None:
             return
         with contextlib.suppress(LinkError):
@@ -165,7 +167,7 @@ class ProcessPorts:
                 self._link.write(b"\0" + encode(Estop(0, seq)))
 
     def _open_again(self) -> list[Event]:
-        """Open the line that was lost, where it is time to; say once why it cannot be."""
+        """Try to open a lost line, at intervals; report each reason of a failure once."""
         now = realtime.now_ns()
         if now < self._reopen_ns:
             return []
@@ -192,7 +194,7 @@ class ProcessPorts:
         return [LinkDown(self._reopen_error)]
 
     def _read_again(self) -> list[Event]:
-        """Read on where it was told that there is more, for that is told once."""
+        """Read the remaining bytes of an arrival, because an arrival is reported only once."""
         if self._link is not None and self._link.has_rest:
             return self._read()
         more = self._is_hung_up or self._is_unread
@@ -225,7 +227,7 @@ def _line(level: str, message: str) -> bytes:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the loop on the two pipes that were handed over."""
+    """Run the loop on the two pipes of the arguments."""
     orders_fd, records_fd = (int(text) for text in arguments[:2])
     settings = msgspec.json.decode(arguments[2], type=Settings)
     os.set_blocking(orders_fd, False)
@@ -244,11 +246,11 @@ def main(arguments: list[str]) -> int:
             )
         )
     ports.end_at(SignalPipe())
-    # The end of the pipes may come late: a service that is killed while its disk is slow dies when
-    # the disk has answered, and keeps them open until then.
+    # The end of the pipes may come late: a service that is killed while its disk is slow ends when
+    # the disk has answered, and keeps the pipes open until then.
     realtime.end_with_parent()
     granted = realtime.prepare(settings.priority, settings.cpu)
-    if granted["fifo"]:  # without it a spin only takes the time of who would let us run
+    if granted["fifo"]:  # otherwise a spin only takes time from processes for which the loop waits
         ports.spin_ns = settings.spin_ns
     ports.put(record_bytes(Host(granted=granted)))
     try:

@@ -1,4 +1,4 @@
-"""What the kernel can give a loop: its clock, its priority, its memory kept in place."""
+"""Requests of the loop to the kernel: clock, priority, locked memory."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def now_ns() -> int:
-    """Return the monotonic time, which no one steps."""
+    """Return the monotonic time, which is never stepped."""
     return time.monotonic_ns()
 
 
 def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
-    """Ask the kernel for all that helps, and return what it gave.
+    """Ask the kernel for real-time properties, and return those that it granted.
 
-    Nothing here is needed to run: what is refused is told, with the way to get it.
+    The loop also runs without these properties; each refused property is reported with a remedy.
     """
     _libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     refused = []
@@ -63,8 +63,8 @@ def _set_fifo(priority: int) -> int:
         return _fifo_priority()
     try:
         if _fifo_priority():
-            # systemd has given it. A sandbox with RestrictRealtime= then refuses to ask for the
-            # policy again, but not for another priority of it.
+            # systemd has set the policy. A sandbox with RestrictRealtime= then refuses a request
+            # for the policy, but not a change of its priority.
             os.sched_setparam(0, os.sched_param(priority))
         else:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -74,16 +74,16 @@ def _set_fifo(priority: int) -> int:
 
 
 def _fifo_priority() -> int:
-    """Return the priority at SCHED_FIFO that this process has; 0 where it has another policy."""
+    """Return the priority at SCHED_FIFO that this process has; 0 with another policy."""
     policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
     return os.sched_getparam(0).sched_priority if policy == os.SCHED_FIFO else 0
 
 
-_awake: list[int] = []  # the descriptor must stay open for as long as the wish shall hold
+_awake: list[int] = []  # the request holds while the descriptor is open
 
 
 def _keep_awake() -> bool:
-    """Ask the processors not to sleep so deeply that waking up takes long."""
+    """Keep the processors out of sleep states with a long wake-up time."""
     try:
         fd = os.open("/dev/cpu_dma_latency", os.O_WRONLY | os.O_CLOEXEC)
     except OSError:
@@ -104,18 +104,18 @@ def _pin(cpu: int | None) -> bool:
 
 
 def leave_fifo(but: int | None = None) -> bool:
-    """Go back to the ordinary policy, which children and threads inherit from here on.
+    """Return to the ordinary policy, which later children and threads inherit.
 
     Parameters
     ----------
     but : int, optional
-        Thread that keeps its priority.
+        Id of the thread that keeps its priority.
 
     Returns
     -------
     bool
-        Whether no other thread of this process is at SCHED_FIFO any more: a filter of system calls
-        without sched_setscheduler keeps them there.
+        True if no other thread of this process is at SCHED_FIFO any more. If a filter of system
+        calls forbids sched_setscheduler, the threads stay at SCHED_FIFO.
     """
     for path in Path("/proc/self/task").iterdir():  # such as those of numpy's libraries
         thread = int(path.name)
@@ -126,30 +126,31 @@ def leave_fifo(but: int | None = None) -> bool:
 
 
 def be_prompt(thread: int) -> None:
-    """Give a thread that only waits the least real-time priority, where that is allowed."""
+    """Set a thread that only waits to the lowest real-time priority, if this is permitted."""
     with contextlib.suppress(OSError):
         if os.sched_getscheduler(thread) == os.SCHED_OTHER:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))
 
 
 def end_with_parent(parent: int | None = None) -> None:
-    """Have the kernel end this process, by SIGTERM, when its parent ends.
+    """Let the kernel end this process by SIGTERM when its parent ends.
 
     Parameters
     ----------
     parent : int, optional
-        The process that started this one; it may have ended before this is called.
+        Id of the process that started this process; the parent may already have ended.
     """
     parent = os.getppid() if parent is None else parent
     _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
-    if os.getppid() != parent:  # it ended before we asked
+    if os.getppid() != parent:  # the parent ended before this request
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 def ignore_signals() -> None:
-    """Ignore what ends a process from here on, for one that is at its end.
+    """Ignore further signals that end a process; call this at the end of a process.
 
-    Python gives each signal its default back on its way out: a second one would kill us there.
+    At its exit Python restores the default action of each signal. A second signal would then kill
+    the process.
     """
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

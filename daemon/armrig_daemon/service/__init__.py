@@ -1,1 +1,1 @@
-"""What stands around the loop: publishing, recording, who may command."""
+"""The service around the loop: publishing, recording and permissions."""

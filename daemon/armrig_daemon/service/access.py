@@ -1,4 +1,4 @@
-"""The ways in over a network, from `[access]`: judged before the motor's loop is started."""
+"""Network endpoints of the daemon, from `[access]`; checked before the loop is started."""
 
 from __future__ import annotations
 
@@ -19,45 +19,45 @@ from armrig_daemon.config import Access, Config
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Network:
-    """A way in beside the Unix socket, and who may do what there."""
+    """Network endpoint in addition to the Unix socket, with the permissions of its clients."""
 
     endpoint: str
-    """Where to listen, or the router to connect to."""
+    """Endpoint to listen at, or of the router to connect to."""
     known_by: str
-    """What a name that has asked is that of: `certificate` or `user`."""
+    """Proof of a client's name: `certificate` or `user`."""
     access_control: dict[str, Any]
     low_pass_filter: list[dict[str, Any]]
     transport: dict[str, Any]
-    """zenoh's `transport`, as far as it proves who somebody is."""
+    """zenoh's `transport`: the part that identifies clients."""
     operators: int
     observers: int
     expires: datetime | None
-    """When the rig's certificate ends; None without one."""
+    """Time at which the rig's certificate expires; None without a certificate."""
     is_router: bool = False
-    """Whether this is a router, to which the daemon connects; who comes is known to that."""
+    """True for a router, to which the daemon connects, and which identifies the clients."""
 
 
 class Networks(NamedTuple):
-    """The ways in that a configuration opens; None is one that it does not."""
+    """Network endpoints that a configuration opens; None for an endpoint that it does not open."""
 
     own: Network | None
-    """Where the daemon listens itself."""
+    """Endpoint at which the daemon itself listens."""
     router: Network | None
 
 
 def networks_of(config: Config) -> Networks:
-    """Return the ways in over a network that a configuration opens.
+    """Return the network endpoints that a configuration opens.
 
     Raises
     ------
     InputError
-        A key is missing or does not fit the others, or a file cannot be used.
+        A key is missing or does not fit the other keys, or a file cannot be used.
     """
     return Networks(network_of(config), router_of(config))
 
 
 def router_of(config: Config) -> Network | None:
-    """Return the way in through a router, None where the configuration names none.
+    """Return the router to connect to, or None if the configuration names no router.
 
     Raises
     ------
@@ -75,8 +75,8 @@ def router_of(config: Config) -> Network | None:
     except FileError as err:
         raise InputError(f"[access] {err}") from err
     if credential.name != rig_name(rig):
-        msg = f"[access] {access.certificate}: is that of {credential.name}; the router takes this "
-        raise InputError(f"{msg}rig by that of {rig_name(rig)} alone")
+        msg = f"[access] {access.certificate}: certificate of {credential.name}; the router admits "
+        raise InputError(f"{msg}this rig only with a certificate of {rig_name(rig)}")
     return Network(
         endpoint=access.router,
         known_by="certificate",
@@ -91,12 +91,12 @@ def router_of(config: Config) -> Network | None:
 
 
 def network_of(config: Config) -> Network | None:
-    """Return where the daemon listens on a network itself, None where it does not.
+    """Return the network endpoint at which the daemon itself listens, or None.
 
     Raises
     ------
     InputError
-        A key is missing or does not fit the others, or a file cannot be used.
+        A key is missing or does not fit the other keys, or a file cannot be used.
     """
     access = config.access
     _check_keys(access)
@@ -133,7 +133,7 @@ def _check_keys(access: Access) -> None:
     for key in given:
         if key not in needed:
             raise InputError(
-                f"[access] {key} does not go with listen = {access.listen!r}: take it away"
+                f"[access] {key} is not allowed with listen = {access.listen!r}: remove {key}"
             )
 
 

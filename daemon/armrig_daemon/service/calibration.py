@@ -1,4 +1,4 @@
-"""A calibration that a client sends, held against the rig that it is to be for."""
+"""Check of a calibration from a client against the rig."""
 
 from __future__ import annotations
 
@@ -12,43 +12,43 @@ from msgspec.structs import replace
 
 from armrig_daemon.config import Config
 
-_LONGEST = 80  # of a name or a date, in characters
+_MAX_CHARACTERS = 80  # of a name or a date
 
 
 def checked_calibration(
     calibration: Calibration, raw: bytes, config: Config, device: dict[str, Any]
 ) -> Calibration:
-    """Return the calibration as it is recorded, or refuse it.
+    """Return the calibration in the form in which it is recorded, or refuse it.
 
-    Its zeros, angles, gain and offset are within their bounds already: those of a file's.
+    The bounds for files have already been checked for its zeros, angles, gain and offset.
 
     Parameters
     ----------
     raw : bytes
-        The samples that it was estimated from.
+        Samples from which the calibration was estimated.
     device : dict
-        What the device says of itself.
+        Properties that the device reported.
 
     Raises
     ------
     ValueError
-        It was not measured, or on another rig or device; its samples are not its own; or it says
-        that another potentiometer wraps, which is the configuration's to say.
+        The calibration was not measured on this rig and device. The samples do not belong to it. Or
+        `wraps` of a potentiometer differs from the configuration.
     """
     made = check_measured(calibration, raw)
     uid = str(device.get("uid", made.device_uid))  # without a device the core refuses
     if (made.rig, made.device_uid) != (config.rig.id, uid):
-        whose = f"rig {made.rig[:_LONGEST]}, device {made.device_uid[:_LONGEST]}"
+        whose = f"rig {made.rig[:_MAX_CHARACTERS]}, device {made.device_uid[:_MAX_CHARACTERS]}"
         raise InputError(
             f"the calibration is of {whose}, and this is rig {config.rig.id}, device {uid}: "
-            "calibrate this one with `armrig calibrate`"
+            "calibrate this rig with `armrig calibrate`"
         )
-    if len(made.date) > _LONGEST or not made.date.isprintable():
-        raise InputError(f"made.date: at most {_LONGEST} characters that print are allowed")
+    if len(made.date) > _MAX_CHARACTERS or not made.date.isprintable():
+        raise InputError(f"made.date: at most {_MAX_CHARACTERS} printable characters are allowed")
     for name in (THETA_1, ALPHA):
         now, wraps = getattr(config.calibration, name).wraps, getattr(calibration, name).wraps
         if wraps != now:
-            # Where alpha wraps, arming does not look for it at the end of its range.
+            # If alpha wraps, arming does not check whether alpha is at the end of its range.
             raise InputError(
                 f"{name}.wraps = {str(wraps).lower()}: must be {str(now).lower()}, as the "
                 "configuration of this rig says"
@@ -58,6 +58,6 @@ def checked_calibration(
 
 
 def taken(calibration: Calibration) -> str:
-    """Return what the status says of a calibration that was sent."""
+    """Return the sentence about a calibration from a client, for the status."""
     date = calibration.made.date if calibration.made else ""
     return f"sent by `armrig calibrate`, made {date}; in force until armrigd ends"

@@ -1,4 +1,4 @@
-"""The loop's process as the service holds it: its pipes, its orders, its end."""
+"""The service's side of the loop's process: its pipes, its orders and its end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from armrig_daemon.loop.process import Settings
 from armrig_daemon.pipe import Orders, Record, record_bytes, take_records
 
 EXIT_S = 1.0
-"""How long the loop may take to stop the motor and end, in s."""
+"""Longest time for the loop to stop the motor and end, in s."""
 _F_SETPIPE_SZ = 1031  # <linux/fcntl.h>
 _PIPE_BYTES = 1 << 20
 _READ = 1 << 16
@@ -28,9 +28,9 @@ class LoopChild:
     """A running loop."""
 
     def __init__(self, starter: Starter, orders_fd: int, records_fd: int) -> None:
-        """Take over both pipes."""
+        """Take the descriptors of both pipes."""
         self.starter = starter
-        """Thread whose end the kernel tells the loop."""
+        """Thread whose end the kernel signals to the loop."""
         self.records_fd = records_fd
         self._process = starter.process
         self.orders_fd = orders_fd
@@ -39,17 +39,17 @@ class LoopChild:
         self._pending = bytearray()
 
     def order(self, order: Orders) -> None:
-        """Ask something of the loop; once it is gone, its end is seen at its records."""
+        """Send the loop an order; `records` reports the end of the loop."""
         self._unsent += record_bytes(order)
         self.flush()
 
     @property
     def is_behind(self) -> bool:
-        """Whether orders wait for the loop to read those before them."""
+        """True while orders wait for the loop to read earlier orders."""
         return bool(self._unsent)
 
     def flush(self) -> None:
-        """Hand over what waits, as far as the pipe takes it; a frozen loop must not freeze us."""
+        """Write waiting orders as far as the pipe accepts them; a frozen loop blocks nothing."""
         try:
             while self._unsent:
                 del self._unsent[: os.write(self.orders_fd, self._unsent)]
@@ -59,7 +59,7 @@ class LoopChild:
             self._unsent.clear()
 
     def records(self) -> list[bytes | Record] | None:
-        """Return what the loop has said, or None where it has ended."""
+        """Return the new records of the loop, or None if the loop has ended."""
         data = os.read(self.records_fd, _READ)
         if not data:
             return None
@@ -67,11 +67,11 @@ class LoopChild:
         return take_records(self._pending)
 
     def kill(self) -> None:
-        """End a loop that does not end by itself: the device's watchdog stops the motor."""
+        """Kill a loop that does not end by itself; the device's watchdog then stops the motor."""
         self._process.kill()
 
     def end(self) -> int:
-        """Close the pipes, which ends the loop too, and return its exit code."""
+        """Close the pipes, which also ends the loop, and return its exit code."""
         os.close(self.orders_fd)
         try:
             code = self._process.wait(EXIT_S)
@@ -84,11 +84,11 @@ class LoopChild:
 
 
 class Starter(threading.Thread):
-    """Starts the loop, and waits.
+    """Thread that starts the loop's process and waits for its end.
 
-    The kernel tells a process of the end of the very thread that started it. This one only waits,
-    so that it may keep a real-time priority: killed, it ends at once, where the other threads have
-    to wait for a processor that other programs keep busy.
+    The kernel signals to a process the end of the thread that started it. This thread only waits
+    and may therefore keep a real-time priority, so it ends at once if the service is killed. The
+    other threads may have to wait for a processor that other programs keep busy.
     """
 
     def __init__(self, program: Sequence[str], fds: Sequence[int]) -> None:
@@ -109,12 +109,12 @@ class Starter(threading.Thread):
 
     @property
     def process(self) -> subprocess.Popen[bytes]:
-        """The process, once it is started."""
+        """The process, after its start."""
         return self._process.result()
 
     @property
     def number(self) -> int:
-        """The kernel's number of this thread, once the process is started."""
+        """Number of this thread in the kernel, after the start of the process."""
         self._process.result()
         assert self.native_id is not None  # noqa: S101 - it has begun
         return self.native_id
@@ -126,7 +126,7 @@ class Starter(threading.Thread):
 
 
 def start(settings: Settings) -> LoopChild:
-    """Start the loop; before any session exists, for it inherits what there is."""
+    """Start the loop; call this before a session exists, or the loop inherits the session."""
     orders_out, orders_in = os.pipe()
     records_out, records_in = os.pipe()
     for fd in (orders_in, records_in):

@@ -1,7 +1,8 @@
-"""The client of a run shows that it is there, or its run is stopped.
+"""Dead-man of a run: if its client gives no sign of life, the run is stopped.
 
-Each sign is a command of its own, made by what waits for the run: a process that is killed, frozen
-or cut off gives none, and neither does one that hangs while its threads live on.
+Each sign of life is a separate command, sent by the code that waits for the run. A process that is
+killed, frozen or cut off sends no sign. A process whose main code hangs also sends no sign, even if
+its other threads continue.
 """
 
 from __future__ import annotations
@@ -16,43 +17,43 @@ from armrig_daemon.decisions import orders
 
 
 class ClientWatchdog(NamedTuple):
-    """Whose run it is, and when it was last heard of."""
+    """Client of a run, and the time of its last sign of life."""
 
     lease: str
     n: int
-    """Number of its newest command."""
+    """Number of the client's newest command."""
     period_s: float
-    """Longest silence, in s; infinite where the run asked for no dead-man."""
+    """Longest silence, in s; infinite if the run has no dead-man."""
     heard_s: float
-    """When the newest sign came, on the monotonic clock."""
+    """Time of the newest sign of life, on the monotonic clock."""
 
     @property
     def gone_s(self) -> float:
-        """When it counts as gone, on the same clock."""
+        """Time after which the client counts as gone, on the monotonic clock."""
         return self.heard_s + self.period_s
 
 
 def begun(run: Run, now_s: float) -> ClientWatchdog:
-    """Return the presence at the start of a run, which counts as a sign."""
+    """Return the watchdog at the start of a run, which counts as a sign of life."""
     return ClientWatchdog(run.lease, run.n, run.dead_man or inf, now_s)
 
 
 def not_newer(n: int, last: int) -> CommandRefusedError:
-    """Return the refusal of a command whose number does not exceed the last."""
+    """Return the refusal of a command whose number does not exceed the last number."""
     text = orders.not_newer(n, last)
     return CommandRefusedError(refused(RefusalCode.NOT_NEWER, text, n=n, last=last))
 
 
 def renewed(presence: ClientWatchdog | None, sign: Renew, now_s: float) -> ClientWatchdog:
-    """Return the presence after a sign.
+    """Return the watchdog after a sign of life.
 
     Raises
     ------
     CommandRefusedError
-        There is no run in hand, it is somebody else's, or the sign is an old one.
+        There is no run, the run belongs to another client, or the sign of life is old.
     """
     if presence is None or sign.lease != presence.lease:
-        text = "no run of this lease is in hand"
+        text = "no run of this lease is planned or running"
         raise CommandRefusedError(refused(RefusalCode.NOT_HELD, text))
     if sign.n <= presence.n:
         raise not_newer(sign.n, presence.n)

@@ -1,7 +1,7 @@
-"""Commands of clients: handed to the loop as orders, and answered when the loop has.
+"""Commands of clients: passed to the loop as orders, and answered after the loop's answer.
 
-The service refuses what the loop cannot know, such as a full disk; whether an order is allowed is
-the core's to decide.
+The service refuses a command for a reason that the loop cannot know, such as a full disk. The core
+decides whether an order is allowed.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from armrig_daemon.service.runs import Runs
 from armrig_daemon.service.token_bucket import Bucket, take_at
 
 ANSWER_S = 3.0
-"""How long the loop may take to answer a command, in s."""
+"""Longest time for the loop to answer a command, in s."""
 _SILENT = commands.refused(
     RefusalCode.NO_ANSWER,
-    f"the loop did not answer within {ANSWER_S:g} s: ask again, or start armrigd anew",
+    f"the loop did not answer within {ANSWER_S:g} s: try again, or restart armrigd",
 )
 _NOT_HELD = commands.refused(RefusalCode.NOT_HELD, orders.NOT_HELD)
 _SOMEBODY = "somebody on this machine"
-_MOST_AT_ONCE = 16  # commands of a kind, between two looks at the loop and at the run's client
-_MOST_ASKED = 16  # orders without an answer yet, beyond which a stranger's are not passed on
-_NOTES_PER_S, _MOST_NOTES = 2, 20  # of all people: a flood must not fill the recording or the log
-_MOST_UNANSWERED = 64  # and nobody's: what the service has to say itself must not wait behind more
+_MAX_COMMANDS = 16  # of a kind, between two checks of the loop and of the run's client
+_MAX_PENDING = 16  # unanswered orders; with more, a stranger's orders are not passed on
+_NOTES_PER_S, _MAX_NOTES = 2, 20  # of all people: a flood must not fill the recording or the log
+_MAX_UNANSWERED = 64  # of all clients; more would delay the orders of the service itself
 
 
 class _Waiting(NamedTuple):
@@ -57,17 +57,17 @@ class _Waiting(NamedTuple):
     until: float
     order: Orders
     body: Any
-    """What to answer instead of the loop's own body."""
+    """Answer to the client instead of the loop's body."""
     who: str
-    """Who asked, for the log."""
+    """Name of the client, for the log."""
 
 
 class _Holder(NamedTuple):
-    """Who was granted the lease: it is of no use to anybody else."""
+    """Client to which the lease was granted; no other client can use the lease."""
 
     owner: str
     by: str
-    """As was checked; "" on the Unix socket."""
+    """Checked identity; "" on the Unix socket."""
 
 
 class Commands:
@@ -83,14 +83,15 @@ class Commands:
         say: Callable[..., None],
         note: Callable[[int, str, str], None],
     ) -> None:
-        """Begin with nobody holding the rig.
+        """Create the commands without a lease.
 
         Parameters
         ----------
         say : callable
-            Takes the level and the text of a line, and what it is about by keyword.
+            Logs a line: its arguments are the level, the text, and the fields by keyword.
         note : callable
-            Publishes and records a note: its time on the monotonic clock in ns, text and owner.
+            Publishes and records a note: its arguments are the monotonic time in ns, text and
+            owner.
         """
         self._config = config
         self._rig = rig
@@ -99,7 +100,7 @@ class Commands:
         self._loop = loop
         self._say = say
         self._note = note
-        self._notes = Bucket(_MOST_NOTES)
+        self._notes = Bucket(_MAX_NOTES)
         self._waiting: dict[int, _Waiting] = {}
         self._calibration: tuple[int, commands.Calibrate] | None = None  # ordered, not yet taken
         self._numbers = 0
@@ -109,49 +110,47 @@ class Commands:
         self._n = -1  # number of its newest order
 
     def note_lease(self, lease: str) -> None:
-        """Take note of the lease in force, or that there is none: others are strangers."""
+        """Note the lease in force, or "" if no lease is in force; other clients are strangers."""
         self._lease, self._n = lease, -1
         self._session.lease = lease.encode()
 
     @property
     def room(self) -> int:
-        """How many orders more may wait for the loop's answer."""
-        return max(0, _MOST_UNANSWERED - len(self._waiting))
+        """Number of further orders that may wait for the loop's answer."""
+        return max(0, _MAX_UNANSWERED - len(self._waiting))
 
     @property
     def is_waiting(self) -> bool:
-        """Whether the loop has still to answer a command."""
+        """True while the loop has not answered a command."""
         return bool(self._waiting)
 
     def serve_signs(self) -> None:
-        """Take the signs of the run's client, each as of the time when it came."""
+        """Handle the signs of life of the run's client, each with its time of arrival."""
         for command in self._session.waiting(Kind.SIGN):
             self._try(command)
 
     def serve(self) -> None:
-        """Take some of the commands that wait, a stop before all others."""
+        """Handle some of the waiting commands, a stop before all others."""
         for command in self._session.waiting(Kind.STOP, self.room):
             self._try(command)
-        for command in self._session.waiting(Kind.LEASED, min(_MOST_AT_ONCE, self.room)):
+        for command in self._session.waiting(Kind.LEASED, min(_MAX_COMMANDS, self.room)):
             self._try(command)
         for kind in (Kind.STATUS, Kind.CALIBRATE, Kind.OTHER):
-            for command in self._session.waiting(kind, _MOST_AT_ONCE):
+            for command in self._session.waiting(kind, _MAX_COMMANDS):
                 self._try(command)
 
     def answer(self, answer: Answer) -> None:
-        """Pass on what the loop has answered."""
+        """Pass on an answer of the loop."""
         if self._calibration is not None and answer.order == self._calibration[0]:
-            # Also where who asked was told that it takes too long: the loop converts by it now.
+            # Also after the client was refused for the delay: the loop uses the calibration now.
             (_, request), self._calibration = self._calibration, None
-            if not answer.error:
+            if answer.code is None:
                 self._note_calibration(request)
         waiting = self._waiting.pop(answer.order, None)
         if waiting is None:
-            return  # it came too late: who asked has been told so
-        if answer.error:
-            refusal = commands.refused(
-                answer.code or RefusalCode.NOT_ALLOWED, answer.error, **answer.parameters
-            )
+            return  # too late: the client has been refused already
+        if answer.code is not None:
+            refusal = commands.refused(answer.code, answer.error, **answer.parameters)
             self._give_up(waiting, refusal)
             return
         if isinstance(waiting.order, pipe.Arm):
@@ -174,7 +173,7 @@ class Commands:
             )
 
     def refuse_overdue(self) -> None:
-        """Refuse what the loop has not answered in time."""
+        """Refuse commands that the loop has not answered in time."""
         now = time.monotonic()
         for number in [n for n, w in self._waiting.items() if now > w.until]:
             self._give_up(self._waiting.pop(number), _SILENT)
@@ -197,7 +196,7 @@ class Commands:
             self._say("error", text)
 
     def _carry_out(self, command: Command, request: commands.Requests) -> None:
-        """Hand a request to the loop; raises ValueError where it is not allowed."""
+        """Pass a request to the loop; raise ValueError if the request is not allowed."""
         if isinstance(request, commands.Leased) and command.by != self._holder.by:
             raise CommandRefusedError(_NOT_HELD)
         match request:
@@ -223,8 +222,8 @@ class Commands:
             case commands.Run():
                 self._check_holder(request)
                 start = self._rig.theta_1_rad
-                # For millions of samples it takes seconds, at 0 V: the loop is told at each step
-                # that we are not frozen, the first of which was to read the command.
+                # For millions of samples planning takes seconds, at 0 V. Each step shows the loop
+                # that we are not frozen; the first step was to read the command.
                 alive = partial(self._loop.order, Alive())
                 alive()
                 self._order(command, *self._runs.plan(request, self._Ts, start, alive))
@@ -245,8 +244,8 @@ class Commands:
                 assert_never(request)
 
     def _take_note(self, command: Command, request: commands.Note) -> None:
-        """Publish and record a note. The loop, and so the motor, never hears of it."""
-        left = take_at(_NOTES_PER_S, _MOST_NOTES, self._notes, time.monotonic())
+        """Publish and record a note, which never reaches the loop and cannot affect the motor."""
+        left = take_at(_NOTES_PER_S, _MAX_NOTES, self._notes, time.monotonic())
         if left is None:
             text = f"too many notes came, {_NOTES_PER_S:g} a second are taken: try again"
             raise CommandRefusedError(
@@ -258,7 +257,7 @@ class Commands:
         command.answer(commands.Done(done=self._runs.takes_notes))
 
     def _calibrate(self, command: Command, request: commands.Calibrate) -> None:
-        """Hand a calibration to the loop, which needs its figures only."""
+        """Pass a calibration to the loop, without its origin."""
         if self._calibration is not None:
             text = "another calibration is on its way: try again"
             raise CommandRefusedError(commands.refused(RefusalCode.TOO_MANY, text))
@@ -268,25 +267,25 @@ class Commands:
         self._calibration = self._numbers, replace(request, calibration=checked)
 
     def _note_calibration(self, request: commands.Calibrate) -> None:
-        """Tell of a calibration that the loop has taken, and have the runs carry it."""
+        """Report a calibration that the loop has accepted, and record it with the next runs."""
         self._rig.note_calibration(request.calibration)
         self._runs.note_calibration(request.calibration, request.raw)
         now = self._rig.status(None)
         self._say("info", f"calibration: {now.calibration}, sha256 {now.calibration_sha256[:8]}")
 
     def _objection(self) -> commands.Refused | None:
-        """Return why the rig is not to be armed, as far as the loop cannot know it, or None."""
+        """Return the refusal of an arming for a reason that the loop cannot know, or None."""
         owner = self._rig.state.owner
         if owner:
             return commands.refused(RefusalCode.HELD, orders.held_by(owner), owner=owner)
         if line := self._rig.line:
             return commands.refused(RefusalCode.NO_RIG, line)
         if no_room := self._runs.no_room():
-            return commands.refused(RefusalCode.NO_ROOM, no_room)
+            return no_room
         return self._rig.objection()
 
     def _check_holder(self, request: commands.Run) -> None:
-        """Raise CommandRefusedError if the core is sure to refuse a run, before its rehearsal."""
+        """Raise CommandRefusedError before the rehearsal if the core will refuse the run."""
         if request.lease != self._lease:
             raise CommandRefusedError(_NOT_HELD)
         if request.n <= self._n:
@@ -295,7 +294,7 @@ class Commands:
             raise CommandRefusedError(commands.refused(RefusalCode.BY_HAND, orders.BY_HAND))
 
     def _ts_us(self, Ts: float | None) -> int:
-        """Return the sampling time asked for, in µs; 0 for the configured one."""
+        """Return the requested sampling time, in µs; 0 for the configured sampling time."""
         if Ts is None:
             return 0
         if round(Ts * 1e6, 3) % 1:
@@ -307,10 +306,10 @@ class Commands:
     def _order(
         self, command: Command, order: Orders, body: Any = None, who: str | None = None
     ) -> None:
-        """Give the loop an order; its answer is that of the command."""
+        """Send the loop an order, whose answer becomes the answer to the command."""
         if who is None:
             who = self._holder.owner if isinstance(order, Leased) else signed("", command.by)
-        if len(self._waiting) >= _MOST_ASKED and isinstance(order, pipe.Arm | Reset | Calibrate):
+        if len(self._waiting) >= _MAX_PENDING and isinstance(order, pipe.Arm | Reset | Calibrate):
             raise CommandRefusedError(TOO_MANY)
         self._numbers += 1
         order = replace(order, order=self._numbers)

@@ -1,4 +1,4 @@
-"""Whether the directory of the recordings can take one."""
+"""Check that the directory of the recordings can take a recording."""
 
 from __future__ import annotations
 
@@ -7,19 +7,28 @@ import pwd
 import shutil
 from pathlib import Path
 
+from armrig_core.codes import RefusalCode
+from armrig_core.commands import Refused, refused
 
-def check_directory(directory: Path, needed: int) -> str:
-    """Return why nothing can be recorded in `directory`, or nothing."""
+
+def check_directory(directory: Path, needed: int) -> Refused | None:
+    """Return the refusal if `directory` cannot take a recording of `needed` B, or None."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         room = shutil.disk_usage(directory).free
     except OSError as err:
-        return f"{directory}: {err.strerror}; {_way_out(directory)}"
+        return _no_room(f"{directory}: {err.strerror}; {_way_out(directory)}")
     if not os.access(directory, os.W_OK | os.X_OK):
-        return f"{directory}: not writable; {_way_out(directory)}"
+        return _no_room(f"{directory}: not writable; {_way_out(directory)}")
     if room < needed:
-        return f"{directory}: {room / 1e6:.0f} MB free, {needed / 1e6:.0f} MB needed; free the disk"
-    return ""
+        free_mb, needed_mb = room / 1e6, needed / 1e6
+        text = f"{directory}: {free_mb:.0f} MB free, {needed_mb:.0f} MB needed; free disk space"
+        return _no_room(text)
+    return None
+
+
+def _no_room(text: str) -> Refused:
+    return refused(RefusalCode.NO_ROOM, text)
 
 
 def _way_out(directory: Path) -> str:
@@ -28,4 +37,4 @@ def _way_out(directory: Path) -> str:
     except KeyError:  # it has no name
         user = str(os.getuid())
     made = f"`install -d -o {user} {directory}`"
-    return f"{made} and start the daemon anew, or set [recording] directory"
+    return f"{made} and restart the daemon, or set [recording] directory"

@@ -1,4 +1,4 @@
-"""An emulated rig in a process of its own, for a daemon that has no other."""
+"""An emulated rig in a separate process, for a daemon without a real rig."""
 
 from __future__ import annotations
 
@@ -22,21 +22,22 @@ _START_S = 30.0  # on a busy machine a program takes seconds to load
 
 @contextmanager
 def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
-    """Start an emulator with these settings, on a socket; give the configuration that drives it.
+    """Start an emulator with these settings, on a socket; yield the configuration that drives it.
 
-    And a descriptor of lines: for how many ns its device's clock stood still.
+    Also yield a descriptor of lines. Each line is a time, in ns, for which the device's clock stood
+    still.
 
     Parameters
     ----------
     config : Config
-        Whose table [emulator] it has.
+        Configuration with the table [emulator].
     directory : Path
-        Where its socket is made.
+        Directory of the emulator's socket.
 
     Raises
     ------
     OperationError
-        It ended, or took too long.
+        The emulator ended, or took too long to start.
     """
     path = directory / f"{config.rig.id}-{os.getpid()}.line"
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
@@ -56,7 +57,7 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
         until = time.monotonic() + _START_S
         while not path.exists():
             if child.poll() is not None or time.monotonic() > until:
-                raise OperationError(f"the emulator did not start behind {path}")
+                raise OperationError(f"the emulator did not start at {path}")
             time.sleep(0.01)
         device = msgspec.structs.replace(config.device, port=port_of(path))
         yield msgspec.structs.replace(config, device=device), stalls_out

@@ -1,4 +1,4 @@
-"""The messages published of late, kept for who missed some: bounded, and answered at once.
+"""Recently published messages, kept in bounded memory for clients that missed messages.
 
 zenoh's own cache (its advanced publisher) is not used: see docs/decisions/0016.
 """
@@ -8,26 +8,26 @@ from __future__ import annotations
 from armrig_core.history import REPLY_LIMIT, encode_past
 
 MOST_BYTES = 2 << 20
-"""What is kept at most, in B of messages: 24 105 samples of 87 B, 24 s at 1 kHz."""
+"""Largest size of the kept messages, in B: 24 105 samples of 87 B, 24 s at 1 kHz."""
 
 
 class History:
-    """Messages by their numbers; one thread adds, another may ask meanwhile."""
+    """Messages by their numbers; one thread may add messages while another reads them."""
 
     def __init__(self, life: bytes, most_bytes: int = MOST_BYTES) -> None:
-        """Begin with none.
+        """Create an empty history.
 
         Parameters
         ----------
         life : bytes
-            16 B that no other start of a daemon has.
+            16 B that identify this start of a daemon.
         """
         self._life, self._most = life, most_bytes
         self._kept: dict[int, tuple[str, bytes]] = {}
         self._first = self._end = self._size = 0
 
     def add(self, stream: str, data: bytes) -> None:
-        """Keep a message, and forget the oldest where all would be too long."""
+        """Keep a message, and drop the oldest messages beyond the limit."""
         self._kept[self._end] = (stream, data)
         self._end += 1
         self._size += len(data)
@@ -37,11 +37,11 @@ class History:
             self._size -= len(oldest)
 
     def reply(self, first: int, clock_offset_ns: int) -> bytes:
-        """Return the messages from number `first` on, as many as one answer takes."""
+        """Return one answer: the messages from number `first` on, as many as fit."""
         number = first = min(max(first, self._first), self._end)
         messages: list[tuple[str, bytes]] = []
         size = 0
-        # The oldest may be forgotten just now, by the thread that adds.
+        # The thread that adds may drop the oldest message at this moment.
         while size < REPLY_LIMIT and (message := self._kept.get(number)) is not None:
             messages.append(message)
             size += len(message[1])

@@ -1,4 +1,4 @@
-"""What a run takes from the machine that it runs on: its name, the time of day, the host."""
+"""Properties of the machine on which a run is recorded: name of the run, time, host."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Any, NamedTuple
 
 
 class HostFacts(NamedTuple):
-    """Where and when runs are made."""
+    """Place and time of runs."""
 
     run_id: Callable[[bytes], str]
-    """Draws the name of a run, 8 hexadecimal digits; it may follow from the run's codes."""
+    """Returns the name of a run, 8 hexadecimal digits; it may depend on the run's codes."""
     now: Callable[[], datetime]
-    """Return the time of day, with its offset from UTC."""
+    """Returns the time of day, with its offset from UTC."""
     host: dict[str, Any]
-    """What a recording says of the host, beside what the loop tells of it."""
+    """Description of the host in a recording, in addition to the loop's description."""
 
 
 def of_this_host() -> HostFacts:
-    """Return what is so here and now."""
+    """Return the facts of this machine."""
     uname = platform.uname()
     return HostFacts(
         run_id=lambda _: secrets.token_hex(4),

@@ -1,4 +1,4 @@
-"""Who has asked: what he says of himself, and behind it what the daemon has checked."""
+"""Identity of a client: the name that the client gives, then the identity that was checked."""
 
 from __future__ import annotations
 
@@ -6,32 +6,32 @@ import unicodedata
 
 from armrig_core.printable import printable
 
-_LONGEST = 80
+_MAX_CHARACTERS = 80
 _SQUARE = str.maketrans("()", "[]")
 
 
 def signed(said: str, by: str) -> str:
-    """Return who asks, for others to read; what stands in round brackets, the daemon has checked.
+    """Return the name of a client for people; the part in round brackets was checked by the daemon.
 
     Programs read `owner_checked` in the status, the log and the manifest.
 
     Parameters
     ----------
     said : str
-        What he says of himself; his own round brackets become square ones.
+        Name that the client gives; round brackets in it become square brackets.
     by : str
-        What was checked, such as `certificate alice`; "" on the Unix socket, where whoever may
-        open it is trusted.
+        Checked identity, such as `certificate alice`; "" on the Unix socket, where the daemon
+        trusts every client that may open the socket.
     """
-    begin = said.strip()[:_LONGEST]  # of a name of any length: the rest would hold up a stop
-    name = "".join(map(_square, printable(begin).strip()[:_LONGEST]))
+    begin = said.strip()[:_MAX_CHARACTERS]  # the rest of a very long name would delay a stop
+    name = "".join(map(_square, printable(begin).strip()[:_MAX_CHARACTERS]))
     if not by:
         return name
     return f"{name} ({by})" if name else by
 
 
 def _square(character: str) -> str:
-    """Return a square bracket for a round one, and for whatever looks like one."""
+    """Return a square bracket for a round bracket and for characters that look like a bracket."""
     plain = unicodedata.normalize("NFKC", character)
     if "(" in plain or ")" in plain:
         return plain.translate(_SQUARE)

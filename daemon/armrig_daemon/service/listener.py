@@ -1,8 +1,8 @@
-"""One zenoh session of the service, at one endpoint: streams out, commands in.
+"""One zenoh session of the service at one endpoint: publishes streams, receives commands.
 
-It listens there, or is connected to a router. Each way in has a session of its own: what a network
-does to its listener (a password asked for, all places taken, a limit of questions used up) is
-nothing to whoever comes by the Unix socket.
+The session listens at the endpoint, or is connected to a router. Each endpoint has a separate
+session. Clients of the Unix socket are therefore not affected by the limits of a network's
+listener: passwords, number of links and rate of queries.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ from armrig_daemon.service import admission, token_bucket
 from armrig_daemon.service.access import Network
 
 URGENT = (Stop.name, Renew.name)
-"""Commands with a thread of zenoh's for themselves: none of the others stands before them."""
+"""Commands with a separate thread of zenoh, so that they wait for no other command."""
 _SCHEMA, _HISTORY = "schema", "history"
 _COUNTED = (*REQUESTS, _SCHEMA, _HISTORY)
-MOST_LINKS = 250
-"""Over a network, at a time."""
-_AGAIN_MS = 1000  # at the latest, a router that went away is looked for again
-_LONGEST_QUESTION = 64  # B, for a history
+MAX_LINKS = 250
+"""Number of simultaneous links over a network."""
+_RETRY_MS = 1000  # longest time between two attempts to connect to a lost router
+_MAX_QUESTION_BYTES = 64  # of a question for the history
 
 
 def session_config(endpoint: str, network: Network | None = None) -> zenoh.Config:
-    """Return the configuration of a session at `endpoint` and nowhere else, found by nobody."""
+    """Return the configuration of a session only at `endpoint`, which scouting does not find."""
     if network is not None and network.is_router:
         return zenoh.Config.from_json5(json.dumps(_router_config(network)))
     if network is None:
         config = owned_session(endpoint, most_received=access_control.MOST_LOCAL_BYTES)
     else:
-        config = owned_session(endpoint, most_received=access_control.MOST_IN_A_MESSAGE)
+        config = owned_session(endpoint, most_received=access_control.MOST_MESSAGE_BYTES)
         config |= listening(endpoint)
-        config["transport"]["unicast"] = strangers(MOST_LINKS)
+        config["transport"]["unicast"] = strangers(MAX_LINKS)
         config["access_control"] = network.access_control
         config["low_pass_filter"] = network.low_pass_filter
         config["transport"]["link"] |= network.transport.get("link", {})
@@ -71,23 +71,23 @@ def _router_config(network: Network) -> dict[str, Any]:
     """Return the configuration of a client of a router, which connects again by itself."""
     config = {
         "mode": "client",
-        "connect": {"endpoints": [network.endpoint], "retry": {"period_max_ms": _AGAIN_MS}},
+        "connect": {"endpoints": [network.endpoint], "retry": {"period_max_ms": _RETRY_MS}},
         **NOT_FOUND,
         "access_control": network.access_control,
         "low_pass_filter": network.low_pass_filter,
-        "transport": transport(access_control.MOST_IN_A_MESSAGE, answer_us=ROUTED_US),
+        "transport": transport(access_control.MOST_MESSAGE_BYTES, answer_us=ROUTED_US),
     }
     config["transport"]["link"] |= network.transport["link"]
     return config
 
 
 class Command:
-    """A query that waits for its answer; exactly one is given."""
+    """Query that waits for its answer; each query gets exactly one answer."""
 
     def __init__(self, name: str, query: zenoh.Query, by: str = "") -> None:
         self.name = name
         self.by = by
-        """Who asks, as zenoh has proved it, such as `certificate alice`; "" on the Unix socket."""
+        """Client that zenoh has verified, such as `certificate alice`; "" on the Unix socket."""
         self._key = str(query.key_expr)
         self._query: zenoh.Query | None = query
         self.came_s = time.monotonic()
@@ -108,7 +108,7 @@ class Command:
 
 
 class Listener:
-    """An open session at one endpoint, or of one router."""
+    """An open session at one endpoint, or with one router."""
 
     def __init__(
         self,
@@ -118,27 +118,27 @@ class Listener:
         past: Callable[[int, int], bytes],
         network: Network | None = None,
     ) -> None:
-        """Listen, or connect.
+        """Listen at the endpoint, or connect to the router.
 
         Parameters
         ----------
         admit : callable
-            Called, from zenoh's threads, with each command that may be looked at.
+            Called, from zenoh's threads, with each command that passes the limits.
         past : callable
-            Returns the answer to who asks for the history from a number on, given the clocks'
-            offset in ns.
+            Returns the answer to a request for the history. Its arguments are the first requested
+            number and the offset of the clocks in ns.
         network : Network, optional
-            Who may do what there; none is the Unix socket.
+            Network endpoint with its permissions; None is the Unix socket.
 
         Raises
         ------
         zenoh.ZError
-            The endpoint is taken or cannot be made, or there is no such router now.
+            The endpoint is in use or cannot be opened, or the router does not answer now.
         """
         self._admit = admit
         self._known_by = "" if network is None else network.known_by
         self._buckets: dict[str, token_bucket.Bucket] = {}
-        # A network has no socket in a folder, and opening one must not hold up another session.
+        # A network has no socket in a folder, and its opening must not delay another session.
         with group_may_open() if network is None else nullcontext():
             self._session = zenoh.open(session_config(endpoint, network))
         self._publishers = {
@@ -167,16 +167,16 @@ class Listener:
         self._alive = self._session.liveliness().declare_token(alive_key(rig))
 
     def close(self) -> None:
-        """Close; an open session would never let the interpreter end."""
+        """Close the session; with an open session the interpreter would never end."""
         self._session.close()
 
     @property
     def has_router(self) -> bool:
-        """Whether a router is connected now."""
+        """True while a router is connected."""
         return bool(self._session.info.routers_zid())
 
     def put(self, stream: str, data: bytes) -> None:
-        """Publish; dropped by zenoh where a subscriber does not keep up."""
+        """Publish; zenoh drops the message for a subscriber that does not keep up."""
         self._publishers[stream].put(data)
 
     def _serve_schema(self, query: zenoh.Query) -> None:
@@ -192,7 +192,7 @@ class Listener:
         if self._is_too_many(_HISTORY):
             _refuse(query, token_bucket.refusal(_HISTORY))
             return
-        payload = query.payload.to_bytes()[:_LONGEST_QUESTION] if query.payload else b"{}"
+        payload = query.payload.to_bytes()[:_MAX_QUESTION_BYTES] if query.payload else b"{}"
         try:
             asked = msgspec.json.decode(payload, type=HistoryRequest)
         except (msgspec.DecodeError, UnicodeDecodeError) as err:
@@ -207,7 +207,7 @@ class Listener:
     def _receive(self, query: zenoh.Query) -> None:
         name, _ = self._parts(query)
         if name in URGENT:
-            query.drop()  # it comes on its own way, too
+            query.drop()  # the query also arrives at its own queryable
         elif name not in admission.LEASED and self._is_too_many(name):
             _refuse(query, token_bucket.refusal(name))
         else:
@@ -218,7 +218,7 @@ class Listener:
         self._admit(Command(name, query, by))
 
     def _parts(self, query: zenoh.Query) -> tuple[str, str]:
-        """Return the command's name, and who asks: his name is the end of a network's keys."""
+        """Return the names of the command and of the client, which ends the keys of a network."""
         key = str(query.key_expr)
         if not self._known_by:
             return key.rsplit("/", 1)[-1], ""
@@ -226,8 +226,8 @@ class Listener:
         return name, f"{self._known_by} {asker}"
 
     def _is_too_many(self, name: str) -> bool:
-        """Count a question that needs no lease. Only zenoh's thread of its queryable asks."""
-        kind = name if name in _COUNTED else ""  # all that there are not are of one kind
+        """Count a query that needs no lease; only the queryable's zenoh thread may call this."""
+        kind = name if name in _COUNTED else ""  # all unknown names are of one kind
         left = token_bucket.take(self._buckets.get(kind, token_bucket.Bucket()), time.monotonic())
         if left is not None:
             self._buckets[kind] = left

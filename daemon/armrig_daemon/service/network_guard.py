@@ -1,66 +1,65 @@
-"""The network is shut before its strangers take the files that everybody else needs.
+"""Guard of the network: shuts the network before strangers use up the daemon's open files.
 
-A connection is an open file as soon as it is made, long before anybody has shown a certificate; a
-process that may open no more serves nobody on its Unix socket, and begins no recording.
+Each connection is an open file from its beginning, long before its client shows a certificate. A
+process at its limit of open files accepts no client on its Unix socket and begins no recording.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-MANY = 512
-"""Open files at which the network is opened anew while nobody has the rig: links cost no run."""
-TOO_MANY = 12_288
-"""And at which it is, whoever has the rig: of the 16384 that there may be at most."""
+MAX_IDLE_FILES = 512
+"""Number of open files above which the network is shut while no client holds the rig."""
+MAX_FILES = 12_288
+"""Number of open files above which the network is always shut; a process may have 16384."""
 SHUT_S = 10.0
 
 
 class NetworkGuard:
-    """Looks once a second."""
+    """Count of open files, checked once a second, that shuts and opens the network."""
 
     def __init__(
-        self, count: Callable[[], int], shut: Callable[[], None], open_anew: Callable[[], str]
+        self, count: Callable[[], int], shut: Callable[[], None], open_again: Callable[[], str]
     ) -> None:
-        """Begin with an open network.
+        """Start with an open network.
 
         Parameters
         ----------
         count : callable
-            Returns how many files are open.
+            Returns the number of open files.
         shut : callable
-            Ends all links of the network, and listens no more.
-        open_anew : callable
-            Listens again; returns why that cannot be, or nothing.
+            Ends all links of the network, and stops listening.
+        open_again : callable
+            Listens again; returns the reason of a failure, or an empty text.
         """
-        self._count, self._shut, self._open_anew = count, shut, open_anew
+        self._count, self._shut, self._open_again = count, shut, open_again
         self._again_s = 0.0
         self._is_shut = False
 
     def look(self, now_s: float, *, is_busy: bool) -> tuple[str, str] | None:
-        """Shut the network or open it, if it is time; return a level and a line where it did.
+        """Shut or open the network if necessary; return a level and a line after a change.
 
         Parameters
         ----------
         now_s : float
             The monotonic time, in s.
         is_busy : bool
-            Whether somebody has the rig.
+            True if a client holds the rig.
         """
         if self._is_shut:
             return self._open(now_s) if now_s >= self._again_s else None
         found = self._count()
-        if found <= (TOO_MANY if is_busy else MANY):
+        if found <= (MAX_FILES if is_busy else MAX_IDLE_FILES):
             return None
         self._shut()
         self._is_shut, self._again_s = True, now_s + SHUT_S
         return "error", (
-            f"[access] {found} files are open: somebody holds connections that he does not use; "
-            f"the network is shut for {SHUT_S:g} s, the Unix socket goes on; "
-            "see with `ss -tn` who it is"
+            f"[access] {found} files are open: a client holds unused connections; the network is "
+            f"shut for {SHUT_S:g} s, the Unix socket stays open; `ss -tn` shows the client"
         )
 
     def _open(self, now_s: float) -> tuple[str, str]:
-        why = self._open_anew()
+        why = self._open_again()
         if why:
             self._again_s = now_s + SHUT_S
             return "error", why

@@ -1,4 +1,4 @@
-"""The input of a run: checked, and as it is attached to the recording."""
+"""Input of a run: check of the voltages, and their text for the recording."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from armrig_daemon.config import Limits
 
 
 def one_a_line(volts: NDArray[np.float64]) -> bytes:
-    """Return the input as it is attached: a heading, and each voltage (N,), to the last bit."""
-    # A tenth of the time that repr takes, which for millions would be longer than a frozen service
-    # may be silent.
+    """Return the input (N,) as text for the recording: a heading, then each voltage exactly."""
+    # This takes a tenth of the time of repr. For millions of samples repr would take longer than
+    # the silence after which the loop considers the service frozen.
     text = msgspec.json.encode(volts.tolist())
     return b"u_v\n" + text[1:-1].replace(b",", b"\n") + b"\n"
 
@@ -26,7 +26,7 @@ def checked(u: Sequence[float], limits: Limits) -> NDArray[np.float64]:
     Raises
     ------
     ValueError
-        One is outside the limits, or steps too far; names the first index.
+        A voltage is outside the limits, or a step is too large; the message names the first index.
     """
     volts = np.asarray(u, dtype=np.float64)
     low, high, slew = limits.u_min_v, limits.u_max_v, limits.slew_v
@@ -35,7 +35,7 @@ def checked(u: Sequence[float], limits: Limits) -> NDArray[np.float64]:
         i = int(np.argmax(outside))
         raise InputError(f"u[{i}]={volts[i]:.4g} V is outside {low:.4g} … {high:.4g} V")
     steps = np.abs(np.diff(volts, prepend=0.0))
-    # What is left over is what two numbers like 0.3 and 1.3 differ from 1 by.
+    # The tolerance is for the rounding of a difference of two decimal numbers.
     far = steps > slew * (1 + 1e-9)
     if slew and far.any():
         i = int(np.argmax(far))

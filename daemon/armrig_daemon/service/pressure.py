@@ -1,4 +1,4 @@
-"""What else this machine was doing, told beside the timing and where it may have ended a run."""
+"""Load of this machine, reported with the timing and with a run that the load may have ended."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from math import nan
 from pathlib import Path
 from time import monotonic_ns
 
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import Ending, OutcomeCode, RefusalCode
 from armrig_core.commands import Refused, refused
 from armrig_protocol.messages import Cause
 
@@ -16,27 +16,28 @@ from armrig_daemon.decisions.faults import Id
 from armrig_daemon.pipe import State, Timing
 
 CPU = Path("/proc/pressure/cpu")
-LATENESS_MOST_MS = 100
-"""A host that wakes later than this again and again is not to drive a motor, in ms.
+MAX_LATENESS_MS = 100
+"""Largest 99th percentile of a second's lateness at which a host may begin a run, in ms.
 
-A longer watchdog bears a stall in a run that has begun; it is no leave to begin one on such a host.
+A longer watchdog tolerates a stall during a run, but does not permit the begin of a run on a late
+host.
 """
 _OF_LOAD = (Id.STALE, Id.PAUSE, Id.MISSED)
 
 
 class Pressure:
-    """Pressure stall information of the processors, and the run queue."""
+    """Source of the processors' pressure stall information, and of the run queue."""
 
     def __init__(self, path: Path = CPU) -> None:
-        """Begin to count now."""
+        """Start to count the waiting time now."""
         self._path = path
         self._last = (monotonic_ns(), self._stalled_us())
 
     def read(self) -> tuple[float, int]:
-        """Return two figures; NaN and -1 where this kernel does not tell.
+        """Return two numbers; NaN and -1 if this kernel does not report them.
 
-        The share of the time since the last call in which some task waited for a processor, in
-        percent, and how many tasks are runnable now.
+        The first number is the share of the time since the last call in which some task waited
+        for a processor, in percent. The second number is the number of runnable tasks now.
         """
         now_ns, stalled_us = monotonic_ns(), self._stalled_us()
         (then_ns, before_us), self._last = self._last, (now_ns, stalled_us)
@@ -61,11 +62,11 @@ def _runnable() -> int:
 
 
 def load(path: Path = CPU) -> str:
-    """Return how busy the processors are, for a person."""
+    """Return the load of the processors, as text for a person."""
     try:
         mean, cpus = os.getloadavg()[0], len(os.sched_getaffinity(0))
     except OSError:
-        return "load not told by this kernel"
+        return "load not reported by this kernel"
     processors = "1 processor" if cpus == 1 else f"{cpus} processors"
     text = f"load {mean:.1f} on {processors}"
     with contextlib.suppress(OSError, ValueError, IndexError):
@@ -75,10 +76,10 @@ def load(path: Path = CPU) -> str:
 
 
 def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> Refused | None:
-    """Return why a host whose last second was like this is not to drive a motor, or None."""
-    # One late tick among a hundred is no reason: only a pause that comes again and again.
+    """Return the refusal of an arming if the timing of the last second is too late, or None."""
+    # One late tick among a hundred is no reason for a refusal, but a repeated pause is.
     late_ms = timing.wake_lateness_us.p99 / 1e3 if timing else 0.0
-    most_ms = min(watchdog_ms, LATENESS_MOST_MS)
+    most_ms = min(watchdog_ms, MAX_LATENESS_MS)
     if late_ms <= most_ms:
         return None
     return refused(
@@ -90,12 +91,10 @@ def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> Refused | No
     )
 
 
-def outcome(ended: str, state: State, load: str) -> str:
-    """Return how a run ended, with the load behind a fault that it may have caused."""
-    is_late = state.fault in _OF_LOAD or (
-        state.fault == Id.DEVICE and Cause.WATCHDOG.name in state.reason
-    )
-    # A run that was over before the fault was not ended by it.
-    if not is_late or ended != state.reason:
+def with_load(ended: Ending, state: State, load: str) -> Ending:
+    """Return the end of a run; its sentence states the load if load may have caused a fault."""
+    is_late = state.fault in _OF_LOAD or state.device_cause == Cause.WATCHDOG
+    # A fault after the end of a run did not end the run.
+    if not is_late or ended.code != OutcomeCode.FAULT:
         return ended
-    return f"{ended} ({load}; see `armrig doctor`)"
+    return ended._replace(text=f"{ended.text} ({load}; see `armrig doctor`)")

@@ -17,7 +17,7 @@ def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns
     Parameters
     ----------
     clock_offset_ns : int
-        Real-time clock less monotonic clock, for the one message that carries a wall-clock time.
+        Real-time clock minus monotonic clock, for the message with a wall-clock time.
     """
     match record:
         case Gap():
@@ -47,7 +47,10 @@ def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns
             return _out("state", record.t_host_ns, message.SerializeToString())
         case Log():
             message = protobuf.message_class(protobuf.LOG)(
-                level=protobuf.LEVELS[record.level], message=record.message, name="armrigd"
+                level=protobuf.LEVELS[record.level],
+                message=record.message,
+                name="armrigd",
+                emulator_stall_ns=record.emulator_stall_ns,
             )
             if record.is_note:
                 message.name = protobuf.NOTE

@@ -1,4 +1,4 @@
-"""What the service says to the world and hears from it, whichever way somebody came in."""
+"""Publishing to all clients, and the queues of their commands, over all endpoints."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ from armrig_daemon.service.listener import Command, Listener
 from armrig_daemon.service.uplink import Uplink
 
 TOO_MANY = refused(RefusalCode.TOO_MANY, "too many commands are waiting: try again")
-"""What is said to those that there is no room for."""
-MOST_WAITING = 64  # commands of a kind that nobody has looked at yet; more are refused
+"""Refusal of a command whose queue is full."""
+MAX_WAITING = 64  # unread commands of a kind; more are refused
 
 
 class NetworkError(OperationError):
-    """The endpoint of a network cannot be listened at; says why."""
+    """The service cannot listen at the endpoint of a network; the message contains the reason."""
 
 
 class Kind(Enum):
-    """Commands that wait for each other; those of another kind do not stand before them."""
+    """Kind of a command; a command waits only for commands of its own kind."""
 
     STOP = Stop.name
     SIGN = Renew.name
     STATUS = Status.name
     LEASED = "leased"
-    """Of the holder, a sign of whom is a kind of its own."""
+    """Commands of the holder except the signs of life, which are a separate kind."""
     CALIBRATE = Calibrate.name
-    """Long, and seldom: one of them waits at most."""
+    """Large and rare commands, of which at most one waits."""
     OTHER = "other"
 
 
 def kind_of(name: str) -> Kind:
-    """Return the kind of a command, whether there is such a one or not."""
+    """Return the kind of a command; an unknown command is of the kind OTHER."""
     if name in (Stop.name, Renew.name, Status.name, Calibrate.name):
         return Kind(name)
     return Kind.LEASED if name in admission.LEASED else Kind.OTHER
@@ -62,27 +62,27 @@ class Session:
         network: Network | None = None,
         router: Network | None = None,
     ) -> None:
-        """Listen; `wake` is called, from a thread of zenoh's, when a command has come.
+        """Listen; zenoh's threads call `wake` when a command has arrived.
 
         Parameters
         ----------
         endpoint : str
-            Of the Unix socket.
+            Endpoint of the Unix socket.
         network : Network, optional
-            Where to listen, too.
+            Network endpoint to listen at, too.
         router : Network, optional
-            Where to connect to, too, as soon as it is there.
+            Router to connect to, too, as soon as it answers.
 
         Raises
         ------
         zenoh.ZError
             The endpoint is taken or cannot be made.
         NetworkError
-            That of the network is, or cannot.
+            The endpoint of the network is in use or cannot be opened.
         """
-        self.lease = b""  # the one in force; without it no command of a holder is let in
+        self.lease = b""  # in force; without it no command of a holder is admitted
         self._waiting = {
-            kind: queue.Queue[Command](1 if kind is Kind.CALIBRATE else MOST_WAITING)
+            kind: queue.Queue[Command](1 if kind is Kind.CALIBRATE else MAX_WAITING)
             for kind in Kind
         }
         self._wake = wake
@@ -96,13 +96,13 @@ class Session:
                 self._listeners[0].close()
                 raise
         self.uplink: Uplink | None = None
-        """The way through a router, if there is to be one."""
+        """Connection to a router; None without a configured router."""
         if router is not None:
             way = partial(Listener, router.endpoint, rig, self._admit, self._past, router)
             self.uplink = Uplink(router.endpoint, way)
 
     def __enter__(self) -> Self:
-        """Return itself, open."""
+        """Open the listeners and return this object."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -118,7 +118,7 @@ class Session:
         Raises
         ------
         NetworkError
-            It cannot be.
+            The endpoint is taken or cannot be made.
         """
         if self._network is None:
             return
@@ -130,28 +130,28 @@ class Session:
         self._listeners.append(remote)
 
     def shut_network(self) -> None:
-        """End all links of the network, and listen there no more; nobody waits until it is done."""
+        """End all links of the network and stop listening, in other threads; return at once."""
         for listener in self._listeners[1:]:
             threading.Thread(target=listener.close, name="closing", daemon=True).start()
         del self._listeners[1:]
 
     def put(self, stream: str, data: bytes) -> None:
-        """Publish; dropped by zenoh where a subscriber does not keep up, and kept for a while."""
+        """Publish a message and keep it in the history; zenoh drops it for a slow subscriber."""
         for listener in self._listeners:
             listener.put(stream, data)
         if self.uplink is not None:
             self.uplink.put(stream, data)
         self._history.add(stream, data)
 
-    def waiting(self, kind: Kind, most: int = MOST_WAITING) -> Iterator[Command]:
-        """Iterate over the commands of a kind that wait, at most so many."""
+    def waiting(self, kind: Kind, most: int = MAX_WAITING) -> Iterator[Command]:
+        """Iterate over the waiting commands of a kind, at most `most`."""
         with contextlib.suppress(queue.Empty):
             for _ in range(most):
                 yield self._waiting[kind].get_nowait()
 
     @property
     def is_asked(self) -> bool:
-        """Whether a command waits."""
+        """True while a command waits."""
         return not all(waiting.empty() for waiting in self._waiting.values())
 
     def _past(self, first: int, clock_offset_ns: int) -> bytes:

@@ -1,10 +1,10 @@
-"""What the potentiometers have shown lately, and whether a rig with such readings may be armed.
+"""Recent readings of the potentiometers, and whether a rig with such readings may be armed.
 
-At rest a reading that does not move says nothing: a still shaft and a torn wire look alike. What
-can be told: alpha at an end of its track (it never gets there by turning on), and a theta_1 that
-stayed where it was while the motor was driven for as long as a whole turn takes. theta_1 at a rail
-at rest is no fault: the chassis may stand in the dead band. Nor is an alpha that does not move:
-the arm follows a constant voltage without deflecting.
+At rest a constant reading proves nothing, because a still shaft and a torn wire give the same
+reading. Two faults can be detected. The first is alpha at an end of its track, which alpha never
+reaches in motion. The second is a constant theta_1 while the motor was driven for the time of a
+whole turn. At rest, theta_1 at a rail is no fault: the chassis may be in the dead band. A constant
+alpha is no fault either: under a constant voltage the arm follows without deflection.
 """
 
 from __future__ import annotations
@@ -18,32 +18,32 @@ from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
 
 RAIL_NS = 200_000_000
-"""At a rail for so long, alpha is out of its range, in ns."""
+"""Time at a rail after which alpha counts as out of its range, in ns."""
 STILL_COUNTS = 256
-"""Readings this close together, of 65536, are one place: 1.4°, beyond any noise."""
+"""Largest range of readings that count as one position, of 65536: 1.4°, more than any noise."""
 FRICTION_V = 1.0
-"""A lower voltage may not overcome the friction, in V."""
+"""Voltage below which the motor may not overcome the friction, in V."""
 APART_S = 0.2
-"""At 5 V the chassis turns by less than a third of a turn in so long, in s."""
+"""Largest time between two samples, in s; at 5 V, the chassis turns less than 1/3 turn in it."""
 _ADC1_RAIL = int(Flag.ADC1_RAIL)
 
 
 class Readings(NamedTuple):
-    """What is remembered of the samples so far."""
+    """Summary of the samples so far."""
 
     newest: Sample | None = None
     alpha_free_ns: int = 0
-    """When alpha was last inside its range, on the host's clock."""
+    """Last time at which alpha was inside its range, on the host's clock."""
     least: int = 0
-    """Smallest reading of theta_1 since it last left its place."""
+    """Smallest reading of theta_1 since theta_1 last changed its position."""
     greatest: int = 0
-    """Greatest reading of theta_1 since then."""
+    """Largest reading of theta_1 since its last change of position."""
     volt_s: float = 0.0
-    """Integral of the voltage beyond the friction since then, in Vs."""
+    """Integral of the voltage above `FRICTION_V` since the last change of position, in Vs."""
 
 
 def updated(before: Readings, sample: Sample) -> Readings:
-    """Return the readings after one more sample."""
+    """Return the summary updated by a new sample."""
     last, y0 = before.newest, sample.theta_1_counts
     free = before.alpha_free_ns
     if last is None or not sample.flags & _ADC1_RAIL:
@@ -52,14 +52,14 @@ def updated(before: Readings, sample: Sample) -> Readings:
     if last is None or greatest - least > STILL_COUNTS:
         return Readings(sample, free, y0, y0, 0.0)
     held_s = 1e-6 * (sample.t_device_us - last.t_device_us)
-    # Samples further apart may have whole turns between them, which look like none.
+    # Between samples further apart, a whole turn would look like no motion.
     counts = 0 < held_s <= APART_S and last.u_applied_v > FRICTION_V
     driven = (last.u_applied_v - FRICTION_V) * held_s if counts else 0.0
     return Readings(sample, free, least, greatest, before.volt_s + driven)
 
 
 def theta_1_rad(readings: Readings) -> float | None:
-    """Return where the chassis was at last, in rad; None where that is not known."""
+    """Return the last angle of the chassis, in rad; None if the angle is unknown."""
     newest = readings.newest
     return None if newest is None or isnan(newest.theta_1_rad) else newest.theta_1_rad
 
@@ -67,14 +67,14 @@ def theta_1_rad(readings: Readings) -> float | None:
 def objection(
     readings: Readings, *, turns_per_volt_s: float, alpha_is_read: bool
 ) -> Refused | None:
-    """Return why a rig with these readings is not armed, or None.
+    """Return the refusal to arm a rig with these readings, or None.
 
     Parameters
     ----------
     turns_per_volt_s : float
-        Turns of the chassis for one Vs, in the model, once it turns.
+        Turns of the chassis for one Vs, from the model, while the chassis turns.
     alpha_is_read : bool
-        Whether alpha's potentiometer is there, and does not turn on beyond its ends.
+        True if alpha has a potentiometer that does not turn beyond its ends.
     """
     newest = readings.newest
     if newest is None:
@@ -83,15 +83,15 @@ def objection(
     if alpha_is_read and railed_ns >= RAIL_NS:
         return refused(
             RefusalCode.READINGS,
-            f"alpha reads {newest.alpha_counts} of 65535, the end of its range: see to its wires, "
-            "and that the arm hangs free",
+            f"alpha reads {newest.alpha_counts} of 65535, the end of its range: check the wires "
+            "of its potentiometer, and that the arm hangs free",
         )
     turns = readings.volt_s * turns_per_volt_s
     if turns >= 1:
         return refused(
             RefusalCode.READINGS,
             f"theta_1 reads {newest.theta_1_counts} of 65535 and did not move while the motor was "
-            f"driven for {turns:.1f} turns: see to its wires and to the motor's, then turn the "
-            "chassis by hand",
+            f"driven for {turns:.1f} turns: check the wires of potentiometer and motor, then turn "
+            "the chassis by hand",
         )
     return None

@@ -1,4 +1,4 @@
-"""What the service knows of its rig: what the loop has told, and what this host was doing."""
+"""The service's view of its rig: the newest reports of the loop, and the load of this host."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device
 
 
 class RigView:
-    """The newest of what was told."""
+    """Newest reports of the loop about the rig."""
 
     def __init__(self, config: Config, endpoint: str, directory: Path) -> None:
-        """Begin with nothing told."""
+        """Create the view without a report."""
         self._state = _UNKNOWN
         self._host: dict[str, Any] = {}
         self._config = config
@@ -40,56 +40,56 @@ class RigView:
 
     @property
     def state(self) -> State:
-        """The newest state that the loop has told."""
+        """Newest state that the loop has reported."""
         return self._state
 
     @property
     def host(self) -> dict[str, Any]:
-        """What the kernel gave the loop, and what it refused."""
+        """Requests of the loop that the kernel granted, and requests that the kernel refused."""
         return self._host
 
     @property
     def is_known(self) -> bool:
-        """Whether the loop has told a state."""
+        """True once the loop has reported a state."""
         return self._state is not _UNKNOWN
 
     @property
     def line(self) -> str:
-        """What came of a device that does not answer, and at which port, or nothing."""
+        """Port, and the reason why no device answers; empty if a device answers."""
         line = self._state.line
         return f"{self._config.device.port}: {line}" if line else ""
 
     @property
     def theta_1_rad(self) -> float | None:
-        """Where the chassis is, in rad; None where that is not known."""
+        """Angle of the chassis, in rad; None if it is not known."""
         return readings.theta_1_rad(self._readings)
 
     def note_state(self, state: State) -> None:
-        """Take note of the state of the loop."""
+        """Note the state of the loop."""
         self._state = state
 
     def note_host(self, host: Host) -> None:
-        """Take note of what the kernel gave the loop."""
+        """Note the properties that the kernel granted to the loop."""
         self._host = host.granted
 
     def note_calibration(self, calibration: Calibration) -> None:
-        """Take note of another calibration that the loop has taken."""
-        # What is remembered of the readings is in counts, and stays.
+        """Note a new calibration that the loop has accepted."""
+        # The stored readings are in counts, and stay valid.
         self._config = replace(self._config, calibration=calibration)
         self._calibration = taken(calibration)
 
     def note_sample(self, sample: Sample) -> None:
-        """Take note of a sample."""
+        """Note a sample."""
         self._readings = readings.updated(self._readings, sample)
 
     def note_timing(self, timing: Timing) -> Timing:
-        """Take note of the last second; return it with what else this machine was doing."""
+        """Note the timing of the last second; return it with the load of this machine."""
         share, runnable = self._pressure.read()
         self._timing = replace(timing, cpu_pressure_percent=share, run_queue=runnable)
         return self._timing
 
     def objection(self) -> Refused | None:
-        """Return why the readings or the host do not allow to arm, or None."""
+        """Return the refusal to arm with these readings or this host, or None."""
         config = self._config
         return readings.objection(
             self._readings,
@@ -98,7 +98,7 @@ class RigView:
         ) or pressure.untimely(self._timing, config.device.watchdog_ms, pressure.load())
 
     def status(self, last_run: LastRun | None) -> StatusReport:
-        """Return all of it for who asks."""
+        """Return the status of the daemon and the rig."""
         config, state = self._config, self._state
         return StatusReport(
             rig=config.rig.id,

@@ -1,4 +1,4 @@
-"""Runs and their recordings: planned, begun, ended; what belongs into one, and what is missing."""
+"""Runs and their recordings: plan, beginning, contents and end."""
 
 from __future__ import annotations
 
@@ -14,7 +14,15 @@ import msgspec
 from armrig_core.calibration import Calibration
 from armrig_core.calibration_file import raw_samples
 from armrig_core.codes import Ending, OutcomeCode, RefusalCode
-from armrig_core.commands import CommandRefusedError, LastRun, Renew, Run, RunAccepted, refused
+from armrig_core.commands import (
+    CommandRefusedError,
+    LastRun,
+    Refused,
+    Renew,
+    Run,
+    RunAccepted,
+    refused,
+)
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW, CONFIG, INPUT, Manifest
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import PartLimits, Recording, RecordingError
@@ -31,23 +39,23 @@ from armrig_daemon.service.directory import check_directory
 from armrig_daemon.service.host_facts import HostFacts, of_this_host
 from armrig_daemon.service.played_input import checked, one_a_line
 
-_ROOM_PER_SAMPLE = 200  # bytes that a recorded sample may take, uncompressed and indexed
-_ROOM = 1 << 20  # and what a recording takes without any
+_BYTES_PER_SAMPLE = 200  # largest size of a recorded sample, uncompressed and indexed
+_BASE_BYTES = 1 << 20  # size of a recording without samples
 
 
 class Planned(NamedTuple):
-    """A run that was asked for."""
+    """Run that was requested and has not begun."""
 
     run_id: str
     path: Path
     request: Run
     rehearsal: Rehearsal
     text: bytes
-    """The input as it is attached; made while the motor is at 0 V, for a million take a while."""
+    """Input as text for the recording, computed while the motor is at 0 V because this is slow."""
 
 
 class Runs:
-    """The run in hand, if there is one, and the last one."""
+    """Current run, if any, and the last run."""
 
     def __init__(
         self,
@@ -56,7 +64,7 @@ class Runs:
         changed: Callable[[], None],
         circumstances: HostFacts | None = None,
     ) -> None:
-        """Record into `directory`; `changed` is called, from a writer's thread, to have a look."""
+        """Record into `directory`; a writer's thread calls `changed` after each change."""
         self._config = config
         self._circumstances = circumstances or of_this_host()
         self._directory = directory
@@ -68,11 +76,11 @@ class Runs:
         self._first = self._end = 0
         self._last: LastRun | None = None
         self._presence: ClientWatchdog | None = None
-        self._told = ""
+        self._reported_error = ""
 
     @property
     def last(self) -> LastRun | None:
-        """The newest run, the one in hand included."""
+        """Newest run, including the current run."""
         if self._planned is not None:
             return _begun(self._planned)
         recording = self._recording or self._finishing
@@ -87,20 +95,20 @@ class Runs:
 
     @property
     def run_id(self) -> str:
-        """Id of the run in hand, or nothing."""
+        """Id of the current run, or an empty text."""
         return "" if self.is_idle or self.last is None else self.last.run_id
 
     @property
     def is_idle(self) -> bool:
-        """Whether no run is in hand."""
+        """True without a current run."""
         return self._planned is None and self._recording is None and self._finishing is None
 
-    def no_room(self) -> str:
-        """Return why nothing could be recorded, or nothing."""
-        return check_directory(self._directory, _ROOM)
+    def no_room(self) -> Refused | None:
+        """Return the refusal if nothing can be recorded, or None."""
+        return check_directory(self._directory, _BASE_BYTES)
 
     def note_calibration(self, calibration: Calibration, raw: bytes) -> None:
-        """Have runs from now on carry another calibration, and its samples."""
+        """Store another calibration and its samples with the following runs."""
         self._config = msgspec.structs.replace(self._config, calibration=calibration)
         self._calibration_raw = raw
 
@@ -111,32 +119,33 @@ class Runs:
         theta_1_rad: float | None = None,
         alive: Callable[[], None] = lambda: None,
     ) -> tuple[pipe.Run, RunAccepted]:
-        """Return the order for the loop, and what to answer once the loop has taken it.
+        """Return the order for the loop, and the answer to the client after the loop's acceptance.
 
         Parameters
         ----------
         request : Run
-            What was asked for.
+            Request of the client.
         Ts : float
             Sampling time of the lease, in s.
         theta_1_rad : float, optional
-            Where the chassis is, in rad.
+            Angle of the chassis, in rad.
         alive : callable
-            Called between steps that take long for millions of samples.
+            Called between the steps, which take a long time for millions of samples.
 
         Raises
         ------
         CommandRefusedError
-            Another run is in hand, or there is no room for the recording; a ValueError.
+            Another run is requested or running, or there is no room for the recording; a
+            ValueError.
         ValueError
             A voltage or the rehearsal is outside the limits.
         """
         if not self.is_idle:
             busy = "an experiment is running: stop it first, or wait for its end"
             raise CommandRefusedError(refused(RefusalCode.RUNNING, busy))
-        error = check_directory(self._directory, _ROOM_PER_SAMPLE * len(request.u) + _ROOM)
-        if error:
-            raise CommandRefusedError(refused(RefusalCode.NO_ROOM, error))
+        no_room = check_directory(self._directory, _BYTES_PER_SAMPLE * len(request.u) + _BASE_BYTES)
+        if no_room:
+            raise CommandRefusedError(no_room)
         limits, arm = self._config.limits, self._config.arm
         u = checked(request.u, limits)
         alive()
@@ -169,23 +178,23 @@ class Runs:
         return order, RunAccepted(run_id=run_id, recording=path, rehearsal=rehearsal)
 
     def renew(self, sign: Renew, now_s: float) -> None:
-        """Take a sign of the client; raises ValueError where the run in hand is not its own."""
+        """Note a sign of life; raise ValueError if the current run is of another client."""
         self._presence = renewed(self._presence, sign, now_s)
 
     @property
     def client_gone_s(self) -> float:
-        """When the run in hand is to be stopped, unless its client shows itself before."""
+        """Time at which the current run is stopped if its client sends no earlier sign of life."""
         return self._presence.gone_s if self._presence else inf
 
     def client_gone(self) -> Ending:
-        """Return how a run ends that is stopped as nobody waits for it."""
+        """Return the outcome of a run that is stopped because its client is gone."""
         presence, self._presence = self._presence, None
         period_s = presence.period_s if presence else 0.0
         text = f"its client went away: no sign of it for {period_s:g} s"
         return Ending(OutcomeCode.CLIENT_GONE, text)
 
     def forget(self, run_id: str) -> None:
-        """Drop what was planned: the loop has refused it, or did not answer."""
+        """Discard a planned run that the loop has refused or has not answered."""
         if self._planned is not None and self._planned.run_id == run_id:
             self._planned = None
 
@@ -197,13 +206,13 @@ class Runs:
         Raises
         ------
         RecordingError
-            The file cannot be made.
+            The file cannot be created.
         LookupError
-            Nobody asked for this run.
+            No client has requested this run.
         """
         planned, self._planned = self._planned, None
         if planned is None or planned.run_id != started.run_id:
-            raise LookupError(f"run {started.run_id} was not asked for")
+            raise LookupError(f"run {started.run_id} was not requested")
         manifest = self._manifest(planned, started, state, host, clock_offset_ns)
         attachments = {
             CONFIG: msgspec.json.encode(self._config),
@@ -233,15 +242,15 @@ class Runs:
 
     @property
     def takes_notes(self) -> bool:
-        """Whether a recording is being written."""
+        """True while a recording is written."""
         return self._recording is not None and not self._recording.error
 
     def includes_sample(self, k: int) -> bool:
-        """Return whether sample `k` belongs into the recording."""
+        """Return whether the recording includes sample `k`."""
         return self._recording is not None and self._first <= k < self._end
 
     def includes(self, record: object) -> bool:
-        """Return whether a record belongs into the recording; of gaps those within the run."""
+        """Return whether the recording includes a record; a gap must overlap with the run."""
         if self._recording is None or not isinstance(record, Gap):
             return self._recording is not None
         return max(record.k_first, self._first) < min(record.k_first + record.count, self._end)
@@ -252,7 +261,7 @@ class Runs:
             self._recording.add(batch)
 
     def end(self, ended: Ending) -> None:
-        """Have the recording finished."""
+        """End the recording; its writer finishes the file."""
         self._planned = self._presence = None
         recording, self._recording = self._recording, None
         if recording is None or self._last is None:
@@ -262,7 +271,7 @@ class Runs:
         self._finishing = recording
 
     def disturbed(self) -> Ending | None:
-        """Return how the run in hand is to end for its recording's sake; None if it need not."""
+        """Return the outcome of a run that must end because of its recording, or None."""
         recording = self._recording
         if recording is None:
             return None
@@ -271,20 +280,20 @@ class Runs:
         return Ending(OutcomeCode.MOVED, recording.moved) if recording.moved else None
 
     def unrecorded(self) -> str:
-        """Return, once, why the run in hand plays on without being recorded, or nothing."""
+        """Return, once, the reason why the current run is no longer recorded, or an empty text."""
         recording = self._recording
-        if recording is None or not recording.error or recording.error == self._told:
+        if recording is None or not recording.error or recording.error == self._reported_error:
             return ""
-        self._told = recording.error
-        return "" if self._config.recording.stop_when_full else f"{self._told}; the run plays on"
+        error = self._reported_error = recording.error
+        return "" if self._config.recording.stop_when_full else f"{error}; the run plays on"
 
     def finished(self, timeout: float = 0.0) -> tuple[str, str]:
-        """Return a level and a line for a person when a recording is complete, else two "".
+        """Return a level and a line for a person if a recording is complete, else two empty texts.
 
         Parameters
         ----------
         timeout : float
-            How long to wait for it, in s.
+            Longest time to wait for the recording, in s.
         """
         recording = self._finishing
         if recording is None or self._last is None:
@@ -347,9 +356,9 @@ class Runs:
 
 
 def part_limits(config: RecordingConfig, samples: int, Ts: float) -> PartLimits | None:
-    """Return when the parts of a run end; None where one file may hold all of it."""
+    """Return the limits of the parts of a run; None if one file may contain the whole run."""
     longest_s, largest = config.part_minutes * 60 or inf, config.part_mb * 1e6 or inf
-    size = samples * _ROOM_PER_SAMPLE
+    size = samples * _BYTES_PER_SAMPLE
     most = samples if samples * Ts <= longest_s else max(1, round(longest_s / Ts))
     if most == samples and size <= largest:
         return None

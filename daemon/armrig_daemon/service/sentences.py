@@ -1,8 +1,9 @@
-"""What the service says to whoever reads its log or its standard error."""
+"""Sentences of the service for its log and its standard error."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import ipaddress
 import sys
 from collections.abc import Mapping
@@ -10,6 +11,7 @@ from datetime import datetime, timedelta
 
 from armrig_core.endpoint import network_address
 from armrig_core.journal import log_prefix
+from armrig_core.owned_session import os_error_number
 from armrig_core.printable import printable
 
 from armrig_daemon.config import Config
@@ -17,85 +19,86 @@ from armrig_daemon.pipe import Log, State
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.systemd import journal_entry, send_to_journal
 
-_SOON = timedelta(days=30)
+_EXPIRY_NOTICE = timedelta(days=30)
 
 
 def served(config: Config, ended_by: str = "Ctrl-C") -> str:
-    """Return what is served, and how it is asked and ended."""
+    """Return the port and the limits of the rig, and the commands for its status and its end."""
     rig = "" if config.rig.id == "1" else f" --rig {config.rig.id}"
     how = f"ask it with `armrig status{rig}`, end it with {ended_by}"
     return f"{line_and_limits(config)}; {how}"
 
 
 def line_and_limits(config: Config) -> str:
-    """Return the line to the device, the voltages of commands, and a key that means nothing."""
+    """Return the port, the range of voltages, and a notice of a key without effect."""
     device, limits = config.device, config.limits
     volts = f"{limits.u_min_v:g} to {limits.u_max_v:g} V"
-    rest = "" if config.motor.rest_v is None else "; motor.rest_v = 0 means nothing: remove it"
+    rest = "" if config.motor.rest_v is None else "; motor.rest_v = 0 has no effect: remove it"
     return f"port {device.port} at {device.baud} baud, {volts}{rest}"
 
 
 def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:
-    """Return why nobody can be served at `endpoint`."""
+    """Return the reason why the service cannot listen at `endpoint`."""
     if "lock" in str(err):
         return f"a daemon of rig {rig} already runs at {endpoint}; end it, or choose another --rig"
     return f"{endpoint}: {str(err).splitlines()[0][:200]}; see that the directory can be written"
 
 
 def unreachable(endpoint: str, devices: str) -> str:
-    """Return why nobody can reach us by a network, or nothing.
+    """Return the reason why no client can connect over a network, or an empty text.
 
     Parameters
     ----------
     devices : str
-        What /proc/net/dev holds: two lines of headings, then one for each interface.
+        Contents of /proc/net/dev: two lines of headings, then a line for each interface.
     """
     interfaces = {line.split(":")[0].strip() for line in devices.splitlines()[2:]}
     host, _ = network_address(endpoint) or ("", 0)
-    with contextlib.suppress(ValueError):  # a name may lead anywhere
+    with contextlib.suppress(ValueError):  # a name may resolve to any address
         if ipaddress.ip_address(host).is_loopback:
             return ""
     if interfaces - {"lo"}:
         return ""
     return (
-        f"[access] {endpoint}: there is no interface but the loopback: nobody can connect; in a "
-        "service PrivateNetwork=no is missing, see docs/access.md"
+        f"[access] {endpoint}: nobody can connect, because the only network interface is the "
+        "loopback. If armrigd runs as a service, set PrivateNetwork=no in its unit (docs/access.md)"
     )
 
 
 def reached(network: Network, now: datetime) -> tuple[str, str]:
-    """Return, with its level, who may come over a network, and until when."""
+    """Return a level, and a line with the permitted clients and the expiry of the certificate."""
     who = f"{network.operators} may drive and {network.observers} may watch, by {network.known_by}"
     text = f"also at {network.endpoint}: {who}"
     if network.is_router:
-        text = f"also through the router {network.endpoint}: whom that lets in, by certificate"
+        text = f"also through the router {network.endpoint}, for the clients that it admits"
     if network.expires is None:
         return "info", text
-    text += f"; the rig's certificate counts until {network.expires:%Y-%m-%d}"
-    if network.expires - now > _SOON:
+    text += f"; the rig's certificate is valid until {network.expires:%Y-%m-%d}"
+    if network.expires - now > _EXPIRY_NOTICE:
         return "info", text
     return "warning", f"{text}: `armrig pki renew rig-ID` makes a new one"
 
 
 def network_error(endpoint: str, err: Exception) -> str:
-    """Return why nobody can be served at the endpoint of a network."""
-    if "os error 98" in str(err):  # EADDRINUSE
-        return f"[access] listen = {endpoint!r}: another program listens there; take another port"
-    if "os error 99" in str(err):  # EADDRNOTAVAIL
+    """Return the reason why the service cannot listen at the endpoint of a network."""
+    number = os_error_number(err)
+    if number == errno.EADDRINUSE:
+        return f"[access] listen = {endpoint!r}: another program listens there; use another port"
+    if number == errno.EADDRNOTAVAIL:
         return f"[access] listen = {endpoint!r}: this machine has no such address"
-    if "os error 97" in str(err):  # EAFNOSUPPORT
+    if number == errno.EAFNOSUPPORT:
         return (
             f"[access] listen = {endpoint!r}: the sandbox lets no network in; open one by "
             "`systemctl edit armrigd@ID`, as docs/access.md shows"
         )
-    if "os error 13" in str(err):  # EACCES
+    if number == errno.EACCES:
         return f"[access] listen = {endpoint!r}: not permitted; take a port from 1024 on"
     reason = str(err).splitlines()[0][:200]
     return f"[access] listen = {endpoint!r}: {reason}; see that host and port are this machine's"
 
 
 def state_sentence(state: State, line: str) -> str:
-    """Return how the rig is, in a line; `line` tells why no device answers, if none does."""
+    """Return the state of the rig as a line; `line` is the reason if no device answers."""
     if state.reason:
         return printable(f"{state.phase}: {state.reason}; {state.remedy}, then `armrig reset`")
     if line:
@@ -110,10 +113,10 @@ def log_line(log: Log) -> str:
 
 
 def print_line(level: str, message: str, fields: Mapping[str, str] | None = None) -> None:
-    """Say a line on standard error; that nobody reads it must not end the service.
+    """Print a line on standard error; a closed standard error must not end the service.
 
-    To a terminal with who says it; to the journal, which knows that, with its priority and with
-    the fields that it is given, which a terminal is not shown.
+    On a terminal, the program's name precedes the line. The journal knows the name, and gets the
+    line with its priority and its fields.
     """
     with contextlib.suppress(OSError):
         prefix = log_prefix(level)

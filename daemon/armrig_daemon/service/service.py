@@ -1,8 +1,8 @@
-"""The service: starts the loop, publishes and records what it says, hands it what is asked.
+"""The service: it starts the loop, publishes and records its reports, and passes on commands.
 
-Two threads of ours beside its own: the recording's writer, and one that looks after the folder.
-zenoh's threads put commands into queues, or turn them away by `admission`. It may wait for disk and
-network, for the loop never waits for it.
+The process also has the thread that writes the recording and the thread that maintains the folder.
+zenoh's threads put commands into queues, or refuse them by `admission`. The service may wait for
+disk and network, because the loop never waits for the service.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from armrig_core.signal_pipe import SignalPipe
 from armrig_core.telemetry import Sample, decode_sample
 from msgspec.structs import replace
 
-from armrig_daemon.config import MEND, Config
+from armrig_daemon.config import EX_CONFIG, Config
 from armrig_daemon.loop import realtime
 from armrig_daemon.loop.process import NO_PORT, Settings
 from armrig_daemon.pipe import (
@@ -48,7 +48,7 @@ from armrig_daemon.pipe import (
     Trace,
 )
 from armrig_daemon.service import child, pressure
-from armrig_daemon.service.access import networks_of
+from armrig_daemon.service.access import Network, networks_of
 from armrig_daemon.service.commands import Commands
 from armrig_daemon.service.network_guard import NetworkGuard
 from armrig_daemon.service.protobuf_out import outgoing
@@ -69,21 +69,21 @@ from armrig_daemon.service.startup_recovery import StartupRecovery
 from armrig_daemon.service.systemd import Notifier
 from armrig_daemon.service.thinning import Thinning
 
-AGAIN = 75
-"""Exit code of a service that wants to be started anew, as it was (sysexits.h)."""
+EX_TEMPFAIL = 75
+"""Exit code of a service that must be started again with the same arguments (sysexits.h)."""
 SILENCE_NS = 3_000_000_000
-"""How long the loop drives the motor on without hearing from us, in ns."""
-_FINISH_S = 60.0  # a long recording takes its time to be written in full chunks
-_QUIT_S = 2.0  # a loop that is frozen is not waited for any longer
+"""Silence of the service after which the loop stops the motor, in ns."""
+_FINISH_S = 60.0  # the full chunks of a long recording take time to write
+_QUIT_S = 2.0  # longest time for a frozen loop to end
 _LOAD_S = 30.0  # a loop that still loads has not reached the device yet
 _AT_FIFO = "not granted: the ordinary policy for the service, whose threads may delay the loop"
 _READ = 1 << 16
-_BREATH_S = 0.005  # between two looks at a loop that has so many to answer
-_SWITCH_S = 0.0005  # zenoh's threads hold the interpreter for at most so long at a time
+_BREATH_S = 0.005  # between two looks at a loop with too many unanswered orders
+_SWITCH_S = 0.0005  # longest time for which a thread of zenoh's holds the interpreter
 
 
 class Service:
-    """One rig's service; `run` returns the exit code."""
+    """Service of one rig; `run` returns the exit code."""
 
     def __init__(
         self,
@@ -94,21 +94,22 @@ class Service:
         notifier: Notifier | None = None,
         check_configuration: Callable[[], Config] | None = None,
     ) -> None:
-        """Take the signals; nothing is started yet.
+        """Catch the signals; start nothing yet.
 
         Parameters
         ----------
         stalls_fd : int, optional
-            Where an emulator tells for how many ns the clock of its device stood still.
+            Pipe from which an emulator's reports are read: times in ns for which its clock stood
+            still.
         notifier : Notifier, optional
-            The way to systemd; none is that to nobody.
+            Connection to systemd; default: no connection.
         check_configuration : callable, optional
-            Raises ValueError where the configuration, read anew, is refused; with it SIGHUP asks
-            for that, and ends a service without it.
+            Function that SIGHUP calls: reads the configuration again, and raises ValueError if it
+            is refused. Without this function, SIGHUP ends the service.
         """
         self._notifier = Notifier({}) if notifier is None else notifier
         self._check_configuration = check_configuration
-        self._begins_anew = False
+        self._restarts = False
         self._config = config
         self._stalls_fd = stalls_fd
         self._endpoint = endpoint
@@ -129,7 +130,7 @@ class Service:
             network, router = networks_of(config)
         except InputError as err:
             print_line("error", str(err))
-            return MEND
+            return EX_CONFIG
         loop = child.start(
             Settings(
                 rules=replace(config.rules(), service_ns=SILENCE_NS),
@@ -141,7 +142,7 @@ class Service:
             )
         )
         try:
-            # The loop has its priority; whatever starts from here on must not take it.
+            # The loop has its priority; threads that start later must not inherit it.
             has_left = realtime.leave_fifo(but=loop.starter.number)
             realtime.be_prompt(loop.starter.number)
             sys.setswitchinterval(_SWITCH_S)
@@ -150,56 +151,60 @@ class Service:
                 self._endpoint, config.rig.id, self._signals.wake, network, router
             ) as session:
                 self._connect(loop, session)
-                if not has_left:
-                    self._say("warning", _AT_FIFO)
-                self._say("info", f"rig {config.rig.id} at {self._endpoint}")
-                for way in filter(None, (network, router)):
-                    self._say(*reached(way, datetime.now(UTC)))
-                    if told := unreachable(way.endpoint, Path("/proc/net/dev").read_text()):
-                        self._say("warning", told)
-                by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
-                self._say("info", served(config, by))
-                if objection := self._runs.no_room():  # now, and not at the first run
-                    self._say("warning", f"nothing can be recorded: {objection}")
+                self._announce(filter(None, (network, router)), has_left_fifo=has_left)
                 self._left_over.start()
                 self._serve()
-                self._notifier.stopping()  # the writer may need its time; nobody feeds any more
+                self._notifier.stopping()  # the writer may need time, and the watchdog is not fed
                 self._runs.end(Ending(OutcomeCode.DAEMON_ENDED, "the loop ended"))
                 self._say_finished(_FINISH_S)
         except zenoh.ZError as err:
             print_line("error", endpoint_error(self._endpoint, config.rig.id, err))
-            return MEND
+            return EX_CONFIG
         except NetworkError as err:
             print_line("error", network_error(config.access.listen, err))
-            return MEND
+            return EX_CONFIG
         finally:
             code = loop.end()
             realtime.ignore_signals()
         if not self._quitting and code == NO_PORT:
-            return MEND
+            return EX_CONFIG
         if not self._quitting:
             print_line(
                 "error",
                 f"the loop died with code {code}: the device stops the motor by itself; "
-                "start armrigd anew",
+                "restart armrigd",
             )
-        if code == 0 and self._begins_anew:
-            return AGAIN
+        if code == 0 and self._restarts:
+            return EX_TEMPFAIL
         return 0 if self._quitting and code == 0 else 1
 
     def _connect(self, loop: child.LoopChild, session: Session) -> None:
-        """Stand between a loop and a session."""
+        """Connect a loop and a session."""
         self._loop, self._session = loop, session
         self._guard: NetworkGuard | None = None
         if listen := self._config.access.listen:
-            open_anew = partial(_open_network, session, listen)
-            self._guard = NetworkGuard(open_files.count, session.shut_network, open_anew)
+            open_again = partial(_open_network, session, listen)
+            self._guard = NetworkGuard(open_files.count, session.shut_network, open_again)
         self._commands = Commands(
             self._config, self._rig, self._runs, session, loop, self._say, self._note
         )
 
+    def _announce(self, ways: Iterable[Network], *, has_left_fifo: bool) -> None:
+        """Log the endpoints, the permitted clients and the limits, and the problems found."""
+        if not has_left_fifo:
+            self._say("warning", _AT_FIFO)
+        self._say("info", f"rig {self._config.rig.id} at {self._endpoint}")
+        for way in ways:
+            self._say(*reached(way, datetime.now(UTC)))
+            if problem := unreachable(way.endpoint, Path("/proc/net/dev").read_text()):
+                self._say("warning", problem)
+        by = "`systemctl stop`" if self._notifier.is_asked else "Ctrl-C"
+        self._say("info", served(self._config, by))
+        if objection := self._runs.no_room():  # now, and not at the first run
+            self._say("warning", f"nothing can be recorded: {objection.error}")
+
     def _serve(self) -> None:
-        """Carry records out and commands in until the loop's pipe ends."""
+        """Publish records and pass on commands until the loop's pipe ends."""
         state_due = time.monotonic() + 1
         while True:
             due = min(state_due, self._kill_at, self._runs.client_gone_s)
@@ -210,10 +215,10 @@ class Service:
             sources += [] if self._stalls_fd is None else [self._stalls_fd]
             sinks = [self._loop.orders_fd] if self._loop.is_behind else []
             ready, writable, _ = select.select(sources, sinks, [], timeout)
-            if self._loop.records_fd in ready:  # first of all: who listens waits for the sample
+            if self._loop.records_fd in ready:  # first: subscribers wait for the sample
                 records = self._loop.records()
                 if records is None:
-                    self._woken()  # a signal may have ended the loop before we looked
+                    self._woken()  # a signal may have ended the loop before `select` returned
                     return
                 self._handle(records)
             if writable:
@@ -222,7 +227,7 @@ class Service:
                 self._hear_of_stalls(self._stalls_fd)
             if self._signals.fd in ready:
                 self._woken()
-            # Behind the signs that have come: one that waited for us is a sign, of when it came.
+            # First the signs of life that have arrived: a sign that waited counts from its arrival.
             self._commands.serve_signs()
             if time.monotonic() >= self._runs.client_gone_s:
                 gone = self._runs.client_gone()
@@ -243,7 +248,7 @@ class Service:
         for record in records:
             match record:
                 case bytes():
-                    self._session.put("sample", record)  # first of all: who listens waits for it
+                    self._session.put("sample", record)  # first: subscribers wait for it
                     sample = _decoded(record)
                     self._rig.note_sample(sample)
                     if self._runs.includes_sample(sample.k):
@@ -254,9 +259,8 @@ class Service:
                     batch += self._published(self._thinning.due(realtime.now_ns(), end=True))
                     self._runs.add(batch)
                     batch = []
-                    load = pressure.load()
-                    text = pressure.outcome(record.outcome, self._rig.state, load)
-                    self._runs.end(Ending(record.outcome_code, text))
+                    ended = Ending(record.outcome_code, record.outcome)
+                    self._runs.end(pressure.with_load(ended, self._rig.state, pressure.load()))
                 case Answer():
                     self._commands.answer(record)
                 case Host():
@@ -281,7 +285,7 @@ class Service:
         self._runs.add(batch)
 
     def _published(self, records: Iterable[Gap | Log | Timing | Clock | State]) -> list[Outgoing]:
-        """Publish records; return the messages that belong into the recording."""
+        """Publish records; return the messages for the recording."""
         published = [(record, self._publish(record)) for record in records]
         return [message for record, message in published if self._runs.includes(record)]
 
@@ -296,7 +300,7 @@ class Service:
         return message
 
     def _about(self, log: Log) -> dict[str, str]:
-        """Return what a line is about: the rig, who has it, the run in hand, and what it says."""
+        """Return the fields of a line: the rig, its holder, the current run, and its own fields."""
         about = {
             "rig": self._config.rig.id,
             "run": self._runs.run_id,
@@ -306,25 +310,27 @@ class Service:
         return about | log.fields
 
     def _say(self, level: str, message: str, **fields: str) -> None:
-        """Say a line, and what it is about."""
+        """Log a line with its fields."""
         now_ns = realtime.now_ns()
         self._handle([Log(t_host_ns=now_ns, level=level, message=message, fields=fields)])
 
     def _note(self, t_host_ns: int, text: str, owner: str) -> None:
-        """Publish and record a note; the thinning of the log drops none."""
+        """Publish and record a note; no note is dropped by the thinning of the log."""
         fields = {"owner": owner, "command": commands.Note.name}
         log = Log(t_host_ns=t_host_ns, level="info", message=text, fields=fields, is_note=True)
         self._runs.add(self._published([log]))
 
     def _hear_of_stalls(self, fd: int) -> None:
-        """Tell how long an emulator was held up, which tells of it once a second at most."""
-        told = os.read(fd, _READ)
-        if not told:
-            self._stalls_fd = None  # the emulator has ended; the loop says so
+        """Report the stalls of an emulator, which writes them at most once a second."""
+        stalls = os.read(fd, _READ)
+        if not stalls:
+            self._stalls_fd = None  # the emulator has ended, as the loop reports
             return
         now_ns = realtime.now_ns()
-        lines = [held_up(int(ns)) for ns in told.split()]
-        logs = [Log(t_host_ns=now_ns, level="warning", message=line) for line in lines]
+        logs = [
+            Log(t_host_ns=now_ns, level="warning", message=held_up(ns), emulator_stall_ns=ns)
+            for ns in map(int, stalls.split())
+        ]
         self._runs.add(self._published(logs))
 
     def _begin_run(self, started: RunStarted) -> None:
@@ -346,13 +352,13 @@ class Service:
     # -- the service itself ----------------------------------------------------------------
 
     def _woken(self) -> None:
-        """Take what the writer's thread and the signals left."""
-        signals = self._signals.read()  # before the look: who comes after it wakes us again
+        """Handle signals, and changes that the other threads report."""
+        signals = self._signals.read()  # read first: a later signal wakes the service again
         if signal.SIGHUP in signals and self._check_configuration is not None:
             signals -= {signal.SIGHUP}
-            self._begin_anew(self._check_configuration)
+            self._restart(self._check_configuration)
         if signals:
-            self._quit("the service was told to end")
+            self._quit("the service received a signal to end")
         if ended := self._runs.disturbed():
             self._loop.order(Stop(reason=ended.text, outcome_code=ended.code))
         self._say_finished()
@@ -362,23 +368,24 @@ class Service:
         for level, text in self._left_over.lines():
             self._say(level, text)
 
-    def _begin_anew(self, check_configuration: Callable[[], Config]) -> None:
-        """End, to be started with the configuration as it is now; refused while it would disturb.
+    def _restart(self, check_configuration: Callable[[], Config]) -> None:
+        """End the unused service, so that systemd restarts it with the new configuration.
 
-        Another process reads it, not this one, which has given up the priority that a loop needs.
+        Only a new process can use the configuration, because this process has given up the loop's
+        priority.
         """
         owner = self._rig.state.owner
         if self._is_busy:
-            who = f"{owner} has the rig" if owner else "a run or a command is in hand"
-            self._say("warning", f"configuration not read anew: {who}; reload when it is free")
+            who = f"{owner} has the rig" if owner else "a run or a command is in progress"
+            self._say("warning", f"configuration not reloaded: {who}; reload when the rig is free")
             return
         try:
             networks_of(check_configuration())
         except ValueError as err:  # InputError is one
-            self._say("error", f"configuration not read anew, the one in force stays: {err}")
+            self._say("error", f"configuration not reloaded, the old configuration stays: {err}")
             return
-        self._begins_anew = True
-        self._quit("the configuration is read anew")
+        self._restarts = True
+        self._quit("the configuration is reloaded")
 
     def _quit(self, reason: str) -> None:
         self._quitting = True
@@ -391,11 +398,11 @@ class Service:
         self._loop.order(Alive())
         self._commands.refuse_overdue()
         if self._guard is not None:
-            told = self._guard.look(time.monotonic(), is_busy=self._is_busy)
-            if told is not None:
-                self._say(*told)
-        if self._session.uplink is not None and (told := self._session.uplink.look()):
-            self._say(*told)
+            line = self._guard.look(time.monotonic(), is_busy=self._is_busy)
+            if line is not None:
+                self._say(*line)
+        if self._session.uplink is not None and (line := self._session.uplink.look()):
+            self._say(*line)
         if self._runs.is_idle:
             self._left_over.go_on()
         self._runs.add(self._published(self._thinning.due(realtime.now_ns())))
@@ -404,7 +411,7 @@ class Service:
 
     @property
     def _is_busy(self) -> bool:
-        """Whether somebody has the rig, or will in a moment."""
+        """True if a client holds the rig, or a run or a command is pending."""
         idle = self._runs.is_idle and not self._commands.is_waiting
         return bool(self._rig.state.owner) or not idle
 
@@ -413,7 +420,7 @@ class Service:
 
 
 def _open_network(session: Session, endpoint: str) -> str:
-    """Have a session listen at the network again; return why that cannot be, or nothing."""
+    """Let a session listen at the network again; return the reason of a failure, or ""."""
     try:
         session.open_network()
     except NetworkError as err:

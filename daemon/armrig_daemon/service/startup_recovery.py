@@ -1,7 +1,7 @@
-"""The folder of the recordings, looked after while the rig is served already.
+"""Maintenance of the folder of recordings, while the rig is served.
 
-What daemons of this rig left unfinished is recovered; then what the configuration does not keep is
-removed, at the start, after each run and every hour.
+First the unfinished recordings of this rig's earlier daemons are recovered. Then recordings beyond
+the configured limits are removed: at the start, after each run and every hour.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from armrig_core.recording_file.unfinished import (
 
 from armrig_daemon.config import Recording
 
-_LOOK_S = 3600.0
+_RETENTION_PERIOD_S = 3600.0
 
 
 class Line(NamedTuple):
-    """What is said of a file."""
+    """Line of the log about a file."""
 
     level: str
     text: str
 
 
 class StartupRecovery:
-    """Recovers and removes one file after the other in a thread of its own; nobody waits for it."""
+    """Thread that recovers and removes files, one after the other; no other thread waits for it."""
 
     def __init__(
         self,
@@ -47,7 +47,7 @@ class StartupRecovery:
         changed: Callable[[], None],
         config: Recording = Recording(),  # noqa: B008 - frozen
     ) -> None:
-        """Look at nothing yet; `changed` is called, from the thread, when something can be said."""
+        """Start nothing yet; the thread calls `changed` when a line can be logged."""
         self._directory = directory
         self._rig = rig
         self._changed = changed
@@ -66,25 +66,25 @@ class StartupRecovery:
         self._thread = threading.Thread(target=self._look_after, name="left over", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def rest(self) -> None:
-        """Do nothing until `go_on`, from the next record on: a run is in hand, and comes first."""
+        """Pause from the next record until `go_on` is called, because a run has priority."""
         self._may_go_on.clear()
         self._is_due.set()
 
     def go_on(self) -> None:
-        """Go on."""
+        """Continue after a pause."""
         self._may_go_on.set()
 
     def lines(self) -> Iterator[Line]:
-        """Give what has not been said yet."""
+        """Yield the lines that have not been yielded yet."""
         while not self._lines.empty():
             yield self._lines.get()
 
     def join(self, timeout: float | None = None) -> None:
-        """Wait until all are done, or for `timeout` s."""
+        """Wait until all files are done, or for `timeout` s."""
         self._thread.join(timeout)
 
     def _breath(self) -> None:
@@ -98,9 +98,9 @@ class StartupRecovery:
             try:
                 for is_removed, text in self._retention.apply(time.time()):
                     self._tell(Line("info" if is_removed else "warning", text))
-            except Exception as err:  # the next look may go well
+            except Exception as err:  # the next attempt may succeed
                 self._tell(Line("error", f"recordings are kept longer than configured: {err!r}"))
-            self._is_due.wait(_LOOK_S)
+            self._is_due.wait(_RETENTION_PERIOD_S)
 
     def _recover(self) -> None:
         recovery = Recovery(
@@ -118,10 +118,10 @@ class StartupRecovery:
             except RecoveryError as err:
                 line = Line("warning", str(err))
             except Exception as err:  # one file must not keep the others from being recovered
-                line = Line("error", f"{path}: {err!r}; it stays as it is")
+                line = Line("error", f"{path}: {err!r}; the file stays as it is")
             self._tell(line)
         for path in remove_copies(self._directory, self._rig, os.geteuid()):
-            self._tell(Line("info", f"{path}: half a copy of a whole recording, removed"))
+            self._tell(Line("info", f"{path}: incomplete copy of a complete recording, removed"))
 
     def _tell(self, line: Line) -> None:
         # A path may have any bytes, a message is UTF-8.

@@ -1,4 +1,4 @@
-"""What systemd is told of the service, by its own protocol: datagrams of lines.
+"""Reports to systemd and to the journal, by their protocols: datagrams of lines.
 
 References
 ----------
@@ -15,23 +15,23 @@ from collections.abc import Mapping, MutableMapping
 from armrig_core.journal import priority
 
 JOURNAL = "/run/systemd/journal/socket"
-"""Where the journal takes entries with fields."""
+"""Socket at which the journal accepts entries with fields."""
 _VARIABLE = "NOTIFY_SOCKET"
 _OURS = "ARMRIG_"
 _IDENTIFIER = "armrigd"
 
 
 class Notifier:
-    """The way to systemd, or to nobody where no systemd has started us.
+    """Connection to systemd; it does nothing if systemd has not started this process.
 
-    `is_asked` tells whether there is one.
+    `is_asked` is true if systemd has started this process.
     """
 
     def __init__(self, environ: MutableMapping[str, str]) -> None:
-        """Take the address from the environment: what we start shall not speak for us."""
+        """Remove the address from the environment, because child processes must not use it."""
         address = environ.pop(_VARIABLE, "")
         self.is_asked = bool(address)
-        # A name that begins with @ is one of the kernel's own space, which begins with a 0.
+        # A name that begins with @ is in the abstract namespace, where names begin with a 0.
         self._address = f"\0{address[1:]}" if address.startswith("@") else address
         self._status = ""
         self._socket: socket.socket | None = None
@@ -40,46 +40,46 @@ class Notifier:
             self._socket.setblocking(False)
 
     def ready(self) -> None:
-        """Tell that the service answers."""
+        """Report that the service answers."""
         self._send("READY=1")
 
     def status(self, line: str) -> None:
-        """Tell how the service is, where that is news; for `systemctl status`."""
+        """Report a changed status, for `systemctl status`."""
         if line != self._status:
             self._status = line
             self._send(f"STATUS={line}")
 
     def progress(self) -> None:
-        """Tell that the loop has come on: systemd ends a service of which it hears this too late.
+        """Report progress of the loop; after too long without a report, systemd ends the service.
 
-        To be called for what the loop has said, and never by a timer, which would speak for a loop
-        that hangs.
+        Call this at reports of the loop, never by a timer: a timer would also run while the loop
+        hangs.
         """
         self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """Tell that the service ends."""
+        """Report that the service ends."""
         self._send("STOPPING=1")
 
     def _send(self, line: str) -> None:
         if self._socket is not None:
-            with contextlib.suppress(OSError):  # it must not end the service that nobody hears it
+            with contextlib.suppress(OSError):  # a missing receiver must not end the service
                 self._socket.sendto(line.encode(), self._address)
 
 
 def journal_entry(level: str, message: str, fields: Mapping[str, str]) -> bytes:
-    """Return a line with its fields, as the journal takes it by its own protocol.
+    """Return a line with its fields in the journal's native protocol.
 
-    Each field is a name, and its length and its bytes: what stands in it cannot become another.
+    Each field has a name, a length and its bytes, so that no value can add another field.
 
     Parameters
     ----------
     level : str
-        Of a line of the log.
+        Level of the line.
     message : str
         The line.
     fields : mapping
-        What it is about: `run` is ARMRIG_RUN in the journal. An empty one is left out.
+        Fields of the line: `run` is ARMRIG_RUN in the journal. An empty field is omitted.
 
     References
     ----------

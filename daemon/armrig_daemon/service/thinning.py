@@ -1,4 +1,4 @@
-"""A line of the log that comes again and again, once a second and counted."""
+"""Thinning of the log: a repeated line is logged once a second, with its count."""
 
 from __future__ import annotations
 
@@ -9,37 +9,37 @@ from msgspec.structs import replace
 
 from armrig_daemon.pipe import Log
 
-AGAIN_NS = 1_000_000_000
-"""How long lines that differ in their numbers only are held back, in ns."""
-MOST_KINDS = 100
-"""Kinds of lines that are told apart; beyond, all are said."""
+HOLD_NS = 1_000_000_000
+"""Time, in ns, for which repeated lines, which differ only in their numbers, are held back."""
+MAX_KINDS = 100
+"""Largest number of distinguished kinds of lines; a line of a further kind is always logged."""
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 class _Repeated(NamedTuple):
-    """A kind of line."""
+    """Kind of line that repeats."""
 
     ns: int
-    """When one was said last."""
+    """Time of the last logged line of this kind."""
     held: int = 0
-    """How many were held back since."""
+    """Number of lines held back since the last logged line."""
     newest: Log | None = None
-    """The last of them."""
+    """Last line held back."""
 
 
 class Thinning:
-    """Lines of a log, of which those that repeat each other are held back; an error never is."""
+    """Filter of a log that holds back repeated lines, but never an error."""
 
     def __init__(self) -> None:
-        """Begin with nothing said."""
+        """Create a filter that has seen no line."""
         self._kinds: dict[str, _Repeated] = {}
 
     def lets_through(self, log: Log) -> bool:
-        """Return whether a line is to be said now; else it is counted."""
-        # Who commanded what is told of each by himself: "group 3" is not "group 4".
+        """Return whether a line must be logged now; if not, count the line."""
+        # Lines about commands keep their numbers: "group 3" is not "group 4".
         kind = log.message if "command" in log.fields else _NUMBER.sub("#", log.message)
         before = self._kinds.get(kind)
-        if log.level == "error" or (before is None and len(self._kinds) >= MOST_KINDS):
+        if log.level == "error" or (before is None and len(self._kinds) >= MAX_KINDS):
             return True
         if before is None:
             self._kinds[kind] = _Repeated(log.t_host_ns)
@@ -48,15 +48,15 @@ class Thinning:
         return False
 
     def due(self, now_ns: int, *, end: bool = False) -> list[Log]:
-        """Return a line for each kind that was held back a second ago, or at all at the end."""
+        """Return a line for each kind held back for a second, or for all kinds at the end."""
         lines: list[Log] = []
         for kind, (ns, held, newest) in list(self._kinds.items()):
-            if now_ns - ns < AGAIN_NS and not end:
+            if now_ns - ns < HOLD_NS and not end:
                 continue
             if newest is None:
                 del self._kinds[kind]
                 continue
-            more = f" ({held} like it since the last)" if held > 1 else ""
+            more = f" ({held} similar lines since the last)" if held > 1 else ""
             lines.append(replace(newest, message=newest.message + more))
             self._kinds[kind] = _Repeated(newest.t_host_ns)
         return lines

@@ -1,6 +1,7 @@
-"""The way through a router: opened as soon as there is one, and never waited for.
+"""Connection to a router, opened as soon as the router answers; no other thread waits for it.
 
-zenoh connects again by itself once it has been connected; until then a thread of ours tries.
+After the first connection, zenoh reconnects by itself. A thread of this module tries the first
+connection.
 """
 
 from __future__ import annotations
@@ -12,20 +13,20 @@ import zenoh
 
 from armrig_daemon.service.listener import Listener
 
-AGAIN_S = 1.0
-"""Between two attempts."""
+RETRY_S = 1.0
+"""Time between two attempts, in s."""
 
 
 class Uplink:
-    """A listener at a router, once there is one."""
+    """Listener at a router, opened as soon as the router answers."""
 
     def __init__(self, endpoint: str, open_way: Callable[[], Listener]) -> None:
-        """Begin to try.
+        """Start the attempts.
 
         Parameters
         ----------
         open_way : callable
-            Returns the listener; raises zenoh.ZError where the router is not there.
+            Returns the listener; raises zenoh.ZError if the router does not answer.
         """
         self._endpoint, self._open_way = endpoint, open_way
         self._listener: Listener | None = None
@@ -35,17 +36,17 @@ class Uplink:
         self._thread.start()
 
     def put(self, stream: str, data: bytes) -> None:
-        """Publish, if there is a router; who was not heard is asked for the history."""
+        """Publish if a router is connected; clients get missed messages from the history."""
         if self._listener is not None:
             self._listener.put(stream, data)
 
     @property
     def has_router(self) -> bool:
-        """Whether there is a router now."""
+        """True while a router is connected."""
         return self._listener is not None and self._listener.has_router
 
     def look(self) -> tuple[str, str] | None:
-        """Return a level and a line where the router has come or gone since the last look."""
+        """Return a level and a line if the connection has changed since the last call."""
         connected = self.has_router
         if connected is self._was_connected:
             return None
@@ -53,13 +54,13 @@ class Uplink:
         if connected:
             return "info", f"[access] connected to the router {self._endpoint}"
         return "warning", (
-            f"[access] no connection to the router {self._endpoint}, tried again every "
-            f"{AGAIN_S:g} s or so; see that `armrig router` runs there, with a certificate for "
-            "that name and of the same authority"
+            f"[access] no connection to the router {self._endpoint}, tried again about every "
+            f"{RETRY_S:g} s; check that `armrig router` runs there, with a certificate for this "
+            "name and of the same authority"
         )
 
     def close(self) -> None:
-        """Close; one that is just being opened closes itself."""
+        """Close the connection; a listener that is being opened is closed after its opening."""
         self._is_over.set()
         if self._listener is not None:
             self._listener.close()
@@ -69,7 +70,7 @@ class Uplink:
             try:
                 listener = self._open_way()
             except zenoh.ZError:
-                self._is_over.wait(AGAIN_S)
+                self._is_over.wait(RETRY_S)
                 continue
             self._listener = listener
             if self._is_over.is_set():

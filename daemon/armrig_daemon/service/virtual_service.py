@@ -1,7 +1,7 @@
-"""Runs on an emulated rig in virtual time: asked for and recorded as by `armrigd run`.
+"""Runs on an emulated rig in virtual time, requested and recorded as by `armrigd run`.
 
-Loop, core, codec, device and recorder are the same. There is no session, no priority, no terminal:
-nothing of the host that runs it is in what it records, and the same seed gives the same bytes.
+Loop, core, codec, device and recorder are the same. There is no session, no priority and no
+terminal. A recording contains no data of the host, so the same seed results in the same bytes.
 """
 
 from __future__ import annotations
@@ -44,27 +44,27 @@ from armrig_daemon.service.thinning import Thinning
 from armrig_daemon.virtual import SwitchOn, VirtualRig
 
 LEASE = "0" * 32
-"""Of the one who is there; nobody could hold the rig in the place of another."""
+"""Lease of the only client; this lease need not be secret."""
 BEGINNING = datetime(2000, 1, 1, tzinfo=UTC)
-"""Virtual time begins here, for seed 0; for each seed a second later."""
-_SEEDS = 10 * 365 * 86_400  # beyond so many the beginnings come again
+"""Start of virtual time for seed 0; for seed n the start is n seconds later."""
+_DISTINCT_SEEDS = 10 * 365 * 86_400  # further seeds repeat the beginnings
 _STEP_NS = 500_000_000
 _SETTLE_NS = 10_000_000_000
 _FINISH_S = 60.0
 
 
 class VirtualService:
-    """One emulated rig and the recordings of its runs."""
+    """Emulated rig, and the recordings of its runs."""
 
     def __init__(
         self, config: Config, directory: Path, *, seed: int, switch_on: SwitchOn = Device
     ) -> None:
-        """Switch the rig on; `seed` is the device's and that of the runs' names and times."""
+        """Switch the rig on; `seed` determines its noise, and the names and times of the runs."""
         emulator = replace(config.emulator, seed=seed, baud=config.device.baud)
-        # Where it is recorded, and behind which port, is the host's: the same rig is the same file.
+        # Folder and port are facts of the host: without them the same rig gives the same file.
         device = replace(config.device, port=VIRTUAL_PORT)
         self._config = replace(config, device=device, emulator=emulator, recording=Recording())
-        self._began = BEGINNING + timedelta(seconds=seed % _SEEDS)
+        self._began = BEGINNING + timedelta(seconds=seed % _DISTINCT_SEEDS)
         self._offset_ns = int(self._began.timestamp()) * 1_000_000_000
         self._rig = VirtualRig(self._config.rules(), emulator, switch_on=switch_on)
         circumstances = HostFacts(
@@ -85,7 +85,7 @@ class VirtualService:
         Parameters
         ----------
         request : Run
-            As a client would ask for it; its lease and number are ours.
+            Request of a client; its lease and number are replaced.
 
         Raises
         ------
@@ -110,13 +110,13 @@ class VirtualService:
         return Path(last.recording)
 
     def _ask(self, order: Orders) -> Answer:
-        """Give an order; return its answer, or raise where it is refused."""
+        """Send an order; return its answer, or raise OperationError if the order is refused."""
         self._n += 1
         number = self._n
         self._rig.order(replace(order, order=number))
         self._until(lambda: number in self._answers, "does not answer")
         answer = self._answers.pop(number)
-        if answer.error:
+        if answer.code is not None:
             raise OperationError(answer.error)
         return answer
 
@@ -131,7 +131,7 @@ class VirtualService:
             self._rig.records.clear()
 
     def _take(self, records: list[bytes | Record]) -> None:
-        """Carry what the loop said into the recording."""
+        """Record the loop's reports."""
         batch: list[Outgoing] = []
         for record in records:
             match record:
@@ -162,22 +162,22 @@ class VirtualService:
 
     def _begin(self, started: RunStarted) -> None:
         if self._state is None:
-            raise OperationError("a run started on a rig that has told no state")
+            raise OperationError("a run started on a rig that has reported no state")
         self._runs.begin(started, self._state, {}, self._offset_ns)
 
 
 def _name(seed: int, codes: bytes) -> str:
-    """Return the name of a run: another one for each seed and each input."""
+    """Return the name of a run: a hash of the seed and the input."""
     return hashlib.blake2b(codes, key=str(seed).encode(), digest_size=4).hexdigest()
 
 
 def requests_of(text: bytes) -> list[Run]:
-    """Return runs from JSON, one a line, as `armrigd virtual` reads them: `run` without its lease.
+    """Return runs from JSON, one per line, for `armrigd virtual`: `run` without its lease.
 
     Raises
     ------
     ValueError
-        A line is no such run; says which, and what is wrong.
+        A line is not a run; the message names the line and the error.
     """
     runs: list[Run] = []
     for number, line in enumerate(text.splitlines(), 1):
