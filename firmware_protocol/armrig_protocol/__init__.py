@@ -1,1 +1,1 @@
-"""The wire of armrig: frames, messages and their decoder, in pure Python."""
+"""The wire protocol of armrig: frames, messages and their decoder, in pure Python."""

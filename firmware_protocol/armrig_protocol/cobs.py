@@ -8,14 +8,14 @@ References
 
 from __future__ import annotations
 
-LONGEST = 253
-"""Longest text that needs one byte of overhead and no group code FF; frames are shorter."""
+MAX_TEXT = 253
+"""Longest text, in bytes, that needs one byte of overhead and no code FF; frames are shorter."""
 
 
 def stuff(text: bytes) -> bytes:
-    """Return `text` without any 00, one byte longer; `text` is at most `LONGEST` bytes."""
-    if len(text) > LONGEST:
-        raise ValueError(f"{len(text)} bytes are too many to stuff: at most {LONGEST}")
+    """Return `text` without any 00, one byte longer; `text` is at most `MAX_TEXT` bytes."""
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"{len(text)} bytes are too many to stuff: at most {MAX_TEXT}")
     stuffed = bytearray(b"\0" + text)
     at = 0
     for run in text.split(b"\0"):
@@ -26,9 +26,9 @@ def stuff(text: bytes) -> bytes:
 
 
 def unstuff(stuffed: bytes) -> bytes | None:
-    """Return what was stuffed, or None where a code points behind the end.
+    """Return the text before stuffing; None if a code byte points beyond the end.
 
-    `stuffed` has no 00 in it: those end frames, and are gone before this.
+    `stuffed` contains no 00: the decoder has removed the 00 at the end of the frame.
     """
     text = bytearray(stuffed)
     at, end = 0, len(text)

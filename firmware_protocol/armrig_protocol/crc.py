@@ -6,4 +6,4 @@ from zlib import crc32
 
 __all__ = ["CHECK", "crc32"]
 
-CHECK = 0xCBF43926  # crc32(b"123456789"), the check value of the catalogue of CRC algorithms
+CHECK = 0xCBF43926  # crc32(b"123456789"), the check value in the catalogue of CRC algorithms

@@ -1,7 +1,7 @@
-"""Bytes in any pieces to messages.
+"""Decoding of bytes, in any pieces, to messages.
 
-A decoder is a function of what was left over and what has come, so that it can live inside
-any state, be replayed, and be tried with the bytes cut anywhere.
+The decoder is a pure function of the leftover bytes and the new bytes. It can therefore be part of
+any state, be replayed, and be tested with the bytes cut anywhere.
 """
 
 from __future__ import annotations
@@ -9,30 +9,30 @@ from __future__ import annotations
 from armrig_protocol.frame import Spoilt, Unknown, decode
 from armrig_protocol.messages import MAX_DECODED, Message
 
-LONGEST = MAX_DECODED + 1
-"""Longest stuffed frame without its 00."""
+MAX_STUFFED = MAX_DECODED + 1
+"""Length of the longest stuffed frame without its 00, in bytes."""
 
 Received = Message | Unknown | Spoilt
-"""What the line can bring."""
+"""An item that the decoder can return."""
 
 
 def feed(pending: bytes, data: bytes) -> tuple[bytes, list[Received]]:
-    """Return what is left over, and what came.
+    """Return the leftover bytes and the received items.
 
     Parameters
     ----------
     pending : bytes
-        What the last call left over; empty at first. Never longer than `LONGEST` + 1.
+        Leftover bytes of the last call; empty at first. At most `MAX_STUFFED` + 1 bytes.
     data : bytes
-        Any bytes.
+        New bytes.
     """
     texts = (pending + data).split(b"\0")
     rest = texts.pop()
     received: list[Received] = []
     for text in texts:
-        if len(text) > LONGEST:
+        if len(text) > MAX_STUFFED:
             received.append(Spoilt("length"))
         elif text:
             received.append(decode(text))
-    # One byte more than fits is enough to remember that it was too long.
-    return rest[: LONGEST + 1], received
+    # One byte more than the longest frame shows that the frame is too long.
+    return rest[: MAX_STUFFED + 1], received

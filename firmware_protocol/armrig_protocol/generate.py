@@ -1,8 +1,8 @@
-"""Make the tables of the wire from `schema.toml`: `python -m armrig_protocol.generate [--check]`.
+"""Generate the protocol tables from `schema.toml`: `python -m armrig_protocol.generate [--check]`.
 
-From it come `armrig_protocol/messages.py`, `firmware/rig_protocol.h`, the part of `PROTOCOL.md`
-between its two marks, and the vectors of the messages in `vectors/frames.json`. With `--check`
-nothing is written; the exit code says whether they are what the schema asks for.
+The program writes `armrig_protocol/messages.py`, `firmware/rig_protocol.h`, the part of
+`PROTOCOL.md` between its two marks, and the vectors of the messages in `vectors/frames.json`. With
+`--check` nothing is written, and the exit code is 1 if a file differs from the schema.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Table = dict[str, Any]
 
 
 def schema_hash(schema: Table) -> int:
-    """Return the CRC-32 of the schema without its words, which may change freely."""
+    """Return the CRC-32 of the schema without `doc` and `unit`, which do not affect the bytes."""
 
     def bare(node: object) -> object:
         if isinstance(node, dict):
@@ -207,14 +207,14 @@ def _table_lines(schema: Table) -> Iterator[str]:
 
 
 def vector_lines(schema: Table) -> Iterator[str]:
-    """Yield the golden vectors of the messages, a line each."""
+    """Yield the golden vectors of the messages, one per line."""
     for message in schema["message"]:
         fields = [field["name"] for field in (*HEADER, *message["fields"])]
         yield from vectors_of(message["name"], message["type"], _layout(message), fields)
 
 
 def generated(root: Path) -> dict[Path, str]:
-    """Return each generated file below `root` with the text that it should have."""
+    """Return the required text of each generated file below `root`."""
     schema = tomllib.loads((root / "schema.toml").read_text(encoding="utf-8"))
     protocol, vectors = root / "PROTOCOL.md", root / "vectors" / "frames.json"
     before, rest = protocol.read_text(encoding="utf-8").split(BEGIN)
@@ -228,12 +228,12 @@ def generated(root: Path) -> dict[Path, str]:
 
 
 def main(arguments: list[str]) -> int:
-    """Write the files, or with `--check` say which are not what they should be."""
+    """Write the generated files; with `--check`, print the files that differ from the schema."""
     if arguments not in ([], ["--check"]):
         print(f"{' '.join(arguments)}: only --check is allowed", file=sys.stderr)
         return 2
     if not (ROOT / "schema.toml").exists():
-        print(f"{ROOT}: no schema.toml here; run this in a checkout of armrig", file=sys.stderr)
+        print(f"{ROOT}: no schema.toml; run this in a checkout of armrig", file=sys.stderr)
         return 2
     stale = {
         path: text
@@ -242,7 +242,7 @@ def main(arguments: list[str]) -> int:
     }
     for path, text in stale.items():
         if arguments:
-            print(f"{path}: not what schema.toml says; run python -m armrig_protocol.generate")
+            print(f"{path}: differs from schema.toml; run python -m armrig_protocol.generate")
         else:
             path.write_text(text, encoding="utf-8")
             print(f"{path}: written")

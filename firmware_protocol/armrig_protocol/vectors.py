@@ -15,19 +15,19 @@ FILLINGS = ("zero", "ones", "mixed")
 
 
 def vectors_of(name: str, number: int, layout: str, fields: Sequence[str]) -> Iterator[str]:
-    """Yield a message's vectors, a line each.
+    """Yield a message's vectors, one per line.
 
-    They are made from the schema alone, not by the codec that has to meet them.
+    The vectors are made from the schema alone, not by the codec that they test.
 
     Parameters
     ----------
     layout : str
-        Of what lies between the type and the CRC, in the letters of the struct module.
+        Layout between the type and the CRC, in the letters of the struct module.
     fields : sequence of str
-        Their names; the last takes all values that are left, where there are more.
+        Names of the fields; the last field takes all remaining values.
     """
     text = Struct("<" + layout)
-    # Of the name and as long as is needed: a field that is added changes no byte before it.
+    # Derived from the name: a field added at the end changes no byte before it.
     mixed = shake_128(name.encode()).digest(text.size)
     raws = (bytes(text.size), b"\xff" * text.size, mixed)
     for filling, raw in zip(FILLINGS, raws, strict=True):
@@ -42,13 +42,13 @@ def vectors_of(name: str, number: int, layout: str, fields: Sequence[str]) -> It
 
 
 def is_generated(line: str) -> bool:
-    """Return whether a line of the file is one of those; the others are written by hand."""
+    """Return whether a line of the file is generated; the others are written by hand."""
     name, _, filling = json.loads(line)["doc"].partition(" ")
     return name.isidentifier() and filling in FILLINGS
 
 
 def vectors_text(before: str, generated: Sequence[str]) -> str:
-    """Return the text of the file: its lines by hand as they are, then those of the messages."""
+    """Return the text of the file: its lines by hand unchanged, then the generated lines."""
     lines = [line.rstrip(",") for line in before.splitlines()[1:-1]]
     by_hand = [line for line in lines if not is_generated(line)]
     return "[\n" + ",\n".join([*by_hand, *generated]) + "\n]\n"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The converter: triggered by timer 0 (simavr 1.6 has no such trigger), held when silicon holds,
-// and read by the host, who has the arm and its potentiometers.
+// The converter. Timer 0 triggers it (simavr 1.6 has no such trigger), and it holds its input when
+// silicon does. The host supplies each reading from its model of the arm and the potentiometers.
 #include <avr_adc.h>
 #include <sim_cycle_timers.h>
 #include <sim_interrupts.h>
@@ -16,8 +16,9 @@ static unsigned channel;
 static cycles_t held(avr_t *avr, cycles_t when, void *param) {
     (void)param;
     uint32_t code = ask_conversion(when, (uint8_t)channel);
-    // simavr makes a code of millivolts, and asks the multiplexer when the code is read, which the
-    // firmware may have turned on: so the least voltage that gives this code, on every input.
+    // simavr computes the code from millivolts, and reads the multiplexer only when the code is
+    // read. By then the firmware may have set another channel. All inputs therefore get the lowest
+    // voltage that results in this code.
     uint32_t millivolts = (code * avr->avcc + 1022U) / 1023U;
     for (int i = 0; i < 8; i++)
         avr_raise_irq(inputs + i, millivolts);
@@ -31,15 +32,17 @@ static void conversion_began(avr_irq_t *irq, uint32_t value, void *param) {
         uint32_t value;
     } what = {.value = value};
     if (what.mux.kind != ADC_MUX_SINGLE)
-        return; // the bandgap: simavr knows it
+        return; // the bandgap, which simavr models itself
     channel = what.mux.src;
     uint32_t clock = 1U << ((the_avr->data[ADCSRA] & 7U) ? (the_avr->data[ADCSRA] & 7U) : 1U);
-    // Data sheet, table 24-1: held 2 clocks after the timer's trigger, and 3 cycles to synchronise;
-    // 1.5 clocks after the beginning of one that the program began.
+    // Data sheet, table 24-1: the input is held 2 ADC clocks after the timer's trigger, and 3
+    // cycles more for the synchronisation. If the program starts the conversion, the input is held
+    // after 1.5 clocks.
     avr_cycle_timer_register(the_avr, by_timer ? 2 * clock + 3 : clock * 3 / 2, held, NULL);
 }
 
-// The trigger is the rising edge of the flag: one that was never cleared triggers no more.
+// The trigger is the rising edge of the flag. If the program does not clear the flag, there is no
+// further trigger.
 static void compared(avr_irq_t *irq, uint32_t value, void *param) {
     (void)irq, (void)param;
     int rises = value && !flag;
@@ -51,12 +54,12 @@ static void compared(avr_irq_t *irq, uint32_t value, void *param) {
     }
 }
 
-// From now on no trigger of the timer begins a conversion, or each does again.
+// Make the converter ignore the timer's triggers, or obey them again.
 void adc_stand(int is_to) {
     stands = is_to;
 }
 
-// Let the supply be this; the bandgap is read against it.
+// Set the supply voltage, against which the bandgap is measured.
 void adc_supply(avr_t *avr, uint16_t millivolts) {
     avr->vcc = avr->avcc = avr->aref = millivolts;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The time that a byte of EEPROM takes: in simavr 1.6 it is written as soon as it is asked for.
+// The write time of a byte of EEPROM. simavr 1.6 writes a byte without delay.
 #include <avr_eeprom.h>
 #include <sim_cycle_timers.h>
 #include "fil.h"
@@ -20,7 +20,7 @@ static void write_eecr(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
     (void)param;
     int is_busy = avr->data[EECR] & EEPE, writes = v & EEPE && avr->data[EECR] & EEMPE;
     if (is_busy)
-        return; // neither read nor written meanwhile
+        return; // during a write the EEPROM is neither read nor written
     of_simavr(avr, addr, v, param_of_simavr);
     if (writes) {
         avr->data[EECR] |= EEPE;
@@ -28,12 +28,12 @@ static void write_eecr(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
     }
 }
 
-// From now on a byte takes so long.
+// Set the write time of a byte.
 void eeprom_byte(uint32_t us) {
     byte_us = us;
 }
 
-// Put our handler before simavr's.
+// Put this handler in front of simavr's handler.
 void eeprom_attach(avr_t *avr) {
     of_simavr = avr->io[AVR_DATA_TO_IO(EECR)].w.c;
     param_of_simavr = avr->io[AVR_DATA_TO_IO(EECR)].w.param;

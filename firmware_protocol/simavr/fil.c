@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The firmware in the loop: an Uno in simavr whose time the host drives over a pipe (README.md).
+// The firmware in the loop: an Uno in simavr. The host controls its time over a pipe (README.md).
 #include <getopt.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -17,9 +17,9 @@ enum { MCUSR = 0x54, EXTRF = 2 };
 fil_figures_t figures;
 
 static avr_t *avr;
-static uint8_t r2_of_loader; // what a boot loader leaves in r2
-static cycles_t deaf_until; // a boot loader has the processor until then
-static cycles_t off_since; // interrupts are off since then
+static uint8_t r2_of_loader; // the value that the boot loader leaves in r2
+static cycles_t deaf_until; // the boot loader runs until this cycle
+static cycles_t off_since; // cycle at which interrupts were turned off
 static uint32_t off_pc;
 static int were_on;
 
@@ -33,7 +33,7 @@ static cycles_t reached(avr_t *a, cycles_t when, void *param) {
     return 0;
 }
 
-// Whatever resets the processor comes by here, the watchdog too.
+// Called at each reset of the processor, also at a reset by the watchdog.
 static void after_reset(avr_t *a) {
     figures.boots++;
     were_on = 0;
@@ -41,7 +41,8 @@ static void after_reset(avr_t *a) {
     pwm_reset(a);
 }
 
-// The pin is that of a reset button or of DTR; with a boot loader the program is deaf at first.
+// Reset by the pin, as a reset button or DTR does. With a boot loader, the program receives nothing
+// for `deaf_cycles`.
 static void reset_by_pin(uint32_t deaf_cycles) {
     avr_reset(avr);
     avr->data[MCUSR] = deaf_cycles ? 0 : EXTRF; // the boot loader clears it
@@ -58,13 +59,13 @@ static void watch_interrupts(void) {
         }
         were_on = 1;
     } else if (were_on > 0) {
-        were_on = -1; // off, and once on in this boot
+        were_on = -1; // off now, and on before in this boot
         off_since = avr->cycle;
         off_pc = avr->pc;
     }
 }
 
-// Run to a cycle, or to the end of a frame to the host.
+// Run until a cycle, or until the end of a frame to the host.
 static void advance(cycles_t target, int until_frame) {
     if (avr->cycle < deaf_until) {
         cycles_t to = target < deaf_until ? target : deaf_until;
@@ -77,7 +78,7 @@ static void advance(cycles_t target, int until_frame) {
     uart_resume(avr);
     uart_frame_ended = 0;
     while (avr->cycle < target && !(until_frame && uart_frame_ended)) {
-        // So that a sleeping processor does not oversleep.
+        // This timer wakes simavr at the target while the processor sleeps.
         if (!avr_cycle_timer_status(avr, reached, NULL))
             avr_cycle_timer_register(avr, target - avr->cycle, reached, NULL);
         int state = avr_run(avr);
@@ -95,7 +96,7 @@ static void eeprom(int write, uint16_t offset, uint16_t n, uint8_t *data) {
     avr_ioctl(avr, write ? AVR_IOCTL_EEPROM_SET : AVR_IOCTL_EEPROM_GET, &what);
 }
 
-// Do what the host orders, until it goes.
+// Execute the host's orders until the pipe ends.
 static void serve(void) {
     struct __attribute__((packed)) {
         uint8_t order;
@@ -105,43 +106,43 @@ static void serve(void) {
     static uint8_t data[1 << 16];
     while (hear(&order, sizeof order)) {
         switch (order.order) {
-        case 'A': // advance to a cycle; n: or to the end of a frame
+        case 'A': // advance to a cycle; with n = 1 at most to the end of a frame
             advance(order.cycle, (int)order.n);
             tell(TOLD_DONE, avr->cycle, 0);
             flush_told();
             break;
-        case 'I': // n bytes on the line, not before a cycle
+        case 'I': // put n bytes on the line, not before a cycle
             if (order.n > sizeof data || !hear(data, order.n))
                 return;
             uart_host_sends(avr, order.cycle, data, order.n);
             break;
-        case 'R': // reset; n: cycles of the boot loader
+        case 'R': // reset by the pin; the boot loader runs for n cycles
             reset_by_pin(order.n);
             break;
-        case 'O': // Optiboot of version n ends the flash, and leaves this in r2
+        case 'O': // Optiboot of version n is in flash, and leaves `cycle` in r2
             memcpy(avr->flash + avr->flashend - 1, &order.n, 2);
             r2_of_loader = (uint8_t)order.cycle;
             break;
-        case 'V': // the supply, in mV
+        case 'V': // set the supply to n mV
             adc_supply(avr, (uint16_t)order.n);
             break;
-        case 'S': // the converter stands still, or goes on
+        case 'S': // n = 1: stop the converter; n = 0: let it continue
             adc_stand((int)order.n);
             break;
-        case 'B': // a byte of EEPROM takes n us to write
+        case 'B': // set the write time of a byte of EEPROM to n us
             eeprom_byte(order.n);
             break;
-        case 'W': // write n bytes of EEPROM
+        case 'W': // write n bytes of EEPROM, from `cycle` on
             if (order.n > sizeof data || !hear(data, order.n))
                 return;
             eeprom(1, (uint16_t)order.cycle, (uint16_t)order.n, data);
             break;
-        case 'E': // read n bytes of EEPROM
+        case 'E': // read n bytes of EEPROM, from `cycle` on
             eeprom(0, (uint16_t)order.cycle, (uint16_t)order.n, data);
             tell_data(data, order.n);
             flush_told();
             break;
-        case 'F': // the figures
+        case 'F': // send the figures
             tell_data(&figures, sizeof figures);
             flush_told();
             break;

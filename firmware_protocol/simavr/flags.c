@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// simavr 1.6 clears every flag of a timer where one bit of TIFR is written, and does not fire an
-// interrupt that is enabled while its flag is set. Silicon does neither; timer 0 is put right here.
+// simavr 1.6 differs from silicon in two points, which this file corrects for timer 0:
+// - A write to one bit of TIFR clears every flag of the timer.
+// - If an interrupt is enabled while its flag is set, the interrupt does not fire.
 #include <avr_timer.h>
 #include <sim_interrupts.h>
 #include "fil.h"
@@ -8,7 +9,7 @@
 enum { TIFR0_ADDRESS = 0x35, TIMSK0_ADDRESS = 0x6e };
 enum { TIMER0_COMPA = 14, TIMER0_COMPB = 15, TIMER0_OVF = 16 };
 
-// In the order of their bits in TIFR0 and TIMSK0.
+// Numbers of the interrupts, in the order of their bits in TIFR0 and TIMSK0.
 static const uint8_t numbers[] = {TIMER0_OVF, TIMER0_COMPA, TIMER0_COMPB};
 
 // Return the interrupt vector with this number.
@@ -35,7 +36,7 @@ static void write_timsk(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) 
             avr_raise_interrupt(avr, vector_of(avr, numbers[bit]));
 }
 
-// Put our handlers in the place of simavr's.
+// Replace simavr's handlers.
 void flags_attach(avr_t *avr) {
     avr->io[AVR_DATA_TO_IO(TIFR0_ADDRESS)].w.c = write_tifr;
     avr->io[AVR_DATA_TO_IO(TIFR0_ADDRESS)].w.param = NULL;

@@ -14,7 +14,7 @@ typedef struct __attribute__((packed)) {
 static uint8_t buffer[1 << 16];
 static unsigned used;
 
-// Write all of it; a host that has gone ends us.
+// Write all buffered bytes. If the host has closed the pipe, end this process.
 void flush_told(void) {
     unsigned done = 0;
     while (done < used) {
@@ -33,19 +33,19 @@ static void put(const void *data, unsigned n) {
     used += n;
 }
 
-// Tell the host of an event.
+// Buffer a record of an event for the host.
 void tell(uint8_t kind, cycles_t cycle, uint32_t value) {
     told_t told = {kind, cycle, value};
     put(&told, sizeof told);
 }
 
-// Tell n bytes behind a record that says how many.
+// Buffer a record with the number n, and then n bytes.
 void tell_data(const void *data, uint32_t n) {
     tell(TOLD_DATA, 0, n);
     put(data, n);
 }
 
-// Read all of n bytes; 0 where the host has gone.
+// Read exactly n bytes. Return 0 if the host has closed the pipe.
 int hear(void *data, unsigned n) {
     uint8_t *to = data;
     while (n) {
@@ -58,7 +58,7 @@ int hear(void *data, unsigned n) {
     return 1;
 }
 
-// Ask the host what the converter reads at its hold: ten bits.
+// Request the reading at the converter's hold from the host, and return its ten bits.
 uint16_t ask_conversion(cycles_t cycle, uint8_t channel) {
     uint16_t code;
     tell(TOLD_CONVERSION, cycle, channel);

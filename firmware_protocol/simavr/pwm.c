@@ -1,9 +1,14 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// Timer 1 and the PWM on pin D9 (PB1, OC1A), measured at the pin: how long it is high in each period.
+// Timer 1 and the PWM on pin D9 (PB1, OC1A). The duty is measured at the pin: the time for which
+// the pin is high in each period.
 //
-// simavr's own timer 1 is not used: it lets a new OCR1A act in the middle of a period, holds the pin
-// low where OCR1A is TOP, and forgets the level of OC1A while the pin is disconnected. Here are the
-// normal mode and mode 7 (fast PWM, 10 bits), with OC1A off or cleared on a match, as silicon has them.
+// simavr's own timer 1 is not used, because it differs from silicon in three points:
+// - A new OCR1A acts in the middle of a period.
+// - The pin is low if OCR1A is TOP.
+// - OC1A loses its level while the pin is disconnected.
+//
+// This file models the normal mode and mode 7 (fast PWM, 10 bits) as on silicon. OC1A is
+// disconnected, or cleared on a match.
 #include <avr_ioport.h>
 #include <sim_cycle_timers.h>
 #include "fil.h"
@@ -14,25 +19,25 @@ enum { COM1A1 = 0x80, WGM = 0x03, CS10 = 0x01, FOC1A = 0x80, TOP = FIL_PWM_PERIO
 
 static avr_t *the_avr;
 static avr_irq_t *pin_irq;
-static uint8_t temp; // the high byte on its way: silicon's TEMP
+static uint8_t temp; // the high byte of a 16-bit write: silicon's TEMP register
 static uint16_t ocr, ocr_buffer;
-static int runs, oc1a; // whether the timer counts; the level that it gives a connected pin
-static cycles_t bottom_at; // when the counter was 0, while it runs
-static uint16_t stands_at; // the counter, while it does not
+static int runs, oc1a; // 1 if the timer counts; the output level of the timer
+static cycles_t bottom_at; // cycle at which the counter was 0, while the timer runs
+static uint16_t stands_at; // value of the counter, while the timer is stopped
 static int pin, enable;
-static cycles_t edge_at; // of an edge that the timer makes: simavr is up to an instruction late
+static cycles_t edge_at; // cycle of the timer's edge: simavr is up to an instruction late
 static cycles_t rose, period_began;
-static uint32_t high; // cycles of this period in which the pin was high, up to its last fall
+static uint32_t high; // cycles of this period with the pin high, up to its last fall
 static uint32_t told = UINT32_MAX;
 
-// The duty of the period that ends, where it differs from that of the one before.
+// Report the duty of the period that ends if it differs from that of the period before.
 static void end_period(cycles_t when) {
     if (pin) {
         high += (uint32_t)(when - rose);
         rose = when;
     }
     if (high > FIL_PWM_PERIOD)
-        high = FIL_PWM_PERIOD; // high since before the timer was started
+        high = FIL_PWM_PERIOD; // the pin was high before the timer was started
     uint32_t value = high | (uint32_t)enable << 16;
     if (value != told)
         tell(TOLD_VOLTS, period_began, value);
@@ -75,7 +80,7 @@ static int is_connected(void) {
     return the_avr->data[TCCR1A] & COM1A1;
 }
 
-// Give the pin what it has at a cycle: of the timer, or of the port; an input is pulled down.
+// Set the pin to the level of the timer or of the port, at a cycle. An input is pulled down.
 static void set_pin(cycles_t when) {
     int level = is_connected() ? oc1a : (the_avr->data[PORTB] & PWM_BIT) != 0;
     edge_at = when;
@@ -83,7 +88,7 @@ static void set_pin(cycles_t when) {
     edge_at = 0;
 }
 
-// While the pin is disconnected OC1A keeps its level.
+// Set the timer's output. While the pin is disconnected, OC1A keeps its level.
 static void set_oc1a(cycles_t when, int level) {
     if (!is_connected())
         return;
@@ -139,14 +144,14 @@ static void write_tccrb(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) 
         go_on(avr);
 }
 
-// A forced match, which there is in normal mode alone.
+// A forced match, which exists only in normal mode.
 static void write_tccrc(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
     (void)addr, (void)param;
     if (v & FOC1A && !(avr->data[TCCR1A] & WGM))
         set_oc1a(avr->cycle, 0);
 }
 
-// Neither register takes its high byte before the low one comes.
+// A high byte waits in TEMP until the low byte is written.
 static void write_high(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
     (void)avr, (void)addr, (void)param;
     temp = v;
@@ -168,7 +173,7 @@ static uint8_t read_tcnt(avr_t *avr, avr_io_addr_t addr, void *param) {
     return avr->data[addr] = (uint8_t)count;
 }
 
-// In mode 7 it acts from the next period on.
+// In mode 7, a new OCR1A acts from the next period on.
 static void write_ocr(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
     (void)addr, (void)param;
     ocr_buffer = (uint16_t)(temp << 8 | v);
@@ -176,7 +181,7 @@ static void write_ocr(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
         ocr = ocr_buffer;
 }
 
-// All pins are inputs after a reset, and pulled down from outside.
+// After a reset, all pins are inputs, and external resistors pull them down.
 void pwm_reset(avr_t *avr) {
     if (pin)
         high += (uint32_t)(avr->cycle - rose);
@@ -185,10 +190,10 @@ void pwm_reset(avr_t *avr) {
     ocr = ocr_buffer = stands_at = 0;
     oc1a = 0;
     end_period(avr->cycle);
-    end_period(avr->cycle); // low from now on, though no timer ends a period before it is set
+    end_period(avr->cycle); // report the low level: no period ends before the timer is started
 }
 
-// Watch the pins, and put our timer in the place of simavr's.
+// Watch the pins, and replace simavr's timer 1.
 void pwm_attach(avr_t *avr) {
     static const struct {
         uint16_t address;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-// The UART as silicon has it, in the place of simavr's: a byte takes ten bits (simavr: eleven), the
-// receiver holds two and one more in its shift register (simavr: 64), and what overruns is lost.
+// The UART as on silicon, in place of simavr's UART. A byte takes ten bits (simavr: eleven). The
+// receiver holds two bytes, and a third byte in its shift register (simavr: 64). Further bytes are
+// lost.
 #include <avr_uart.h>
 #include <sim_cycle_timers.h>
 #include "fil.h"
@@ -12,9 +13,9 @@ enum { RXCIE = 0x80, UDRIE = 0x20, RXEN = 0x10, TXEN = 0x08 }; // UCSR0B
 int uart_frame_ended;
 
 static avr_int_vector_t *rxc, *udre, *txc;
-static cycles_t line_byte; // what a byte takes on the host's line, in cycles
+static cycles_t line_byte; // time of a byte on the host's line, in cycles
 
-// The line from the host: bytes in a ring, each with when it may begin.
+// The line from the host: a ring of bytes, each with the earliest cycle at which it may begin.
 static struct {
     uint8_t byte;
     cycles_t not_before;
@@ -23,17 +24,18 @@ static unsigned line_head, line_tail;
 static cycles_t line_free;
 
 static uint8_t received[3]; // two in the buffer, one in the shift register
-static uint8_t follows_loss[3]; // of each: bytes before it were lost
+static uint8_t follows_loss[3]; // for each received byte: bytes before it were lost
 static unsigned n_received;
-static uint8_t is_lost; // some were since the last that was received
-static int shifting, buffered; // the transmitter's byte on the wire and the one behind it, or -1
+static uint8_t is_lost; // bytes were lost since the last received byte
+static int shifting, buffered; // the transmitter's byte on the wire and the next byte, or -1
 
 static cycles_t device_byte(avr_t *avr) {
     unsigned ubrr = avr->data[UBRRL] | (avr->data[UBRRH] & 15U) << 8;
     return (cycles_t)(ubrr + 1) * (avr->data[UCSRA] & U2X ? 8 : 16) * FIL_BITS_PER_BYTE;
 }
 
-// A level that holds raises its interrupt again and again, as silicon's do.
+// Set or clear a level-triggered interrupt. As on silicon, the interrupt repeats while the level
+// holds.
 static void level(avr_t *avr, avr_int_vector_t *vector, uint8_t flag, int holds) {
     if (holds) {
         avr_raise_interrupt(avr, vector);
@@ -44,7 +46,7 @@ static void level(avr_t *avr, avr_int_vector_t *vector, uint8_t flag, int holds)
     }
 }
 
-// The flag belongs to the byte that is read next.
+// Set DOR for the byte that is read next.
 static void show_lost(avr_t *avr) {
     avr->data[UCSRA] &= (uint8_t)~DOR;
     if (n_received && follows_loss[0])
@@ -56,7 +58,8 @@ static cycles_t byte_came(avr_t *avr, cycles_t when, void *param) {
     uint8_t byte = line[line_tail].byte;
     line_tail = (line_tail + 1) % (sizeof line / sizeof *line);
     line_free = when;
-    // Within 2 % of the device's speed its ten bits are read right; else nothing is.
+    // If both speeds differ by at most 2 %, the receiver reads the byte. Otherwise it reads
+    // nothing.
     cycles_t device = device_byte(avr), off = device > line_byte ? device - line_byte : line_byte - device;
     if (avr->data[UCSRB] & RXEN && off * 50 <= line_byte) {
         if (n_received == sizeof received) {
@@ -76,7 +79,7 @@ static cycles_t byte_came(avr_t *avr, cycles_t when, void *param) {
     return begins + line_byte;
 }
 
-// Let the bytes that wait on the line come.
+// Schedule the bytes that wait on the line.
 void uart_resume(avr_t *avr) {
     if (line_tail == line_head || avr_cycle_timer_status(avr, byte_came, NULL))
         return;
@@ -85,12 +88,12 @@ void uart_resume(avr_t *avr) {
     avr_cycle_timer_register(avr, ends > avr->cycle ? ends - avr->cycle : 1, byte_came, NULL);
 }
 
-// Put bytes on the line behind those that are on it.
+// Append bytes to the line.
 void uart_host_sends(avr_t *avr, cycles_t not_before, const uint8_t *data, unsigned n) {
     for (unsigned i = 0; i < n; i++) {
         unsigned next = (line_head + 1) % (sizeof line / sizeof *line);
         if (next == line_tail)
-            return; // more than the host's driver would hold
+            return; // the line is full, as the host's driver would be
         line[line_head].byte = data[i];
         line[line_head].not_before = not_before;
         line_head = next;
@@ -169,7 +172,7 @@ static void write_ubrr(avr_t *avr, avr_io_addr_t addr, uint8_t v, void *param) {
     avr->data[addr] = v;
 }
 
-// Forget what is on its way; the line's bytes of before a reset are gone, too.
+// Discard the bytes in transmission and reception, and all bytes on the line.
 void uart_reset(avr_t *avr) {
     avr_cycle_timer_cancel(avr, byte_came, NULL);
     avr_cycle_timer_cancel(avr, byte_left, NULL);
@@ -179,7 +182,7 @@ void uart_reset(avr_t *avr) {
     avr->data[UCSRA] = UDRE;
 }
 
-// Put our handlers in the place of simavr's.
+// Replace simavr's handlers.
 void uart_attach(avr_t *avr, uint32_t baud) {
     line_byte = (cycles_t)FIL_HZ * FIL_BITS_PER_BYTE / baud;
     avr_uart_t *simavrs = avr->io[AVR_DATA_TO_IO(UDR)].r.param;

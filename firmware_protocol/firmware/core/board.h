@@ -1,8 +1,9 @@
-// What the core asks of a board, and what a board tells the core. A board is one folder in boards/:
-// `board_constants.h` with the numbers below, and the functions.
+// The contract between the core and a board. A board is a folder in boards/. It contains
+// `board_constants.h` with the constants below, and the functions that the core calls.
 //
-// Two contexts. "Main" is the endless loop; "interrupt" is an interrupt's handler, and interrupts
-// do not nest. A board without interrupts calls both from one place.
+// There are two contexts. "Main" is the endless loop; "interrupt" is an interrupt handler. A
+// handler may enable interrupts while it calls the core. A call must not interrupt another call of
+// the same function. A board without interrupts calls the functions of both contexts from one loop.
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -10,124 +11,137 @@
 #include <stdint.h>
 
 // `board_constants.h` defines, as integer constants:
-//   BOARD_QUEUE              setpoints held ahead; a power of two, 64 ... RIG_QUEUE_CAPACITY
-//   BOARD_ADC_BITS           of the converter
-//   BOARD_PWM_BITS           of the duty, 8 ... 15; 16: a duty of 65535 steps that is the code itself
-//   BOARD_SKEW_US            from alpha's trigger to theta_1's
-//   BOARD_HOLD_US            from theta_1's trigger to its hold, at which u is latched
-//   BOARD_TS_MIN_US          shortest Ts
-//   BOARD_CAPABILITIES       of RIG_CAPABILITY_...
-//   BOARD_RAM                bytes of RAM that the core may take
+//   BOARD_QUEUE              capacity in setpoints; a power of two, 64 ... RIG_QUEUE_CAPACITY
+//   BOARD_ADC_BITS           resolution of the converter
+//   BOARD_PWM_BITS           resolution of the duty, 8 ... 15; with 16 the duty is the code itself
+//   BOARD_SKEW_US            time from alpha's trigger to theta_1's trigger
+//   BOARD_HOLD_US            time from theta_1's trigger to its hold, at which u is latched
+//   BOARD_TS_MIN_US          shortest Ts with oversampling 1
+//   BOARD_CAPABILITIES       flags RIG_CAPABILITY_...
+//   BOARD_RAM                bytes of RAM that `struct rig` may occupy
 #include "board_constants.h"
 
-// ------------------------------------------------------------- asked of a board: motor
-// 0 V: the PWM pin disconnected and driven low, the enable line low. From both contexts, at any
-// time, as often as one likes; it takes effect before it returns.
+// ------------------------------------------------------------- functions of a board: motor
+// Sets the motor to 0 V: the PWM pin is disconnected and driven low, and the enable line is low.
+// Both contexts call the function at any time, any number of times. 0 V is in effect before the
+// function returns.
 void board_motor_off(void);
 
-// Drives the motor with `duty` of 2^BOARD_PWM_BITS steps; 0 is the pin disconnected and low with
-// the enable line high. Called in RUN alone, with interrupts off. 2^BOARD_PWM_BITS is always high.
+// Drives the motor with a duty of `duty` steps out of 2^BOARD_PWM_BITS. With 0 the pin is
+// disconnected and low, and the enable line is high. With 2^BOARD_PWM_BITS the pin is always high.
+// The core calls the function only in RUN, from an interrupt or with interrupts off.
 void board_motor_set(uint16_t duty);
 
-// ------------------------------------------------------------- asked of a board: time
-// The device's clock; starts at reset, wraps at 2^32. From both contexts.
+// ------------------------------------------------------------- functions of a board: time
+// Returns the device's clock, which starts at reset and wraps at 2^32. Called from both contexts.
 uint32_t board_now_us(void);
 
-// ------------------------------------------------------------- asked of a board: converter
-// A sample is 2 m conversions, alpha, theta_1, alpha, theta_1 ..., each triggered BOARD_SKEW_US after
-// the one before; m is what `rig_oversampling` says when the first is triggered. Samples are taken in
-// the order in which they were asked for or fell due; one that has to wait begins when the one
-// before it has ended.
+// ------------------------------------------------------------- functions of a board: converter
+// A sample consists of 2 m conversions: alpha, theta_1, alpha, theta_1 ... Each conversion is
+// triggered BOARD_SKEW_US after the previous conversion. The oversampling m is the value of
+// `rig_oversampling` when the first conversion is triggered. The board takes samples in the order
+// in which they were requested or fell due. A sample that must wait begins when the previous sample
+// has ended.
 
-// Takes a sample as soon as the converter is free. At most two of these wait or are under way at a
-// time. From main, interrupts on.
+// Requests a sample, which the board takes as soon as the converter is free. At most two requested
+// samples wait or are in progress at a time. Called from main, with interrupts on.
 void board_convert_now(void);
 
-// Takes samples k = 0, 1, ...; the last conversion of each, theta_1's, is triggered at t0_us + k ts_us,
-// without drift. `k_stop` not 0: sample k_stop is not taken; instead `rig_end` is called at
-// t0_us + k_stop ts_us + BOARD_HOLD_US, and the timer stops. From main, interrupts on; t0_us is one
-// Ts away.
+// Starts the timer, which takes samples k = 0, 1, ... The last conversion of sample k, of theta_1,
+// is triggered at t0_us + k ts_us, without drift. If `k_stop` is not 0, sample k_stop is not taken.
+// Instead, the board calls `rig_end` at t0_us + k_stop ts_us + BOARD_HOLD_US and stops the timer.
+// Called from main, with interrupts on, one Ts before t0_us.
 void board_timer_start(uint32_t t0_us, uint32_t ts_us, uint32_t k_stop);
 
-// No further sample falls due; what has been triggered, or waits for the converter, is finished.
-// From main; also where no timer runs.
+// Stops the timer, if it runs. A sample that was triggered is finished, and requested samples that
+// wait are taken. Called from main.
 void board_timer_stop(void);
 
-// Returns whether no sample is under way or waits. From main.
+// Returns true if no sample is in progress or waits, and the converter is not in use for the
+// supply. Called from main.
 bool board_converter_is_free(void);
 
-// Takes `n` conversions of one channel, 0 theta_1 or 1 alpha, BOARD_SKEW_US apart, from now on. The
-// converter is free, and no timer runs. From main.
+// Starts `n` conversions of one channel (0 theta_1, 1 alpha), BOARD_SKEW_US apart. The core calls
+// the function only while the converter is free and the timer is stopped. Called from main.
 void board_convert_channel(uint8_t channel, uint16_t n);
 
-// Measures the supply when the converter is free and no sample has to wait for it, and calls
-// `rig_supply`; a board that cannot does nothing. From main.
+// Requests a measurement of the supply. The board measures when the converter is free and no sample
+// must wait for it, and then calls `rig_supply`. A board that cannot measure the supply does
+// nothing. Called from main.
 void board_measure_supply(void);
 
-// ------------------------------------------------------------- asked of a board: bytes out
-// Puts `n` bytes behind those that wait to leave, or none and returns false where they find no room.
-// Never waits. From main.
+// ------------------------------------------------------------- functions of a board: bytes out
+// Appends all `n` bytes to the transmit buffer, or returns false if the buffer has no room for all
+// of them. Never waits. Called from main.
 bool board_send(const uint8_t *bytes, uint8_t n);
 
-// Device clock at which the first byte of the next `board_send` will begin to leave. From main.
+// Returns the device time at which the first byte of the next `board_send` will leave. Called from
+// main.
 uint32_t board_send_us(void);
 
-// ------------------------------------------------------------- asked of a board: what it is and saw
-uint64_t board_uid(void); // of this piece of hardware
-uint32_t board_boot_id(void); // drawn at each boot, not 0; asked for once, by `rig_begin`
-uint32_t board_token(void); // drawn at each call, not 0
+// ------------------------------------------------------------- functions of a board: its state
+uint64_t board_uid(void); // identifies this piece of hardware
+uint32_t board_boot_id(void); // differs at each boot, not 0; called once, by `rig_begin`
+uint32_t board_token(void); // differs at each call, not 0
 uint32_t board_firmware_crc(void); // CRC-32 of the firmware's image
-uint8_t board_reset_flags(void); // of the processor as it gives them
-uint16_t board_isr_max_us(void); // longest interrupt since boot
-uint16_t board_stack_free(void); // least stack left since boot
-uint16_t board_rx_lost(void); // bytes lost in reception since the last call
-void board_feed_watchdog(void); // the hardware's; called by `rig_poll`
+uint8_t board_reset_flags(void); // reset flags of the processor, unchanged
+uint16_t board_isr_max_us(void); // longest interrupt handler since boot
+uint16_t board_stack_free(void); // smallest free stack since boot, in bytes
+uint16_t board_rx_lost(void); // bytes lost in reception since the previous call
+void board_feed_watchdog(void); // feeds the hardware watchdog; called by `rig_poll`
 
-// ------------------------------------------------------------- asked of a board: interrupts
-// Off, and as they were before; the compiler must move no access to memory across either. The core
-// keeps them off for no longer than it takes to copy a few words. Functions, or inline ones in
-// `board_constants.h` with BOARD_IRQ_INLINE defined.
+// ------------------------------------------------------------- functions of a board: interrupts
+// board_irq_save turns interrupts off and returns their previous state; board_irq_restore restores
+// that state. The compiler must not move a memory access across either call. The core keeps
+// interrupts off only while it copies a few words. A board may define both as inline functions in
+// `board_constants.h`, and then defines BOARD_IRQ_INLINE.
 #ifndef BOARD_IRQ_INLINE
 uint8_t board_irq_save(void);
 void board_irq_restore(uint8_t before);
 #endif
 
-// ------------------------------------------------------------- told by a board
-// Once, when time, converter, motor, and both directions of bytes work; the motor is off already.
+// ------------------------------------------------------------- functions of the core for a board
+// Starts the core. Call it once from main, when the clock, the converter, the motor, reception and
+// transmission work, and the motor is off.
 void rig_begin(void);
 
-// A byte has come. From main, in the order of arrival.
+// Processes a received byte. Call it from main for each byte, in the order of arrival.
 void rig_receive(uint8_t byte);
 
-// As often as possible, from main: watchdog, samples to be told, STATUS. Call it before each byte
-// that is given to `rig_receive`, so that a sample never waits behind a burst of bytes.
+// Checks the watchdog, and sends the samples and STATUS that are due. Call it from main as often as
+// possible. After a sample has ended, call it before the next `rig_receive`, so that the sample
+// does not wait for a burst of bytes.
 void rig_poll(void);
 
-// What a sample is; the board says so in each call that belongs to it.
+// Kind of a sample. The board passes the kind in each call that belongs to the sample.
 enum {
-    RIG_ASKED = 0, // by board_convert_now
-    RIG_TIMED = 1, // by board_timer_start
-    RIG_LATE = 2, // with either: its conversions had to wait for those of another
+    RIG_ASKED = 0, // requested by board_convert_now
+    RIG_TIMED = 1, // taken by the timer of board_timer_start
+    RIG_LATE = 2, // flag for both kinds: the sample could not be triggered at its time
 };
 
-// Returns m of a sample whose first conversion is triggered now. From both contexts.
+// Returns the oversampling m of a sample whose first conversion is triggered now. Call it from
+// either context.
 uint8_t rig_oversampling(void);
 
-// A conversion has ended, of a sample or of board_convert_channel: channel 0 is theta_1, 1 alpha; the
-// code is left-justified to 16 bits. From an interrupt.
+// Reports the result of a conversion, of a sample or of board_convert_channel. Channel 0 is
+// theta_1, 1 is alpha. The code is left-justified to 16 bits. Call it from an interrupt.
 void rig_reading(uint8_t channel, uint16_t code);
 
-// theta_1 is being held for its last conversion: u acts now. From an interrupt at that instant.
+// Latches u of a sample. Call it from an interrupt when theta_1 is held for its last conversion. A
+// board may call it earlier if it applies the duty of board_motor_set only at the hold.
 void rig_latch(uint8_t what);
 
-// All conversions of a sample have ended and were told; t_us is the trigger of the last. After its
-// rig_latch. From an interrupt.
+// Ends a sample: rig_latch was called, and all conversions have ended and were reported. t_us is
+// the time of the last trigger. Call it from an interrupt.
 void rig_converted(uint8_t what, uint32_t t_us);
 
-// The last input was held for its whole Ts: the motor goes off. From an interrupt at that instant.
+// Ends a run with k_stop: turns the motor off. Call it from an interrupt when the last input was
+// held for its whole Ts.
 void rig_end(void);
 
-// The supply was measured. From an interrupt, or at once from board_measure_supply.
+// Reports the measured supply, in mV. Call it from an interrupt, or directly from
+// board_measure_supply.
 void rig_supply(uint16_t mv);
 
 #endif

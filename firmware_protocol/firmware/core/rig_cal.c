@@ -43,7 +43,8 @@ void rig_cal_add(uint16_t code)
     cal->left--;
 }
 
-// Returns the variance in counts^2/256 over n - 1, a tie up. Of 1024 codes the sums fit in 60 bits.
+// Returns the variance over n - 1, in counts^2/256, a tie rounded up. For 1024 codes, 256 `spread`
+// needs 60 bits.
 static uint32_t variance_256(const struct rig_cal *cal)
 {
     const uint32_t pairs = (uint32_t)cal->n * (cal->n - 1U);

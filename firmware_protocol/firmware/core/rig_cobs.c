@@ -2,7 +2,7 @@
 
 void rig_stuff(uint8_t *bytes, uint8_t n)
 {
-    uint8_t code = 1; // from the last 00 behind `at` to the one before
+    uint8_t code = 1; // distance from `at` to the next 00, or to the end
     bytes[0] = 0;
     for (uint8_t at = n; at-- > 0; code++) {
         if (bytes[at] == 0) {

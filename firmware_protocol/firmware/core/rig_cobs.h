@@ -5,10 +5,10 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-// Stuffs bytes[1] ... bytes[n - 1], n at most 254; bytes[0] is the place for the byte of overhead.
+// Stuffs bytes[1] ... bytes[n - 1], and writes the overhead byte to bytes[0]; n is at most 254.
 void rig_stuff(uint8_t *bytes, uint8_t n);
 
-// Undoes it for `n` bytes that have no 00; returns whether no code points behind the end.
+// Unstuffs `n` bytes that contain no 00. Returns false if a code byte points beyond the end.
 bool rig_unstuff(uint8_t *bytes, uint8_t n);
 
 #endif

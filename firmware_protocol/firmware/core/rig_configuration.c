@@ -5,7 +5,7 @@
 #include "board.h"
 #include "rig_crc.h" // rig_crc
 
-// Returns whether all fields are within what the wire allows.
+// Returns true if this board allows the value of each field. Otherwise the code is BAD_VALUE.
 static bool is_allowed(const rig_config_t *m)
 {
     const bool has_enable = BOARD_CAPABILITIES & RIG_CAPABILITY_ENABLE_LINE;

@@ -1,4 +1,4 @@
-// CRC-32/ISO-HDLC, the frame check: that of zlib and gzip.
+// CRC-32/ISO-HDLC, the frame check. zlib and gzip use the same CRC.
 #ifndef RIG_CRC_H
 #define RIG_CRC_H
 
@@ -7,7 +7,8 @@
 // Returns the CRC-32 of `n` bytes.
 uint32_t rig_crc(const uint8_t *bytes, uint8_t n);
 
-// Returns the CRC-32 of bytes whose is `crc` and `n` more; 0 is that of none.
+// Continues a CRC-32 with `n` more bytes. `crc` is the CRC-32 of the bytes before them, or 0 if
+// there are none.
 uint32_t rig_crc_further(uint32_t crc, const uint8_t *bytes, uint8_t n);
 
 #endif

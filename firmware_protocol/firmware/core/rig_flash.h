@@ -1,4 +1,5 @@
-// Where constant tables lie: an AVR would copy them to RAM.
+// RIG_FLASH places a constant table in flash. Without RIG_FLASH, an AVR would copy the table to
+// RAM.
 #ifndef RIG_FLASH_H
 #define RIG_FLASH_H
 

@@ -9,7 +9,7 @@ enum { CRC_BYTES = 4 };
 
 uint8_t rig_length(uint8_t type)
 {
-    switch (type) { // a switch, not a table: it takes no RAM
+    switch (type) { // unlike a table, a switch needs no RAM
     case RIG_TYPE_HELLO: return sizeof(rig_hello_t);
     case RIG_TYPE_CONFIG: return sizeof(rig_config_t);
     case RIG_TYPE_ARM: return sizeof(rig_arm_t);
@@ -49,7 +49,7 @@ enum rig_opened rig_open(union rig_frame *frame, uint8_t n)
         return RIG_SPOILT_LENGTH;
     if (!rig_unstuff(frame->wire, n))
         return RIG_SPOILT_COBS;
-    const uint8_t length = n - 1; // without the overhead
+    const uint8_t length = n - 1; // without the overhead byte
     if (length < sizeof(struct rig_header) + CRC_BYTES)
         return RIG_SPOILT_LENGTH;
     const uint32_t crc = rig_crc(frame->message.bytes, length - CRC_BYTES);

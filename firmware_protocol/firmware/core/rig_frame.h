@@ -1,4 +1,4 @@
-// A frame: any message of the wire, and what surrounds it there.
+// A frame: one message of the protocol with its header, CRC and stuffing.
 #ifndef RIG_FRAME_H
 #define RIG_FRAME_H
 
@@ -12,7 +12,7 @@ struct __attribute__((packed)) rig_header {
     uint16_t seq;
 };
 
-// What the bytes before stuffing mean.
+// A message: the bytes of a frame before stuffing.
 union rig_message {
     uint8_t bytes[RIG_MAX_DECODED];
     struct rig_header header;
@@ -36,7 +36,7 @@ union rig_message {
 };
 _Static_assert(sizeof(union rig_message) == RIG_MAX_DECODED, "message");
 
-// The same bytes on the wire: one of overhead before them, a 00 behind them.
+// A frame on the wire: one byte of overhead, the stuffed message, and a 00.
 union rig_frame {
     uint8_t wire[RIG_MAX_DECODED + 2];
     struct __attribute__((packed)) {
@@ -46,23 +46,24 @@ union rig_frame {
 };
 _Static_assert(sizeof(union rig_frame) == RIG_MAX_DECODED + 2, "frame");
 
-enum { RIG_LONGEST_STUFFED = RIG_MAX_DECODED + 1 }; // without its 00
+enum { RIG_LONGEST_STUFFED = RIG_MAX_DECODED + 1 }; // without the 00 at the end
 
 enum rig_opened {
     RIG_SOUND,
-    RIG_UNKNOWN, // sound, of a type that the schema does not have
+    RIG_UNKNOWN, // valid frame of a type that the schema does not contain
     RIG_SPOILT_COBS,
     RIG_SPOILT_LENGTH,
     RIG_SPOILT_CRC,
 };
 
-// Returns the decoded length of a type, header and CRC included; 0 where the schema has none such.
+// Returns the decoded length of a type, header and CRC included; 0 for an unknown type.
 uint8_t rig_length(uint8_t type);
 
-// Adds the CRC to the message of `length`, stuffs and ends it; returns its length on the wire.
+// Adds the CRC to a message of `length` bytes, CRC included. Then stuffs the frame, appends the 00
+// and returns the length on the wire.
 uint8_t rig_close(union rig_frame *frame, uint8_t length);
 
-// Unstuffs and checks the `n` bytes that came between two 00.
+// Unstuffs and checks the `n` bytes between two 00.
 enum rig_opened rig_open(union rig_frame *frame, uint8_t n);
 
 #endif

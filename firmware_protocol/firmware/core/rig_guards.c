@@ -9,7 +9,8 @@ bool rig_at_rail(uint16_t y)
     return y < RAIL_CODES || y >= 0x10000UL - RAIL_CODES;
 }
 
-// Counts samples in a row at a rail, up to the longest row that can be asked for.
+// Returns the new number of successive samples at a rail. The largest possible limit bounds the
+// number.
 static uint16_t counted(uint16_t in_a_row, uint16_t y)
 {
     if (!rig_at_rail(y))
@@ -17,7 +18,7 @@ static uint16_t counted(uint16_t in_a_row, uint16_t y)
     return in_a_row < UINT16_MAX ? in_a_row + 1 : in_a_row;
 }
 
-// Returns whether `codes` of way are `turns`/100 turns or more. In 32 bits: 65536 turns/100 fit.
+// Returns true if |`codes`| is `turns`/100 turns or more. 65536 `turns` fits in 32 bits.
 static bool too_far(int32_t codes, uint16_t turns)
 {
     const uint32_t least = (((uint32_t)turns << 16) + 99) / 100;
@@ -29,7 +30,7 @@ uint8_t rig_watch(
 {
     guards->rails[0] = counted(guards->rails[0], y0);
     guards->rails[1] = counted(guards->rails[1], y1);
-    // Without a limit there is nothing to add up, and so nothing that could overflow.
+    // Without a limit, the rotation is not summed, so that the sum cannot overflow.
     if (guards->has_y0 && turns)
         guards->turned += (int16_t)(y0 - guards->y0);
     guards->y0 = y0;

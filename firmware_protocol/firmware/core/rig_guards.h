@@ -1,22 +1,23 @@
-// Guards over the readings in RUN: long on a rail, too many turns (PROTOCOL.md, section 7).
+// The guards on the readings in RUN: too long at a rail, too many turns (PROTOCOL.md, section 7).
 #ifndef RIG_GUARDS_H
 #define RIG_GUARDS_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-// What was seen since START. Owned by main.
+// State of the guards since START. Owner: main.
 struct rig_guards {
-    uint16_t rails[2]; // samples in a row at a rail, of theta_1 and of alpha
-    int32_t turned; // way of theta_1, in codes
-    uint16_t y0; // last reading of theta_1
+    uint16_t rails[2]; // successive samples at a rail, of theta_1 and of alpha
+    int32_t turned; // net rotation of theta_1, in codes
+    uint16_t y0; // previous reading of theta_1
     bool has_y0;
 };
 
-// Returns whether a reading is in the lowest or highest 1/1024 of the range.
+// Returns true if a reading is in the lowest or highest 1/1024 of the range.
 bool rig_at_rail(uint16_t y);
 
-// Takes note of a sample; returns the cause of a fault, or RIG_CAUSE_NONE. 0 is no limit.
+// Checks a sample. Returns the cause of a fault, or RIG_CAUSE_NONE. A limit of 0 switches its guard
+// off.
 uint8_t rig_watch(
     struct rig_guards *guards, uint16_t y0, uint16_t y1, uint16_t rail_ticks, uint16_t turns);
 

@@ -1,4 +1,4 @@
-// What the board's endless loop calls: begin, bytes, poll.
+// The functions that the board's endless loop calls: rig_begin, rig_receive, rig_poll.
 #include <string.h>
 
 #include "rig_cal.h" // rig_tell_cal
@@ -17,7 +17,7 @@ void rig_begin(void)
     board_motor_off();
     memset(&rig, 0, sizeof rig);
     rig.state = RIG_STATE_BOOT;
-    rig.boot_id = rig.next_nonce = board_boot_id(); // so that no other boot has the same nonces
+    rig.boot_id = rig.next_nonce = board_boot_id(); // nonces count from boot_id
     rig_status_begin();
     rig_supply_begin();
     rig_enter(RIG_STATE_IDLE, RIG_CAUSE_POWER_ON, 0);
@@ -25,13 +25,13 @@ void rig_begin(void)
     rig_tell_transition();
 }
 
-// Returns whether a sound frame is an EXCHANGE for which there is no room.
+// Returns true if a valid frame is an EXCHANGE, and as many EXCHANGEs as possible wait already.
 static bool is_one_too_many(const union rig_message *m)
 {
     return m->header.type == RIG_TYPE_EXCHANGE && !rig_is_timed() && rig.asked_count == RIG_MOST_ASKED;
 }
 
-// Does what the bytes between two 00 ask for.
+// Decodes the `n` bytes between two 00, and executes the frame.
 static void take_frame(uint8_t n)
 {
     switch (rig_open(&rig.rx, n)) {
@@ -58,7 +58,7 @@ void rig_receive(uint8_t byte)
     if (byte != 0) {
         if (rig.rx_bytes < RIG_LONGEST_STUFFED)
             rig.rx.wire[rig.rx_bytes] = byte;
-        if (rig.rx_bytes <= RIG_LONGEST_STUFFED) // one more is enough to know that it was too long
+        if (rig.rx_bytes <= RIG_LONGEST_STUFFED) // one byte more shows that it is too long
             rig.rx_bytes++;
         return;
     }

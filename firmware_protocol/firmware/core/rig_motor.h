@@ -1,22 +1,23 @@
-// The motor: the one place that drives it, and the way to 0 V.
+// The motor. Only this module drives the motor; every module may turn it off.
 #ifndef RIG_MOTOR_H
 #define RIG_MOTOR_H
 
 #include <stdint.h>
 
-// Returns the steps of 2^BOARD_PWM_BITS that stand for a code, to the nearest; there are no ties.
+// Returns the duty nearest to a code, in steps for board_motor_set. No code is midway between two
+// duties.
 uint16_t rig_duty(uint16_t code);
 
-// Returns the code of what the pin really gives with a duty; a tie goes up.
+// Returns the code nearest to a duty; a tie is rounded up.
 uint16_t rig_code(uint16_t duty);
 
-// 0 V, until `rig_motor_begin`. From both contexts.
+// Turns the motor off. The motor stays at 0 V until `rig_motor_begin`. Called from both contexts.
 void rig_motor_cut(void);
 
-// Lets the motor have u_rest; RUN has just begun. From main.
+// Permits driving the motor, and applies u_rest. Called from main when RUN has just begun.
 void rig_motor_begin(uint16_t u_seq);
 
-// Latches a code, where the motor may be driven at all. From an interrupt.
+// Applies a code if the motor may be driven. Called from an interrupt.
 void rig_motor_latch(uint16_t u, uint16_t u_seq);
 
 #endif

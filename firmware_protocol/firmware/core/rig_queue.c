@@ -2,11 +2,11 @@
 
 enum { MASK = BOARD_QUEUE - 1 };
 
-// What main knows of the queue while it reads a frame: it may be older than the queue.
+// Main's copy of the queue's variables. The interrupt may change the queue after the copy.
 struct view {
     uint32_t next;
     uint16_t first, count, frames;
-    uint16_t u; // in force
+    uint16_t u; // code in force
     bool wrapped;
 };
 
@@ -35,7 +35,7 @@ uint16_t rig_queue_count(const struct rig_queue *queue)
     return count;
 }
 
-// Copies what the interrupt moves on.
+// Copies the values that the interrupt advances.
 static struct view view_of(const struct rig_queue *queue)
 {
     const uint8_t before = board_irq_save();
@@ -51,13 +51,13 @@ static struct view view_of(const struct rig_queue *queue)
     return view;
 }
 
-// Returns whether the step between two codes is one too many.
+// Returns true if the step between two codes exceeds `slew`.
 static bool too_steep(const rig_config_t *config, uint16_t from, uint16_t to)
 {
     return (from < to ? to - from : from - to) > config->slew;
 }
 
-// Finds the first code outside [u_min, u_max]; all `n` count, also those that come too late.
+// Finds the first code outside [u_min, u_max]. Codes that come too late are checked, too.
 static bool leaves_range(const rig_config_t *config, const rig_setpoints_t *m, uint16_t *refused)
 {
     for (uint8_t i = 0; i < m->n; i++) {
@@ -69,7 +69,8 @@ static bool leaves_range(const rig_config_t *config, const rig_setpoints_t *m, u
     return false;
 }
 
-// Finds the first code that latching the frame at `offset` behind `next` would step to too far.
+// Finds the first code whose step is too large. The first code of the frame is for the sample
+// `next` + `offset`.
 static bool leaves_slew(const struct rig_queue *queue, const struct view *view,
     const rig_config_t *config, const rig_setpoints_t *m, int32_t offset, uint16_t *refused)
 {
@@ -91,12 +92,14 @@ static bool leaves_slew(const struct rig_queue *queue, const struct view *view,
     }
     if (offset > 0 || offset <= -(int32_t)m->n)
         return false;
-    // After an underrun the motor has what the policy gave it, whatever the frame says.
+    // The queue is empty: the step counts from the code in force, whatever the frame contains
+    // before.
     *refused = m->u[-offset];
     return too_steep(config, view->u, *refused);
 }
 
-// Counts `n` more codes, unless those that they follow have run out meanwhile; returns whether.
+// Adds `n` codes to the queue's count. Returns false if the queue ran empty after the copy `view`:
+// the codes are then in the wrong places.
 static bool publish(struct rig_queue *queue, const struct view *view, uint8_t n, uint16_t seq)
 {
     bool in_time = true;
@@ -121,7 +124,7 @@ enum rig_put rig_queue_put(
 {
     if (leaves_range(config, m, refused))
         return RIG_PUT_OUT_OF_RANGE;
-    for (;;) { // again where it ran dry meanwhile, which takes a Ts; this does not
+    for (;;) { // repeat if the queue ran empty, which takes a Ts; a pass takes less
         const struct view view = view_of(queue);
         const int32_t offset = (int32_t)(m->k0 - view.next);
         if (leaves_slew(queue, &view, config, m, offset, refused))
@@ -129,7 +132,7 @@ enum rig_put rig_queue_put(
         if (offset > view.count || offset <= -(int32_t)m->n)
             return RIG_PUT;
         uint8_t i = offset < 0 ? -offset : 0;
-        uint16_t at = offset < 0 ? 0 : offset; // places behind `first`
+        uint16_t at = offset < 0 ? 0 : offset; // position after `first`
         for (; i < m->n && at < view.count; i++, at++) {
             if (queue->codes[(view.first + at) & MASK] != m->u[i])
                 return RIG_PUT_DISAGREES;

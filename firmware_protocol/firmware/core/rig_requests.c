@@ -12,31 +12,32 @@
 
 enum { LEAST_TYPE_OF_DEVICE = 0x80 };
 
-// Returns whether `seq` is ahead of the newest frame taken in by 1 ... 32767, modulo 2^16.
+// Returns true if `seq` is ahead of the newest seq by 1 ... 32767, modulo 2^16.
 static bool is_newer(uint16_t seq)
 {
     return !rig.has_newest || (int16_t)(seq - rig.newest) > 0;
 }
 
-// Returns whether `k` is ahead of the last EXCHANGE's by 1 ... 2^31 - 1, modulo 2^32.
+// Returns true if `k` is ahead of the last EXCHANGE's k by 1 ... 2^31 - 1, modulo 2^32.
 static bool is_ahead(uint32_t k)
 {
     return !rig.has_k || (int32_t)(k - rig.k) > 0;
 }
 
-// Returns the fault that the u of `m` is, or RIG_CAUSE_NONE.
+// Returns the cause of the fault if the u of `m` is wrong, or RIG_CAUSE_NONE.
 static uint8_t fault_of(const rig_exchange_t *m)
 {
     if (m->u < rig.config.u_min || m->u > rig.config.u_max)
         return RIG_CAUSE_RANGE;
-    // Against the code as the host sent it: against the rounded duty an allowed ramp could trip.
+    // The step counts from the last code as the host sent it. If it counted from the rounded duty,
+    // an allowed ramp could trip.
     const uint16_t step = m->u > rig.u ? m->u - rig.u : rig.u - m->u;
     if (rig.config.slew && step > rig.config.slew)
         return RIG_CAUSE_SLEW;
     return RIG_CAUSE_NONE;
 }
 
-// Samples, and in RUN lets u act.
+// Requests the sample of an EXCHANGE, which latches u in RUN.
 static void take_exchange(const union rig_message *m)
 {
     if (rig_is_timed() || rig.cal.is_under_way) {
@@ -62,7 +63,7 @@ static void take_exchange(const union rig_message *m)
     rig_ask(&m->exchange, drives);
 }
 
-// Says who is here.
+// Sends HELLO_R.
 static void take_hello(void)
 {
     if (!rig_is_bound())
@@ -87,7 +88,7 @@ static void take_hello(void)
     rig_send(RIG_TYPE_HELLO_R);
 }
 
-// Tells the clock.
+// Sends PONG with the device's clock.
 static void take_ping(const rig_ping_t *ping)
 {
     const uint32_t rx_us = board_now_us();
@@ -98,15 +99,16 @@ static void take_ping(const rig_ping_t *ping)
     rig_send(RIG_TYPE_PONG);
 }
 
-// Moves the newest seq forward and feeds the watchdog; returns whether the frame is to be heard.
+// Makes the seq of a newer frame the newest seq and, except for HELLO, feeds the watchdog. Returns
+// true if the frame must be executed.
 static bool take_in(const struct rig_header *header)
 {
     const bool is_hello = header->type == RIG_TYPE_HELLO;
-    // Where the motor may turn, a HELLO that was played again must not make old frames new.
+    // In ARMED and RUN, a HELLO that is played again must not make old frames new.
     if ((is_hello && !rig_is_bound()) || is_newer(header->seq)) {
         rig.newest = header->seq;
         rig.has_newest = true;
-        if (!is_hello) // who asks who is there does not command
+        if (!is_hello) // HELLO asks for the identity and commands nothing
             rig.fed_us = board_now_us();
         return true;
     }

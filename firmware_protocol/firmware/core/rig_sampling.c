@@ -34,7 +34,7 @@ void rig_latch(uint8_t what)
 uint8_t rig_oversampling(void)
 {
     const uint8_t m = rig.config.oversampling;
-    return m ? m : 1; // 0 where no configuration is in force
+    return m ? m : 1; // m is 0 if no configuration is in force
 }
 
 void rig_reading(uint8_t channel, uint16_t code)
@@ -50,18 +50,19 @@ void rig_reading(uint8_t channel, uint16_t code)
     readings->at_rail |= rig_at_rail(code);
 }
 
-// Returns the reading of a sample, and begins the next one. From an interrupt.
+// Returns the sum of a channel's readings, and clears it for the next sample. Called from an
+// interrupt.
 static struct rig_mean gathered(struct rig_readings *readings)
 {
     struct rig_mean mean = {.sum = readings->sum, .n = readings->n};
-    // Between both ends of a track, across the dead band, lies an angle that the shaft never had.
+    // A mean across the dead band would be an angle that the shaft never had.
     if (readings->at_rail)
         mean = (struct rig_mean){.sum = readings->last, .n = 1};
     *readings = (struct rig_readings){0};
     return mean;
 }
 
-// Returns the mean of a reading, a tie up.
+// Returns the mean, a tie rounded up.
 static uint16_t mean_of(const struct rig_mean *mean)
 {
     return mean->n == 1 ? (uint16_t)mean->sum : (uint16_t)((mean->sum + mean->n / 2) / mean->n);
@@ -82,7 +83,7 @@ void rig_converted(uint8_t what, uint32_t t_us)
     if (what & RIG_LATE)
         flags |= RIG_FLAG_TICK_LATE;
     rig.ran_dry = false;
-    if (rig.taken_count == RIG_MOST_TAKEN) { // main stands still: what is lost is a break in k
+    if (rig.taken_count == RIG_MOST_TAKEN) { // main is stalled: the sample is lost, k missing
         rig.taken_lost++;
         return;
     }
@@ -101,10 +102,10 @@ void rig_converted(uint8_t what, uint32_t t_us)
 void rig_end(void)
 {
     rig_motor_cut();
-    rig.ended = true; // main leaves RUN
+    rig.ended = true; // main then leaves RUN
 }
 
-// Returns the flags that the state and the last fault give a sample.
+// Returns the flags of SAMPLE for the present state and the last cause.
 static uint16_t state_flags(void)
 {
     switch (rig.state) {
@@ -123,7 +124,7 @@ static uint16_t state_flags(void)
     }
 }
 
-// Sends SAMPLE. The state and the code are those of now: outside RUN the motor has 0 V.
+// Sends SAMPLE with the present state. Outside RUN u_k is 0, because the motor is at 0 V.
 static void tell_sample(const struct rig_taken *taken, uint16_t y0, uint16_t y1)
 {
     uint16_t flags = taken->flags | rig.new_flags | state_flags();
@@ -150,7 +151,7 @@ static void tell_sample(const struct rig_taken *taken, uint16_t y0, uint16_t y1)
     rig_send(RIG_TYPE_SAMPLE);
 }
 
-// Judges a sample in RUN by the guards, tells it, and then the fault.
+// In RUN, applies the guards to a sample. Sends the sample, and then the EVENT of a fault.
 static void judge_and_tell(const struct rig_taken *taken)
 {
     const uint16_t y0 = mean_of(&taken->y[0]), y1 = mean_of(&taken->y[1]);
@@ -164,7 +165,7 @@ static void judge_and_tell(const struct rig_taken *taken)
         rig_tell_transition();
 }
 
-// Counts as not sent what the interrupt found no room for.
+// Counts the samples for which the interrupt had no room as frames not sent.
 static void count_lost_samples(void)
 {
     const uint8_t before = board_irq_save();
@@ -181,7 +182,7 @@ static void count_lost_samples(void)
 void rig_tell_samples(void)
 {
     while (rig.taken_count) {
-        judge_and_tell(&rig.taken[rig.taken_first]); // main's until it is counted down
+        judge_and_tell(&rig.taken[rig.taken_first]); // main owns it until the count falls
         const uint8_t before = board_irq_save();
         rig.taken_first = (rig.taken_first + 1) % RIG_MOST_TAKEN;
         rig.taken_count--;

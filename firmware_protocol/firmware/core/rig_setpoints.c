@@ -4,7 +4,7 @@
 #include "rig_states.h" // rig_enter
 #include "rig_transmission.h" // rig_answer
 
-// Trips on a code that is outside.
+// Enters FAULT because of the code `refused`.
 static void trip(uint8_t cause, uint16_t refused)
 {
     rig_enter(RIG_STATE_FAULT, cause, refused);

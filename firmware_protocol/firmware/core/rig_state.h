@@ -1,4 +1,4 @@
-// All that the core remembers between calls. There is one, and no heap.
+// The state of the core between calls: one static structure, no heap.
 #ifndef RIG_STATE_H
 #define RIG_STATE_H
 
@@ -9,56 +9,56 @@
 #include "rig_queue.h"
 
 enum {
-    RIG_MOST_ASKED = 2, // EXCHANGE frames that wait for their samples
-    RIG_MOST_TAKEN = 2, // samples that wait to be told
+    RIG_MOST_ASKED = 2, // EXCHANGE frames that may wait for their samples
+    RIG_MOST_TAKEN = 2, // samples that may wait to be sent
 };
 
 // An EXCHANGE that waits for its sample.
 struct rig_asked {
     uint32_t k;
     uint16_t u, seq;
-    bool drives; // u is to be latched: it was asked for in this RUN
+    bool drives; // the sample latches u: the EXCHANGE came in the present RUN
 };
 
-// What has been read of one channel for the sample under way.
+// The readings of one channel for the sample in progress.
 struct rig_readings {
     uint32_t sum;
     uint16_t last;
     uint8_t n;
-    bool at_rail; // one of them
+    bool at_rail; // at least one of the readings is at a rail
 };
 
-// A reading that is to be divided yet: an interrupt has no time for it.
+// A sum of readings. Main divides it, because the interrupt has no time for a division.
 struct rig_mean {
     uint32_t sum;
     uint8_t n;
 };
 
-// A sample that was taken and not told yet.
+// A complete sample that was not sent yet.
 struct rig_taken {
     uint32_t k, t_us;
     struct rig_mean y[2]; // theta_1, alpha
-    uint16_t duty, duty_before; // after the latch, at the end of the conversions; before the latch
+    uint16_t duty, duty_before; // at the end of the conversions; before the latch
     uint16_t u_seq;
     uint16_t flags;
 };
 
-// The motor, and who may drive it: `rig_motor.c` alone writes this.
+// The motor and the permission to drive it. Only `rig_motor.c` permits driving and sets a duty.
 struct rig_motor {
-    volatile bool live; // in RUN, and nothing has cut it off
-    volatile bool broken; // a code that no check lets through came as far as the pin
-    uint16_t duty, duty_before; // what it has, 0 while it is off; what it had before the last latch
-    uint16_t u_seq; // of the frame that the duty came from; 0 while it is off
+    volatile bool live; // driving is permitted: from rig_motor_begin to rig_motor_cut
+    volatile bool broken; // a code outside the limits reached the last check before the pin
+    uint16_t duty, duty_before; // present duty, 0 while off; duty before the last latch
+    uint16_t u_seq; // seq of the frame that contained the code; 0 while off
 };
 
-// What STATUS tells, since boot; all but `underruns` are main's.
+// Counters of STATUS since boot. Main counts all except `underruns`.
 struct rig_counters {
     uint32_t frames, spoilt, refused;
     uint16_t rx_lost, tx_dropped, late;
-    uint16_t underruns; // the interrupt's
+    uint16_t underruns; // owner: interrupt
 };
 
-// A transition, until its EVENT has been told.
+// The latest transition, for its EVENT.
 struct rig_transition {
     uint8_t was, cause;
     uint32_t t_us;
@@ -66,49 +66,51 @@ struct rig_transition {
 };
 
 struct rig {
-    volatile uint8_t state; // main writes it with interrupts off, both read it
-    uint8_t cause; // of the last transition; main's, as all that follows up to `asked`
+    volatile uint8_t state; // main writes it with interrupts off; both read it
+    uint8_t cause; // of the latest transition; main owns all fields up to `config`
     uint32_t boot_id, token;
-    uint32_t nonce, next_nonce; // of the configuration in force, 0 where none is; of the next one
+    uint32_t nonce, next_nonce; // of the configuration in force, 0 if none; last nonce drawn
     uint32_t config_crc;
     bool has_newest, has_k;
-    uint16_t newest; // seq of the newest frame taken in
-    uint32_t k; // of the last EXCHANGE
-    uint16_t u; // code last accepted in RUN of exchange mode, as the host sent it
-    uint32_t fed_us; // when the last frame was taken in that feeds the watchdog
-    uint16_t new_flags; // to be told once, in the next SAMPLE
-    uint32_t status_us; // when STATUS is due
-    uint32_t uptime_ms, uptime_us; // uptime up to uptime_us
+    uint16_t newest; // seq of the newest frame taken in (PROTOCOL.md, section 2)
+    uint32_t k; // k of the last accepted EXCHANGE
+    uint16_t u; // code last accepted in RUN of exchange mode, as the host sent it; at first u_rest
+    uint32_t fed_us; // device time at which a frame last fed the watchdog
+    uint16_t new_flags; // flags to report once, in the next SAMPLE
+    uint32_t status_us; // device time at which STATUS is due
+    uint32_t uptime_ms, uptime_us; // uptime until the device time uptime_us
     struct rig_transition transition;
     struct rig_guards guards;
     struct rig_counters counters;
     uint16_t tx_seq;
-    union rig_frame tx; // one frame on its way to the board's ring
-    uint8_t rx_bytes; // so many bytes have come since the last 00, at most one more than fit
+    union rig_frame tx; // the frame to be sent, until the board has copied it
+    uint8_t rx_bytes; // bytes since the last 00; the count ends one above RIG_LONGEST_STUFFED
     union rig_frame rx;
 
-    // Both read it; main writes it while the motor is off and no timer runs.
-    rig_config_t config; // in force; zeros where none is
+    // Both contexts read the configuration. Main writes it while the motor is off and no timer
+    // runs.
+    rig_config_t config; // in force; zeros if there is none
 
-    // Main puts behind the last, the interrupt takes the first; counts change with interrupts off.
+    // EXCHANGE frames that wait for their samples. Main appends, and the interrupt removes the
+    // first. Main changes the count with interrupts off.
     struct rig_asked asked[RIG_MOST_ASKED];
     uint8_t asked_first;
     volatile uint8_t asked_count;
-    // The interrupt puts behind the last, main takes the first.
+    // Samples that wait to be sent. The interrupt appends, and main removes the first.
     struct rig_taken taken[RIG_MOST_TAKEN];
     uint8_t taken_first;
     volatile uint8_t taken_count;
-    struct rig_readings readings[2]; // theta_1, alpha: the interrupt's
+    struct rig_readings readings[2]; // theta_1, alpha; owner: interrupt
     struct rig_cal cal;
-    uint8_t taken_lost; // for want of room, since main last looked
-    uint32_t timed_k; // of the timer's next sample to be converted: the interrupt's while it runs
-    bool ran_dry; // the sample under way had no setpoint: the interrupt's
-    volatile bool ended; // the last input was held for its Ts: the interrupt sets it, main clears it
+    uint8_t taken_lost; // samples lost for lack of room since main last cleared the count
+    uint32_t timed_k; // k of the timer's next sample; owner: interrupt while the timer runs
+    bool ran_dry; // the sample in progress had no setpoint; owner: interrupt
+    volatile bool ended; // the run has ended; the interrupt sets it, main clears it
 
-    uint16_t supply_mv; // as measured last, 0 where it is not; the interrupt's
-    volatile bool is_measured; // the interrupt sets it, main clears it
-    bool is_measuring; // asked for and not measured yet; main's
-    uint32_t supply_us; // when it is to be asked for; main's
+    uint16_t supply_mv; // last measured supply, 0 if never measured; owner: interrupt
+    volatile bool is_measured; // a measurement is complete; the interrupt sets it, main clears it
+    bool is_measuring; // a measurement was requested and is not complete; owner: main
+    uint32_t supply_us; // device time of the next measurement; owner: main
 
     struct rig_motor motor;
     struct rig_queue queue;

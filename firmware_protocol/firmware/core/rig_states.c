@@ -4,14 +4,14 @@
 #include "rig_state.h" // rig
 #include "rig_transmission.h" // rig_send
 
-// Lets nothing act any more that was meant for the RUN that ends here. Interrupts are off.
+// Prevents the waiting EXCHANGEs of the RUN that ends from latching u. Interrupts are off.
 static void disown_asked(void)
 {
     for (uint8_t i = 0; i < RIG_MOST_ASKED; i++)
         rig.asked[i].drives = false;
 }
 
-// Puts no configuration in force.
+// Clears the configuration, so that none is in force.
 static void forget_config(void)
 {
     rig.config = (rig_config_t){0};
@@ -64,7 +64,7 @@ bool rig_is_timed(void)
     return rig.state == RIG_STATE_RUN && rig.config.mode == RIG_MODE_SCHEDULED;
 }
 
-// Makes a transition that nobody asked for, and tells it.
+// Makes a transition without a request, and sends its EVENT.
 static void trip(uint8_t state, uint8_t cause)
 {
     rig_enter(state, cause, 0);

@@ -1,23 +1,23 @@
-// The states and the way from one to the other (PROTOCOL.md, section 3).
+// The states and their transitions (PROTOCOL.md, section 3).
 #ifndef RIG_STATES_H
 #define RIG_STATES_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-// Makes a transition; into every state but RUN with the motor off before anything else. From main.
+// Makes a transition. For every state but RUN, first turns the motor off. Called from main.
 void rig_enter(uint8_t state, uint8_t cause, uint32_t detail);
 
-// Tells the last transition by its EVENT.
+// Sends the EVENT of the latest transition.
 void rig_tell_transition(void);
 
-// ARMED or RUN: bound to a host, watchdog on.
+// Returns true in ARMED and RUN: the device is bound to a host, and the watchdog is on.
 bool rig_is_bound(void);
 
-// RUN of scheduled mode: the timer makes the samples.
+// Returns true in RUN of scheduled mode: the device's timer paces the samples.
 bool rig_is_timed(void);
 
-// Trips where the host has been silent for too long, or the last input was held, or a check failed.
+// Trips if the host was silent for too long, or the last check before the pin found a wrong code.
 void rig_watch_run(void);
 
 #endif

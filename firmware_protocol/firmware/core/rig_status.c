@@ -8,7 +8,7 @@
 
 #define STATUS_US 1000000UL
 
-// Adds the whole milliseconds that have passed since it was last called.
+// Adds the whole milliseconds since the last call to the uptime.
 static void count_uptime(uint32_t now_us)
 {
     const uint32_t ms = (now_us - rig.uptime_us) / 1000;
@@ -23,7 +23,7 @@ void rig_status_begin(void)
     count_uptime(now_us);
 }
 
-// Returns the samples without a setpoint, which the interrupt counts.
+// Returns the number of samples without a setpoint, which the interrupt counts.
 static uint16_t underruns(void)
 {
     const uint8_t before = board_irq_save();

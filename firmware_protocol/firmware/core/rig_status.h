@@ -1,16 +1,16 @@
-// STATUS: the counters, once a second.
+// STATUS: the counters since boot, sent once a second.
 #ifndef RIG_STATUS_H
 #define RIG_STATUS_H
 
 #include <stdint.h>
 
-// Begins to count the uptime; the board's clock began with 0 at the reset.
+// Starts the uptime. It counts from the reset, at which the board's clock was 0.
 void rig_status_begin(void);
 
-// Sends STATUS where it is due.
+// Sends STATUS if STATUS is due.
 void rig_tell_status(void);
 
-// Counts received bytes that found no room.
+// Counts received bytes that were lost for lack of room.
 void rig_count_lost(uint16_t bytes);
 
 #endif

@@ -26,14 +26,14 @@ bool rig_supply_is_low(void)
     return mv != 0 && mv < LOW_MV;
 }
 
-// Asks the board once: a board that cannot measure never answers.
+// Requests one measurement. A board that cannot measure never answers, and gets no second request.
 static void ask(void)
 {
     rig.is_measuring = true;
     board_measure_supply();
 }
 
-// Plans the next measurement, and judges this one.
+// Schedules the next measurement. In ARMED and RUN, trips if the present measurement is too low.
 static void judge(void)
 {
     rig.is_measured = rig.is_measuring = false;

@@ -1,21 +1,22 @@
-// The supply: measured every 100 ms, and a guard where it is low (PROTOCOL.md, section 7).
-// `rig_supply` is in board.h.
+// The supply: measured every 100 ms, and guarded against a low voltage (PROTOCOL.md, section 7).
+// board.h declares `rig_supply`.
 #ifndef RIG_SUPPLY_H
 #define RIG_SUPPLY_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-// Asks for the first measurement.
+// Requests the first measurement.
 void rig_supply_begin(void);
 
-// Returns the supply as measured last, in mV; 0 where it is not.
+// Returns the last measured supply, in mV, or 0 if the supply was never measured.
 uint16_t rig_supply_mv(void);
 
-// Returns whether it was too low when it was measured last.
+// Returns true if the last measured supply was too low.
 bool rig_supply_is_low(void);
 
-// Asks for a measurement where it is due, and trips where one was too low in ARMED or RUN.
+// Requests a measurement if a measurement is due. In ARMED and RUN, trips if the measured supply is
+// too low.
 void rig_watch_supply(void);
 
 #endif

@@ -8,7 +8,7 @@
 #include "rig_states.h" // rig_enter
 #include "rig_transmission.h" // rig_answer
 
-// Makes the transition asked for; ACK leaves before EVENT.
+// Makes a requested transition, and sends ACK and then EVENT.
 static void follow(const union rig_message *m, uint8_t state)
 {
     rig_enter(state, RIG_CAUSE_REQUEST, 0);
@@ -16,7 +16,8 @@ static void follow(const union rig_message *m, uint8_t state)
     rig_tell_transition();
 }
 
-// Puts a configuration in force, under a nonce that this boot has not had: 1 ... 2^32 - 1 in turn.
+// Puts a configuration in force, with a nonce that this boot has not used. The nonces count through
+// 1 ... 2^32 - 1.
 static void accept(const rig_config_t *m)
 {
     rig.config = *m;
@@ -25,7 +26,7 @@ static void accept(const rig_config_t *m)
     rig.nonce = rig.next_nonce;
 }
 
-// Sends CONFIG_R: the configuration in force, zeros where none is.
+// Sends CONFIG_R with the configuration in force, or with zeros if there is none.
 static void tell_config(uint8_t code)
 {
     rig_config_r_t *m = &rig_blank()->config_r;
@@ -94,7 +95,7 @@ void rig_take_start(const union rig_message *m)
     }
 }
 
-// Returns whether the motor is latched at 0 V.
+// Returns true in FAULT and ESTOP, in which the motor is latched at 0 V.
 static bool is_latched(void)
 {
     return rig.state == RIG_STATE_FAULT || rig.state == RIG_STATE_ESTOP;

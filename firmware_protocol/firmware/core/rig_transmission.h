@@ -1,19 +1,20 @@
-// Frames to the host: numbered, closed, given to the board.
+// Transmission: a frame gets its number, CRC and stuffing, and is passed to the board.
 #ifndef RIG_TRANSMISSION_H
 #define RIG_TRANSMISSION_H
 
 #include "rig_frame.h"
 
-// Returns the place for the next frame's message, its body filled with 0.
+// Returns the message of the next frame to be sent, filled with 0.
 union rig_message *rig_blank(void);
 
-// Sends it as `type`; a frame that finds no room is dropped and counted, and leaves a break in seq.
+// Sends the message of `rig_blank` as `type`. If the board has no room, the frame is dropped and
+// counted, and its seq is missing at the host.
 void rig_send(uint8_t type);
 
-// Sends the 00 that a sender begins with.
+// Sends the additional 00 with which a sender starts.
 void rig_send_break(void);
 
-// Sends ACK of the frame `of`; what is not OK had no effect, and is counted.
+// Sends ACK for the frame `of`. If the code is not OK, the frame is counted as refused.
 void rig_answer(const struct rig_header *of, uint8_t code);
 
 #endif

@@ -1,4 +1,5 @@
-// The board on a PC, in virtual time: what `armrigd emulate` is by default.
+// The constants of the board on a PC, which runs in virtual time. The defaults are those of
+// `armrigd emulate`.
 #ifndef BOARD_CONSTANTS_H
 #define BOARD_CONSTANTS_H
 
@@ -23,7 +24,8 @@
         | RIG_CAPABILITY_ENABLE_LINE)
 #define BOARD_RAM 3500
 
-// Nothing interrupts it: the hardware calls in turn. In `interrupts.c` something does.
+// This board has no interrupts: the emulated hardware calls the core in one thread. `interrupts.c`
+// is the exception, and defines its own functions.
 #ifndef PC_INTERRUPTS
 #define BOARD_IRQ_INLINE
 static inline unsigned char board_irq_save(void) { return 0; }

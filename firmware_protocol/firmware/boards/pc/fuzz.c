@@ -1,5 +1,6 @@
-// Feeds random and mutated bytes to the core under the sanitizers, and judges what it asks its board.
-// `fuzz BYTES SEED` ends with 0 and says what came about, or aborts at the first violation.
+// Passes random and mutated bytes to the core under the sanitizers, and checks the core's calls of
+// its board. `fuzz BYTES SEED` prints what occurred and exits with 0, or aborts at the first
+// violation.
 #include <inttypes.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -17,16 +18,16 @@ static uint32_t now_us;
 static uint64_t taken_bytes;
 
 static struct {
-    bool is_on; // since board_motor_set, until board_motor_off
+    bool is_on; // from board_motor_set to board_motor_off
     uint16_t duty;
-    uint8_t asked, asked_begun; // samples asked for; the one under way is one of them
-    int64_t tick_us, tick_ts_us, k, k_stop; // when the next sample of the timer falls due
+    uint8_t asked, asked_begun; // requested samples that wait or are in progress
+    int64_t tick_us, tick_ts_us, k, k_stop; // time to the timer's next sample, its period and its k
     uint32_t ticks_waiting;
     uint16_t cal_left;
     uint8_t cal_channel;
     bool is_busy, is_timed, is_latched;
-    uint8_t conversions, done; // of the sample under way
-    int64_t next_us; // of its next conversion's end
+    uint8_t conversions, done; // of the sample in progress
+    int64_t next_us; // time to the end of the next conversion
 } board;
 
 static struct {
@@ -42,13 +43,13 @@ static uint32_t draw(void)
     return (uint32_t)(random_state * 0x2545F4914F6CDD1DULL >> 32);
 }
 
-// Returns whether something of this probability, in 1/256, happens.
+// Returns true with a probability of `of_256`/256.
 static bool happens(uint32_t of_256)
 {
     return (draw() & 255) < of_256;
 }
 
-// Ends the run at a violation.
+// Aborts the program if a requirement is violated.
 static void require(bool holds, const char *what)
 {
     if (holds)
@@ -57,14 +58,14 @@ static void require(bool holds, const char *what)
     abort();
 }
 
-// 0 V.
+// Turns the motor off.
 static void motor_off(void)
 {
     board.is_on = false;
     board.duty = 0;
 }
 
-// The motor is driven: in RUN alone, with what the configuration allows.
+// Checks that the motor is driven only in RUN, with duties that the configuration allows.
 static void motor_set(uint16_t duty)
 {
     require(rig.state == RIG_STATE_RUN, "the motor is driven in RUN alone");
@@ -110,7 +111,7 @@ static void measure_supply(void)
     rig_supply(happens(8) ? 3900 : 5000);
 }
 
-// What leaves is sound.
+// Checks that each frame to the host is valid. At random, the transmit buffer has no room.
 static bool send(const uint8_t *bytes, uint8_t n)
 {
     seen.frames++;
@@ -140,7 +141,7 @@ static bool send(const uint8_t *bytes, uint8_t n)
 static uint32_t send_us(void) { return now_us; }
 static uint32_t token(void) { return draw() | 1; }
 
-// Returns a code as a potentiometer gives it: anywhere, or at a rail.
+// Returns a code that a potentiometer can have: anywhere in the range, or at a rail.
 static uint16_t reading(void)
 {
     static uint16_t last;
@@ -148,7 +149,7 @@ static uint16_t reading(void)
     return happens(8) ? (happens(128) ? 0 : 0xFFC0) : last & 0xFFC0;
 }
 
-// Begins with the sample that waits longest.
+// Begins the next waiting sample. Samples of the timer precede requested samples.
 static void begin_sample(void)
 {
     if (board.is_busy || board.cal_left || (!board.asked && !board.ticks_waiting))
@@ -161,7 +162,7 @@ static void begin_sample(void)
     board.next_us = BOARD_SKEW_US;
 }
 
-// Ends a conversion, and with the last the sample.
+// Ends a conversion. The last conversion also ends the sample.
 static void end_conversion(void)
 {
     const uint8_t what = board.is_timed ? RIG_TIMED : RIG_ASKED;
@@ -185,7 +186,7 @@ static void end_conversion(void)
         board.asked--;
 }
 
-// Lets time pass on the board.
+// Advances the time of the board by `us`.
 static void pass(uint32_t us)
 {
     now_us += us;
@@ -204,18 +205,18 @@ static void pass(uint32_t us)
     begin_sample();
     if ((board.is_busy || board.cal_left) && (board.next_us -= us) <= 0)
         end_conversion();
-    if (!happens(10)) // main is late at times
+    if (!happens(10)) // sometimes main is late
         rig_poll();
     require(!board.is_on || rig.state == RIG_STATE_RUN, "0 V in every state but RUN");
 }
 
-// Gives bytes to the core, each in its time.
+// Passes bytes to the core, usually each after the time of a byte.
 static void give(const uint8_t *bytes, uint32_t n)
 {
     for (; n; n--, taken_bytes++) {
         rig_receive(*bytes++);
         require(!board.is_on || rig.state == RIG_STATE_RUN, "0 V in every state but RUN");
-        if (!happens(64)) // a line that is faster than real
+        if (!happens(64)) // without this delay, the line is faster than a real line
             pass(BYTE_US);
     }
 }
@@ -223,7 +224,7 @@ static void give(const uint8_t *bytes, uint32_t n)
 static uint16_t host_seq;
 static uint32_t host_k;
 
-// Returns a code, mostly one that the configuration allows.
+// Returns a code that the configuration usually allows.
 static uint16_t some_code(void)
 {
     if (happens(8))
@@ -232,7 +233,7 @@ static uint16_t some_code(void)
     return rig.config.u_min + draw() % span;
 }
 
-// Fills a CONFIG that is mostly accepted.
+// Fills a CONFIG that the core usually accepts.
 static void fill_config(rig_config_t *m)
 {
     m->ts_us = happens(16) ? draw() & 0x3FFF : 500 + (draw() & 0x7FF);
@@ -249,7 +250,7 @@ static void fill_config(rig_config_t *m)
     m->turns = happens(64) ? 1 + (draw() & 31) : 0;
 }
 
-// Fills SETPOINTS, mostly right behind the last entry.
+// Fills SETPOINTS that usually begin directly after the queue's last entry.
 static void fill_setpoints(rig_setpoints_t *m)
 {
     m->k0 = rig.queue.next + rig.queue.count + (happens(64) ? draw() % 60 - 30 : 0);
@@ -259,7 +260,7 @@ static void fill_setpoints(rig_setpoints_t *m)
         m->u[i] = some_code();
 }
 
-// Fills the message of a type as a host would that knows what it should.
+// Fills a message of a type with the boot_id, nonce and token that a correct host would send.
 static void fill(union rig_message *m, uint8_t type)
 {
     switch (type) {
@@ -287,7 +288,7 @@ static void fill(union rig_message *m, uint8_t type)
     }
 }
 
-// Returns the type of a host's next frame: mostly what leads to RUN, or goes on there.
+// Returns the type of the host's next frame: usually a type that leads to RUN, or continues RUN.
 static uint8_t some_type(void)
 {
     static const uint8_t types[] = {
@@ -305,7 +306,8 @@ static uint8_t some_type(void)
     }
 }
 
-// Makes a host's frame, sometimes with a body or a type at random; returns its length.
+// Builds a frame of the host, and returns its length on the wire. Sometimes the body, the type or
+// the length is random.
 static uint8_t make_frame(union rig_frame *frame)
 {
     union rig_message *m = &frame->message;
@@ -323,7 +325,7 @@ static uint8_t make_frame(union rig_frame *frame)
     return rig_close(frame, length);
 }
 
-// Spoils bytes: flips, cuts, or doubles some.
+// Flips at most three bits, and sometimes cuts the frame. Returns the new length.
 static uint8_t spoil(uint8_t *bytes, uint8_t n)
 {
     for (uint32_t flips = draw() & 3; flips; flips--)

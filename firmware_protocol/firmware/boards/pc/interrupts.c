@@ -1,9 +1,9 @@
-// Lets an interrupt come between any two accesses of the core to memory, wherever interrupts are on:
-// what comes of it must be what comes of the interrupt before all that main does, or after it.
+// Triggers an interrupt between any two memory accesses of the core while interrupts are on. The
+// outcome must equal the outcome of the interrupt before all of main's work, or after all of it.
 //
-// The core is built for a thread sanitizer, which has a function called before each access. Here that
-// function is the interrupt. `interrupts` ends with 0 and says how many came, or with 1 at the first
-// that main did not expect.
+// The core is compiled for the thread sanitizer, which calls a function before each memory access.
+// This program supplies that function, and triggers the interrupt in it. `interrupts` prints the
+// number of interrupts and exits with 0. At the first unexpected outcome it exits with 1.
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -16,28 +16,28 @@
 
 enum { NEVER = -1, K = 100, LOOKED_BYTES = 1 << 12 };
 
-static long tried_place, places_left = NEVER; // before the interrupt comes
-static bool is_off, is_interrupt; // interrupts; under way
-static bool is_timed, is_driven; // the timer, the motor
+static long tried_place, places_left = NEVER; // place of the interrupt; places until it
+static bool is_off, is_interrupt; // interrupts are off; the interrupt is in progress
+static bool is_timed, is_driven; // the timer runs; the motor is driven
 static unsigned long interrupts, outcomes;
-static uint8_t looked[LOOKED_BYTES]; // all that can be seen of an outcome
+static uint8_t looked[LOOKED_BYTES]; // all observable values of an outcome
 static uint32_t looked_bytes;
 
-// What main does, what interrupts it, and how it is with them.
+// A case: the work of main, the interrupt, and the functions that prepare and observe the state.
 struct meeting {
     const char *name;
     void (*prepare)(void);
     void (*main)(void);
     void (*interrupt)(void);
     void (*look)(void);
-    bool is_stopped; // with the timer: it comes no more
+    bool is_stopped; // the interrupt occurs only while the timer runs
 };
 static const struct meeting *meeting;
 
 static rig_setpoints_t frame;
-static uint16_t held, first; // setpoints in the queue, and where in its ring
+static uint16_t held, first; // setpoints in the queue; place of the first setpoint
 
-// Ends the program at an outcome that must not be.
+// Ends the program at a forbidden outcome.
 static void fail(const char *why)
 {
     fprintf(stderr, "%s, interrupted at place %ld: %s; queue of %u at %u, frame of %u at %+d\n",
@@ -55,7 +55,7 @@ static void interrupt(void)
     interrupts++;
 }
 
-// Has the interrupt come where it is its turn.
+// Triggers the interrupt if its place is reached and interrupts are on.
 static void place(void)
 {
     if (places_left == NEVER || is_off || is_interrupt || places_left-- > 0)
@@ -111,7 +111,7 @@ static void measure_supply(void) {}
 static uint32_t send_us(void) { return 0; }
 static uint32_t token(void) { return 1; }
 
-// Adds to what can be seen.
+// Appends bytes to the observed values.
 static void see(const void *bytes, size_t n)
 {
     if (looked_bytes + n > sizeof looked)
@@ -125,7 +125,7 @@ static void see_number(uint32_t number)
     see(&number, sizeof number);
 }
 
-// Sees a SAMPLE's index, readings and input.
+// Appends the index, the readings and the input of a SAMPLE to the observed values.
 static bool send(const uint8_t *bytes, uint8_t n)
 {
     union rig_frame frame = {0};
@@ -139,7 +139,7 @@ static bool send(const uint8_t *bytes, uint8_t n)
     return true;
 }
 
-// ------------------------------------------------------------- SETPOINTS, and the sample that falls due
+// ------------------------------------------------------------- SETPOINTS, and a sample falls due
 
 static enum rig_put put;
 static uint16_t refused;
@@ -149,7 +149,7 @@ static void prepare_queue(void)
     rig.config = (rig_config_t){.u_max = 50000, .slew = frame.zero ? 300 : 0, .mode = RIG_MODE_SCHEDULED,
         .underrun = RIG_UNDERRUN_HOLD, .hold = UINT8_MAX};
     rig_queue_begin(&rig.queue, 0);
-    // Sample k has the code 100 k; they came in frames of 8.
+    // The setpoint of sample k is 100 k. The setpoints came in frames of 8.
     rig.queue.next = K;
     rig.queue.first = first;
     rig.queue.first_frame = first % RIG_QUEUE_FRAMES;
@@ -185,11 +185,11 @@ static void look_at_queue(void)
     see_number(rig.queue.frames);
 }
 
-// ------------------------------------------------------------- samples to be told, and one more
+// ------------------------------------------------------------- samples are sent, and one ends
 
 static uint8_t waiting;
 
-// Has a sample end, of the timer or asked for.
+// Ends a sample, either of the timer or of an EXCHANGE.
 static void end_sample(uint8_t what)
 {
     const uint32_t k = what & RIG_TIMED ? rig.timed_k : rig.asked[rig.asked_first].k;
@@ -228,7 +228,7 @@ static void look_at_samples(void)
     see_number(rig.counters.tx_dropped);
 }
 
-// ------------------------------------------------------------- EXCHANGE, and the sample before it
+// ------------------------------------------------------------- EXCHANGE, and a sample ends
 
 static void prepare_asked(void)
 {
@@ -251,13 +251,13 @@ static void look_at_asked(void)
     see_number(rig.asked_first);
 }
 
-// ------------------------------------------------------------- the way out of RUN, and a latch or the end
+// ------------------------------------------------------------- a trip, and a latch or the end
 
 static void latch_timed(void) { rig_latch(RIG_TIMED); }
 static void latch_asked(void) { rig_latch(RIG_ASKED); }
 static void trip(void) { rig_enter(RIG_STATE_FAULT, RIG_CAUSE_WATCHDOG, 0); }
 
-// What comes late finds the motor off, and leaves it so; nothing but CLEAR_FAULT leads out.
+// Checks that a late latch leaves the motor off, and that FAULT remains until CLEAR_FAULT.
 static void look_at_motor(void)
 {
     if (is_driven)
@@ -274,7 +274,8 @@ static void look_at_motor(void)
 
 // ------------------------------------------------------------- every place
 
-// Lets both meet: the interrupt before main, after it, or at a place; returns whether it came there.
+// Runs the case with the interrupt before main's work, after it, or at a place in it. Returns true
+// if the interrupt occurred at the place.
 static bool meet(bool before, bool after, long at)
 {
     memset(&rig, 0, sizeof rig);
@@ -317,7 +318,8 @@ static void try_every_place(const struct meeting *tried)
     }
 }
 
-// Frames of n codes from before the queue's first place to behind its last.
+// Tries frames of n codes that begin at each index from before the queue's first setpoint to after
+// its last.
 static void try_frames(uint8_t n, bool has_slew, bool agrees)
 {
     static const struct meeting setpoints = {
@@ -330,7 +332,7 @@ static void try_frames(uint8_t n, bool has_slew, bool agrees)
     }
 }
 
-// Queues of any length, anywhere in their ring.
+// Tries queues of several lengths, at two places in their ring.
 static void try_queues(void)
 {
     static const uint16_t lengths[] = {0, 1, 2, 9, BOARD_QUEUE - 1, BOARD_QUEUE};

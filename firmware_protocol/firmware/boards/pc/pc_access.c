@@ -1,4 +1,4 @@
-// What tests look at, or set, in the core's state; a device has none of it.
+// Access of tests to the core's state; a device has none of these functions.
 #include <string.h>
 
 #include "../../core/rig_state.h"
@@ -6,14 +6,15 @@
 #include "pc_board.h"
 #include "pc_device.h"
 
-// Copies a state of `n` bytes out, or in.
+// Copies `n` bytes of `state` to `image` if `out` is true, otherwise from it. Returns the end of
+// the copied bytes in `image`.
 static uint8_t *moved(uint8_t *image, void *state, size_t n, bool out)
 {
     memcpy(out ? (void *)image : state, out ? state : (void *)image, n);
     return image + n;
 }
 
-// Copies the whole device out, or in; returns its size.
+// Copies the whole device to `image` if `out` is true, otherwise from it. Returns its size.
 size_t pc_move(uint8_t *image, bool out)
 {
     uint8_t *end = moved(image, &rig, sizeof rig, out);
@@ -23,14 +24,15 @@ size_t pc_move(uint8_t *image, bool out)
 
 size_t pc_bytes(void) { return sizeof rig + sizeof pc_board + sizeof pc_device; }
 
-// Gives bytes to the core as they came.
+// Passes bytes to the core in their order.
 void pc_receive(const uint8_t *bytes, uint16_t n)
 {
     for (; n; n--)
         rig_receive(*bytes++);
 }
 
-// Opens what came between two 00; `text` gets what was stuffed.
+// Decodes the bytes between two 00. Writes the message to `text`, and returns the result of
+// rig_open.
 int pc_open(const uint8_t *stuffed, uint8_t n, uint8_t *text)
 {
     union rig_frame frame = {0};
@@ -40,7 +42,7 @@ int pc_open(const uint8_t *stuffed, uint8_t n, uint8_t *text)
     return opened;
 }
 
-// Closes a message of `length`; returns how many bytes `wire` has got.
+// Encodes a message of `length` bytes. Returns the number of bytes written to `wire`.
 uint8_t pc_close(const uint8_t *text, uint8_t length, uint8_t *wire)
 {
     union rig_frame frame = {0};
@@ -59,7 +61,7 @@ uint8_t pc_state(void) { return rig.state; }
 uint8_t pc_cause(void) { return rig.cause; }
 uint16_t pc_u_seq(void) { return rig.motor.u_seq; }
 
-// Lets scheduled mode go on from sample `k`, as if so many had been taken.
+// Continues scheduled mode at sample `k`, as if `k` samples had been taken.
 void pc_set_next(uint32_t k)
 {
     rig.queue.next = rig.timed_k = k;
@@ -67,13 +69,13 @@ void pc_set_next(uint32_t k)
 
 uint32_t pc_next(void) { return rig.queue.next; }
 
-// Makes this the boot of another id.
+// Changes the boot_id of the present boot.
 void pc_set_boot_id(uint32_t boot_id)
 {
     rig.boot_id = rig.next_nonce = boot_id;
 }
 
-// Spoils the code that is to be latched next.
+// Overwrites the code that will be latched next.
 void pc_spoil_next(uint16_t u)
 {
     rig.queue.codes[rig.queue.first] = u;

@@ -1,4 +1,4 @@
-// The board on a PC: time is given, and hardware is whoever sets the calls below.
+// The board on a PC. Its user sets the time, and connects the hardware as functions.
 #ifndef PC_BOARD_H
 #define PC_BOARD_H
 
@@ -6,7 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-// What the core asks for, as in board.h.
+// The functions that the core requires of a board, as in board.h.
 struct pc_hardware {
     void (*motor_off)(void);
     void (*motor_set)(uint16_t duty);
@@ -21,23 +21,23 @@ struct pc_hardware {
     uint32_t (*token)(void);
 };
 
-// Plugs hardware in.
+// Connects the hardware.
 void pc_plug(const struct pc_hardware *hardware);
 
-// Resets the processor: what follows is a boot with this id.
+// Resets the processor: sets the boot_id and the reset flags of the next boot.
 void pc_reset(uint32_t boot_id, uint8_t reset_flags);
 
-// What the board itself remembers; tests swap it where there are several devices.
+// The state of the board. Tests exchange it if there are several devices.
 extern struct pc_board {
     uint32_t now_us, boot_id;
     uint16_t lost;
     uint8_t reset_flags;
 } pc_board;
 
-// Sets the clock.
+// Sets the device's clock.
 void pc_set_time(uint32_t now_us);
 
-// Loses received bytes.
+// Adds to the number of received bytes that were lost.
 void pc_lose(uint16_t bytes);
 
 #endif

@@ -32,19 +32,19 @@ static int64_t quotient(__int128 a, int64_t b)
     return (int64_t)(q - (a % b < 0));
 }
 
-// Returns what the device's clock shows.
+// Returns the time of the device's clock at a virtual time.
 static int64_t device_ns(int64_t now_ns)
 {
     return quotient((__int128)(now_ns - pc_device.reset_ns) * BILLION, pc_device.second_ns);
 }
 
-// Returns the first ns of given time at which it shows `ns`.
+// Returns the first virtual time, in ns, at which the device's clock shows `ns`.
 static int64_t instant(int64_t ns)
 {
     return pc_device.reset_ns - quotient((__int128)-ns * pc_device.second_ns, BILLION);
 }
 
-// Returns when `dt_ns` of device time will have passed.
+// Returns the virtual time at which `dt_ns` of device time will have passed since `now_ns`.
 static int64_t after(int64_t now_ns, int64_t dt_ns)
 {
     return instant(device_ns(now_ns) + dt_ns);
@@ -55,7 +55,7 @@ static uint32_t device_us(int64_t now_ns)
     return (uint32_t)(device_ns(now_ns) / 1000);
 }
 
-// Returns how long `n` bytes take on a wire.
+// Returns the time that `n` bytes take on a wire.
 static int64_t wire_ns(uint32_t n)
 {
     return pc_device.baud ? n * BITS_PER_BYTE * BILLION / pc_device.baud : 0;
@@ -76,7 +76,7 @@ void pc_device_receive(int64_t now_ns, const uint8_t *bytes, uint32_t n)
         const uint8_t *zero = memchr(bytes + begin, 0, n - begin);
         end = zero ? (uint32_t)(zero - bytes) + 1 : n;
         if (d->pieces_count == PC_MOST_PIECES || d->rx_count + end - begin > PC_RX_BYTES)
-            abort(); // no host has so much on the wire
+            abort(); // no host sends so many bytes ahead
         const struct pc_piece piece = {.end_ns = start_ns + wire_ns(end), .n = end - begin};
         d->pieces[(d->pieces_first + d->pieces_count++) % PC_MOST_PIECES] = piece;
         for (; begin < end; begin++)
@@ -97,7 +97,7 @@ static int64_t rx_first_ns(void)
     return pc_device.pieces_count ? pc_device.pieces[pc_device.pieces_first].end_ns : NEVER;
 }
 
-// Takes `n` bytes off the wire.
+// Moves the first `n` bytes on the wire to `to`.
 static void take_off(uint8_t *to, uint32_t n)
 {
     struct pc_device *d = &pc_device;
@@ -107,7 +107,7 @@ static void take_off(uint8_t *to, uint32_t n)
     d->rx_count -= n;
 }
 
-// Throws away of a piece under way the bytes that have arrived.
+// Discards the bytes that have arrived of a piece that is still on the wire.
 static void forget(int64_t now_ns)
 {
     struct pc_device *d = &pc_device;
@@ -123,19 +123,19 @@ static void forget(int64_t now_ns)
     }
 }
 
-// ------------------------------------------------------------- what the core asks of its board
+// ------------------------------------------------------------- functions of the board for the core
 
 static void motor_off(void)
 {
     pc_device.was_cut = true;
 }
 
-// Returns the code that is latched, as the host sent it.
+// Returns the code that is being latched, as the host sent it.
 static uint16_t latched_code(void)
 {
     const struct pc_device *d = &pc_device;
     if (!d->is_latching)
-        return rig.config.u_rest; // RUN begins
+        return rig.config.u_rest; // RUN begins with u_rest
     return d->pending[0].is_timed ? rig.queue.in_force.u : rig.asked[rig.asked_first].u;
 }
 
@@ -160,7 +160,7 @@ static void convert_now(void)
     put_pending(device_ns(pc_device.now_ns), asked->k, asked->seq, false);
 }
 
-// Plans the timer's next act: a sample's first conversion, or the end of the run.
+// Schedules the timer's next event: the first conversion of a sample, or the end of the run.
 static void plan_timer(void)
 {
     struct pc_device *d = &pc_device;
@@ -175,7 +175,7 @@ static void plan_timer(void)
 static void timer_start(uint32_t t0_us, uint32_t ts_us, uint32_t k_stop)
 {
     struct pc_device *d = &pc_device;
-    (void)t0_us; // to the microsecond; here it is known to the nanosecond
+    (void)t0_us; // in whole microseconds; first_ns is exact to the nanosecond
     d->timer.period_ns = ts_us * 1000LL;
     d->timer.first_ns = device_ns(d->now_ns) + d->timer.period_ns;
     d->timer.lead_ns = (2 * rig_oversampling() - 1) * d->conversion_ns;
@@ -234,7 +234,7 @@ static uint32_t token(void)
 
 // ------------------------------------------------------------- converter
 
-// Starts the first conversion, and plans what follows from it.
+// Starts the first conversion, and schedules the others.
 static void trigger(int64_t due_ns, uint32_t conversions)
 {
     struct pc_device *d = &pc_device;
@@ -247,7 +247,7 @@ static void trigger(int64_t due_ns, uint32_t conversions)
     d->due_ns = instant(due_ns + d->hold_ns);
 }
 
-// Begins with the first that waits, unless one is under way.
+// Starts the first pending sample, or the pending CAL, unless a conversion is in progress.
 static void wake(void)
 {
     struct pc_device *d = &pc_device;
@@ -259,7 +259,7 @@ static void wake(void)
         trigger(device_ns(d->now_ns), d->cal_n);
 }
 
-// Ends the sample or the CAL under way, and begins with the next.
+// Ends the sample or the CAL in progress. After a sample, starts the next pending sample.
 static void end_conversions(void)
 {
     struct pc_device *d = &pc_device;
@@ -282,7 +282,8 @@ static void end_conversions(void)
         trigger(later(end_ns, d->pending[0].due_ns), 2U * rig_oversampling());
 }
 
-// Holds the next input, latching behind theta_1's last; behind the last ends the sample.
+// Holds the next input. After the last hold of theta_1, latches u. After the last conversion, ends
+// the sample.
 static void step_converter(int64_t t_ns)
 {
     struct pc_device *d = &pc_device;
@@ -317,7 +318,7 @@ void pc_device_begin(const struct pc_setup *setup)
     static const struct pc_hardware hardware = {motor_off, motor_set, convert_now, timer_start,
         timer_stop, converter_is_free, convert_channel, measure_supply, send, send_us, token};
     struct pc_device *d = &pc_device;
-    memset(d, 0, offsetof(struct pc_device, pieces)); // what is on the wires is lost
+    memset(d, 0, offsetof(struct pc_device, pieces)); // the bytes on the wires are lost
     d->is_watched = setup->is_watched;
     d->is_booting = true;
     d->reset_ns = setup->reset_ns;
@@ -334,7 +335,7 @@ void pc_device_begin(const struct pc_setup *setup)
     pc_reset(setup->boot_id, setup->reset_flags);
 }
 
-// Lets the pin follow where the core has turned the motor off.
+// Turns the emulated pin off if the core has turned the motor off.
 static void settle(int64_t t_ns)
 {
     if (pc_device.was_cut) {
@@ -343,7 +344,7 @@ static void settle(int64_t t_ns)
     }
 }
 
-// Gives the core the piece that has arrived.
+// Passes the bytes of the piece that has arrived to the core.
 static void arrive(int64_t t_ns)
 {
     static uint8_t bytes[PC_RX_BYTES];
@@ -365,7 +366,7 @@ static void arrive(int64_t t_ns)
         world.changed(t_ns, before);
 }
 
-// Lets the timer's sample fall due, or ends the run.
+// Makes the timer's next sample pending, or ends the run.
 static void tick(void)
 {
     struct pc_device *d = &pc_device;
@@ -382,20 +383,21 @@ static void tick(void)
     wake();
 }
 
-// Plans when the watchdog trips.
+// Schedules the time at which the watchdog trips.
 static void plan_watchdog(int64_t t_ns)
 {
     struct pc_device *d = &pc_device;
     d->watchdog_ns = NEVER;
     if (!d->is_booting && rig_is_bound()) {
-        // The core counts microseconds; here it is known to the nanosecond when it was fed.
+        // The core stores this time in microseconds; fed_ns is exact to the nanosecond.
         if (rig.fed_us == device_us(t_ns))
             d->fed_ns = t_ns;
         d->watchdog_ns = after(d->fed_ns, rig.config.watchdog_ms * 1000000LL);
     }
 }
 
-// Does one thing that is due. Bytes come first, so that a STOP beats a latch.
+// Executes one event that is due. Received bytes precede the other events, so that a STOP precedes
+// a latch at the same time.
 static void step(int64_t t_ns)
 {
     struct pc_device *d = &pc_device;
@@ -416,7 +418,7 @@ static void step(int64_t t_ns)
     } else if (d->timer_ns == t_ns) {
         tick();
     } else if (d->supply_ns == t_ns) {
-        d->supply_ns = d->end_ns; // where it is taken: as soon as it is free
+        d->supply_ns = d->end_ns; // a busy converter measures as soon as it is free
         if (d->supply_ns == NEVER) {
             d->supply_ns = after(t_ns, BILLION / 10);
             rig_watch_supply();

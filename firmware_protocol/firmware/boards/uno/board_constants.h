@@ -1,4 +1,4 @@
-// An Arduino Uno: ATmega328P, 16 MHz, 5 V (core/board.h says what each number is).
+// The constants of an Arduino Uno: ATmega328P, 16 MHz, 5 V (core/board.h explains each constant).
 #ifndef BOARD_CONSTANTS_H
 #define BOARD_CONSTANTS_H
 
@@ -6,18 +6,19 @@
 #include <avr/io.h>
 #include <stdint.h>
 
-#define BOARD_QUEUE 256 // of 2 B each; 256 ms at 1 kHz, as long as the longest watchdog
+#define BOARD_QUEUE 256 // 2 B each; 256 ms at 1 kHz, more than the longest watchdog
 #define BOARD_ADC_BITS 10
 #define BOARD_PWM_BITS 10
-#define BOARD_SKEW_US 128 // a turn of timer 0: see converter.c
-#define BOARD_HOLD_US 16 // data sheet, table 24-1: two clocks of 125 kHz after the timer's trigger
-#define BOARD_TS_MIN_US 800 // at 1 Mbaud, too: see converter.c
+#define BOARD_SKEW_US 128 // one turn of timer 0: see clock.h and converter.c
+#define BOARD_HOLD_US 16 // data sheet, table 24-1: two clocks of 125 kHz after the trigger
+#define BOARD_TS_MIN_US 800 // also at 1 Mbaud: see converter.c
 #define BOARD_CAPABILITIES \
     (RIG_CAPABILITY_EXCHANGE | RIG_CAPABILITY_SCHEDULED | RIG_CAPABILITY_CAL \
         | RIG_CAPABILITY_ENABLE_LINE)
 #define BOARD_RAM 1100
 
-// Interrupts off, and as they were before. Writing SREG and cli are no barriers to the compiler.
+// Turn interrupts off; restore their previous state. A write to SREG and cli are no barriers to the
+// compiler.
 #define BOARD_IRQ_INLINE
 static inline uint8_t board_irq_save(void)
 {

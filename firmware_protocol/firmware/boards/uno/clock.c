@@ -2,7 +2,7 @@
 
 #include "board.h"
 
-static volatile uint32_t turns; // the interrupt writes it
+static volatile uint32_t turns; // written by the interrupt
 
 ISR(TIMER0_OVF_vect)
 {
@@ -21,7 +21,7 @@ uint32_t board_now_us(void)
     const uint8_t before = board_irq_save();
     const uint8_t count = TCNT0;
     uint32_t whole = turns;
-    if (TIFR0 & _BV(TOV0) && count < 128) // a turn that the interrupt could not count yet
+    if (TIFR0 & _BV(TOV0) && count < 128) // an overflow that the interrupt has not counted yet
         whole++;
     board_irq_restore(before);
     return whole << 7 | count >> 1;

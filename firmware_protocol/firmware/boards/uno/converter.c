@@ -1,19 +1,25 @@
-// Conversions are triggered by timer 0 itself, at its compare A, one a turn of 128 us, so that no
-// late interrupt makes them late. Compare B's interrupt turns the multiplexer 24 us behind each, when
-// the converter has held what it converts (data sheet, 24.5). And when the last of a sample is held,
-// 16 us after its trigger, it gives u to the motor. To find u takes 25 us, and two or three times that
-// beside bytes that come at 1 Mbaud. So it is made ready before, in the 118 us from the multiplexer's
-// turn to the hold, and bytes that leave wait meanwhile; what puts the motor off makes that void.
+// Timer 0 itself triggers the conversions, at its compare match A, once in each turn of 128 us. A
+// late interrupt handler therefore delays no conversion.
 //
-// The converter runs at 125 kHz: 13.5 clocks, 108 us a conversion. Full resolution asks for 200 kHz
-// at most (data sheet, 24.4), and 250 kHz would gain little: the line alone takes 360 us for a
-// SAMPLE at 1 Mbaud, and a sample takes the converter for 128 + 108 us.
+// The interrupt of compare match B has two tasks:
+// - It sets the multiplexer 24 us after each trigger. By then the converter holds the input of the
+//   present conversion (data sheet, 24.5).
+// - It applies u when the last conversion of a sample is held, 16 us after its trigger.
 //
-// The long handlers, of the latch and of a conversion's end, let other interrupts in: the line's
-// are due every 20 us, or 10.
+// To find u takes 25 us, and two or three times as long while bytes arrive at 1 Mbaud. The handler
+// therefore finds u in advance, in the 118 us between the multiplexer's setting and the hold.
+// Transmission pauses meanwhile. If the motor is turned off before the hold, this u is discarded.
 //
-// The shortest Ts: from 600 us on each sample is in time beside any line. But at 1 Mbaud main tells
-// each only from 700 us on where many setpoints come at once; 500 kbaud carry one in 810 us.
+// The converter runs at 125 kHz: 13.5 clocks, or 108 us, for a conversion. Full resolution permits
+// at most 200 kHz (data sheet, 24.4). A clock of 250 kHz would gain little. At 1 Mbaud a SAMPLE
+// occupies the line for 360 us, and a sample occupies the converter for 128 + 108 us.
+//
+// The long handlers enable other interrupts while they find u or end a conversion. A byte on the
+// line needs an interrupt every 20 us at 500 kbaud, and every 10 us at 1 Mbaud.
+//
+// The shortest Ts is 800 us. From 600 us on, each sample is taken in time, whatever arrives on the
+// line. At 1 Mbaud, if many setpoints arrive at once, main sends each SAMPLE only from 700 us on.
+// At 500 kbaud the line itself needs a Ts of 810 us (daemon/armrig_daemon/decisions/budget.py).
 #include "converter.h"
 
 #include "board.h"
@@ -29,40 +35,40 @@
 #define TRIGGERED (ON | _BV(ADATE))
 
 enum {
-    COUNTS_PER_US = 2, // of timer 0
-    HOLD_COUNTS = (BOARD_HOLD_US - 2) * COUNTS_PER_US, // its interrupt takes 3 us to set OCR1A
-    TURN_COUNTS = 24 * COUNTS_PER_US, // more than HOLD_COUNTS
-    LEAD_COUNTS = 32, // 16 us: longer than it takes to set a trigger with interrupts off
+    COUNTS_PER_US = 2, // counts of timer 0
+    HOLD_COUNTS = (BOARD_HOLD_US - 2) * COUNTS_PER_US, // the handler takes 3 us to set OCR1A
+    TURN_COUNTS = 24 * COUNTS_PER_US, // must be more than HOLD_COUNTS
+    LEAD_COUNTS = 32, // 16 us: setting a trigger with interrupts off takes less
     LEAD_US = LEAD_COUNTS / COUNTS_PER_US,
     OVERDUE_US = 50000,
 };
 
 static volatile enum {
-    IDLE, // nothing is set
-    SETTING, // something is being set, by who has made it this
-    SET, // the first trigger is to come, after `turns_to_go` turns
-    CONVERTS, // a conversion is under way
-    ENDING, // the end of the run is to come, after `turns_to_go` turns
+    IDLE, // nothing is scheduled
+    SETTING, // the code that chose this phase is scheduling the next event
+    SET, // the first trigger follows after `turns_to_go` turns
+    CONVERTS, // a conversion is in progress
+    ENDING, // the end of the run follows after `turns_to_go` turns
 } phase;
 static volatile uint16_t turns_to_go;
-static uint16_t triggers, readings; // to come
-static uint8_t what; // of the sample that is set or under way
-static bool of_sample; // else of one channel
-static uint8_t channel; // of the next reading
-static bool is_turned; // the multiplexer, for the next trigger
-static bool is_ready; // u, to be set at the hold
-static bool is_broken; // a trigger came before the multiplexer was turned, or the hold before u
-static uint32_t trigger_us; // the last one's, or the end
+static uint16_t triggers, readings; // triggers and readings still to come
+static uint8_t what; // kind of the sample that is scheduled or in progress
+static bool of_sample; // the conversions are of a sample, not of board_convert_channel
+static uint8_t channel; // channel of the next reading
+static bool is_turned; // the multiplexer is set for the next trigger
+static bool is_ready; // u was found, and will be applied at the hold
+static bool is_broken; // a trigger preceded the multiplexer's setting, or the hold preceded u
+static uint32_t trigger_us; // time of the sample's last trigger, or of the run's end
 
-static volatile uint8_t asked; // samples that wait
+static volatile uint8_t asked; // requested samples that wait or are in progress
 
 static volatile bool timed; // the timer takes samples
-static uint32_t timed_us, ts_us; // when the next one is triggered, and how long after the last
-static uint32_t left; // how many there are still to be, where the run has an end
+static uint32_t timed_us, ts_us; // time of the next sample's last trigger; period
+static uint32_t left; // samples still to be taken if the run has an end
 static bool has_end;
 
 static volatile bool news; // a sample was taken, or the run has ended
-static volatile uint8_t longest; // of our interrupts, in counts
+static volatile uint8_t longest; // longest handler of this file, in counts
 
 void converter_turn_to(uint8_t to)
 {
@@ -74,20 +80,20 @@ void converter_convert(void)
     ADCSRA = ON | _BV(ADSC);
 }
 
-// Lets compare A be at `at_us`, after `turns_to_go` turns, and enter a phase; false where it is too
-// late for that, or so far away that the turns cannot be counted.
+// Schedules compare match A for `at_us`, and enters `next_phase`. Returns false if `at_us` is less
+// than LEAD_US ahead. `at_us` must be less than 8.3 s ahead: `turns_to_go` has 16 bits.
 static bool set_compare(uint32_t at_us, uint8_t next_phase)
 {
-    OCR0A = (uint8_t)(at_us * COUNTS_PER_US) - 1; // the flag comes with the count behind it
+    OCR0A = (uint8_t)(at_us * COUNTS_PER_US) - 1; // the flag is set one count after OCR0A
     const uint8_t before = board_irq_save();
     uint32_t now_us;
-    do { // a compare until now is none of those
+    do { // discard a compare match that precedes `now_us`
         TIFR0 = _BV(OCF0A);
         now_us = board_now_us();
     } while (TIFR0 & _BV(OCF0A));
     const bool in_time = (int32_t)(at_us - now_us) >= LEAD_US;
     if (in_time) {
-        turns_to_go = ((at_us - now_us - 1) << 1) >> 8; // / TURN_US
+        turns_to_go = ((at_us - now_us - 1) << 1) >> 8; // divided by TURN_US
         if (!turns_to_go && next_phase == SET)
             ADCSRA = TRIGGERED;
         phase = next_phase;
@@ -97,7 +103,7 @@ static bool set_compare(uint32_t at_us, uint8_t next_phase)
     return in_time;
 }
 
-// Sets the first trigger as soon as can be; returns when the first of them is.
+// Schedules the first trigger as early as possible, and returns its time.
 static uint32_t set_now(void)
 {
     const uint8_t before = board_irq_save();
@@ -108,12 +114,12 @@ static uint32_t set_now(void)
     phase = SET;
     TIMSK0 |= _BV(OCIE0A);
     const uint32_t now_us = board_now_us();
-    const uint8_t to_go = OCR0A + 1 - (uint8_t)(now_us * COUNTS_PER_US); // counts; the half one, too
+    const uint8_t to_go = OCR0A + 1 - (uint8_t)(now_us * COUNTS_PER_US); // now_us lacks the half us
     board_irq_restore(before);
     return now_us + to_go / COUNTS_PER_US;
 }
 
-// Begins with one channel, or with alpha where they alternate.
+// Prepares `n` conversions, the first of them of the channel `first`.
 static void begin_with(uint8_t first, uint16_t n)
 {
     triggers = readings = n;
@@ -122,7 +128,8 @@ static void begin_with(uint8_t first, uint16_t n)
     converter_turn_to(first);
 }
 
-// Sets the sample of `what`, the last conversion of which is to be at `at_us` if the timer takes it.
+// Schedules a sample of the kind `what`. If the timer takes it, `at_us` is the time of its last
+// trigger.
 static void set_sample(uint32_t at_us)
 {
     const uint16_t n = 2 * (uint16_t)rig_oversampling();
@@ -137,7 +144,8 @@ static void set_sample(uint32_t at_us)
     trigger_us = set_now() + takes_us;
 }
 
-// Sets what is to be done next. From who has made the phase SETTING; interrupts may be on.
+// Schedules the next sample, or the end of the run. The caller has set the phase to SETTING.
+// Interrupts may be on.
 static void set_next(bool waited)
 {
     if (asked) {
@@ -155,7 +163,8 @@ static void set_next(bool waited)
     }
 }
 
-// Returns whether the caller is to set what is next: nobody does, and the converter is free.
+// Returns true if a sample or the end of a run must be scheduled and the converter is free. The
+// caller then calls `set_next`. Interrupts are off.
 static bool claims(void)
 {
     const bool free = phase == IDLE && (asked || timed) && supply_yields();
@@ -171,7 +180,7 @@ static void note_length(uint8_t began)
         longest = took;
 }
 
-// Lets compare B come `counts` after compare A, in this turn or the next one.
+// Schedules compare match B `counts` after compare match A, in this turn or the next.
 static void set_compare_b(uint8_t counts)
 {
     OCR0B = OCR0A + counts;
@@ -179,7 +188,7 @@ static void set_compare_b(uint8_t counts)
     TIMSK0 |= _BV(OCIE0B);
 }
 
-// A conversion was triggered just now.
+// Counts a conversion that timer 0 has just triggered.
 static void count_trigger(void)
 {
     phase = CONVERTS;
@@ -206,7 +215,7 @@ ISR(TIMER0_COMPA_vect)
 {
     if (turns_to_go) {
         if (--turns_to_go == 0 && phase == SET)
-            ADCSRA = TRIGGERED; // from the next one on
+            ADCSRA = TRIGGERED; // from the next compare match on
         else
             supply_turn(turns_to_go < UINT8_MAX ? turns_to_go : UINT8_MAX);
     } else if (phase == ENDING) {
@@ -216,14 +225,14 @@ ISR(TIMER0_COMPA_vect)
     }
 }
 
-// Returns whether the last conversion of a sample is still to be held.
+// Returns true if the last conversion of the sample is not held yet.
 static bool is_before_hold(void)
 {
     const bool is_triggered = triggers == 0 || TIFR0 & _BV(OCF0A);
     return !is_triggered || (uint8_t)(TCNT0 - OCR0A) < HOLD_COUNTS - 2 * COUNTS_PER_US;
 }
 
-// Finds u, which is to be set at the hold of the conversion that is triggered next.
+// Finds u. It is applied at the hold of the conversion that is triggered next.
 static void make_ready(void)
 {
     motor_stage(true);
@@ -235,7 +244,7 @@ static void make_ready(void)
     motor_stage(false);
     is_broken |= !is_before_hold();
     is_ready = true;
-    set_compare_b(HOLD_COUNTS); // which is in the next turn
+    set_compare_b(HOLD_COUNTS); // the hold is in the next turn
 }
 
 ISR(TIMER0_COMPB_vect)
@@ -248,7 +257,7 @@ ISR(TIMER0_COMPB_vect)
     } else {
         is_turned = true;
         if (of_sample) {
-            // A reading of the other channel is still to come.
+            // At least one conversion of the other channel follows.
             converter_turn_to(channel ^ THETA_1_CHANNEL ^ ALPHA_CHANNEL);
             if (triggers == 1)
                 make_ready();
@@ -261,7 +270,7 @@ static void end_last(uint16_t code)
 {
     phase = SETTING;
     if (!of_sample) {
-        // Nothing to be told but the reading.
+        // The reading is all that must be reported.
     } else if (what & RIG_TIMED) {
         timed_us += ts_us;
         left--;
@@ -297,7 +306,7 @@ ISR(ADC_vect)
     else if (phase == CONVERTS)
         end_last(code);
     else if (supply_end(reading)) {
-        converter_turn_to(channel); // for what may be set meanwhile
+        converter_turn_to(channel); // restore the channel of a sample that may be scheduled
         if (claims())
             set_next(true);
     }
@@ -336,7 +345,7 @@ bool board_converter_is_free(void)
 
 void board_convert_channel(uint8_t of, uint16_t n)
 {
-    phase = SETTING; // nobody else would: it is free, and nothing waits
+    phase = SETTING; // no interrupt changes it: the converter is free, no sample waits
     of_sample = false;
     begin_with(of ? ALPHA_CHANNEL : THETA_1_CHANNEL, n);
     trigger_us = set_now() + (uint32_t)(n - 1) * BOARD_SKEW_US;
@@ -344,7 +353,7 @@ void board_convert_channel(uint8_t of, uint16_t n)
 
 void board_timer_start(uint32_t t0_us, uint32_t period_us, uint32_t k_stop)
 {
-    timed_us = t0_us; // no timer runs that could read them
+    timed_us = t0_us; // the timer is stopped, so that no interrupt reads these variables
     ts_us = period_us;
     left = k_stop;
     has_end = k_stop != 0;
@@ -359,7 +368,7 @@ void board_timer_start(uint32_t t0_us, uint32_t period_us, uint32_t k_stop)
 void board_timer_stop(void)
 {
     const uint8_t before = board_irq_save();
-    const bool runs = turns_to_go == 0 && TIFR0 & _BV(OCF0A); // its trigger has come
+    const bool runs = turns_to_go == 0 && TIFR0 & _BV(OCF0A); // the first trigger has come
     const bool mine = phase == ENDING || (phase == SET && of_sample && what & RIG_TIMED && !runs);
     timed = false;
     if (mine) {
@@ -374,8 +383,8 @@ void board_timer_stop(void)
 
 void converter_begin(void)
 {
-    ADCSRB = _BV(ADTS1) | _BV(ADTS0); // the trigger is compare A of timer 0
-    DIDR0 = 0x3F; // the digital inputs of A0 to A5 off
+    ADCSRB = _BV(ADTS1) | _BV(ADTS0); // the trigger is compare match A of timer 0
+    DIDR0 = 0x3F; // disable the digital inputs of A0 to A5
     ADCSRA = ON;
 }
 
@@ -398,6 +407,6 @@ bool converter_is_alive(void)
 
 uint16_t board_isr_max_us(void)
 {
-    // And what comes before and behind: the registers saved, and the jump.
+    // 4 us more: the jump, and saving and restoring the registers.
     return longest / COUNTS_PER_US + 4;
 }

@@ -1,13 +1,14 @@
-// An ATmega328P has no random source and no serial number that its data sheet knows. What it has is
-// an EEPROM and the noise of its converter.
+// An ATmega328P has no random source, and its data sheet documents no serial number. The identity
+// therefore uses the EEPROM and the noise of the converter.
 //
-// The boots are counted in the EEPROM, in a ring of 64 places, each written at every 64th boot, so
-// that its 100 000 writes last for 6.4 million boots. A place is a count and its check. One that a
-// power failure has torn fails its check, and the boot is counted once more: nobody was told of it.
+// The EEPROM contains the count of the boots in a ring of 64 places. Each place is written at every
+// 64th boot, so that its 100 000 writes last for 6.4 million boots. A place contains a count and
+// its check. If a power failure interrupts a write, the check of this place fails, and the next
+// boot repeats the count. The interrupted boot has not reported its count to anybody.
 //
-// The low half of boot_id is a permutation of the low half of the count: 65536 boots in a row have
-// each their own in every SAMPLE. The high half is mixed with noise. The uid is drawn from noise,
-// once, and kept.
+// The low half of boot_id is a permutation of the low half of the count. The low half is in every
+// SAMPLE, and differs among 65536 successive boots. The high half is mixed with noise. The uid is
+// drawn from noise once, and stored.
 #include "identity.h"
 
 #include <avr/eeprom.h>
@@ -32,11 +33,12 @@ struct uid {
 enum { PLACES = 64, NOISY_READINGS = 32 };
 
 static struct count EEMEM counts[PLACES];
-static struct uid EEMEM uids[2]; // the second where the first was torn
+static struct uid EEMEM uids[2]; // the second is used if a power failure has spoilt the first
 static uint32_t boots, noise;
 static uint64_t uid;
 
-// Not the CRC itself: that of an erased EEPROM's FF FF FF FF is FF FF FF FF.
+// Returns the complement of the CRC. In an erased EEPROM all bytes are FF, and the CRC of FF FF FF
+// FF is FF FF FF FF: the CRC itself would match.
 static uint32_t check_of(const void *bytes, uint8_t n)
 {
     return ~rig_crc(bytes, n);
@@ -51,7 +53,7 @@ static uint32_t mixed(uint32_t state, uint32_t more)
     return state ^ state >> 16;
 }
 
-// An open pin and the potentiometers: what their lowest bits are nobody knows.
+// Collects noise from the lowest bits of an open pin and of the potentiometers.
 static void gather_noise(void)
 {
     static const uint8_t channels[] = {OPEN_CHANNEL, THETA_1_CHANNEL, ALPHA_CHANNEL, OPEN_CHANNEL};
@@ -59,8 +61,9 @@ static void gather_noise(void)
         noise = mixed(noise, (uint32_t)converter_read(channels[i % sizeof channels]) << 8 | TCNT1L);
 }
 
-// Writes what differs, 3.4 ms a byte (data sheet, table 8-1): 32 of them at a first boot. The
-// hardware's watchdog is fed after each, and still bites where one does not come to its end.
+// Writes the bytes that differ. A byte takes 3.4 ms (data sheet, table 8-1), and a first boot
+// writes 32 bytes. The hardware watchdog is fed after each byte, and resets the processor if a
+// write does not end.
 static void keep(void *to, const void *from, uint8_t n)
 {
     uint8_t *at = to;
@@ -71,7 +74,8 @@ static void keep(void *to, const void *from, uint8_t n)
     }
 }
 
-// Finds the newest count and writes the one after it into the next place; false where that fails.
+// Finds the newest count, and writes the next count into the next place. Returns false if the write
+// failed.
 static bool count_boot(void)
 {
     struct count count = {0};
@@ -113,7 +117,7 @@ void identity_begin(void)
     if (!read_uid(0) && !read_uid(1))
         draw_uid();
     if (!count_boot())
-        boots = noise; // an EEPROM that is worn out
+        boots = noise; // the EEPROM is worn out
 }
 
 uint64_t board_uid(void)
@@ -123,7 +127,7 @@ uint64_t board_uid(void)
 
 uint32_t board_boot_id(void)
 {
-    const uint16_t low = boots * 0x9E37U + (uint16_t)uid; // odd, and so a permutation
+    const uint16_t low = boots * 0x9E37U + (uint16_t)uid; // the factor is odd: a permutation
     const uint32_t high = mixed(noise ^ (uint32_t)uid, boots);
     const uint32_t boot_id = (high & 0xFFFF0000UL) | low;
     return boot_id ? boot_id : 1;

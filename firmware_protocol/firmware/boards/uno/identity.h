@@ -1,8 +1,8 @@
-// What tells this board and this boot from others: from the EEPROM, and from noise.
+// The identity of this board and this boot, from the EEPROM and from noise.
 #ifndef IDENTITY_H
 #define IDENTITY_H
 
-// At boot, with the converter on.
+// Called at boot, with the converter on.
 void identity_begin(void);
 
 #endif

@@ -1,15 +1,15 @@
-// The CRC-32 of the program in flash, by which HELLO_R says what firmware this is.
+// The CRC-32 of the program in flash, by which HELLO_R identifies the firmware.
 #include <avr/pgmspace.h>
 #include <stdint.h>
 
 #include "board.h"
 #include "rig_crc.h"
 
-extern const uint8_t __data_load_end[]; // of the linker: where the program ends in flash
+extern const uint8_t __data_load_end[]; // linker symbol: end of the program in flash
 
 uint32_t board_firmware_crc(void)
 {
-    static uint32_t crc; // once a boot: it takes a while
+    static uint32_t crc; // computed once per boot, because the computation is slow
     if (crc)
         return crc;
     uint8_t piece[64];

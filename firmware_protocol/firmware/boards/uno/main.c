@@ -12,26 +12,27 @@
 
 enum {
     PAINT = 0xC5,
-    R2_FROM = 0x0406, // Optiboot 4.6: since then it hands MCUSR on
-    R2_UP_TO = 0x0FFF, // what is above is no version of Optiboot's: erased flash, or another loader's
+    R2_FROM = 0x0406, // Optiboot 4.6, the first version that passes MCUSR on
+    R2_UP_TO = 0x0FFF, // a larger word is erased flash or another loader
 };
 
-extern uint8_t _end, __stack; // of the linker: the end of the variables, the beginning of the stack
+extern uint8_t _end, __stack; // linker symbols: end of the variables, first byte of the stack
 
 static uint8_t reset_flags;
 static uint8_t fed_turn;
 
-// Returns why it was reset where MCUSR is 0: Optiboot has cleared it, and hands it on in r2, which
-// nothing has written since. Its version is the last word of flash. Of an older one, such as the 4.4
-// that most boards come with, r2 is nobody's: the cause is not known, 0.
+// Returns the reset flags if MCUSR is 0. Optiboot then has cleared MCUSR and passes its value on in
+// r2, which nothing has written since. The last word of flash is Optiboot's version. An older
+// version, such as the 4.4 of most boards, leaves r2 undefined: the cause is unknown, 0.
 static inline uint8_t handed_on(uint8_t r2)
 {
     const uint16_t version = pgm_read_word(FLASHEND - 1);
     return version >= R2_FROM && version <= R2_UP_TO ? r2 : 0;
 }
 
-// Before main: the reset's cause, while it is known, and the watchdog, which is still on after it
-// has bitten. Then the stack is painted, to see later how far it came.
+// Runs before main. Saves the cause of the reset, and sets the watchdog, which is still on after a
+// reset by the watchdog. Then fills the stack with PAINT, so that board_stack_free can find its
+// deepest use.
 __attribute__((naked, used, section(".init5"))) void note_reset(void)
 {
     uint8_t r2;
@@ -39,7 +40,7 @@ __attribute__((naked, used, section(".init5"))) void note_reset(void)
     reset_flags = MCUSR ? MCUSR : handed_on(r2);
     MCUSR = 0;
     wdt_enable(WDTO_250MS);
-    wdt_reset(); // simavr 1.6 takes the new period over with this alone
+    wdt_reset(); // simavr 1.6 applies the new period only here
     for (uint8_t *at = &_end; at <= &__stack; at++)
         *at = PAINT;
 }
@@ -57,7 +58,8 @@ uint16_t board_stack_free(void)
     return at - &_end;
 }
 
-// The hardware's watchdog is fed where main comes by here, time goes on and samples are taken.
+// Feeds the hardware watchdog if the clock runs and no sample is overdue. Main calls the function
+// in each poll, so that the watchdog also resets a main loop that hangs.
 void board_feed_watchdog(void)
 {
     const uint8_t turn = clock_turns();
@@ -67,7 +69,7 @@ void board_feed_watchdog(void)
     }
 }
 
-// Sleeps until an interrupt, one of which comes in each turn of the clock.
+// Sleeps until the next interrupt. At least one interrupt occurs in each turn of the clock.
 static void wait(void)
 {
     sleep_enable();
@@ -75,7 +77,8 @@ static void wait(void)
     sleep_disable();
 }
 
-// Every second turn of the clock, and when there is news; more often would cost bytes.
+// Returns true every second turn of the clock, and after a sample or the end of a run. More
+// frequent polls would lose received bytes.
 static bool is_time_to_poll(void)
 {
     static uint8_t last;

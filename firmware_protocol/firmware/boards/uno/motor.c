@@ -1,7 +1,7 @@
 // The motor: 10-bit PWM on D9 by timer 1, 15.625 kHz, and the driver's enable line on D7.
 //
-// Zero is the pin disconnected and driven low. A duty of OCR1A = 0 would be a spike of one clock in
-// each period (data sheet, 20.9.3), so that d steps are OCR1A = d - 1.
+// At 0 V the pin is disconnected and driven low. OCR1A = 0 would cause a spike of one clock in each
+// period (data sheet, 20.9.3). A duty of d steps is therefore OCR1A = d - 1.
 #include "board.h"
 #include "motor.h"
 #include "pins.h"
@@ -11,9 +11,9 @@
 #define NORMAL_MODE _BV(COM1A1)
 #define COUNTS (_BV(WGM12) | _BV(CS10))
 
-enum { LAST_COUNTS = 1023 - 7 }; // half a microsecond before a period begins
+enum { LAST_COUNTS = 1023 - 7 }; // half a microsecond before the end of a period
 
-// Before main, before even the variables have their values: whatever was before, 0 V.
+// Sets the motor to 0 V before main, and before the variables are initialised.
 __attribute__((naked, used, section(".init3"))) void motor_off_at_reset(void)
 {
     TCCR1A = 0;
@@ -23,7 +23,8 @@ __attribute__((naked, used, section(".init3"))) void motor_off_at_reset(void)
     DDRB = PWM_PIN;
 }
 
-// Mode 7: fast PWM of 10 bits. Mode 14 would do, too, but simavr 1.6 has it wrong.
+// Mode 7: fast PWM, 10 bits. On silicon, mode 14 would also be correct, but simavr 1.6 models it
+// wrongly.
 void motor_begin(void)
 {
     board_motor_off();
@@ -31,11 +32,12 @@ void motor_begin(void)
     TCCR1B = COUNTS;
 }
 
-static bool stages; // what is set is to be applied later
+static bool stages; // board_motor_set stores its duty, which motor_apply applies
 static volatile bool is_staged;
 static uint16_t staged;
 
-// Each pin is one write, as an interrupt could change what is read, changed and written back.
+// Each port is one write. In a read-modify-write, an interrupt could change the port between the
+// read and the write.
 void board_motor_off(void)
 {
     is_staged = false;
@@ -44,10 +46,13 @@ void board_motor_off(void)
     PORTD = 0;
 }
 
-// Connects the pin, at the beginning of a period that has its duty already. A running PWM would take
-// OCR1A over at the end of its period, and OC1A still has the level of when it was disconnected: up to
-// a period of the run before (data sheet, 16.7, 16.8). So the timer stands, in normal mode, where OCR1A
-// acts at once and a forced match clears OC1A; the pin is an input for these 2 us, low by its pull-down.
+// Connects the pin at the beginning of a period that already has the new duty. With a running
+// timer, two effects would cause up to one period of the previous run (data sheet, 16.7, 16.8):
+// - The timer loads OCR1A only at the end of its period.
+// - OC1A still has the level at which the pin was disconnected.
+//
+// The timer is therefore stopped and set to normal mode. There, OCR1A acts at once, and a forced
+// match clears OC1A. For these 2 us the pin is an input, and its pull-down keeps it low.
 static void connect(uint16_t compare)
 {
     TCCR1B = 0;
@@ -61,7 +66,7 @@ static void connect(uint16_t compare)
     TCCR1B = COUNTS;
 }
 
-// Interrupts are off.
+// Applies a duty to the pins. Interrupts are off.
 static void apply(uint16_t duty)
 {
     PORTD = ENABLE_PIN;
@@ -71,7 +76,7 @@ static void apply(uint16_t duty)
         return;
     }
     if (TCCR1A == CONNECTED)
-        OCR1A = duty - 1; // taken over by the timer at the end of the period
+        OCR1A = duty - 1; // the timer loads it at the end of the period
     else
         connect(duty - 1);
 }

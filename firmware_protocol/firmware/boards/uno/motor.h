@@ -1,4 +1,4 @@
-// The motor's pins; the rest is in core/board.h.
+// The motor's pins. core/board.h declares the other functions of the motor.
 #ifndef MOTOR_H
 #define MOTOR_H
 
@@ -6,8 +6,8 @@
 
 void motor_begin(void);
 
-// While it is on, what is set waits for `motor_apply`; board_motor_off makes that void. From an
-// interrupt, whose own it is.
+// After motor_stage(true), board_motor_set only stores its duty. motor_apply applies the stored
+// duty; board_motor_off discards it. Both functions are called from one interrupt handler only.
 void motor_stage(bool on);
 void motor_apply(void);
 

@@ -6,14 +6,14 @@
 enum {
     BANDGAP_CHANNEL = 14,
     BANDGAP_MV = 1100, // within 10 %: data sheet, table 29-11
-    NEEDS = 3, // turns: one to settle, as the data sheet's 70 us ask, one to convert, one to spare
-    PATIENCE = 100, // turns, 26 ms from main, until it is measured where no sample ends
+    NEEDS = 3, // turns: one to settle (data sheet: 70 us), one to convert, one in reserve
+    PATIENCE = 100, // turns (26 ms if main counts) until a measurement without the end of a sample
 };
 
 static volatile enum {
     AT_REST,
-    WANTED, // by main, for `waited` turns
-    OFFERED, // and a sample has ended
+    WANTED, // requested by main, `waited` turns ago
+    OFFERED, // requested, and a sample has ended or PATIENCE is over
     SETTLES,
     IS_CONVERTED,
 } step;

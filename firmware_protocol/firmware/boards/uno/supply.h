@@ -1,23 +1,25 @@
-// The supply, measured by the bandgap in the gaps between samples.
+// The supply, measured between samples by the bandgap reference.
 #ifndef SUPPLY_H
 #define SUPPLY_H
 
 #include <stdbool.h>
 #include <stdint.h>
 
-// A sample has ended: now is when to begin, so that none waits for it. From an interrupt.
+// Reports that a sample has ended, so that a wanted measurement begins now and delays no sample.
+// Called from an interrupt.
 void supply_offer(void);
 
-// Once a turn or less often; `free_turns` is for how many more the converter is not needed.
-// Interrupts are off.
+// Advances the measurement. For `free_turns` more turns, no sample needs the converter. Called once
+// a turn or less often, with interrupts off.
 void supply_turn(uint8_t free_turns);
 
-// The converter is needed for a sample; false where it is busy with the supply until `supply_end`.
+// Requests the converter for a sample. Returns false if the converter is converting the supply, and
+// is not free before `supply_end`.
 bool supply_yields(void);
 
 bool supply_is_at_rest(void);
 
-// Takes a reading; returns whether it was the supply's. From an interrupt.
+// Processes a reading. Returns true if the reading was of the supply. Called from an interrupt.
 bool supply_end(uint16_t reading);
 
 #endif

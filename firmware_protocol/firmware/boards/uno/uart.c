@@ -8,19 +8,19 @@
 _Static_assert(F_CPU % (8L * BAUD) == 0, "this speed cannot be had exactly");
 
 enum {
-    RX_RING = 128, // longer than what comes while main makes a SAMPLE; a power of two
-    TX_RING = 256, // seven SAMPLEs; as an index wraps
+    RX_RING = 128, // more bytes than arrive while main builds a SAMPLE; a power of two
+    TX_RING = 256, // seven SAMPLEs; an 8-bit index wraps at 256
     BYTE_US = 10000000L / BAUD,
 };
 
 static volatile uint8_t rx[RX_RING], rx_head, rx_tail; // the interrupt writes rx_head, main rx_tail
 static volatile uint8_t rx_lost;
 static volatile uint8_t tx[TX_RING], tx_head, tx_tail; // main writes tx_head, the interrupt tx_tail
-static uint32_t tx_free_us; // when the line will be free
+static uint32_t tx_free_us; // device time at which the last byte to be sent has left
 
-// As short as can be: at 1 Mbaud it comes every 10 us. A framing error is left to the CRC. Where the
-// ring is full it comes no more until main has emptied it: whoever floods the line must not keep
-// main from its watch over the motor.
+// Kept as short as possible: at 1 Mbaud a byte arrives every 10 us. A framing error is detected by
+// the CRC. If the ring is full, the handler disables its interrupt until main has emptied the ring.
+// A flooded line must not keep main from guarding the motor.
 ISR(USART_RX_vect)
 {
     const uint8_t status = UCSR0A, head = rx_head, next = (uint8_t)(head + 1) & (RX_RING - 1);
@@ -31,7 +31,7 @@ ISR(USART_RX_vect)
         rx_lost++;
         UCSR0B &= (uint8_t)~_BV(RXCIE0);
     }
-    if (status & _BV(DOR0)) // data sheet: between this byte and the one before it some were lost
+    if (status & _BV(DOR0)) // data sheet: bytes were lost between this byte and the previous byte
         rx_lost++;
 }
 
@@ -59,13 +59,13 @@ void uart_go_on(void)
 
 void uart_begin(void)
 {
-    UCSR0A = _BV(U2X0); // before UBRR0: some models take the speed when that is written
+    UCSR0A = _BV(U2X0); // before UBRR0: at its write, some models compute the speed
     UBRR0 = F_CPU / 8 / BAUD - 1;
     UCSR0C = _BV(UCSZ01) | _BV(UCSZ00); // 8N1
     UCSR0B = _BV(RXEN0) | _BV(TXEN0) | _BV(RXCIE0);
 }
 
-// Sets bits of UCSR0B, others of which interrupts clear.
+// Sets bits of UCSR0B. Interrupts clear other bits of this register.
 static void enable(uint8_t bits)
 {
     const uint8_t before = board_irq_save();

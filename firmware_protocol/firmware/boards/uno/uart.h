@@ -1,4 +1,4 @@
-// The serial line: a ring each way, filled and emptied by interrupts.
+// The serial line: one ring buffer for each direction. Interrupts fill and empty the rings.
 #ifndef UART_H
 #define UART_H
 
@@ -6,11 +6,11 @@
 
 void uart_begin(void);
 
-// Returns the next byte that came, or -1.
+// Returns the next received byte, or -1 if there is none.
 int16_t uart_next(void);
 
-// Lets what is to be sent wait, and go on: two bytes are on their way meanwhile. From an interrupt,
-// with interrupts off, whatever comes between.
+// Pause and continue the transmission. After the pause, up to two more bytes leave. An interrupt
+// handler calls both functions with interrupts off, and may enable interrupts between the calls.
 void uart_pause(void);
 void uart_go_on(void);
 
