@@ -197,14 +197,14 @@ def currents() -> Iterator[tuple[str, str]]:
     largest = emf / ARM.R_m
     path = sum(PATH_OHM.values())
     at_driver = V_SUPPLY - path * (largest + bleeds + rest)
-    yield "motor that stands, at 5 V: 5 V/R_m", f"{stands:.2f} A"
+    yield "motor at standstill, at 5 V: 5 V/R_m", f"{stands:.2f} A"
     yield "bleeder, 5 V/7.5 Ω", f"{bleeds:.2f} A"
     yield "driver and crowbar at rest", f"{rest:.2f} A"
-    yield "**sum that lasts**", f"**{stands + bleeds + rest:.2f} A**"
+    yield "**continuous sum**", f"**{stands + bleeds + rest:.2f} A**"
     turned = f"5 V at a motor that turns backwards: (5 V + {emf - V_SUPPLY:.2f} V)/R_m"
     yield f"{turned}, for less than 0.1 s", f"{largest:.2f} A"
-    yield "**sum that does not last**", f"**{largest + bleeds + rest:.2f} A**"
-    name = f"voltage at the driver at that sum, after {path * 1e3:.0f} mΩ"
+    yield "**sum for less than 0.1 s**", f"**{largest + bleeds + rest:.2f} A**"
+    name = f"voltage at the driver at {largest + bleeds + rest:.2f} A, after {path * 1e3:.0f} mΩ"
     yield f"{name} (at least {DRIVER_LEAST_V} V)", f"{at_driver:.2f} V"
 
 
@@ -251,11 +251,11 @@ def powers() -> Iterator[tuple[str, str, str]]:
     hot = ROOM_C + watts * (TO_TAB_KW + HEAT_SINK_KW)
     yield "R7 and R8, each, always", f"{V_SUPPLY**2 / 15:.2f} W", "5 W"
     yield (
-        "driver, motor stands at 5 V: 0.1 Ω",
+        "driver, 0.1 Ω, motor at standstill at 5 V",
         f"{0.1 * stands**2:.2f} W",
-        "its carrier: 2.1 A for long",
+        "its carrier: 2.1 A continuously",
     )
-    yield "motor that stands", f"{V_SUPPLY**2 / ARM.R_m:.1f} W", "unknown: do not let it stand"
+    yield "motor at standstill", f"{V_SUPPLY**2 / ARM.R_m:.1f} W", "unknown: do not block the motor"
     name = f"thyristor at {longest:.1f} A, the most that the fuse may carry for 30 min"
     yield name, f"{watts:.1f} W", f"{hot:.0f} °C with {HEAT_SINK_KW:.0f} K/W, of 125 °C"
 
@@ -279,15 +279,17 @@ def stops() -> Iterator[tuple[str, str, str]]:
 TABLES = {
     "currents": ("in use | at 5.0 V", currents),
     "feedback": (
-        "before the duty falls | back-EMF | fed back | rail with 15 Ω | 10 Ω | 7.5 Ω",
+        "input before the duty falls | back-EMF | fed back"
+        " | rail with 15 Ω | rail with 10 Ω | rail with 7.5 Ω",
         feedback,
     ),
-    "fuse": ("multiple | current | blows after", fuse),
+    "fuse": ("multiple of the rating | current | blows after", fuse),
     "wrong supply": (
-        "12 V by mistake | peak | above 5.25 V | thyristor, peak | lasting | power | fuse blows",
+        "12 V by mistake | peak voltage | time above 5.25 V"
+        " | thyristor, peak | continuous | power | fuse blows",
         wrong_supply,
     ),
-    "powers": ("part | power | bears", powers),
+    "powers": ("part | power | rating", powers),
     "stops": ("from 5 V, without friction | turn | time", stops),
 }
 
