@@ -8,9 +8,10 @@ from collections.abc import Generator
 from typing import Any
 
 import pytest
-from progress import Progress
 
-pytest_plugins = ("stalls.repeats", "order", "examples")
+from tests.progress import Progress
+
+pytest_plugins = ("tests.stalls.repeats", "tests.order", "tests.examples")
 
 # Before numpy is loaded: its threads only wait for each other on matrices as small as ours.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -41,7 +42,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, Any, Any]:
-    """Make a skip a failure where ARMRIG_REQUIRE_ALL=1 says that all must run."""
+    """Make a skip a failure if ARMRIG_REQUIRE_ALL=1 requires all tests."""
     report = yield
     if report.skipped and os.environ.get("ARMRIG_REQUIRE_ALL") == "1":
         report.outcome = "failed"

@@ -1,7 +1,7 @@
 """The settings of all hypothesis tests.
 
-No result depends on the speed of the machine or on an earlier run: an example may take as long as
-it takes, each run tries the same examples, and no file of earlier failures is kept. The options
+No result depends on the speed of the machine or on an earlier run. An example has no deadline, each
+run tries the same examples, and no file of earlier failures is kept. The options
 `--hypothesis-profile drawn --hypothesis-seed SEED` try others.
 """
 

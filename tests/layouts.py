@@ -1,4 +1,4 @@
-"""What the layouts for Foxglove and PlotJuggler name, and what an MCAP file or a channel has."""
+"""Names in the layouts for Foxglove and PlotJuggler, and in an MCAP file or a channel."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def kinds(topic: str, message: str, schema: bytes) -> Iterator[tuple[str, str]]:
 
 
 def kinds_in_file(path: Path) -> Kinds:
-    """Return what an MCAP file has, by its own schemas."""
+    """Return the fields of an MCAP file, by its own schemas."""
     with path.open("rb") as file:
         summary: Any = make_reader(file).get_summary()
     found: Kinds = {}

@@ -87,7 +87,7 @@ class Progress:
         self._terminal.write_line(f"{share:4.0%}  {name or 'tests'}: {counts}")
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        """Say what was skipped and why."""
+        """Print the skipped tests with their reasons."""
         reasons = [_reason(report) for report in terminalreporter.stats.get("skipped", [])]
         for line in grouped(reasons):
             terminalreporter.write_line(line)

@@ -1,9 +1,9 @@
 """Print the graph of rooms of clients and daemon; exit 1 at an arrow up or a circle.
 
 `python tests/rooms.py`. The order of the rooms is that of import-linter's contracts in
-pyproject.toml. All imports count between rooms: inside of functions and for types only, too,
-which the contracts leave out; and so does the package's own `__init__`, which stands above all
-rooms. Inside a room an import for types only makes no circle: nothing is loaded by it.
+pyproject.toml. All imports count between rooms, also imports inside of functions and for types
+only, which the contracts omit. The package's own `__init__` counts, too; it is above all rooms.
+Inside a room an import for types only makes no circle, because it loads nothing.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Arrow = tuple[str, str]
 
 
 def main() -> int:
-    """Print the rooms from top to bottom, each with what it uses, and what is wrong with them."""
+    """Print the rooms from top to bottom, each with the rooms that it uses, and the faults."""
     graph = grimp.build_graph(*PACKAGES, cache_dir=None)
     wrong = [text for package in PACKAGES for text in _checked(graph, package)]
     wrong += _circles(

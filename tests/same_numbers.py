@@ -1,9 +1,9 @@
 """Print every number that the public functions make of fixed data; compare with a file of them.
 
-Two uses, of the same calls (`same_numbers_calls.py`) and the same walk over what comes of them:
+The calls (`same_numbers_calls.py`) and the walk over their results have two uses:
 
-- Another version on the same machine: `python tests/same_numbers.py > before.json`, and after a
-  change `python tests/same_numbers.py before.json`. It prints the worst difference of each call and
+- Another version on the same machine: `python -m tests.same_numbers > before.json`, and after a
+  change `python -m tests.same_numbers before.json`. It prints the worst difference of each call and
   exits with 1 above 1e-9, or if a number is no longer there. A call that a release does not have is
   left out and named. Both runs belong on one machine: another BLAS may round otherwise, and a
   search ends elsewhere within its tolerance.
@@ -33,16 +33,17 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-import same_numbers_calls as table
 from numpy.typing import NDArray
+
+from tests import same_numbers_calls as table
 
 Array = NDArray[np.float64]
 Quantity = tuple[str, Array]
 STORED = Path(__file__).parent / "clients" / "same_numbers.txt"
 WITHIN = 1e-9
-"""Of the largest number of a quantity, between two versions on one machine."""
+"""Tolerance between versions on one machine, relative to the quantity's largest number."""
 OF_SCALE, OF_ITSELF = 1e-5, 1e-5
-"""Of the largest number of a long quantity, and of each number of a short one."""
+"""Tolerances relative to a long quantity's largest number, and to each short one's numbers."""
 _ROUNDING = 1e-9  # of the largest number of a short quantity
 _LISTED = 12  # values that are all listed
 _DEEPEST = 7  # objects within each other
@@ -100,7 +101,7 @@ def _forgiving(call: str) -> Iterator[Quantity]:
 
 
 def _plain(found: dict[str, dict[str, Array]]) -> dict[str, dict[str, Any]]:
-    """Return arrays as lists; what is not finite as None."""
+    """Return arrays as lists, and non-finite numbers as None."""
     return {call: {name: _listed(x) for name, x in q.items()} for call, q in found.items()}
 
 
@@ -124,7 +125,7 @@ def numbers(call: str) -> Iterator[Quantity]:
 
 
 def found_in(value: Any, name: str, depth: int = 0) -> Iterator[Quantity]:
-    """Give the numbers of a value, and of whatever it is made of."""
+    """Give the numbers of a value and of its parts."""
     array = _array(value)
     if array is not None:
         yield name, array
@@ -151,7 +152,7 @@ def found_in(value: Any, name: str, depth: int = 0) -> Iterator[Quantity]:
 
 
 def _array(value: Any) -> Array | None:
-    """Return what is a number, or an array of numbers, as floats; complex ones in pairs."""
+    """Return a number, or an array of numbers, as floats; complex ones in pairs."""
     if isinstance(value, bool | int | float | complex | np.number | np.bool_):
         value = np.asarray(value)
     if isinstance(value, slice | range):
@@ -214,7 +215,7 @@ def _members(value: Any, name: str, depth: int) -> Iterator[Quantity]:
 def _arguments(
     value: Any, member: str, function: Callable[..., Any]
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Give what the table calls a method with; a method that it cannot call is an error."""
+    """Give the table's arguments of a method; a method without an entry is an error."""
     if member in table.METHODS:
         for shown, make in table.METHODS[member].items():
             yield shown, make(value)
@@ -252,7 +253,7 @@ def _drawn(figure: Any, name: str) -> Iterator[Quantity]:
 
 
 def stored_numbers(calls: Any) -> Iterator[tuple[str, str]]:
-    """Give the lines of calls, without those that say what another one of their call says."""
+    """Give the lines of calls, without repetitions within a call."""
     for call in calls:
         known: set[str] = set()
         for name, text in lines(call):
@@ -290,7 +291,7 @@ def read_stored() -> dict[str, str]:
 
 
 def unlike(name: str, now: str, before: str) -> bool:
-    """Tell whether a line is another one, beyond rounding."""
+    """Return whether a line differs beyond rounding."""
     within = next((t for p, (t, _) in table.LOOSER.items() if fnmatch(name, p)), None)
     heads, values = zip(*(_parted(text) for text in (now, before)), strict=True)
     if heads[0] != heads[1] or values[0].shape != values[1].shape:
@@ -323,7 +324,7 @@ def _many(head: str) -> bool:
 
 
 def changes(call: str, before: dict[str, str]) -> Iterator[str]:
-    """Give a line for each quantity of a call that is not as it was."""
+    """Give a line for each changed quantity of a call."""
     now, known = dict(lines(call)), {n: t for n, t in before.items() if n.split(" ")[0] == call}
     same = {now[name] for name in known if name in now}
     for name, text in now.items():

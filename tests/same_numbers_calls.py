@@ -1,15 +1,12 @@
-"""What `same_numbers.py` calls, with which data, and what it leaves out with the reason.
+"""Calls of `same_numbers.py` with their data, and its omissions with the reasons.
 
 Each function marked with @variants is called like the public name that it calls, and gives
-variants: their names and their results. The data are small, fixed, and made here: not by the
-signals of armrig, so that a change of those is seen where it is.
+variants: their names and their results. The data are small and fixed. They are not made by the
+signals of armrig, so that a change of those appears in their own numbers.
 """
-
-# ruff: noqa: D103 - a call is named for what it calls
 
 from __future__ import annotations
 
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -23,13 +20,11 @@ from armrig_core.arm import ArmParameters, arm_matrices, chassis_matrices, zero_
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-sys.path.append(str(Path(__file__).parent / "clients"))  # recordings are made there
-
 Vector = NDArray[np.float64]
 Variants = Iterator[tuple[str, Any]]
 
 CALLS: dict[str, Callable[[], Variants]] = {}
-"""What to call, by name."""
+"""Calls by name."""
 
 
 def variants(function: Callable[[], Variants]) -> Callable[[], Variants]:
@@ -141,11 +136,11 @@ LOOSER = {
 """Relative tolerances of quantities, by name with * and ?, and why. The first that fits counts."""
 
 ZERO = 1e-13
-"""What rounding leaves of 0."""
+"""Rounding error of 0."""
 
 
 def data_for(model: Any) -> armrig.Dataset:
-    """Return data that a model with its Ts, output and units can be asked about."""
+    """Return data that fit a model's Ts, output and units."""
     u = switching(90, 3, 0.2)
     y = 0.3 * np.cumsum(u - u.mean()) * min(1.0, model.Ts) + np.sin(0.7 * np.arange(90))
     units = {"unit": model.unit, "input_unit": model.input_unit}
@@ -191,7 +186,7 @@ METHODS: dict[str, dict[str, Callable[[Any], dict[str, Any]]]] = {
     "solve": {"": lambda of: {"h": 0.01, "n": 15, "method": "heun"}},
     "error": {"": lambda of: {"h": 0.01, "method": "ab2"}},
 }
-"""What these methods are called with, each way by a name."""
+"""Arguments of these methods, each call with a name."""
 
 
 # Data.
@@ -1103,7 +1098,7 @@ def rubbing() -> armrig.Dataset:
 @cache
 def both_ways() -> armrig.Dataset:
     """Return the emulator's chassis with dry friction, driven both ways."""
-    import chassis_data
+    from tests.clients import chassis_data
 
     u = 0.7 * switching(1200, 8, 0.01, -3.0, 3.0) + 0.5 * np.sin(0.02 * np.arange(1200))
     y = chassis_data.rubbing(u, ArmParameters(), 0.02)
@@ -1146,7 +1141,7 @@ def split_study() -> Variants:
 @cache
 def recorded(kind: str) -> Path:
     """Return the path of a recording: the arm's with jitter, reports and events, and a gap."""
-    import made_recordings as made
+    from tests.clients import made_recordings as made
 
     inputs: dict[str, tuple[Vector, dict[str, Any]]] = {
         "estimation": (switching(700, 1, 0.05), {}),
@@ -1161,8 +1156,9 @@ def recorded(kind: str) -> Path:
 @cache
 def told() -> Path:
     """Return the path of a recording with the daemon's reports, flags and a rail."""
-    import made_recordings as made
     from armrig_core import protobuf
+
+    from tests.clients import made_recordings as made
 
     rng = np.random.default_rng(12)
     counts = 32768 + np.cumsum(np.repeat(rng.integers(100, 900, 40), 5)) * 1
@@ -1191,13 +1187,13 @@ def told() -> Path:
 
 
 HIDDEN = (4.9, 5.2, 5.4)
-"""Where a chassis starts whose rise after a step is in the dead band."""
+"""Starting angles of a chassis whose rise after a step is in the dead band."""
 
 
 @cache
 def hidden(start: float) -> Path:
     """Return the path of a recording of a step from a voltage that turns the chassis."""
-    import made_recordings as made
+    from tests.clients import made_recordings as made
 
     u = np.repeat([0.5, 4.5], [100, 100])
     data = made.of_the_arm(u, experiment="step", start=start)
@@ -1247,7 +1243,7 @@ def data_verdict() -> Variants:
 
 @variants
 def of_recordings() -> Variants:
-    from armrig.recordings import doubts, findings, jitter, overview
+    from armrig.recordings import findings, jitter, overview, usability
     from armrig.recordings.export import columns
     from armrig.recordings.recording_summary import summary_of
     from armrig.recordings.verification import verify_recording
@@ -1265,7 +1261,7 @@ def of_recordings() -> Variants:
         yield f"{path.stem} hidden", findings.hidden_step(r)
         turned = jitter.angle_of_jitter(armrig.sampling_statistics(r), r.dataset())
         yield f"{path.stem} angle", turned
-        yield f"{path.stem} doubts", doubts.all_doubts([r, armrig.load(recorded("step"))])
+        yield f"{path.stem} doubts", usability.all_doubts([r, armrig.load(recorded("step"))])
 
 
 @variants
@@ -1282,7 +1278,8 @@ def catalogue() -> Variants:
 def calibration() -> Variants:
     from armrig.recordings.calibration import estimate
     from armrig_core.calibration import Calibration, Made
-    from made_turns import made_turns, still
+
+    from tests.clients.made_turns import made_turns, still
 
     rest = still()
     meter = [(1.0, 1.03), (2.5, 2.51), (4.5, 4.46)]
@@ -1414,8 +1411,9 @@ def batch() -> Variants:
 
 def validations() -> list[int]:
     """Return the number of the recording that validates each of a folder, of several the newest."""
-    import made_recordings as made
     from armrig.report.batch.items import items_in
+
+    from tests.clients import made_recordings as made
 
     lab = folder() / "pairs"
     lab.mkdir(exist_ok=True)
@@ -1471,7 +1469,8 @@ def plots() -> Variants:
     few = armrig.arx(d["odd"][:60], na=3, nb=3)
     grey = armrig.greybox(chassis_data())
     from armrig.recordings.calibration import estimate
-    from made_turns import made_turns, still
+
+    from tests.clients.made_turns import made_turns, still
 
     turns = made_turns(noise=40.0)
     problem = armrig.sinusoid(*DAMPED, omega=2.0, x0=[1.0, 0.0], span=3.0)

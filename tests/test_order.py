@@ -13,12 +13,13 @@ def names(pytester: pytest.Pytester, *options: str) -> list[str]:
     """Return the tests of two modules in the order in which they run."""
     test = f"import pytest\n@pytest.mark.parametrize('n', range({N}))\ndef test_it(n): pass"
     pytester.makepyfile(test_a=test, test_b=test)
-    ran = pytester.runpytest_inprocess("-p", "order", "-p", "no:cacheprovider", "-v", *options)
+    ran = pytester.runpytest_inprocess(
+        "-p", "tests.order", "-p", "no:cacheprovider", "-v", *options
+    )
     return [line.split()[0] for line in ran.outlines if " PASSED" in line]
 
 
 def test_a_seed_draws_one_order(pytester: pytest.Pytester) -> None:
-    """All tests run, those of a module together, in the same order for the same seed."""
     as_collected = names(pytester)
 
     drawn = names(pytester, "--order-seed", SEED)
@@ -30,10 +31,9 @@ def test_a_seed_draws_one_order(pytester: pytest.Pytester) -> None:
 
 
 def test_a_failure_shows_what_ran_before_it(pytester: pytest.Pytester) -> None:
-    """The seed, how many tests the process had run, and the last of them."""
     pytester.makepyfile("def test_first(): pass\ndef test_second(): assert False")
 
-    ran = pytester.runpytest_inprocess("-p", "order", "-p", "no:cacheprovider")
+    ran = pytester.runpytest_inprocess("-p", "tests.order", "-p", "no:cacheprovider")
 
     ran.stdout.fnmatch_lines(
         ["the only process, order as collected, 1 tests before*", "*::test_first"]

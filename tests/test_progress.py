@@ -1,9 +1,10 @@
-"""What `make test` shows a person of a run, and of what it skipped."""
+"""The output of `make test` about a run and its skipped tests."""
 
 from __future__ import annotations
 
 import pytest
-from progress import MAX_REASONS, grouped, room
+
+from tests.progress import MAX_REASONS, grouped, room
 
 
 @pytest.mark.parametrize(
@@ -15,12 +16,10 @@ from progress import MAX_REASONS, grouped, room
     ],
 )
 def test_a_test_belongs_to_the_room_of_its_folder(nodeid: str, expected: str) -> None:
-    """Down to two levels; a parameter may contain what separates names."""
     assert room(nodeid) == expected
 
 
 def test_skipped_tests_are_grouped_by_reason_in_at_most_ten_lines() -> None:
-    """The most frequent reason comes first, and no test is lost from the counts."""
     reasons = [f"no tool {i}" for i in range(14) for _ in range(i + 1)]
 
     lines = grouped(reasons)
@@ -32,7 +31,6 @@ def test_skipped_tests_are_grouped_by_reason_in_at_most_ten_lines() -> None:
 
 
 def test_ten_reasons_are_all_shown() -> None:
-    """The line of other reasons comes only when there are more than ten."""
     lines = grouped(f"no tool {i}" for i in range(MAX_REASONS))
 
     assert lines == [f"   1 skipped, no tool {i}" for i in range(MAX_REASONS)]

@@ -16,13 +16,13 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("clients/armrig", "daemon", "firmware_protocol/armrig_protocol")
 _PROSE = re.compile(r"[a-z]{3,}[,;:)]? |[ :;][a-z]{3,}|^[a-z]{3,}: ?$", re.IGNORECASE)
-"""Words with a blank between them, or beside it: no key, no path, no unit."""
+"""Words with a blank between or next to them: no key, no path, no unit."""
 _SEARCHES = {"startswith", "endswith", "removeprefix", "removesuffix", "partition", "rpartition"}
 _SEARCHES |= {"split", "rsplit", "find", "rfind", "index", "count", "replace"}
 _PATTERNS = frozenset({"match", "search", "fullmatch", "findall", "finditer", "compile", "sub"})
 _ASKED = (ast.Compare, ast.Call, ast.For, ast.comprehension)
 _GRAMMAR = re.compile(r"\\.|\(\?[a-z:P<>!=]*|\[[^\]]*\]|[][^$.|?*+(){}]")
-"""What of a regular expression is no text."""
+"""Parts of a regular expression that are no text."""
 
 _OTHERS = "another program, a library or the system says it in words alone"
 _SHOWN = "how a line is shown depends on it, and nothing else"
@@ -42,7 +42,6 @@ ALLOWED = {
     (_USAGE, "^Option '(.+?)' requires an argument$"): _OTHERS,
     (_USAGE, r"Got unexpected extra arguments?(?:\(s\))? \((.+)\)$"): _OTHERS,
     (_USAGE, "No such command '(.+?)'"): _OTHERS,
-    ("clients/armrig/cli/model_output.py", "trust std"): _SHOWN,
     ("clients/armrig/models/markup.py", "thin +"): _TYPST,
     ("clients/armrig/models/markup.py", "thin ="): _TYPST,
     ("clients/armrig/models/model_file.py", "armrig model"): _OWN,
@@ -61,17 +60,11 @@ ALLOWED = {
     ("clients/armrig/lab/fleet_recorder.py", "rig "): _SHOWN,
     ("clients/armrig/rig/local_daemon.py", "armrigd: "): _SHOWN,
     ("clients/armrig/lab/host.py", r"^flags\s*:.*\bhypervisor\b"): _OTHERS,
-    ("clients/armrig/lab/router.py", r"os error (\d+)"): _OTHERS,
+    ("daemon/armrig_core/owned_session.py", r"os error (\d+)"): _OTHERS,
     ("daemon/armrig_core/version_1.py", ": try again"): _OLD,
     ("daemon/armrig_core/version_1.py", "stopped by "): _OLD,
-    ("daemon/armrig_core/emulator_stall.py", r"emulator held up (\d+) ms"): _OLD,
+    ("daemon/armrig_core/version_1.py", r"emulator held up (\d+) ms"): _OLD,
     ("daemon/armrig_daemon/config.py", r"(?:{}) \(at line (\d+)"): _OTHERS,
-    ("daemon/armrig_daemon/loop/link.py", "inappropriate ioctl"): _OTHERS,
-    ("daemon/armrig_daemon/loop/link.py", "exclusively lock"): _OTHERS,
-    **{
-        ("daemon/armrig_daemon/service/sentences.py", f"os error {number}"): _OTHERS
-        for number in (98, 99, 97, 13)
-    },
     ("daemon/armrig_daemon/tables.py", "unknown field `(.+?)`"): _OTHERS,
 }
 """File and text, and why the file may look for it."""
@@ -140,7 +133,7 @@ def _sentence_in(table: ast.expr, i: int) -> str:
 
 
 def _texts(node: ast.expr, known: Mapping[str, str]) -> Iterator[str]:
-    """Yield the texts of an operand: given, formatted, several in a tuple, or by a name of ours."""
+    """Yield the texts of an operand: given, formatted, several in a tuple, or by a name."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         yield node.value
     elif isinstance(node, ast.JoinedStr):
@@ -173,7 +166,6 @@ def read_sentences(tree: ast.Module) -> Iterator[tuple[int, str]]:
 
 
 def test_no_program_reads_a_sentence() -> None:
-    """Nothing is compared with prose, nor searched for it, but where there is a reason."""
     found = {
         (str(path.relative_to(ROOT)), text): line
         for path in _files()
@@ -200,7 +192,6 @@ def test_no_program_reads_a_sentence() -> None:
     ],
 )
 def test_a_search_in_prose_is_seen(source: str) -> None:
-    """Whatever reads the sentence."""
     assert list(read_sentences(ast.parse(source)))
 
 
@@ -216,5 +207,4 @@ def test_a_search_in_prose_is_seen(source: str) -> None:
     ],
 )
 def test_a_key_a_name_and_a_path_are_no_prose(source: str) -> None:
-    """They are compared as codes are."""
     assert not list(read_sentences(ast.parse(source)))

@@ -1,9 +1,10 @@
-"""The words that the style bans are seen, and what is no prose is left out."""
+"""The linter sees the banned words, and leaves out what is no prose."""
 
 from __future__ import annotations
 
 import pytest
-from words import (
+
+from tests.words import (
     module_findings,
     page_findings,
     read_table,
@@ -68,6 +69,12 @@ def test_the_page_in_the_browser_is_read(source: str) -> None:
 def test_code_tables_and_quotations_are_left_out(text: str) -> None:
     """They are others' words, or names."""
     assert not list(page_findings(text))
+
+
+def test_a_literal_block_of_a_docstring_is_left_out() -> None:
+    block = f"    Run ::\n\n        {LONG}\n\n        {LONG}\n\n"
+    source = f'def f():\n    """Run it.\n\n{block}    It is told.\n    """'
+    assert [finding.kind for finding in module_findings(source)] == ["phrase"]
 
 
 def test_messages_that_a_test_quotes_and_names_are_left_out() -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import inspect
 import re
 import subprocess
 import sys
@@ -47,6 +48,8 @@ _PROSE = re.compile(r"[^\W\d_]{2,},? [^\W\d_]{2,}")
 _PAGE_TEXT = re.compile(r'"([^"\n]*)"|`([^`]*)`|>([^<>{}]+)<')
 _LAYOUT = re.compile(r"^ *(?:[|>].*|#+ .*|-{3,}|={3,})$|^(?: {4,}|\t)(?![-*+\d]).*$", re.MULTILINE)
 _FENCE = re.compile(r"^( *)```.*?^\1```", re.MULTILINE | re.DOTALL)
+_LITERAL = re.compile(r"(?<=::\n)(?:\n| {4}.*(?:\n|$))+")
+"""What follows `::` in a docstring, indented."""
 _NAMES = re.compile(
     r"^.*\S.* : .*$|^ *[\w ]+\n *-{3,}$|^ *>>>.*$|^ *\.\. \[.*$|^ *\w+$", re.MULTILINE
 )
@@ -61,7 +64,7 @@ class Finding(NamedTuple):
 
 
 def _blank(match: re.Match[str]) -> str:
-    """Return the line ends of what is left out, so that lines keep their numbers."""
+    """Return the line ends of a match, so that lines keep their numbers."""
     return "\n" * match[0].count("\n")
 
 
@@ -86,7 +89,8 @@ def module_findings(source: str, *, quotes: bool = False) -> Iterator[Finding]:
             first = re.match(r"\w+", node.value.strip())
             if first and first[0] in _FIRST_WORDS:
                 yield Finding("first", node.lineno, node.value.strip().partition("\n")[0])
-            yield from _sentences(_NAMES.sub(_blank, node.value), node.lineno)
+            text = _LITERAL.sub(_blank, inspect.cleandoc(node.value))
+            yield from _sentences(_NAMES.sub(_blank, text), node.lineno)
         elif quotes:
             continue
         elif isinstance(node, ast.JoinedStr):

@@ -1,9 +1,9 @@
-"""Who may not gets nothing: a hundred thousand messages on a thousand connections, and a flood.
+"""Attempts without permission: 100 000 messages on 1000 connections, and a flood.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/access.py` as root; it takes five minutes.
-First people who may not besiege a daemon, from a network namespace of their own, while an operator
-watches; then the same, shorter, with access control taken away, where it succeeds. At last, in
-turns, a daemon left alone and one that an observer floods: how late its loop wakes.
+`python -m tests.benchmarks.access` as root; it takes five minutes. First clients without permission
+besiege a daemon from a network namespace of their own, while an operator watches. The control is a
+shorter siege without access control, which succeeds. Finally the lateness of the loop is measured,
+in turn for an idle daemon and for a daemon that an observer floods.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import namespaces
 import numpy as np
-import remote_rig
 from armrig.rig.client import Rig
-from laboratory import by_certificate, certificates
-from namespaces import Namespaces
 from numpy.typing import NDArray
-from processes import Bench
 
-BESIEGER = remote_rig.HERE / "besieger.py"
+from tests.integration import namespaces, remote_rig
+from tests.integration.laboratory import by_certificate, certificates
+from tests.integration.namespaces import Namespaces
+from tests.integration.processes import Bench
+
+BESIEGER = "tests.integration.besieger"
 LET_IN, NOT_LET_IN = ("wrong", "eve", "bob"), ("forged", "expired")
 _SIEGE_S = 400.0
 Lateness = tuple[float, float, float]
 
 
 def besieged(line: Namespaces, program: tuple[str, ...], connections: int, messages: int) -> None:
-    """Let everybody do his worst to a daemon, and print what came of it."""
+    """Attack a daemon as each client, and print the results."""
     with tempfile.TemporaryDirectory(prefix="armrig-") as folder:
         bench = Bench(Path(folder))
         made = certificates(bench.folder)
@@ -95,7 +95,7 @@ def _spread(values: NDArray[np.float64]) -> str:
 def _round(
     bench: Bench, line: Namespaces, where: str, made: Path, seconds: float
 ) -> tuple[Lateness, Lateness, Lateness]:
-    """Return p50 and p99 of a daemon alone, flooded, and beside a program that is flooded."""
+    """Return p50 and p99 of a daemon alone, flooded, and next to a flooded program."""
     alone = _lateness(bench, seconds)
     under = _flooded_lateness(bench, line, where, made, seconds)
     beside = f"tls/{namespaces.ADDRESSES['rig']}:{remote_rig.PORT + 1}"

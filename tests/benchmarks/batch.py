@@ -1,9 +1,9 @@
 """`armrig batch` with one process and with two, in turn, and after `kill -9` in the middle.
 
-`python tests/benchmarks/batch.py [--files 1000] [--seconds 30] [--pairs 3]`. The recordings are of
+`python -m tests.benchmarks.batch [--files 1000] [--seconds 30] [--pairs 3]`. The recordings are of
 the arm, at Ts 10 ms, with a hundred inputs in turn; the task is `identify --integrator`, an OE
-model of four poles. Wall times are those of whole processes. How much two processes can do here at
-once is measured beside it: two batches of one process, half of the recordings each.
+model of four poles. Wall times are those of whole processes. The capacity of the machine for two
+processes is measured, too: two batches of one process, half of the recordings each.
 """
 
 from __future__ import annotations
@@ -22,9 +22,7 @@ from statistics import median
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "clients"))
-
-from made_recordings import TS, of_the_arm
+from tests.clients.made_recordings import TS, of_the_arm
 
 _INPUTS = 100
 _LEAST = 5  # rows that are there before something is killed

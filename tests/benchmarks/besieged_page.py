@@ -1,11 +1,11 @@
-"""How soon the page's server answers a stop while others besiege it.
+"""Time until the page's server answers a stop during a siege.
 
-`python tests/benchmarks/besieged_page.py [--n 50] [--busy 4]`
+`python -m tests.benchmarks.besieged_page [--n 50] [--busy 4]`
 
 A rig is emulated, and its dashboard is a process of its own that has five minutes of history. In
-each row one program besieges one door with its own token, and the owner stops N times, each time by
-a new connection: 60 or 200 streams that stay, as many that come again for ever, 300 questions
-whose body never ends. A visitor's stop is timed at the visitors' door, too.
+each row one program besieges one door with its own token: 60 or 200 streams that stay, as many that
+reconnect for ever, 300 requests whose body never ends. The owner stops N times, each time by a new
+connection. A visitor's stop is timed at the visitors' door, too.
 """
 
 from __future__ import annotations
@@ -28,10 +28,8 @@ from armrig.dashboard.bins import COLUMNS, WIDTH_S, Rows
 from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, Feed
 from armrig.dashboard.serving import Settings, dashboard
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
-
-from processes import Bench, burning
-from watching import Client, endpoint
+from tests.integration.processes import Bench, burning
+from tests.integration.watching import Client, endpoint
 
 SIEGES = ("nobody", "stay 60", "stay 200", "again 60", "again 200", "bodies 300")
 _LET_IN_S = 2.0  # before the first stop
@@ -97,7 +95,7 @@ async def _connection(door: Client, kind: str) -> None:
 def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     """Give this program with other arguments, until the block ends."""
     with subprocess.Popen(
-        [sys.executable, __file__, *arguments],
+        [sys.executable, "-m", "tests.benchmarks.besieged_page", *arguments],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -109,7 +107,7 @@ def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def stops(doors: dict[str, Client], n: int) -> dict[str, list[float]]:
-    """Return how long each stop took, in s, at each door in turn; inf where none was answered."""
+    """Return the time of each stop, in s, at each door in turn; inf without an answer."""
     found: dict[str, list[float]] = {name: [] for name in doors}
     for name, door in [*doors.items()] * n:
         began = time.monotonic()

@@ -1,6 +1,7 @@
-"""500 Hz beside two processes that burn both cores, in either mode; makes docs/timing/*.png.
+"""500 Hz next to two processes that burn both cores, in both modes; draws docs/timing/*.png.
 
-What the device's timer gives, what the host's pacing gives, and which delay a model finds in each.
+Each figure has the sampling by the device's timer, by the host's pacing, and the delay that a model
+finds in each.
 """
 
 from __future__ import annotations
@@ -12,14 +13,15 @@ from pathlib import Path
 import armrig
 import matplotlib as mpl
 import numpy as np
-from processes import Bench, burning
+
+from tests.integration.processes import Bench, burning
 
 mpl.use("Agg")
 Ts, SECONDS = 0.002, 20
 
 
 def record(bench: Bench, pacing: str) -> armrig.Recording:
-    """Play a telegraph and return what was recorded, whatever became of it."""
+    """Play a telegraph and return its recording, also of a failed run."""
     from armrig.rig.replies import RunEndedError
 
     u = armrig.telegraph(round(SECONDS / Ts), 0.02, low=0.5, high=4.5, seed=1)
@@ -35,7 +37,7 @@ def record(bench: Bench, pacing: str) -> armrig.Recording:
 
 
 def tell(recording: armrig.Recording) -> None:
-    """Print the figures."""
+    """Print the numbers."""
     manifest, samples = recording.manifest, recording.samples
     k = samples["k"].astype(np.int64)
     t = samples["t_device_us"].astype(np.int64)
@@ -56,7 +58,7 @@ def tell(recording: armrig.Recording) -> None:
 
 
 def main() -> None:
-    """Record both, tell both, draw both."""
+    """Record, print and draw both modes."""
     from armrig.plots import plot_timing
     from matplotlib import pyplot as plt
 

@@ -1,6 +1,6 @@
 """Calibrations of rigs that nobody has seen, against what they are: how often within 3 sigma.
 
-`python tests/benchmarks/calibration.py [seeds]`: one line a quantity. A seed counts where all of
+`python -m tests.benchmarks.calibration [seeds]`: one line a quantity. A seed counts where all of
 its quantities, and both directions, are found.
 """
 
@@ -8,17 +8,14 @@ from __future__ import annotations
 
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "clients"))
-
-from calibration_rig import calibrated, truth, unknown_rig
+from tests.clients.calibration_rig import calibrated, truth, unknown_rig
 
 
 def main(seeds: int) -> None:
-    """Calibrate so many rigs and print what came of it."""
+    """Calibrate one rig per seed and print the results."""
     began = time.perf_counter()
     z: dict[str, list[float]] = {}
     std: dict[str, list[float]] = {}

@@ -2,7 +2,7 @@
 
 In the hard one a zero lies near a pole: 10^-2.5 to 10^-0.5 away in the z plane. In the ordinary one
 poles and zeros lie anywhere, at 20 dB and more. Orders and delay are the true ones:
-`python tests/benchmarks/cancelling.py [--n 500] [--first 0]`. Seeds 0 to 499 served to choose the
+`python -m tests.benchmarks.cancelling [--n 500] [--first 0]`. Seeds 0 to 499 served to choose the
 limit.
 """
 
@@ -14,8 +14,9 @@ from collections import Counter
 import armrig
 import numpy as np
 from armrig.numerics.polynomial import filtered
-from lowest_minimum import INPUTS
 from numpy.typing import NDArray
+
+from tests.benchmarks.lowest_minimum import INPUTS
 
 Vector = NDArray[np.float64]
 Draw = np.random.Generator

@@ -1,9 +1,9 @@
 """The catalogue of many small recordings: from files alone, and from what is known of them.
 
-`python tests/benchmarks/catalogue.py [--files 10000] [--rounds 5]`. One recording is copied under
-so many names, each with an id, a name and a date of its own. Times are those of a whole process,
-`armrig ls` and a Python program, interpreter and imports included; "cold" is without an index,
-and with `--drop-caches` (as root) without the files in memory, too.
+`python -m tests.benchmarks.catalogue [--files 10000] [--rounds 5]`. One recording is copied under
+so many names, each with an id, a name and a date of its own. Times are those of a whole process
+with interpreter and imports: of `armrig ls`, and of a Python program. "Cold" is without an index,
+and with `--drop-caches` (as root) also without the files in memory.
 """
 
 from __future__ import annotations
@@ -18,9 +18,7 @@ import time
 from pathlib import Path
 from statistics import median
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "clients"))
-
-from made_recordings import manifest, recorded, sample
+from tests.clients.made_recordings import manifest, recorded, sample
 
 _PROGRAM = """
 import sys, time
@@ -47,7 +45,7 @@ def make(folder: Path, files: int) -> int:
 
 
 def timed(command: list[str], environ: dict[str, str]) -> tuple[float, float, str]:
-    """Run a command; return how long it took in s, its processor time, and what it printed."""
+    """Run a command; return its time in s, its processor time, and its output."""
     begin, before = time.perf_counter(), _processor_s()
     done = subprocess.run(command, env=environ, capture_output=True, text=True, check=True)
     return time.perf_counter() - begin, _processor_s() - before, done.stdout

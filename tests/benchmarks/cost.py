@@ -1,7 +1,7 @@
 """Processor time and peak memory of what looks at data, against their length.
 
 Each case runs in a process of its own, on one thread; the memory is the greatest resident size less
-that after the data were made. `python tests/benchmarks/cost.py [case …]`, all by default.
+that after the data were made. `python -m tests.benchmarks.cost [case …]`, all by default.
 """
 
 from __future__ import annotations

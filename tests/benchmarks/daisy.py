@@ -1,4 +1,4 @@
-"""Four records of real plants: how well n4sid, arx and search simulate, beside Octave's.
+"""Four records of real plants: simulation by n4sid, arx, search and Octave's estimators.
 
 The records are from DaISy (B. De Moor, ed., Database for the Identification of Systems, KU Leuven,
 ESAT/STADIUS), which is not part of this project: give the folder that holds heating_system.dat,
@@ -8,7 +8,7 @@ and each part is simulated with its initial state by least squares, the same way
 Octave has its n4sid and arx, their other settings by default; it is left out where it is not
 installed. Run it with the project's environment::
 
-    python tests/benchmarks/daisy.py FOLDER
+    python -m tests.benchmarks.daisy FOLDER
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ import numpy as np
 from armrig import Dataset, arx, n4sid, search
 from armrig.models.model import Model
 from armrig.models.prediction import predicted
-from octave_models import have_octave, octave_models
+
+from tests.benchmarks.octave_models import have_octave, octave_models
 
 ORDERS = range(1, 7)
 DELAYS = (0, 1)

@@ -1,11 +1,11 @@
-"""What the dashboard costs, and how fast its stop is.
+"""Costs of the dashboard, and the time of its stop.
 
-`python tests/benchmarks/dashboard.py stop|stale|drawn|viewers|memory`
+`python -m tests.benchmarks.dashboard stop|stale|drawn|viewers|memory`
 
 - stop: from the space bar in chromium to 0 V at the emulated terminals, N times, and by stages.
 - stale: from the death of the daemon to a page that says so, N times.
-- drawn: from a sample to the frame that shows it, frames a second, and the processor time of the
-  server with one page and with ten viewers, at 100 Hz and at 1 kHz, for ROUND_S each.
+- drawn: time from a sample to its frame, frames a second, and processor time of the server. There
+  are one page and ten viewers, at 100 Hz and at 1 kHz, for ROUND_S each.
 - viewers: lateness of the loop and from sample to subscriber, with ten viewers (one of which never
   reads) and without, in turn.
 - memory: heap of the page and resident memory of the server, for MINUTES.
@@ -33,13 +33,11 @@ from unittest.mock import patch
 import numpy as np
 from armrig.dashboard.driver import Driver
 from armrig_core.telemetry import Sample
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
-
-from driving import bring_to_rest
 from playwright.sync_api import sync_playwright
-from processes import Bench, wait_for
-from watching import Client, watched
+
+from tests.integration.driving import bring_to_rest
+from tests.integration.processes import Bench, wait_for
+from tests.integration.watching import Client, watched
 
 N = 20
 _TRIES = 5
@@ -107,7 +105,7 @@ STAGES = ("key to 0 V", "key to the page", "page to the server", "server to 0 V"
 
 
 def stop() -> None:
-    """Measure the way of a stop, from what is asked of chromium on."""
+    """Measure the way of a stop, from the request to chromium on."""
     times: list[list[float]] = [[] for _ in STAGES]
     at_server = [0]
     stopped = Driver.stop
@@ -144,7 +142,7 @@ addEventListener("keydown", () => (keyAt = performance.timeOrigin + performance.
 
 
 def stale() -> None:
-    """Measure how long a page takes to say that its daemon is dead."""
+    """Measure the time until a page reports that its daemon is dead."""
     times: list[float] = []
     with served() as (bench, client), _page(client) as page:
         for _ in range(N // 4):
@@ -260,7 +258,7 @@ def watch(url: str) -> None:
 def _watching(url: str) -> Iterator[None]:
     """Have ten viewers in a process of their own."""
     with subprocess.Popen(
-        [sys.executable, __file__, "watch", url],
+        [sys.executable, "-m", "tests.benchmarks.dashboard", "watch", url],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -274,7 +272,7 @@ def _watching(url: str) -> Iterator[None]:
 
 @contextmanager
 def _dashboard(bench: Bench) -> Iterator[tuple[str, int]]:
-    """Give the address and the number of a dashboard that is a process of its own."""
+    """Give the address and the process id of a dashboard."""
     with subprocess.Popen(
         [sys.executable, "-m", "armrig", "dashboard", "--json"],
         env={**os.environ, "XDG_RUNTIME_DIR": str(bench.folder)},
@@ -289,7 +287,7 @@ def _dashboard(bench: Bench) -> Iterator[tuple[str, int]]:
 
 
 def viewers() -> None:
-    """Compare rounds with and without viewers of a dashboard, which is a process of its own."""
+    """Compare rounds with and without viewers of a dashboard."""
     with _rig() as bench, _dashboard(bench) as (url, _):
         client = Client(url)
         wait_for(lambda: not client.first("live")["is_stale"])
@@ -297,13 +295,13 @@ def viewers() -> None:
             alone = _round(bench)
             with _watching(url):
                 watched_by_ten = _round(bench)
-                left = client.first("timing")["viewers"] - 1  # without who asks
+                left = client.first("timing")["viewers"] - 1  # without this viewer
             print(f"p99 of lateness, to subscriber [µs]: alone {alone}, ten {watched_by_ten}")
             print(f"of {VIEWERS} viewers {left} are left: who does not read is dropped", flush=True)
 
 
 def memory() -> None:
-    """Tell heap and resident memory once a minute."""
+    """Print heap and resident memory once a minute."""
     with served() as (_, client), _page(client) as page:
         devtools = page.context.new_cdp_session(page)
         for minute in range(int(MINUTES) + 1):

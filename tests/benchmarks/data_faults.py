@@ -1,10 +1,10 @@
 """False alarms and power of the warnings of wrong samples and of an offset of y.
 
-Random stable plants (order 2 to 5, poles of radius 0.4 to 0.97), white noise or AR(.6) to 0.95, 5
-to 40 dB below the output, N 500 or 3000, inputs white, a telegraph or held binary, of mean zero or
-not. An OE model and an ARX model of the plant's order is estimated from each record. Sound data;
-the same with 1 % wrong samples, of 3 to 30 standard deviations of y; the same with an offset of
-0.2 to 2 standard deviations of y. `python tests/benchmarks/data_faults.py [runs [seed]]`.
+The plants are random and stable (order 2 to 5, poles of radius 0.4 to 0.97). The noise is white or
+AR(.6) to 0.95, 5 to 40 dB below the output; N is 500 or 3000. The input is white, a telegraph or
+held binary, of mean zero or not. An OE model and an ARX model of the plant's order is estimated
+from each record. The records are sound, have 1 % wrong samples of 3 to 30 standard deviations of y,
+or have an offset of 0.2 to 2 of these. `python -m tests.benchmarks.data_faults [runs [seed]]`.
 """
 
 from __future__ import annotations
@@ -56,15 +56,15 @@ def record(rng: np.random.Generator) -> tuple[Dataset, int]:
 
 
 def told(data: Dataset, order: int, found: Counter[str], kind: str) -> None:
-    """Count which faults the two estimates tell of."""
+    """Count the faults that the two estimates report."""
     fits = {"arx": arx(data, na=order, nb=order), "oe": oe(data, nb=order, nf=order)}
     for name, fit in fits.items():
         found[f"{kind}: {name}, wrong samples"] += any("look wrong" in w for w in fit.warnings)
-        found[f"{kind}: {name}, offset"] += any("where u is 0" in w for w in fit.warnings)
+        found[f"{kind}: {name}, offset"] += any("at u = 0" in w for w in fit.warnings)
 
 
 def main() -> None:
-    """Print how often each fault is told of, in percent."""
+    """Print the share of reports of each fault, in percent."""
     runs = int(sys.argv[1]) if len(sys.argv) > 1 else 200
     seed = int(sys.argv[2]) if len(sys.argv) > 2 else 6151
     found: Counter[str] = Counter()

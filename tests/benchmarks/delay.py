@@ -1,12 +1,13 @@
-"""Is the delay right? On plants that nobody tuned for, and on the handout's arm.
+"""Errors of the delay, on plants for which it was not tuned and on the handout's arm.
 
-The bank: random stable plants of order 2-6 (poles of radius up to 0.97), nk 0-5, N 500 or 2000,
-signal over noise uniform in 0-40 dB, half of them with noise through a random C/D; u white noise,
-a telegraph or random binary, at random. The first coefficient is at least a quarter of the largest
-one: of the impulse response (`response`), or of B alone (`numerator`), where the first coefficient
-of the response may be a hundredth of the largest. Run it with the project's environment::
+The bank has random stable plants of order 2-6 (poles of radius up to 0.97), nk 0-5, N 500 or 2000.
+Signal over noise is uniform in 0-40 dB, and half of the noises pass a random C/D. The input is
+white noise, a telegraph or random binary. The first coefficient of the impulse response
+(`response`), or of B alone (`numerator`), is at least a quarter of the largest. In a `numerator`
+bank the first coefficient of the response may be a hundredth of the largest. Run it with the
+project's environment::
 
-    python tests/benchmarks/delay.py [bank | inputs | arm | read] [seed [plants]]
+    python -m tests.benchmarks.delay [bank | inputs | arm | read] [seed [plants]]
 
 The method was chosen with seeds 1, 2 and 3 in view; see docs/benchmarks.md for the others.
 """
@@ -136,7 +137,7 @@ def _poor(rng: np.random.Generator, kind: str, N: int) -> Vector:
 
 
 def arm(seed: int, runs: int) -> None:
-    """Print what is found on the handout's arm by name, unnamed, and said not to integrate."""
+    """Print the delays of the handout's arm: by name, unnamed, and declared not to integrate."""
     for name, output, asked in (
         ("theta_1", "theta_1", {}),
         ("unnamed", "y", {}),

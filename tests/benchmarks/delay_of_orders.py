@@ -1,9 +1,9 @@
-"""How often the interval of `delay` holds the true lag, on plants of any relative degree.
+"""Coverage of the interval of `delay`, on plants of any relative degree.
 
-Continuous plants of first to sixth order: real and resonant poles, as many of their zeros at
-infinity as drawn (the relative degree), sampled with a hold at a Ts of a fiftieth to half of the
-slowest time constant; 0 to 5 samples of delay; seven kinds of input; white or coloured noise at 10
-to 40 dB. `python tests/benchmarks/delay_of_orders.py [--n 500] [--first 0]`. Seeds 0 to 499 served
+The plants are continuous, of first to sixth order, with real and resonant poles and a drawn
+relative degree. They are sampled with a hold at a Ts of a fiftieth to half of the slowest time
+constant. There are 0 to 5 samples of delay, seven kinds of input, and white or coloured noise at 10
+to 40 dB. `python -m tests.benchmarks.delay_of_orders [--n 500] [--first 0]`. Seeds 0 to 499 served
 to choose the rule.
 """
 
@@ -15,7 +15,8 @@ import armrig
 import control
 import numpy as np
 from armrig.numerics.polynomial import filtered
-from lowest_minimum import INPUTS, polynomial
+
+from tests.benchmarks.lowest_minimum import INPUTS, polynomial
 
 Draw = np.random.Generator
 

@@ -1,8 +1,8 @@
-"""How `armrig demo` ends on a busy machine: so many, one after another, each in a fresh folder.
+"""Outcomes of `armrig demo` on a busy machine, one after another, each in a fresh folder.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/demos.py [--n 12] [--busy 2] [--seconds 30]`;
-`--ordinary` takes real-time rights away, and `--stop` stops the emulator (SIGSTOP) for 20 to 500 ms
-at random moments. Exit code 1 where one did not end well.
+`python -m tests.benchmarks.demos [--n 12] [--busy 2] [--seconds 30]`; `--ordinary` takes real-time
+rights away, and `--stop` stops the emulator (SIGSTOP) for 20 to 500 ms at random moments. The exit
+code is 1 if one failed.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-from processes import burning
+from tests.integration.processes import burning
 
 LONGEST_S = 900.0
-AGAIN = " once more: "
+AGAIN = " again: "
 VIRTUAL = "the demonstration goes on in virtual time"
 BETWEEN_S = (0.2, 2.0)
 STOPPED_S = (0.02, 0.5)
 
 
 class Ended(NamedTuple):
-    """How a demonstration ended."""
+    """Outcome of a demonstration."""
 
     code: int
     took_s: float
     again: list[str]
-    """What was done once more, and why."""
+    """Steps that were repeated, with the reasons."""
     why_virtual: str
-    """Why it went on in virtual time; empty where it did not."""
+    """Reason for virtual time; empty in real time."""
     stops: int
-    """How often its emulator was stopped."""
+    """Number of stops of its emulator."""
     last: str
-    """The last thing that it said."""
+    """Last line of its output."""
 
 
 class Stopper(threading.Thread):
-    """Stops the emulator of a demonstration again and again, until told to end."""
+    """Stops the emulator of a demonstration again and again, until its end."""
 
     def __init__(self, demo: int, rng: Random) -> None:
         super().__init__(daemon=True)
@@ -87,7 +87,7 @@ def _words(pid: int) -> list[bytes]:
 
 
 def once(folder: Path, seconds: float, *, ordinary: bool, rng: Random | None) -> Ended:
-    """Run one, with a socket of its own."""
+    """Run one demonstration with a socket of its own."""
     arguments = ["--directory", str(folder / "demo"), "--seconds", str(seconds)]
     program = [sys.executable, "-m", "armrig", "demo", *arguments]
     began_s = time.monotonic()
@@ -124,7 +124,7 @@ _WITHOUT_RIGHTS = ["setpriv", "--bounding-set", "-sys_nice", "--inh-caps", "-sys
 
 
 def main() -> int:
-    """Run 12 beside 2 busy programs, with telegraphs of 30 s, by default."""
+    """Run 12 demonstrations next to 2 busy programs, with telegraphs of 30 s, by default."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--n", type=int, default=12)
     parser.add_argument("--busy", type=int, default=2, help="programs in an endless loop")

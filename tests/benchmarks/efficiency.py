@@ -10,7 +10,7 @@ and E is a sum over impulse responses from the white noise that u has the spectr
 is the bound over the variance, of each parameter and of all (d-th root of the determinants'
 ratio); its own standard deviation is sqrt(2 / runs). Run it with the project's environment::
 
-    python tests/benchmarks/efficiency.py [runs]
+    python -m tests.benchmarks.efficiency [runs]
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ import sys
 import numpy as np
 from armrig import oe
 from armrig.numerics.polynomial import filtered, impulse
-from monte_carlo import STD, SYSTEMS, B, F
 from numpy.typing import NDArray
+
+from tests.benchmarks.monte_carlo import STD, SYSTEMS, B, F
 
 N, P = 2000, 0.3
 LONG = 2000  # samples, after which an impulse response is over

@@ -1,9 +1,9 @@
-"""Monte Carlo of the grey box where everything rubs, as on the EMPS benchmark.
+"""Monte Carlo of the grey box with all frictions, as on the EMPS benchmark.
 
-An axis driven both ways, with Coulomb and viscous friction and an offset of the input: 24 s at
-1 kHz, the chassis alone, voltages held for 20 to 300 ms, white noise on the angle. Between stops
-and reversals the simulation is exact, and so are their instants: it shares nothing with the model
-that is fitted. `python tests/benchmarks/emps_like.py [runs]`, 100 by default.
+The chassis alone is driven both ways, with Coulomb and viscous friction and an offset of the input.
+A record has 24 s at 1 kHz, voltages held for 20 to 300 ms, and white noise on the angle. Between
+stops and reversals the simulation is exact, and their instants are exact, too. The simulation
+shares nothing with the fitted model. `python -m tests.benchmarks.emps_like [runs]`, 100 by default.
 
 References
 ----------

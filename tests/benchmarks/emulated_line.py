@@ -1,9 +1,9 @@
-"""How many runs of an emulated rig trip, on a pseudo-terminal and on a Unix socket, under load.
+"""Trips of an emulated rig under load, on a pseudo-terminal and on a Unix socket.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/emulated_line.py RESULTS [runs [seconds]]`:
-100 runs of 5 s on each line by default, the lines in turn, the pacings in turn, in each of four
-conditions, as root: four busy programs with a session each, or a flood of `status`; with and
-without the right to real-time priorities. Ts 5 ms; device and emulator as of `run --emulate`.
+`python -m tests.benchmarks.emulated_line RESULTS [runs [seconds]]`: 100 runs of 5 s on each line by
+default, as root; lines and pacings take turns. The four conditions are four busy programs with a
+session each, or a flood of `status`, with and without the right to real-time priorities. Ts 5 ms;
+device and emulator as of `run --emulate`.
 
 Each run is a line of JSON in the file RESULTS. Started again, it goes on where it was interrupted.
 """
@@ -22,14 +22,15 @@ from pathlib import Path
 import msgspec
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
-from processes import burning
-from stand import Stand
-from under_load import Pacing, flooding
+
+from tests.benchmarks.stand import Stand
+from tests.benchmarks.under_load import Pacing, flooding
+from tests.integration.processes import burning
 
 LINES = ("terminal", "socket")
 RIGHTS = ("real-time", "ordinary")
 _BLOCK = 10
-"""Runs on each line before the next condition: what the machine does else changes by the hour."""
+"""Runs on each line before the next condition, because other load changes by the hour."""
 _N_BUSY = 4
 _Ts = 0.005
 _WITHOUT_RIGHTS = ["setpriv", "--bounding-set", "-sys_nice", "--inh-caps", "-sys_nice"]
@@ -137,7 +138,7 @@ def table(results: Path) -> str:
 
 
 def main() -> None:
-    """Play what is left of the runs, and print the table."""
+    """Play the remaining runs, and print the table."""
     if sys.argv[1] == "--block":
         path, load, rights, first, end, seconds = sys.argv[2:]
         return block(Path(path), load, rights, range(int(first), int(end)), float(seconds))
@@ -150,9 +151,9 @@ def main() -> None:
                 last = min(end, round(runs))
                 if first >= last:
                     continue
-                program = [sys.executable, __file__, "--block", str(results), load, rights]
+                program = [sys.executable, "-m", "tests.benchmarks.emulated_line"]
                 without = [] if rights == RIGHTS[0] else _WITHOUT_RIGHTS
-                numbers = [str(first), str(last), str(seconds)]
+                numbers = ["--block", str(results), load, rights, *map(str, (first, last, seconds))]
                 subprocess.run([*without, *program, *numbers], check=True)
         print(f"{table(results)}\n", flush=True)
     return None

@@ -1,6 +1,6 @@
 """The n-th system call fails, for every n of a run of 2 s; see tests/daemon/test_every_nth_call.py.
 
-`PYTHONPATH=tests/daemon python tests/benchmarks/every_nth_call.py`; it ends at the first harm.
+`python -m tests.benchmarks.every_nth_call`; it ends at the first harm.
 """
 
 from __future__ import annotations
@@ -9,11 +9,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from test_every_nth_call import CASES, try_every, try_every_disk_call
+from tests.daemon.test_every_nth_call import CASES, try_every, try_every_disk_call
 
 
 def main() -> None:
-    """Try all, and say how many there were."""
+    """Try all, and print their number."""
     began = time.monotonic()
     total = 0
     for kind, way in CASES:

@@ -2,7 +2,7 @@
 
 Each case plays one fixed input RUNS times with fresh noise, estimates, and prints predicted /
 scatter for every parameter. The scatter of n runs is itself uncertain by 1/sqrt(2 n): 3.5 % for
-400. Usage: python tests/benchmarks/experiment_design.py [RUNS]
+400. Usage: python -m tests.benchmarks.experiment_design [RUNS]
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ A, B = np.array([1, -1.2, 0.6]), np.array([0, 1, 0.5])
 
 
 class Case(NamedTuple):
-    """What is predicted, and how one run estimates it."""
+    """A prediction, and the estimate of one run."""
 
     name: str
     predicted: PredictedStd
@@ -48,7 +48,7 @@ def output_error(N: int) -> Case:
 
 
 def equation_error(N: int) -> Case:
-    """Return A y = B u + e with white e, which adds information of its own."""
+    """Return A y = B u + e with white e, which adds information."""
     u, std = armrig.telegraph(N, 0.3), 1.0
     model = armrig.PlannedModel(A=A, B=B, noise_variance=std**2, Ts=1.0)
 
@@ -107,7 +107,7 @@ def inertia(N: int) -> Case:
 
 
 def cases() -> Iterator[Case]:
-    """Yield what is measured."""
+    """Yield the cases."""
     yield output_error(500)
     yield equation_error(500)
     yield arm_with_gaps(3000)
@@ -115,7 +115,7 @@ def cases() -> Iterator[Case]:
 
 
 def main(runs: int) -> int:
-    """Print predicted over scatter; return 1 where one is beyond 15 %."""
+    """Print predicted over scatter; return 1 if one is beyond 15 %."""
     worst = 0.0
     for number, case in enumerate(cases()):
         seeds = np.random.default_rng(number).spawn(runs)

@@ -1,12 +1,12 @@
 """Monte Carlo of the test for feedback: false alarms in open loop, and what it finds.
 
-`level`: nine inputs on three plants at Ts 5, 10, 20 ms and N 300, 1000, 3000, whole or with some
-of the outputs missing at random, so many runs a cell; then the six cells with most alarms anew,
+`level`: nine inputs on three plants at Ts 5, 10, 20 ms and N 300, 1000, 3000, so many runs a cell.
+The data are whole, or lack some outputs at random. The six cells with most alarms are repeated,
 1000 runs each. `bank`: random plants, noises and inputs, one run of each. `closed`: a P controller
-of the arm, and beside it what the open arm does with the very same input. `read`: the arm's angle
-through the potentiometer. `cost`: 10^6 samples. Run one with the project's environment::
+of the arm, and the open arm with the same input. `read`: the arm's angle through the potentiometer.
+`cost`: 10^6 samples. Run one with the project's environment::
 
-    python tests/benchmarks/feedback.py level RUNS [% MISSING]
+    python -m tests.benchmarks.feedback level RUNS [% MISSING]
     … bank RUNS SEED, closed RUNS, read RUNS, cost
 """
 
@@ -79,7 +79,7 @@ def arm(u: Vector, Ts: float) -> Vector:
 
 
 def p_value(u: Vector, y: Vector, missing: float, rng: np.random.Generator) -> float:
-    """Return that of the test; NaN where it cannot be told."""
+    """Return the p value of the test; NaN without a verdict."""
     valid = rng.random(u.size) >= missing
     try:
         return sims(Dataset(u=u, y=y, Ts=0.01, valid=valid)).p_value
@@ -100,14 +100,14 @@ def alarms(cell: Cell, runs: int, seed: int) -> Vector:
 
 
 def rejected(p: Vector) -> str:
-    """Return the share below the level, of those that were told."""
+    """Return the share of verdicts below the level."""
     told = p[np.isfinite(p)]
     unsaid = f", {p.size - told.size} not told" if told.size < p.size else ""
     return f"{100 * np.mean(told < LEVEL):.1f} % of {told.size}{unsaid}"
 
 
 def level(runs: int, percent_missing: int = 0) -> None:
-    """Print the false alarms, over all cells and along each factor, and the worst cells anew."""
+    """Print the false alarms of all cells and of each factor, and repeat the worst cells."""
     cells: list[Cell] = [
         (plant, name, Ts, N, percent_missing / 100)
         for plant, name, Ts, N in product(PLANTS, INPUTS, SAMPLING, SIZES)

@@ -1,10 +1,10 @@
 """Many rigs through one router into one recorder: every sample of each is in its file.
 
-`python tests/benchmarks/fleet.py --repeat 3`. Synthetic rigs, the
-daemon's own publishing code with real messages in at most four processes, without loop or emulator;
-beside them real ones, daemon and emulator, at 100 Hz. All by TLS with certificates, on the
-loopback. Every file is read, and each k looked for. The processor time is that of the seconds in
-which was published; what the recorder needs behind them to complete its files is told apart.
+`python -m tests.benchmarks.fleet --repeat 3`. Synthetic rigs are the daemon's own publishing code
+with real messages, in at most four processes, without loop or emulator. In addition there are real
+rigs, daemon and emulator, at 100 Hz. All connect by TLS with certificates, on the loopback. Every
+file is read and checked for each k. The processor time is that of the seconds of publishing; the
+time for completing the files afterwards is printed separately.
 """
 
 from __future__ import annotations
@@ -23,17 +23,15 @@ from typing import Any
 import armrig
 import numpy as np
 from armrig.lab import pki
-from armrig.rig.remote_recording import CUT_OFF
 from armrig_core import protobuf
+from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.config import Access, Config, Rig
 from armrig_daemon.service.access import networks_of
 from armrig_daemon.service.publish import Session
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
-
-from laboratory import free_port
-from processes import Bench, wait_for
+from tests.integration.laboratory import free_port
+from tests.integration.processes import Bench, wait_for
 
 TS_S = 0.001
 PROCESSES = 4
@@ -51,7 +49,7 @@ def cpu_s(pid: int) -> float:
 
 
 def publish(folder: Path, router: str, ids: list[str], seconds: float) -> None:
-    """Publish as so many daemons, once "go" is read; stay until the standard input ends."""
+    """Publish as so many daemons, after "go"; stay until the standard input ends."""
     with ExitStack() as stack:
         rigs = [stack.enter_context(_session(folder, router, rig)) for rig in ids]
         wait_for(lambda: all(rig.uplink and rig.uplink.has_router for rig in rigs), _READY_S)
@@ -100,7 +98,7 @@ def _state(t_ns: int) -> bytes:
 
 
 def started(*command: str, folder: Path, **environ: str) -> subprocess.Popen[str]:
-    """Start a program of ours whose standard output is read."""
+    """Start a program, and read its standard output."""
     return subprocess.Popen(
         [sys.executable, *command],
         stdin=subprocess.PIPE,
@@ -112,7 +110,7 @@ def started(*command: str, folder: Path, **environ: str) -> subprocess.Popen[str
 
 
 def round_of(rigs: int, real: int, seconds: float) -> dict[str, Any]:
-    """Return the figures of one round."""
+    """Return the numbers of one round."""
     with tempfile.TemporaryDirectory(prefix="armrig-") as name:
         folder = Path(name)
         ids = [f"s{n}" for n in range(rigs)]
@@ -131,7 +129,7 @@ def round_of(rigs: int, real: int, seconds: float) -> dict[str, Any]:
 
 
 def certificates(folder: Path, ids: list[str]) -> None:
-    """Make an authority with a router, rigs and who records."""
+    """Make an authority with a router, rigs and a recorder."""
     made = folder / "pki"
     pki.make_authority(made)
     pki.issue_to_router(made, ["localhost"])
@@ -164,7 +162,11 @@ def _round(
     for n in range(min(PROCESSES, len(ids))):
         share = ",".join(ids[n::PROCESSES])
         publishers.append(
-            started(__file__, "--publish", share, router, str(folder), str(seconds), folder=folder)
+            started(
+                *("-m", "tests.benchmarks.fleet", "--publish"),
+                *(share, router, str(folder), str(seconds)),
+                folder=Path(__file__).parents[2],
+            )
         )
     programs += publishers
     for n, bench in enumerate(benches):
@@ -232,7 +234,10 @@ def _judged(folder: Path, files: list[Any], ids: list[str], samples: int) -> dic
             "samples": sum(part.samples.size for part in parts),
             "missing": sum(part.missing for part in parts),
             "of these on the way": sum(
-                gap.count for part in parts for gap in part.gaps if gap.reason == CUT_OFF
+                gap.count
+                for part in parts
+                for gap in part.gaps
+                if gap.code == GapCode.RECORDER_CUT_OFF
             ),
         }
         for rig, parts in found.items()

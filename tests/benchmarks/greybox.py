@@ -1,7 +1,7 @@
 """Monte Carlo of the grey box: J_1, its standard deviation, and the split study.
 
 Data as the emulator's recordings without the rotating part: 30 s at 1 kHz, telegraph, 10-bit
-potentiometer with its dead band. `python tests/benchmarks/greybox.py [runs]`, 400 by default.
+potentiometer with its dead band. `python -m tests.benchmarks.greybox [runs]`, 400 by default.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def angle_with_friction(u: Vector, p: ArmParameters, coulomb_nm: float) -> Vecto
 
 
 def read(theta_1: Vector, noise_lsb: float, rng: np.random.Generator, u: Vector) -> armrig.Dataset:
-    """Return what a recording would hold: 10 bits, noise, dead band missing, unwrapped."""
+    """Return the reading of a recording: 10 bits, noise, missing dead band, unwrapped."""
     turned = (theta_1 + rng.uniform(0, tau)) % tau
     fraction = turned / RANGE
     noisy = fraction + noise_lsb / STEPS * rng.standard_normal(u.size)

@@ -1,25 +1,26 @@
-"""How often `structure_hints` recommends the true structure, and says a line that is false.
+"""Recommendations of `structure_hints`: shares of true structures and of false lines.
 
 Each seed draws a plant of first to sixth order, half of them continuous and sampled with a hold,
-half of them polynomials in q: real and resonant poles, zeros inside and outside, an integrator in
-three of ten, 0 to 20 samples of delay (none in half), an input of eight kinds, N 300 to 4000, white
-noise or autoregressive. Each is recorded twice, at 40 dB and at 10 to 30 dB.
+half of them polynomials in q. It has real and resonant poles, zeros inside and outside, an
+integrator in three of ten, and 0 to 20 samples of delay (none in half). The input is of eight
+kinds, N 300 to 4000, the noise white or autoregressive. Each is recorded twice, at 40 dB and at 10
+to 30 dB.
 
-A mode is visible where the best model without it leaves at least `VISIBLE` noise variances more of
-the clean output in sum of squares: one pole and one coefficient less, or one pole less. A
-coefficient is visible where the same holds without the first or the last b.
+A mode is visible if the best model without it leaves at least `VISIBLE` noise variances more of the
+clean output (sum of squares). That model has one pole and one coefficient less, or one pole less. A
+coefficient is visible if the same holds without the first or the last b.
 
-A line is false which is not true of the plant drawn:
-- integrator: it has none and one is claimed, or the other way about, where that is said;
+A line about the drawn plant is false in these cases:
+- integrator: the line claims a missing integrator, or denies a present one;
 - low slope, roll-off: further than `SLOPE` dB a decade, or 3 of its deviations, from the straight
   line through the plant's own |G| at the same frequencies;
 - resonance, antiresonance: no pair of poles (zeros) and no extreme of |G| within `NEAR` of it;
-- order: more singular values stand out than the plant has poles;
+- order: more singular values are significant than the plant has poles;
 - phase: its delay is further than a sample from the plant's delay and half a sample;
 - delay: the plant's is not in the interval given, or is not the one given.
 
-`python tests/benchmarks/hints.py [--n 100] [--first 0] [--tell]`. Seeds 0 to 99 and 1000 to 1099
-served to choose the rules.
+`python -m tests.benchmarks.hints [--n 100] [--first 0] [--tell]`. Seeds 0 to 99, 1000 to
+1099 and the first hundred from 2000, 3000 and 4000 served to choose the rules.
 """
 
 from __future__ import annotations
@@ -35,12 +36,13 @@ import armrig
 import control
 import numpy as np
 from armrig.estimation.multistart import searched_minimum
-from armrig.estimation.prediction_error import PredictionError
+from armrig.estimation.prediction_error import PredictionErrorProblem
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.polynomial import filtered
-from lowest_minimum import INPUTS, polynomial
 from numpy.typing import NDArray
+
+from tests.benchmarks.lowest_minimum import INPUTS, polynomial
 
 Vector = NDArray[np.float64]
 Draw = np.random.Generator
@@ -56,7 +58,7 @@ EXCITATIONS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plant:
-    """B/F of the true orders, and what it was excited and recorded with."""
+    """Polynomials B/F of the true orders, with the input and the noise."""
 
     B: Vector
     """After the nk zeros, (nb,)."""
@@ -68,7 +70,7 @@ class Plant:
     u: Vector
     clean: Vector
     noise: Vector
-    """Of as much power as `clean`."""
+    """Noise of the same power as `clean`."""
     D: Vector
     """The noise is 1/D e."""
     words: str
@@ -83,7 +85,7 @@ class Plant:
         return armrig.Dataset(u=self.u, y=self.clean + self.noise * 10 ** (-db / 20), Ts=self.Ts)
 
     def G(self, omega: Vector, *, rate: bool) -> Vector:
-        """Return |G|, of the rate where asked for."""
+        """Return |G|, or that of the rate."""
         z = np.exp(-1j * omega * self.Ts)
         value = np.polyval(self.B[::-1], z) / np.polyval(self.F[::-1], z)
         return np.abs(value * (1 - z if rate else 1.0))
@@ -145,7 +147,7 @@ def _sampled(rng: Draw, n: int, *, integrator: bool) -> tuple[Vector, Vector, fl
 
 
 def visible(plant: Plant, db: float) -> tuple[bool, bool]:
-    """Tell whether every mode is visible, and whether every coefficient of B is, too."""
+    """Return two bools: every mode is visible, every coefficient of B is visible."""
     nb, nf, nk = plant.structure
     u, y = (filtered(plant.D, [1.0], x)[plant.D.size - 1 :] for x in (plant.u, plant.clean))
     e = filtered(plant.D, [1.0], plant.noise)[plant.D.size - 1 :]
@@ -159,7 +161,7 @@ def visible(plant: Plant, db: float) -> tuple[bool, bool]:
         n = Structure(
             nb=nb, nf=free, nk=nk, integrator="f" if plant.integrator else "", offset=True
         )
-        problem = PredictionError(experiments=(prepared(data, n),), structure=n)
+        problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
         return searched_minimum(problem, thorough=False)[0][1].cost / variance
 
     modes = min(left(nb - 1, nf - 1, nk), left(nb, nf - 1, nk)) >= VISIBLE
@@ -172,7 +174,7 @@ def slope(plant: Plant, omega: Vector, *, rate: bool) -> float:
 
 
 def false_lines(plant: Plant, h: armrig.StructureHints) -> Iterator[tuple[str, bool]]:
-    """Yield each line that is said, and whether it is false."""
+    """Yield each printed line, and whether it is false."""
     if h.integrator_shown:
         yield "integrator", h.integrator != plant.integrator
     if h.low_slope is not None:

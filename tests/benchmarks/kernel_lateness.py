@@ -1,10 +1,11 @@
-"""What the machine itself costs: a process just above the loop's priority that wakes each 1 ms.
+"""Lateness of the machine: a process just above the loop's priority wakes each 1 ms.
 
-What is late here was late by the kernel, or by the host below a virtual machine, and not by armrig.
-It writes to a pseudo-terminal of its own each time, too, and sees when the byte has come: a kernel
-worker of ordinary priority carries it, as it carries the rig's (docs/timing.md).
+Lateness here is due to the kernel, or to the host of a virtual machine, and not to armrig. At each
+wakeup the process also writes a byte to a pseudo-terminal and measures its arrival. A kernel worker
+of ordinary priority moves the byte, as it moves the rig's bytes (docs/timing.md).
+
 `python kernel_lateness.py` answers each line on its standard input with the greatest lateness and
-the greatest delivery time since the last one, in ns, and how often it woke.
+the greatest delivery time since the last line, in ns, and the number of wakeups.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ _PERIOD_NS = 1_000_000
 
 
 class Lateness(NamedTuple):
-    """What the control saw since it was last asked."""
+    """Measurements of the control since the last question."""
 
     worst_ms: float
     delivery_ms: float
-    """From writing a byte to a pseudo-terminal to being told of it at the other end, at worst."""
+    """Longest time from writing a byte to a pseudo-terminal to its arrival, in ms."""
     wakes: int
 
 
@@ -65,7 +66,7 @@ class Control:
 
 
 def main() -> None:
-    """Wake, and answer, until nobody is there to be answered."""
+    """Wake, and answer, until the standard input ends."""
     policy = "the ordinary policy"
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))

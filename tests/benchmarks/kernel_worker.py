@@ -1,9 +1,9 @@
-"""How long the kernel's workers took to carry bytes to the readers of terminals, by its own trace.
+"""Time of the kernel's workers from bytes to the readers of terminals, by the kernel's trace.
 
-What comes from a serial port, or is written to a pseudo-terminal, is handed to the reader by
-`flush_to_ldisc` in a worker of ordinary priority (docs/timing.md). Beside other programs the worker
-waits for a processor as they do. Each terminal has its own work, which any worker may get: what a
-second terminal shows is not what the rig's has met.
+`flush_to_ldisc` in a worker of ordinary priority hands bytes of a serial port, or of a
+pseudo-terminal, to the reader (docs/timing.md). The worker waits for a processor as other programs
+do. Each terminal has its own work, which any worker may get, so a second terminal does not show the
+waits of the rig's.
 
 References
 ----------
@@ -32,7 +32,7 @@ PRIORITY = 79
 
 @contextlib.contextmanager
 def raised() -> Iterator[None]:
-    """Give the workers that there are the real-time priority `PRIORITY`, and take it back."""
+    """Give the present workers the real-time priority `PRIORITY`, and take it back."""
     try:
         _schedule(os.SCHED_FIFO, PRIORITY)
         yield

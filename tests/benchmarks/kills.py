@@ -1,6 +1,6 @@
-"""What `kill -9` of a process that records at 1 kHz costs, at n random moments.
+"""Losses by `kill -9` of a process that records at 1 kHz, at n random moments.
 
-`PYTHONPATH=tests/daemon python tests/benchmarks/kills.py [--n 1000] [--seed 1]`
+`python -m tests.benchmarks.kills [--n 1000] [--seed 1]`
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import killed_writer
 import numpy as np
+
+from tests.daemon import killed_writer
 
 _ONE_GO = 100  # processes whose files are kept at a time
 

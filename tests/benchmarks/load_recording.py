@@ -1,8 +1,8 @@
 """Loading a recording against the bare work on its chunks, and against mcap's own reader.
 
-`python tests/benchmarks/load_recording.py FILE [--rounds 3]`; `long_recording.py` makes the file.
-All take turns in one process; times are its processor time, of which the least counts, so that
-neighbours count less. The memory of loading is seen in a process of its own.
+`python -m tests.benchmarks.load_recording FILE [--rounds 3]`; `long_recording.py` makes the file.
+All take turns in one process. A time is the least processor time, so that other load counts less.
+The memory of loading is measured in a process of its own.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def seconds(action: Callable[[], object]) -> float:
 
 
 def main() -> None:
-    """Print the figures of one file."""
+    """Print the numbers of one file."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("file", type=Path)
     parser.add_argument("--rounds", type=int, default=3)

@@ -1,9 +1,9 @@
 """A recording of one long run at 1 kHz, by the daemon's own core, loop, emulator and recorder.
 
-`PYTHONPATH=tests/daemon python tests/benchmarks/long_recording.py FILE [--seconds 3600]` makes it.
-The loop runs in virtual time, so an hour takes a few minutes; what it says is written by the
-service's recorder, and rewritten in full chunks as after any run. Only the length is beyond what a
-daemon takes: the order of the run goes to the loop itself.
+`python -m tests.benchmarks.long_recording FILE [--seconds 3600]` makes it. The loop runs in virtual
+time, so an hour takes a few minutes. The service's recorder writes the records, and rewrites them
+in full chunks as after any run. A daemon would refuse this length, so the order of the run goes to
+the loop itself.
 """
 
 from __future__ import annotations
@@ -29,12 +29,13 @@ from armrig_daemon.pipe import Answer, Record, Run, RunEnded, RunStarted, State
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_protocol.messages import SCHEMA_HASH, VERSION
 from numpy.typing import NDArray
-from virtual_bench import LEASE, Bench
+
+from tests.daemon.virtual_bench import LEASE, Bench
 
 TS_US = 1000
 _OFFSET_NS = 1_750_000_000_000_000_000
 _TURN_MS = 1000.0  # virtual time between two looks at what the loop said
-_QUEUED = 50  # batches that the writer may lie behind
+_QUEUED = 50  # batches that may wait for the writer
 
 
 def main() -> None:
@@ -119,7 +120,7 @@ def _begun(
     u: NDArray[np.float64],
     pacing: str,
 ) -> Recording:
-    """Return the recording with what the service attaches."""
+    """Return the recording with the service's attachments."""
     state = bench.of(State)
     manifest = Manifest(
         rig="1",

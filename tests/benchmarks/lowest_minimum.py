@@ -1,9 +1,10 @@
-"""Is the minimum as low as the one that a search from the truth reaches? A bank of any plants.
+"""Minima of the search, compared with a search from the truth, on a bank of any plants.
 
 Each seed draws a structure's orders (1 to 6), poles (slow and fast, real and resonant), zeros on
-both sides, a delay, an input of seven kinds, a length, 0 to 40 dB, and noise of any colour that the
-structure has. A success is a loss of at most (1 + 1e-4) times that reached from the truth:
-`python tests/benchmarks/lowest_minimum.py [--n 200] [--first 0] [--kinds ARMAX BJ OE] [--tell]`.
+both sides, and a delay. It also draws an input of seven kinds, a length, 0 to 40 dB, and noise of
+any colour that the structure has. A success is a loss of at most (1 + 1e-4) times that reached from
+the truth:
+`python -m tests.benchmarks.lowest_minimum [--n 200] [--first 0] [--kinds ARMAX BJ OE] [--tell]`.
 Seeds 0 to 199 served to choose the starts.
 """
 
@@ -16,7 +17,7 @@ from collections.abc import Callable
 
 import armrig
 import numpy as np
-from armrig.estimation.prediction_error import PredictionError
+from armrig.estimation.prediction_error import PredictionErrorProblem
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.polynomial import filtered
@@ -82,7 +83,7 @@ INPUTS: dict[str, Callable[[int, Draw], Vector]] = {
 
 
 def drawn(kind: str, rng: Draw) -> tuple[armrig.Dataset, Structure, Vector, str]:
-    """Return data, their structure, the true (c, d, f), and what was drawn, in words."""
+    """Return data, their structure, the true (c, d, f), and a description of the draw."""
     name = str(rng.choice([*INPUTS]))
     N = int(rng.choice(LENGTHS))
     u = INPUTS[name](N, rng)
@@ -106,7 +107,7 @@ def drawn(kind: str, rng: Draw) -> tuple[armrig.Dataset, Structure, Vector, str]
 
 
 def estimated(kind: str, data: armrig.Dataset, n: Structure) -> armrig.Fit:
-    """Return what the library finds."""
+    """Return the library's estimate."""
     if kind == "OE":
         return armrig.oe(data, nb=n.nb, nf=n.nf, nk=n.nk)
     if kind == "ARMAX":
@@ -139,7 +140,7 @@ def main() -> None:
                 continue
             seconds += time.process_time() - begun
             tried += 1
-            problem = PredictionError(experiments=(prepared(data, n),), structure=n)
+            problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
             least = problem.minimise(truth).cost / fit.N
             excess = fit.loss / least - 1
             if excess > TOLERANCE:

@@ -1,9 +1,9 @@
 """Do the reported standard deviations hold? Monte Carlo of ARX, ARMAX, OE and BJ.
 
-For each structure and N: the ratio of the mean reported deviation to the scatter of the estimates
-(wanted 0.85-1.15) and the share of 95 % intervals that hold the truth (wanted 0.92-0.98), lowest
-and highest over the parameters, of the classic and of the robust form; and how often the tests at
-5 % raise a false alarm.
+For each structure and N there are two numbers, lowest and highest over the parameters, of the
+classic and of the robust form. One is the ratio of the mean reported deviation to the scatter of
+the estimates (wanted 0.85-1.15). The second is the share of 95 % intervals that contain the truth
+(wanted 0.92-0.98). In addition there is the share of false alarms of the tests at 5 %.
 
 The systems, input ±1 V that switches with probability 0.3, e white and normal, sd 0.5 ::
 
@@ -14,7 +14,7 @@ The systems, input ±1 V that switches with probability 0.3, e white and normal,
 
 No pole is near a zero, of G or of H. Run it with the project's environment::
 
-    python tests/benchmarks/monte_carlo.py [runs]
+    python -m tests.benchmarks.monte_carlo [runs]
 """
 
 from __future__ import annotations

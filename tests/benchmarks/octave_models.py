@@ -30,7 +30,7 @@ class OctaveModel:
 
 
 def have_octave() -> bool:
-    """Tell whether Octave can be called."""
+    """Return whether Octave can be called."""
     return shutil.which("octave-cli") is not None
 
 

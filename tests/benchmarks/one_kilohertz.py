@@ -17,7 +17,8 @@ from pathlib import Path
 import armrig
 import numpy as np
 from armrig.rig.client import Rig
-from processes import Bench, Process
+
+from tests.integration.processes import Bench, Process
 
 SUBSCRIBER = """
 import json, sys, zenoh
@@ -56,7 +57,7 @@ def subscribe(endpoint: str) -> subprocess.Popen[str]:
 
 
 def play(bench: Bench, seconds: int, pacing: str) -> None:
-    """Run for so long and print the figures."""
+    """Run for a time and print the numbers."""
     emulator, daemon = bench.emulate(), bench.serve()
     pids = {
         "service": daemon.popen.pid,
@@ -100,7 +101,7 @@ def _record(
 
 
 def main() -> None:
-    """Run for 60 s in either mode, or as many seconds as the first argument says."""
+    """Run for 60 s in each mode, or for the seconds in the first argument."""
     seconds = int(sys.argv[1]) if len(sys.argv) > 1 else 60
     for pacing in ("exchange", "scheduled"):
         print(f"-- {pacing}")

@@ -1,4 +1,4 @@
-"""How often are the true orders chosen? Monte Carlo of `select_orders` and of `search`.
+"""Monte Carlo of `select_orders` and of `search`: the share of true orders.
 
 Input ±1 V that switches with probability 0.3, N = 1000 to estimate and as many to validate ::
 
@@ -7,10 +7,10 @@ Input ±1 V that switches with probability 0.3, N = 1000 to estimate and as many
     OE    F = (1 - 1.5 q^-1 + 0.9 q^-2)(1 - 0.6 q^-1), B = q^-1 + 0.5 q^-2 + 0.2 q^-3, e of sd 1:
           order 3 of 1 to 5, by `search`
 
-Beside each choice on validation data: the lowest loss on them. Run it with the project's
+Each choice on validation data is printed with their lowest loss. Run it with the project's
 environment::
 
-    python tests/benchmarks/order_choice.py [runs]
+    python -m tests.benchmarks.order_choice [runs]
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""armrig beside other programs on the same data: time, and error of the frequency response.
+"""Time and error of the frequency response of armrig and other programs on the same data.
 
 Three cases; the error is the rms of |G/G_0 - 1| over 200 logarithmic frequencies::
 
@@ -8,14 +8,14 @@ Three cases; the error is the rms of |G/G_0 - 1| over 200 logarithmic frequencie
            N = 10 000, telegraph ±1 V with p = 0.3, white noise of sd 1; 0.01-3.1 rad/sample
     BJ     the same, noise (1 + 0.5 q^-1) / (1 - 0.8 q^-1) e, sd of e 1
 
-Each method is run in a process of its own, limited to two minutes, with the true orders and a
-delay of one sample, its other settings as its makers chose them; a run on 300 samples, not timed,
-loads it first. The table has the median over the data sets (`runs`, 3 by default). Peers live in
-an environment of their own, so that they touch nothing of the project's::
+Each method runs in a process of its own, limited to two minutes, with the true orders and a delay
+of one sample. Its other settings are its makers' defaults. A run on 300 samples, not timed, loads
+it first. The table has the median over the data sets (`runs`, 3 by default). Peers live in an
+environment of their own, so that they touch nothing of the project's::
 
     python3 -m venv peers
     peers/bin/pip install sippy_unipi pysib nfoursid sysidentpy timeseries-toolbox
-    python tests/benchmarks/peers.py peers/bin/python [runs]    # with the project's environment
+    python -m tests.benchmarks.peers peers/bin/python [runs]    # with the project's environment
 
 Octave with its package control is taken where it is installed. `peers.py arm [seeds]` prints the
 figure of the arm alone, over 100 seeds; `peers.py n4sid [rounds]` the processor times of armrig's
@@ -130,7 +130,7 @@ def _arm_alone(seeds: int) -> None:
 
 
 def _n4sid_alone(rounds: int) -> None:
-    """Print the median processor time of `n4sid` beside Octave's, a process of it each round."""
+    """Print the median processor times of `n4sid` and of Octave's, one process a round."""
     from armrig import Dataset, n4sid
 
     octave = shutil.which("octave-cli")

@@ -1,12 +1,12 @@
-"""Is the search's minimum the lowest? A bank of random resonant systems of fourth order.
+"""Minima of the search on a bank of random resonant systems of fourth order.
 
-N = 2000, telegraph input; two pole pairs of radius 0.7-0.98, normal numerator; the noise is white
-(OE), through a random C/D with radii 0.5-0.9 (BJ), or C/A (ARMAX), scaled to 20 dB and 0 dB below
-the clean output. A success is a loss of at most (1 + 1e-6) times the best that searches from 16
-fixed starts find: the truth, and the truth moved at random by up to 30 %. Run it with the
-project's environment::
+N = 2000, telegraph input; two pole pairs of radius 0.7-0.98, normal numerator. The noise is white
+(OE), filtered by a random C/D with radii 0.5-0.9 (BJ), or by C/A (ARMAX), 20 dB and 0 dB below the
+clean output. A success is a loss of at most (1 + 1e-6) times the best that searches from 16 fixed
+starts find: the truth, and the truth moved at random by up to 30 %. Run it with the project's
+environment::
 
-    python tests/benchmarks/random_bank.py [systems [first]]
+    python -m tests.benchmarks.random_bank [systems [first]]
 
 The first hundred systems served to choose the starts; those from number 100 on did not.
 """
@@ -18,7 +18,7 @@ import time
 
 import numpy as np
 from armrig import Dataset, Fit, armax, bj, oe, telegraph
-from armrig.estimation.prediction_error import PredictionError
+from armrig.estimation.prediction_error import PredictionErrorProblem
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.polynomial import filtered, reflected
@@ -88,7 +88,7 @@ def _best(kind: str, data: Dataset, truth: Vector, rng: np.random.Generator) -> 
     """Return the lowest loss that the fixed starts lead to."""
     n = STRUCTURES[kind]
     experiment = prepared(data, n)
-    problem = PredictionError(experiments=(experiment,), structure=n)
+    problem = PredictionErrorProblem(experiments=(experiment,), structure=n)
     costs = [problem.minimise(truth).cost]
     for k in range(STARTS - 1):
         size = (0.02, 0.1, 0.3)[k % 3] * np.abs(truth).max()

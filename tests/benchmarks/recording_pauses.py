@@ -1,11 +1,10 @@
-"""Does recording hold the loop up? Its lateness at 1 kHz, of runs that are recorded and of others.
+"""Lateness of the loop at 1 kHz, in recorded and in unrecorded runs.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/recording_pauses.py [--pairs 40]`: short runs
-of the same input, alternately recorded and not (`recording_daemon.py`), two and two as ABBA, so
-that a load that comes and goes meets both alike. Lateness is of each sample, from when it was due
-until the host asked for it. Each pair of neighbours gives a difference, and the median of these its
-95 % interval by their order (no distribution is assumed): an effect smaller than the interval is
-not excluded, one beyond it is.
+`python -m tests.benchmarks.recording_pauses [--pairs 40]`: short runs of the same input, recorded
+and not (`recording_daemon.py`), in the order ABBA, so that changing load meets both alike. The
+lateness of a sample is the time from its due time to the host's request. Each pair of neighbours
+gives a difference; the median of these has a 95 % interval by their order (no distribution is
+assumed). An effect smaller than the interval is not excluded, a larger effect is.
 """
 
 from __future__ import annotations
@@ -23,17 +22,18 @@ from armrig.rig.client import Rig
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
 from numpy.typing import NDArray
-from processes import Bench, wait_for
-from recording_daemon import UNRECORDED
+
+from tests.benchmarks.recording_daemon import UNRECORDED
+from tests.integration.processes import Bench, wait_for
 
 RECORDED = "recorded"
 _LATE_US = (20.0, 100.0, 1000.0)
 Window = dict[str, float]
-"""Figures of one run, by their names."""
+"""Numbers of one run, by name."""
 
 
 def main() -> None:
-    """Print the figures of both, and their differences."""
+    """Print the numbers of both, and their differences."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=2.0, help="Of a run; up to 8.")
     parser.add_argument("--pairs", type=int, default=40)
@@ -77,8 +77,9 @@ def _served(bench: Bench) -> Rig:
     """Start the emulated rig and the daemon that can leave a run unrecorded."""
     bench.configure(watchdog_ms=250, more="tolerates_stalls = true")
     bench.emulate()
-    env = {"PYTHONPATH": str(Path(__file__).parent)}
-    daemon = bench.start("recording_daemon", "run", "--config", str(bench.config), env=env)
+    env = {"PYTHONPATH": str(Path(__file__).parents[2])}
+    program = "tests.benchmarks.recording_daemon"
+    daemon = bench.start(program, "run", "--config", str(bench.config), env=env)
     wait_for(lambda: bench.phase() == "safe" or daemon.popen.poll() is not None)
     if daemon.popen.poll() is not None:
         raise SystemExit(daemon.said)
@@ -114,7 +115,7 @@ def _patiently(action: Callable[[], object]) -> None:
 
 
 def _window(samples: list[Sample]) -> tuple[Window, NDArray[np.float64]]:
-    """Return the figures of one run, and the lateness of its samples in µs."""
+    """Return the numbers of one run, and the lateness of its samples in µs."""
     late_us = np.array([s.t_host_ns - s.t_sched_ns for s in samples]) / 1e3
     p50, p99, most = np.percentile(late_us, [50, 99, 100])
     window = {"p50 [us]": p50, "p99 [us]": p99, "max [us]": most}

@@ -1,9 +1,9 @@
-"""A thousand rigs on paper: what a lab's router and recorder carry, and how long they may be away.
+"""A thousand simulated rigs: capacity of a lab's router and recorder, and their longest outage.
 
-`python tests/benchmarks/scale.py` prints the figures of docs/scale.md. What one message costs is
-measured by fleet.py and given as options; the rest follows by a simulation of rates: in steps of
-0.2 s each rig adds messages to its cache, which forgets the oldest beyond 2 MiB, and the recorder,
-where it is not cut off, takes as many of all as its processor allows, rig after rig, 64 KiB each.
+`python -m tests.benchmarks.scale` prints the figures of docs/scale.md. The options are the costs of
+one message, measured by fleet.py. The rest follows by a simulation of rates: in steps of 0.2 s each
+rig adds messages to its cache, which discards the oldest beyond 2 MiB. If the recorder is connected
+it takes as many messages as its processor allows, rig after rig, 64 KiB each.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _WIRE = SAMPLE_LENGTH + 5  # B of a sample in an answer
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Costs:
-    """What one message takes."""
+    """Costs of one message."""
 
     recorder_us: float
-    """Of one processor: its interpreter runs one thread at a time."""
+    """Time of one processor, because its interpreter runs one thread at a time."""
     router_us: float
     disk_bytes: float
 
@@ -78,7 +78,7 @@ def level_after_s(rates: NDArray[np.float64], most_per_s: float, away_s: float) 
 
 
 def _taken(waiting: NDArray[np.float64], budget: float) -> NDArray[np.float64]:
-    """Return what still waits after a step: each rig is asked in turn for a piece, then again."""
+    """Return the messages that wait after a step: a piece of each rig in turn, again and again."""
     left = waiting.copy()
     while budget > 0 and left.any():
         share = np.minimum(left, PIECE)

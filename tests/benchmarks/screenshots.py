@@ -1,6 +1,6 @@
 """Pictures of every state of the dashboard's page, to be looked at.
 
-`python tests/benchmarks/screenshots.py FOLDER [STATE ...]` writes one PNG for each state, width and
+`python -m tests.benchmarks.screenshots FOLDER [STATE ...]` writes one PNG for each state, width and
 theme. Pages 600 px wide or narrower are those of a touch screen.
 """
 
@@ -14,15 +14,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
-sys.path.insert(0, str(Path(__file__).parents[1] / "clients"))
-
 import armrig
-import made_recordings
 from armrig.dashboard.serving import Settings, dashboard
 from playwright.sync_api import sync_playwright
-from processes import Bench
-from watching import STEP, Client, begin, endpoint, watched
+
+from tests.clients import made_recordings
+from tests.integration.processes import Bench
+from tests.integration.watching import STEP, Client, begin, endpoint, watched
 
 HEIGHTS = {1440: 900, 1024: 768, 390: 844, 320: 640}
 TOUCH = 600
@@ -143,7 +141,7 @@ def _fill(bench: Bench) -> None:
 
 
 def _driven(bench: Bench, client: Client, pictures: Pictures, wanted: set[str]) -> None:
-    """Take the pictures of a rig that moves, and of one that has lost its line or its daemon."""
+    """Take the pictures of a rig that moves, and of a rig without its line or daemon."""
     begin(client, bench, STEP)
     if "running" in wanted:
         pictures.take("running", client.url)

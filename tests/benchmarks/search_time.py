@@ -1,11 +1,12 @@
-"""How long `search` takes with all by default, in processor time on one thread, and its choice.
+"""Processor time of `search` with its defaults, on one thread, and its choice.
 
-Drawn by seed: eight kinds of plant and noise under five kinds of input, output noise of 0 to 30 dB,
-a third with levels of u and y, N 1000 (two of each) and N 4000; each is halved. With a FOLDER of
-DaISy's records (see daisy.py), these too. A choice after a change is compared by this list, and
-times only within one machine, in turn. Run it with the project's environment::
+The cases are drawn by seed: eight kinds of plant and noise, five kinds of input, output noise of 0
+to 30 dB. A third have levels of u and y; N is 1000 (two of each) and 4000; each is halved. With a
+FOLDER of DaISy's records (see daisy.py), these are searched, too. After a change the choices are
+compared by this list, and times within one machine, in turn. Run it with the project's
+environment::
 
-    OPENBLAS_NUM_THREADS=1 python tests/benchmarks/search_time.py [FOLDER]
+    OPENBLAS_NUM_THREADS=1 python -m tests.benchmarks.search_time [FOLDER]
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Each command that waits for Ctrl-C ends in order, whenever that or SIGTERM comes.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/signals.py [--signals 10000] [--starts 200]`
+`python -m tests.benchmarks.signals [--signals 10000] [--starts 200]`
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Timer
 
-from fleet_lab import FleetLab
-from laboratory import free_port
+from tests.integration.fleet_lab import FleetLab
+from tests.integration.laboratory import free_port
 
 _WITHIN_S = 60.0
 _IN_WAIT_S = 0.5
@@ -40,7 +40,7 @@ _WAITS_S = ("0", "1e-4", "None")
 
 @dataclass(frozen=True)
 class Command:
-    """A command, what it says once it waits, and the exit codes in order."""
+    """A command, its line when it waits, and the exit codes in order."""
 
     name: str
     arguments: list[str]
@@ -58,17 +58,17 @@ _DAEMON = {signal.SIGINT: {0, 130}, signal.SIGTERM: {0, -signal.SIGTERM}}
 
 @dataclass(frozen=True)
 class Moment:
-    """When a signal is sent."""
+    """Time at which a signal is sent."""
 
     waits: bool
-    """Once the command waits; else while it starts."""
+    """The signal comes when the command waits; otherwise while it starts."""
     after_s: float
     number: signal.Signals
 
 
 @dataclass
 class Row:
-    """What became of a command's starts."""
+    """Outcomes of the starts of a command."""
 
     starts: int = 0
     waiting: int = 0

@@ -1,7 +1,7 @@
-"""A rig on real processes that things happen to, again and again; what they broke is mended.
+"""A rig on real processes for repeated events; a broken process is replaced.
 
-Daemon and emulator are started once, and again only where an event ended them. Clients are forked
-from a process that has imported already: what they are and do is not changed by that.
+Daemon and emulator are started once, and again only if an event ended them. Clients are forked from
+a process that has imported its modules; that does not change their behaviour.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ from typing import Any
 
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
-from processes import WITHIN_S, Bench, Process, wait_for
-from relay import Relay
+
+from tests.integration.processes import WITHIN_S, Bench, Process, wait_for
+from tests.integration.relay import Relay
 
 DEAD_MAN_S = 1.0
 _TS = 0.005
 _CLIENTS = multiprocessing.get_context("forkserver")
-_CLIENTS.set_forkserver_preload(["__main__", "stand"])  # or each imports the benchmark anew
+# Without the preload each client would import the benchmark again.
+_CLIENTS.set_forkserver_preload(["__main__", "tests.benchmarks.stand"])
 
 
 def drive(endpoint: str, mode: str) -> None:
@@ -44,7 +46,7 @@ def drive(endpoint: str, mode: str) -> None:
 
 
 class Witness:
-    """What was at the motor's terminals, read as it is written."""
+    """Voltages at the motor's terminals, read as they are written."""
 
     def __init__(self, trace: Path) -> None:
         self._file = trace.open("rb")
@@ -66,7 +68,7 @@ class Witness:
         return next((volts for t, volts in reversed(self.changes) if t <= t_ns), 0.0)
 
     def stopped_ms_after(self, t_ns: int) -> float:
-        """Return how long after `t_ns` the motor stood at 0 V for good."""
+        """Return the time from `t_ns` until the motor stayed at 0 V, in ms."""
         wait_for(lambda: self.look()[-1][1] == 0.0)
         return max(0, self.changes[-1][0] - t_ns) / 1e6
 
@@ -142,11 +144,11 @@ class Stand:
         self.bench.recordings.rename(self.bench.folder / "elsewhere")
 
     def remove_recordings(self) -> None:
-        """Remove the directory of the recordings, and what is in it."""
+        """Remove the directory of the recordings with its files."""
         shutil.rmtree(self.bench.recordings)
 
     def make_ready(self) -> None:
-        """Bring all back to rest, whatever has happened."""
+        """Bring everything back to rest."""
         self.let_go()
         self._thaw()
         try:
@@ -260,7 +262,7 @@ class Stand:
 
 
 def _is_gone(pid: int) -> bool:
-    """Return whether a process has ended, also where nobody has asked for its exit code."""
+    """Return whether a process has ended, also before its exit code was read."""
     with contextlib.suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
     return True

@@ -1,4 +1,4 @@
-"""How often the intervals of `step_analysis` hold the true times, wherever the dead band lies.
+"""Coverage of the intervals of `step_analysis`, for any position of the dead band.
 
 The handout's arm turns at 0.5 V and steps to 4.5 V; its potentiometer has 10 bits over 352°, noise,
 and a dead band of 8°. Banks of 300 positions: anywhere on the turn, and such that the dead band
@@ -40,7 +40,7 @@ def true_time() -> float:
 
 
 def bank(Ts: float, noise: float, rng: np.random.Generator, *, near: bool) -> list[armrig.Dataset]:
-    """Return what the potentiometer shows of the step from 300 positions."""
+    """Return the readings of the step from 300 positions."""
     at, N = round(AT_S / Ts), round(LENGTH_S / Ts)
     u = np.where(np.arange(N) < at, LOW, HIGH)
     angle = states(Ts, u)[0]

@@ -1,10 +1,10 @@
-"""How often the intervals of `step_analysis` contain the true times, on many plants.
+"""Coverage of the intervals of `step_analysis`, on many plants.
 
-The emulated rig's potentiometer (10 bits over 352°, half a step of noise, a dead band of 8°) shows
-a step of 1 to 4 V, up or down, from any angle, sampled every 2, 5, 10 or 20 ms, for 1 to 4 s after
-the step. Of the plants half are the handout's arm, three in ten have another J_1 and K_lin, and two
-in ten are the chassis alone. Half of the steps have a dead time, of up to 50 ms.
-`python tests/benchmarks/steps.py [--n 1000] [--seed 1]`.
+The emulated rig's potentiometer has 10 bits over 352°, half a step of noise, and a dead band of 8°.
+The step is of 1 to 4 V, up or down, from any angle. It is sampled every 2, 5, 10 or 20 ms, for 1 to
+4 s after the step. Half of the plants are the handout's arm, three in ten have another J_1 and
+K_lin, and two in ten are the chassis alone. Half of the steps have a dead time, of up to 50 ms.
+`python -m tests.benchmarks.steps [--n 1000] [--seed 1]`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What may happen while the motor is driven: the rows of the table of stops in docs/safety.md."""
+"""Events while the motor is driven: the rows of the table of stops in docs/safety.md."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import signal
 from collections.abc import Callable
 from typing import NamedTuple
 
-from stand import Stand
+from tests.benchmarks.stand import Stand
 
 
 class Row(NamedTuple):
@@ -18,15 +18,15 @@ class Row(NamedTuple):
     bound: str
     act: Callable[[Stand], object]
     mode: str = "scheduled"
-    """Who drives: a run in that mode, one with a dead-man, or a hand."""
+    """Mode of the run, a run with a dead-man, or a voltage held by hand."""
     has_line: bool = False
-    """Whether a line that can fail lies between daemon and device."""
+    """A line that can fail connects daemon and device."""
     ends_service: bool = False
-    """Whether the service is told to end, and how long it takes to be gone is measured, too."""
+    """The event ends the service; the time until its end is measured, too."""
     leaves_file: bool = False
-    """Whether it leaves a recording behind, whose newest sample has an age."""
+    """The event leaves a recording, whose newest sample has an age."""
     most: int = 1_000_000
-    """How often it is tried at most, where it takes long."""
+    """Most repetitions, for an event that takes long."""
 
 
 _WATCHDOG = "the device's watchdog"

@@ -1,9 +1,9 @@
-"""How soon the motor stands at 0 V after what may happen; makes the tables of docs/safety.md.
+"""Time to 0 V after each event; it prints the tables of docs/safety.md.
 
 Real processes, a pseudo-terminal, and the emulator's own witness of the voltage, Ts 5 ms, device
-watchdog 100 ms; each event on a quiet machine, and beside programs that keep it busy:
-`PYTHONPATH=tests/integration python tests/benchmarks/stops.py [n [event …]]`. The tables go to
-standard output, each event, as it happens, to standard error.
+watchdog 100 ms. Each event occurs on a quiet machine, and next to busy programs: `python -m
+tests.benchmarks.stops [n [event …]]`. The tables go to standard output, each event, as it happens,
+to standard error.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import armrig
-from kernel_lateness import Control
-from processes import WITHIN_S, Burners
-from stand import Stand
-from stop_rows import ROWS, Row
+
+from tests.benchmarks.kernel_lateness import Control
+from tests.benchmarks.stand import Stand
+from tests.benchmarks.stop_rows import ROWS, Row
+from tests.integration.processes import WITHIN_S, Burners
 
 BUSY = 4
 """Programs that keep the machine busy, at ordinary priority."""
@@ -34,19 +35,19 @@ COLUMNS = ("quiet", "loaded")
 
 
 class Result(NamedTuple):
-    """What one event led to, in ms."""
+    """Times after one event, in ms."""
 
     stopped: float
     control: float
     """The worst lateness of the control until then."""
     age: float | None
-    """Of the newest sample in a file left behind."""
+    """Age of the newest sample in the file that remains."""
     ended: float | None
-    """Until the service was gone, where it was told to end."""
+    """Time until the service ended, if the event ends it."""
 
 
 class Machine(NamedTuple):
-    """What events have in common."""
+    """Base of the events."""
 
     control: Control
     burners: Burners
@@ -60,7 +61,7 @@ class NotDrivenError(RuntimeError):
 
 def once(stand: Stand, row: Row, control: Control, phase: float) -> Result:
     """Let an event happen in a run; `phase` is when in the period, 0 to 1."""
-    # Or else all events would fall behind the same flush by the same time.
+    # Otherwise all events would follow the same flush by the same time.
     time.sleep(_DRIVEN_S + phase * _PERIOD_S)
     if stand.witness.look()[-1][1] == 0.0:
         raise NotDrivenError
@@ -129,7 +130,7 @@ def standing(*, has_line: bool) -> Iterator[Stand]:
 
 
 def say(line: str) -> None:
-    """Tell how far it is."""
+    """Print the progress."""
     print(line, file=sys.stderr, flush=True)
 
 
@@ -173,7 +174,7 @@ def tables(names: list[str], columns: list[dict[str, list[Result]]]) -> Iterator
 
 
 def main() -> None:
-    """Try each so many times, 10 by default."""
+    """Try each event so many times, 10 by default."""
     n = int(sys.argv[1]) if len(sys.argv) > 1 else 10
     names = sys.argv[2:] or list(ROWS)
     began_s, control, columns, loads = time.monotonic(), Control(), [], []

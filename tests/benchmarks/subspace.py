@@ -1,4 +1,4 @@
-"""How good is n4sid's predictor on short data? Excess of its one-step loss, beside SLICOT's.
+"""Excess of the one-step loss of n4sid's and SLICOT's predictors on short data.
 
 Input ±1 V that switches with probability 0.3, 300 settled samples left out, true order given,
 everything else by default. The excess is the mean of (e_model - e)² over that of e², on 6000 fresh
@@ -10,14 +10,14 @@ samples, in percent; with d parameters d/N is the least that can be expected. Fo
     OE 4     the same A and B, white noise on the output, of sd 1
     BJ       F and B of ARMAX 2, C = 1 + 0.5 q^-1, D = 1 - 0.7 q^-1: three states
 
-and e of sd 0.5. `bank` draws random systems instead, a fresh one a run: ARMAX 2, 4 and 6, OE 4 and
-BJ 2; two thirds of the poles in pairs, radii of A 0.5-0.97, of C and D 0.2-0.9, normal B, noise 0
-to 25 dB below the clean output. `times` prints n4sid's processor time. Octave's n4sid is SLICOT's;
-it is left out where Octave is not installed. Run it with the project's environment::
+and e of sd 0.5. `bank` draws a random system for each run: ARMAX 2, 4 and 6, OE 4 and BJ 2. Two
+thirds of the poles are in pairs; radii of A are 0.5-0.97, of C and D 0.2-0.9; B is normal, the
+noise 0 to 25 dB below the clean output. `times` prints n4sid's processor time. Octave's n4sid is
+SLICOT's; it is omitted if Octave is not installed. Run it with the project's environment::
 
-    python tests/benchmarks/subspace.py [runs [seed]]
-    python tests/benchmarks/subspace.py bank [runs [seed]]
-    python tests/benchmarks/subspace.py times
+    python -m tests.benchmarks.subspace [runs [seed]]
+    python -m tests.benchmarks.subspace bank [runs [seed]]
+    python -m tests.benchmarks.subspace times
 
 The bank of seed 5 was worked on; that of seed 90731 was drawn once, at the end.
 """
@@ -34,7 +34,8 @@ import numpy as np
 from armrig import Dataset, n4sid, telegraph
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
-from octave_models import have_octave, octave_models
+
+from tests.benchmarks.octave_models import have_octave, octave_models
 
 Vector = NDArray[np.float64]
 SETTLED = 300  # samples before the first one that is taken

@@ -1,24 +1,23 @@
-"""Do the 95 % regions hold? Monte Carlo of poles, |G| and step response, by both methods.
+"""Coverage of the 95 % regions of poles, |G| and step response, by both methods.
 
-For each system: how often the region of the complex pole pair and that of the real pole hold the
-true one, and the range of |G| at three frequencies and of the step response at three times the true
-value; by linearisation, by draws of the parameters, and as armrig chooses between them, with the
-share of runs in which it took the draws. Coverage of 0.95 has a standard deviation of 0.010 at 500
-runs.
+The regions are those of the complex pole pair and of the real pole. The ranges are those of |G| at
+three frequencies and of the step response at three times. The methods are linearisation, draws of
+the parameters, and armrig's choice, with the share of runs in which it chose the draws.
 
-All are output errors of third order, input ±1 V, e white and normal; its size is a share of the
-deviation that the output would have for a white input. Poles 0.9 exp(±0.4 i) and 0.7, but for the
-second and third ::
+Coverage of 0.95 has a standard deviation of 0.010 at 500 runs.
+
+All are OE models of third order, input ±1 V, e white and normal; its size is relative to the
+output's deviation for a white input. Poles 0.9 exp(±0.4 i) and 0.7, but for the second and third ::
 
     plain      zeros -0.4 ± 0.2 i, switching 0.2, noise 0.1, N = 1000
     near real  poles 0.85 ± 0.02 i and 0.5: the pair is hardly a pair; noise 0.1, N = 1000
-    merging    the same with noise 0.3: the third pole cannot be told from them either
+    merging    the same with noise 0.3: the third pole merges with them, too
     cancelling zeros 0.74 and -0.4: one nearly cancels the real pole; noise 0.3, N = 1000
     starved    as plain, switching 0.01, noise 0.3: the input hardly moves, N = 1000
 
 Run it with the project's environment::
 
-    python tests/benchmarks/uncertainty.py [runs] [system]
+    python -m tests.benchmarks.uncertainty [runs] [system]
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
-"""Runs and kills beside other work, and whether a trip was forced by the machine.
+"""Runs and kills next to other work, and the share of trips that the machine forced.
 
-`PYTHONPATH=tests/integration python tests/benchmarks/under_load.py [runs [kills [seconds [1]]]]`:
-so many of each beside a flood of `status` with one busy program, and beside four busy programs; a
-1 at the end gives the kernel's workers the real-time priority 79 meanwhile. Ts 5 ms, device
-watchdog 100 ms.
+`python -m tests.benchmarks.under_load [runs [kills [seconds [1]]]]`: so many of each during a flood
+of `status` with one busy program, and next to four busy programs. A 1 at the end gives the kernel's
+workers the real-time priority 79 meanwhile. Ts 5 ms, device watchdog 100 ms.
 
-What the machine did meanwhile is told by a control at a higher priority than the loop's (how late
-it woke, how long a byte took through a pseudo-terminal of its own), and by the kernel's trace (how
-long bytes of any terminal waited for a kernel worker; root only, else the control alone judges).
+A control at a higher priority than the loop's measures the machine: its lateness, and the time of a
+byte through a pseudo-terminal of its own. The kernel's trace measures the wait of any terminal's
+bytes for a kernel worker (root only; otherwise the control alone judges).
 """
 
 from __future__ import annotations
@@ -26,10 +25,11 @@ from typing import Literal, NamedTuple
 import armrig
 from armrig.rig.client import Rig
 from armrig.rig.session import RigError
-from kernel_lateness import Control, Lateness
-from kernel_worker import KernelWorker, raised
-from processes import burning
-from stand import Stand
+
+from tests.benchmarks.kernel_lateness import Control, Lateness
+from tests.benchmarks.kernel_worker import KernelWorker, raised
+from tests.benchmarks.stand import Stand
+from tests.integration.processes import burning
 
 FORCED_MS = {"exchange": 25.0, "scheduled": 50.0}
 """A machine that was late by so much may have forced a trip: half of what a round trip may take,
@@ -57,7 +57,7 @@ while True:
 
 @contextlib.contextmanager
 def flooding(endpoint: str) -> Iterator[None]:
-    """Have strangers ask for the status without end, beside one busy program."""
+    """Have strangers request the status without end, next to one busy program."""
     program = [sys.executable, "-c", _STRANGER, endpoint]
     strangers = [
         subprocess.Popen([*program, str(QUERIES_HZ / STRANGERS)], stdout=subprocess.PIPE)
@@ -88,7 +88,7 @@ LOADS: dict[str, Callable[[str], contextlib.AbstractContextManager[None]]] = {
 
 
 class Machine:
-    """The control and the kernel's trace: what the machine did since it was last asked."""
+    """The control and the kernel's trace: measurements of the machine since the last question."""
 
     def __init__(self) -> None:
         self.control = Control()
@@ -99,7 +99,7 @@ class Machine:
             print(f"without the kernel's trace: {err}; the control alone judges", flush=True)
 
     def asked(self) -> Told:
-        """Return what it did since the last call."""
+        """Return the measurements since the last call."""
         worker_ms = float("nan") if self._worker is None else self._worker.slowest_ms()
         return Told(self.control.lateness(), worker_ms)
 
@@ -111,7 +111,7 @@ class Machine:
 
 
 class Told(NamedTuple):
-    """What the machine did, in ms."""
+    """Measurements of the machine, in ms."""
 
     control: Lateness
     worker_ms: float
@@ -193,7 +193,7 @@ def kills(stand: Stand, machine: Machine, n: int, rng: random.Random) -> tuple[f
 
 
 def main() -> None:
-    """Play 20 runs of 5 s and 24 kills beside each load, by default."""
+    """Play 20 runs of 5 s and 24 kills under each load, by default."""
     given = [float(argument) for argument in sys.argv[1:]]
     n_runs, n_kills, seconds, is_raised = (*given, *(20.0, 24.0, 5.0, 0.0)[len(given) :])
     machine = Machine()

@@ -1,6 +1,6 @@
-"""What the Uno's binary does in simavr: its times by its own cycles, and what a host gets of it.
+"""Times of the Uno's binary in simavr by its own cycles, and the performance of its host.
 
-`PYTHONPATH=tests:tests/daemon python tests/benchmarks/uno.py [runs | speed | line | oe …]`, all
+`python -m tests.benchmarks.uno [runs | speed | line | oe …]`, all
 without an argument; `make fil` first. `line` alone is in real time, and so the machine's, too.
 """
 
@@ -35,9 +35,10 @@ from armrig_protocol.messages import (
     Sample,
     Status,
 )
-from firmware.test_uno_identification import error_of_oe
-from firmware.test_uno_runs import UnoBench, index_of_hold, telegraph
-from firmware.uno_host import PERIOD_NS, powered
+
+from tests.firmware.test_uno_identification import error_of_oe
+from tests.firmware.test_uno_runs import UnoBench, index_of_hold, telegraph
+from tests.firmware.uno_host import PERIOD_NS, powered
 
 N = 300
 """Questions over the line."""
@@ -89,9 +90,9 @@ def _holds_of_run(bench: UnoBench, n: int) -> list[int]:
 
 
 def _from_hold_to_pin(bench: UnoBench, holds: list[int]) -> list[float]:
-    """Return how long behind the hold each new duty began at the pin, in us.
+    """Return the time from the hold to each new duty at the pin, in µs.
 
-    A period that the motor's end cuts short began before the hold, and is none of those.
+    A period that the motor's end cuts short began before the hold, and does not count.
     """
     changes = deque(bench.uno.ns(d.cycle) for d in bench.uno.duties)
     found = []
@@ -104,7 +105,7 @@ def _from_hold_to_pin(bench: UnoBench, holds: list[int]) -> list[float]:
 
 
 def speed() -> None:
-    """Tell how many times faster than real time the harness is."""
+    """Print the speed of the harness, as a multiple of real time."""
     with powered() as host:
         began = time.perf_counter()
         host.wait(10_000)
@@ -118,7 +119,7 @@ def speed() -> None:
 
 
 def line() -> None:
-    """Ask N times over a pseudo-terminal, one question after the other, in real time."""
+    """Send N questions over a pseudo-terminal, one after the other, in real time."""
     with emulated() as port, closing(serial.Serial(str(port), 500_000, timeout=0.005)) as wire:
         answered = _asker(wire)
         end = time.monotonic() + _BOOT_S
@@ -139,7 +140,7 @@ def line() -> None:
 
 
 def _asker(wire: serial.Serial) -> Callable[[Message, type, float], float | None]:
-    """Return what asks, and says how many ms it took to the answer; None where there is none."""
+    """Return a function that returns the ms until the answer; None without one."""
     pending = b""
 
     def answered(question: Message, kind: type, within_s: float) -> float | None:

@@ -1,11 +1,11 @@
 """Level and power of the test of white residuals, which allows for what was fitted to them.
 
 Level: 5 % on white residuals of ARX, IV4, ARMAX, OE, BJ, n4sid and a grey box, at N 300, 1000 and
-10 000; ARX also without an input worth the name, where the noise alone determines A. Power: OE of
+10 000. ARX is also tested with hardly any input, so that the noise alone determines A. Power: OE of
 y = G u + v with v a random walk, AR(.5), AR(.95) and MA(.5). Run it with the project's
 environment::
 
-    python tests/benchmarks/whiteness.py [runs]
+    python -m tests.benchmarks.whiteness [runs]
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def grey(N: int, rng: np.random.Generator) -> tuple[float, str]:
 
 
 def coloured(colour: Colour) -> Study:
-    """Return a study of OE under a noise of this colour, of sd .5 where it has one."""
+    """Return a study of OE under a noise of this colour, of sd .5 unless the colour has its own."""
 
     def run(N: int, rng: np.random.Generator) -> tuple[float, str]:
         u = telegraph(N, 0.3, 1.5, 3.5, seed=rng) - 2.5

@@ -1,8 +1,8 @@
-"""What the recorder costs a message, against the bare MCAP writer with the same flushes.
+"""Cost of the recorder for a message, compared with the bare MCAP writer with the same flushes.
 
-`python tests/benchmarks/writing.py [--n 100000]`; processor time, in turn, the least of three.
-`recorder` is a file as the daemon writes it; `once more` the same file written in full chunks, as
-after the run; `handed over` both, with the queue to the writer's thread, message by message.
+`python -m tests.benchmarks.writing [--n 100000]`; processor time, in turn, the least of three.
+`recorder` is a file as the daemon writes it. `once more` is the same file rewritten in full chunks,
+as after the run. `handed over` is both, with the queue to the writer's thread, message by message.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from armrig_core.codes import COMPLETE
 from armrig_core.manifest import Manifest, Outcome
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
-from armrig_core.recording_file.recording_part import CHUNK, Part
+from armrig_core.recording_file.recording_part import CHUNK_BYTES, Part
 from armrig_core.recording_file.rewriting import compact
 from armrig_core.telemetry import Sample, encode_sample
 from mcap.writer import CompressionType, Writer
 
 _FLUSH = 100  # samples, ten times a second at 1 kHz
 _ROUNDS = 3
-_QUEUED = 1_000  # batches that the writer may lie behind
+_QUEUED = 1_000  # batches that may wait for the writer
 
 
 def main() -> None:
@@ -56,7 +56,7 @@ def _sample(k: int) -> Outgoing:
 def _bare(folder: Path, samples: list[Outgoing]) -> None:
     with (folder / "bare.mcap").open("wb") as file:
         writer = Writer(
-            file, chunk_size=CHUNK, compression=CompressionType.ZSTD, enable_data_crcs=True
+            file, chunk_size=CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         writer.start()
         name = protobuf.SAMPLE

@@ -44,7 +44,7 @@ def kept(table: Path) -> list[bytes]:
 
 
 def wait_for_rows(table: Path, count: int, process: subprocess.Popen[bytes]) -> None:
-    """Return when so many rows are kept."""
+    """Return as soon as so many rows are kept."""
     until = time.monotonic() + 200
     while time.monotonic() < until:
         if len(kept(table)) >= count:

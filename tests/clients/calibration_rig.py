@@ -17,8 +17,9 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.pipe import Arm, Run, RunStarted
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.messages import Flag
-from made_recordings import manifest, recorded, sample
 from numpy.typing import NDArray
+
+from tests.clients.made_recordings import manifest, recorded, sample
 
 LEASE = "a" * 32
 TS = 0.01
@@ -29,7 +30,7 @@ METER_STD_V = 0.01
 
 
 def unknown_rig(seed: int) -> EmulatorSettings:
-    """Return a rig that nobody has seen; it stands on its track."""
+    """Return an uncalibrated rig, at rest on its track."""
     rng = np.random.default_rng([seed, 4])
     range_deg = rng.uniform(320, 356)
     low, high = rng.choice([0.0, rng.uniform(0.05, 0.4)]), rng.choice([5.0, rng.uniform(4.5, 4.95)])
@@ -51,7 +52,7 @@ def unknown_rig(seed: int) -> EmulatorSettings:
 
 
 def runs(settings: EmulatorSettings, *inputs: NDArray[np.float64]) -> list[Readings]:
-    """Play inputs one after the other on one rig; return what was read, in scheduled pacing."""
+    """Play inputs one after the other on one rig; return the recordings, in scheduled pacing."""
     rig = VirtualRig(Config().rules(), settings)
     rig.run_until(300_000_000)
     found = []
@@ -92,7 +93,7 @@ def calibrated(settings: EmulatorSettings) -> Estimate:
 
 
 def truth(settings: EmulatorSettings) -> dict[str, float]:
-    """Return what `Estimate.figures` is to find."""
+    """Return the true values of `Estimate.figures`."""
     low, high = (v / 5 * 65536 for v in (settings.theta_1_low_v, settings.theta_1_high_v))
     span, range_1 = high - low, radians(settings.theta_1_range_deg)
     sign = -1.0 if settings.theta_1_reversed else 1.0

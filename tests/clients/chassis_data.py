@@ -1,4 +1,4 @@
-"""Data of the chassis alone: exact, and through the emulator's plant where it rubs."""
+"""Data of the chassis alone: exact, and through the emulator's plant with friction."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tests of the clients share: recordings of the arm."""
+"""Recordings of the arm, which the tests of the clients share."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 from armrig_core.endpoint import endpoint
-from fake_daemon import FakeDaemon
-from handout_plant import plant, reference
+
+from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.handout_plant import plant, reference
 
 __all__ = ["plant", "reference"]
 
 
 @pytest.fixture(autouse=True)
 def no_figure_stays_open() -> Iterator[None]:
-    """Close what a test has drawn into a window of its own."""
+    """Close the figures that a test has drawn into windows."""
     yield
     if "matplotlib.pyplot" in sys.modules:
         sys.modules["matplotlib.pyplot"].close("all")
@@ -41,7 +42,8 @@ def daemon(where: str) -> Iterator[FakeDaemon]:
 def three_recordings(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Path]:
     """Give a step, a telegraph and another one with a gap, of the handout's arm."""
     from armrig.excitation import step, telegraph
-    from made_recordings import of_the_arm, written
+
+    from tests.clients.made_recordings import of_the_arm, written
 
     directory = tmp_path_factory.mktemp("recordings")
     inputs = (

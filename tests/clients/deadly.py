@@ -1,4 +1,4 @@
-"""Work that kills whoever does it."""
+"""Work that kills its worker."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A daemon that only answers: a real zenoh session, and no rig behind it."""
+"""A daemon that only answers: a real zenoh session without a rig."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def step_plan(owner: str, seconds: float = 1.0) -> Plan:
 
 
 class FakeDaemon:
-    """Answers as the daemon does; keeps what it was asked; to be used in a `with` block."""
+    """Answers as the daemon does, and keeps the requests; for use in a `with` block."""
 
     def __init__(self, endpoint: str, rig: str = "1") -> None:
         self.endpoint, self.rig = endpoint, rig

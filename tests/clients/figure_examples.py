@@ -13,7 +13,6 @@ import armrig
 import control
 import numpy as np
 import pytest
-import same_numbers_calls as of
 from armrig import Dataset, plots
 from armrig.cli.figures import write_plot
 from armrig.cli.recording_info import _plot_timing
@@ -26,23 +25,24 @@ from armrig.physics.systems import beside_the_handout
 from armrig.recordings.calibration import estimate
 from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
-from armrig.report.figures import _residuals_figure, write_figures
-from armrig.report.handout_figures import write_handout_figures
+from armrig.report.figures import _residuals_figure, write_figures, write_handout_figures
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, study
 from armrig.validation.search_result import SearchResult
 from armrig_core.arm import ArmParameters, arm_matrices
-from benchmarks.host_timing.machine import machine
-from benchmarks.host_timing.results import Result, write_figure
-from benchmarks.host_timing.rounds import Plan
-from benchmarks.host_timing.targets import DEFINITIONS, Rate
-from chassis_data import angle
-from handout_plant import HandoutPlant
-from made_turns import made_turns, still
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+
+from tests import same_numbers_calls as of
+from tests.benchmarks.host_timing.machine import machine
+from tests.benchmarks.host_timing.results import Result, write_figure
+from tests.benchmarks.host_timing.rounds import Plan
+from tests.benchmarks.host_timing.targets import DEFINITIONS, Rate
+from tests.clients.chassis_data import angle
+from tests.clients.handout_plant import HandoutPlant
+from tests.clients.made_turns import made_turns, still
 
 P = ArmParameters()
 A, B, _ = arm_matrices(P)
@@ -53,7 +53,7 @@ TURNS = made_turns(noise=32.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Examples:
-    """What the figures are of."""
+    """Subjects of the figures."""
 
     step: Recording
     first: Recording
@@ -63,7 +63,7 @@ class Examples:
 
     @property
     def steps(self) -> StepAnalysis:
-        """What ten holds of a second say, smoothed, and late."""
+        """Return ten steps of a second, smoothed, and delayed."""
         u = np.tile(np.repeat([0.5, 4.5], 100), 5)
         y = self.plant.angle(u) + 1e-3 * np.random.default_rng(1).standard_normal(u.size)
         found = armrig.step_analysis(Dataset(u=u, y=y, Ts=0.01, output="theta_1", unit="rad"))
@@ -97,7 +97,7 @@ def chassis() -> Dataset:
 
 
 def hardly_a_pair() -> armrig.Fit:
-    """Return a fit whose poles are as near to each other as they are uncertain."""
+    """Return a fit whose poles are as close to each other as they are uncertain."""
     F = np.real(np.poly([0.985 + 0.008j, 0.985 - 0.008j]))
     return armrig.oe(second_order(N=500, F=F), nb=2, nf=2)
 
@@ -120,7 +120,7 @@ def exact(B: Any, F: Any) -> PhysicalModel:
 
 
 def searched() -> SearchResult:
-    """Return what a small search finds."""
+    """Return the result of a small search."""
     return armrig.search(
         second_order(), second_order(1), families=("arx", "oe"), orders=(1, 2), nk=1
     )
@@ -162,7 +162,7 @@ def punctual(recording: Recording) -> Recording:
 
 
 def words(figure: Figure) -> str:
-    """Close a figure and return what a person reads in it, a line for each axes."""
+    """Close a figure and return its texts, a line for each axes."""
     plt.close("all")
     said = []
     for panel in figure.axes:
@@ -316,7 +316,7 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
 
 @pytest.fixture(scope="module")
 def examples(three_recordings: tuple[Path, Path, Path], plant: HandoutPlant) -> Examples:
-    """Give what the figures are of."""
+    """Give the subjects of the figures."""
     step, first, second = map(armrig.load, three_recordings)
     done = study([step, first, second])
     return Examples(step=step, first=first, second=second, study=done, plant=plant)

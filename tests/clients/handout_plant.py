@@ -76,7 +76,7 @@ def plant() -> HandoutPlant:
 
 @pytest.fixture(scope="session")
 def reference() -> Callable[[str], NDArray[np.float64]]:
-    """Return a reader of the real data sets, which skips where there are none."""
+    """Return a reader of the real data sets, which skips if these are missing."""
 
     def read(name: str) -> NDArray[np.float64]:
         beside = Path(__file__).resolve().parents[3] / "shared" / "reference"

@@ -110,7 +110,7 @@ def recorded(
 ) -> bytes:
     """Return a recording of these messages: samples, protobuf messages, or bytes as samples.
 
-    The outcome stands behind them, or before them as in a file that was written anew.
+    The outcome follows them, or precedes them as in a rewritten file.
     """
     manifest = manifest or globals()["manifest"]()
     out = BytesIO()
@@ -228,7 +228,7 @@ CALIBRATED = Calibration()
 
 
 def _reading(angle: float, pot: Potentiometer, rng: np.random.Generator) -> int:
-    """Return what a 10-bit converter reads, left-justified; 0 in the dead band."""
+    """Return the reading of a 10-bit converter, left-justified; 0 in the dead band."""
     at = angle / pot.rad_per_count + pot.zero_counts
     if pot.wraps:
         at %= tau / pot.rad_per_count

@@ -1,4 +1,4 @@
-"""Readings of a shaft that turns on, and of one that stands, as a track gives them."""
+"""Readings of a shaft that turns and of a shaft at rest, as a track gives them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A recording of which nothing is at its default, and what a reader must find in it.
+"""A recording without any default, and the results that a reader must find.
 
-It begins at k = 4000 with two missing samples and was stopped before its end; theta_1 falls through
-negative angles; its clocks, its converters, its calibration and its reports are all of their own.
+It begins at k = 4000 with two missing samples and was stopped before its end. theta_1 falls through
+negative angles. No clock, converter, calibration or report has a default.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from armrig_core.manifest import Manifest, Outcome
 from armrig_core.rehearsal import Rehearsal
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
-from made_recordings import OFFSET_NS, manifest, recorded
 from msgspec.structs import replace
+
+from tests.clients.made_recordings import OFFSET_NS, manifest, recorded
 
 TS, K_FIRST, ASKED, N = 0.05, 4_000, 600, 518
 ZERO_NS, SLOW_PPM = 3_000_000_000, 80.0
@@ -41,17 +42,17 @@ CLIPPED = (30, 31, 150)
 
 
 def asked() -> Any:
-    """Return the voltages asked for, (600,) in V; some are 0."""
+    """Return the requested voltages, (600,) in V; some are 0."""
     return telegraph(ASKED, 0.2, low=0.0, high=3.3, seed=9)
 
 
 def applied() -> Any:
-    """Return what a device of 8 bits applies of it, in V."""
+    """Return the voltages that a device of 8 bits applies, in V."""
     return np.round(asked() / 5 * 256) * 5 / 256
 
 
 def held() -> Any:
-    """Return what the device held from each row on, (518,) in V."""
+    """Return the voltage held by the device from each row on, (518,) in V."""
     u = applied()[:N]
     for first, n, volts, _ in GAPS:
         u[first : first + n] = u[first : first + n] if np.isnan(volts) else volts
@@ -142,7 +143,7 @@ def due_ns(row: int) -> int:
 
 
 def _counts(theta_1: float, alpha: float, rng: np.random.Generator) -> tuple[int, int]:
-    """Return what a converter of 12 bits reads with noise of a step; 0 in the dead band."""
+    """Return the reading of a 12-bit converter with noise of a step; 0 in the dead band."""
     pot, noise = ODD.theta_1, 16 * rng.standard_normal(2)
     at = (theta_1 / pot.rad_per_count + pot.zero_counts) % (tau / abs(pot.rad_per_count))
     other = alpha / ODD.alpha.rad_per_count + ODD.alpha.zero_counts

@@ -22,12 +22,13 @@ from armrig_core.commands import LastRun, StatusReport
 from armrig_core.manifest import Outcome
 from armrig_core.telemetry import Sample
 from armrig_protocol.messages import Flag
-from benchmarks.host_timing import targets
-from benchmarks.host_timing.machine import Machine
-from benchmarks.host_timing.results import Result, lines
-from benchmarks.host_timing.rounds import Plan
-from benchmarks.host_timing.targets import Rate
-from made_recordings import manifest, of_the_arm, recorded, written
+
+from tests.benchmarks.host_timing import targets
+from tests.benchmarks.host_timing.machine import Machine
+from tests.benchmarks.host_timing.results import Result, lines
+from tests.benchmarks.host_timing.rounds import Plan
+from tests.benchmarks.host_timing.targets import Rate
+from tests.clients.made_recordings import manifest, of_the_arm, recorded, written
 
 TS_NS = 40_000_000
 K_FIRST = 1234
@@ -35,7 +36,7 @@ CALIBRATION = Calibration(
     theta_1=Potentiometer(zero_counts=40_000.0, rad_per_count=-9.5e-5),
     alpha=Potentiometer(zero_counts=33_000.0, rad_per_count=-8e-5, wraps=False),
 )
-"""Of potentiometers that are turned the other way."""
+"""Calibration of potentiometers that are turned the other way."""
 
 
 def show(value: Any) -> None:
@@ -102,14 +103,14 @@ def odd_recording(folder: str) -> Path:
 
 
 def odd_run(**changes: Any) -> LastRun:
-    """Return a run that goes on."""
+    """Return a run in progress."""
     fields: dict[str, Any] = {"run_id": "ab12", "recording": "/data/a.b.mcap.active"}
     fields |= {"finished": False, "samples": 85, "synced": 70, "outcome": ""}
     return LastRun(**(fields | changes))
 
 
 def odd_status(**changes: Any) -> StatusReport:
-    """Return the status of a rig with narrow limits, which somebody drives."""
+    """Return the status of a rig with narrow limits, which a client drives."""
     fields: dict[str, Any] = {
         "rig": "lab-2",
         "version": "0.0.9",
@@ -159,7 +160,7 @@ HOST = {
 
 
 def odd_host() -> None:
-    """Print what the doctor says of a host of two processors with several of everything."""
+    """Print the doctor's output for a host of two processors with several of everything."""
     with TemporaryDirectory() as folder:
         print(*examine(_host(Path(folder))), sep="\n")
 
@@ -226,7 +227,7 @@ def odd_model_data(folder: str) -> Path:
 
 
 def odd_report() -> Any:
-    """Return a report of a second's timing whose figures are all different."""
+    """Return a report of a second's timing whose numbers all differ."""
     report = protobuf.message_class(protobuf.TIMING)(t_host_ns=1, cpu_pressure_percent=7.5)
     parts = report.wake_lateness_us, report.device_tick_error_us, report.link_round_trip_us
     for i, part in enumerate(parts):
@@ -235,7 +236,7 @@ def odd_report() -> Any:
 
 
 def odd_preview(status: StatusReport | None = None, **how: Any) -> None:
-    """Print what the page shows of an experiment before it runs."""
+    """Print the page's preview of an experiment."""
     show(previewed(Experiment(**({"low": 0.5, "high": 3.0} | how)), status or odd_status()))
 
 

@@ -1,4 +1,4 @@
-"""Pages of docs/ whose Python is run, and compared with what they say it prints."""
+"""Pages of docs/ whose Python is run, and compared with the output that they show."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def script(name: str) -> Any:
 
 
 def record_all(name: str, folder: Path) -> None:
-    """Make the recordings that a page speaks of, by the script of its figures."""
+    """Make the recordings of a page, by the script of its figures."""
     script(name).record_all(folder)
 
 

@@ -1,9 +1,9 @@
-"""What commands print, as text that a person reads, and its comparison with a stored one.
+"""Output of commands, as text that a person reads, and its comparison with a stored text.
 
 A line `$ armrig …` or `$ armrigd …` is a command, `>>> …` a line of Python. Below it are standard
-output (after two blanks), standard error (`! `), the exit code if it is not 0, and the files that
-were written (`+ `), with the first lines of a text: all of one named whole. JSON is a line for each
-value.
+output (after two blanks), standard error (`! `), the exit code if it is not 0, and the written
+files (`+ `). Of a text the first lines are shown; of a file named whole, all. JSON is a line for
+each value.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def _files(folder: Path) -> dict[Path, bytes]:
 
 
 def _lines(text: str, folder: Path, *, whole: bool = False) -> list[str]:
-    """Return lines, without what is others' on another machine or day."""
+    """Return lines without what differs on another machine or day."""
     if text.startswith(("{", "[")):
         with suppress(ValueError):
             value = json.loads(text)
@@ -142,7 +142,7 @@ def _values(value: Any, name: str = "") -> Iterator[str]:
 
 
 def _words(value: Any, name: str = "") -> Iterator[str]:
-    """Give every value that says something; texts that stand in a row on one line."""
+    """Yield every value that has a text; texts in a row share a line."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _words(item, key)
@@ -171,7 +171,7 @@ def _rounded_as(stored: list[str], found: list[str]) -> list[str]:
 
 
 def _is_close(a: str, b: str) -> bool:
-    """Tell whether numbers with the blanks about them are alike, and end in the same column."""
+    """Return whether two numbers are alike and end in the same column."""
     if len(a) != len(b) and a.replace(a.strip(), "#") != b.replace(b.strip(), "#"):
         return False
     if a.strip().isdecimal() and b.strip().isdecimal():

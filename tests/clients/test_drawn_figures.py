@@ -3,8 +3,8 @@
 After a wanted change of a figure, `make stored` writes the list again: read its difference.
 
 A line is an artist: its look, the number of points (and of gaps), and of x and y the first, last,
-least, greatest and mean; a single number if all are the same. The words of titles, labels and
-legends are left out, and so are limits that matplotlib chooses.
+least, greatest and mean. A single number means that all are the same. The words of titles, labels
+and legends are omitted, as are limits that matplotlib chooses.
 """
 
 from __future__ import annotations
@@ -18,13 +18,11 @@ from math import isclose
 from pathlib import Path
 from typing import Any
 
-import figure_examples
 import matplotlib as mpl
 import numpy as np
 import pytest
 from armrig import plots
-from armrig.report import figures, handout_figures
-from figure_examples import FIGURES, Examples, examples
+from armrig.report import figures
 from matplotlib.axes import Axes
 from matplotlib.collections import Collection
 from matplotlib.colors import to_hex, to_rgba
@@ -35,6 +33,9 @@ from matplotlib.patches import Patch
 from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FixedLocator
 from numpy.typing import ArrayLike, NDArray
+
+from tests.clients import figure_examples
+from tests.clients.figure_examples import FIGURES, Examples, examples
 
 __all__ = ["examples"]
 WRITES = bool(os.environ.get("WRITE_STORED"))
@@ -157,7 +158,7 @@ def _numbers(name: str, values: NDArray[np.float64]) -> str:
 
 
 def _same(was: str, now: Listed) -> bool:
-    """Return whether two lines have the same words, and numbers but for the rounding."""
+    """Return whether two lines have the same words, and the same numbers except for rounding."""
     near_0 = 0.0
     for a, b in zip_longest(was.split(), now[0].split(), fillvalue=""):
         near_0 = now[1].get(a, near_0)
@@ -171,8 +172,7 @@ def _same(was: str, now: Listed) -> bool:
 
 
 def test_every_figure_has_an_example() -> None:
-    """An example names the function that draws it; the reports draw others."""
-    sources = map(inspect.getsource, (figure_examples, figures, handout_figures))
+    sources = map(inspect.getsource, (figure_examples, figures, figures))
     drawn = set(re.findall(r"\bplot_\w+", "".join(sources)))
 
     assert {name for name in plots.__all__ if name.startswith("plot_")} <= drawn
@@ -180,7 +180,7 @@ def test_every_figure_has_an_example() -> None:
 
 @pytest.fixture(scope="module")
 def lists() -> Iterator[dict[str, list[str]]]:
-    """Give the lines of each figure, which are written in the end if that was asked for."""
+    """Give the lines of each figure, and write them at the end on request."""
     parts = LIST.read_text().removeprefix("[").split("\n\n[")
     lines = {name: body.splitlines() for name, _, body in (p.partition("]\n") for p in parts)}
     yield lines
@@ -193,7 +193,6 @@ def lists() -> Iterator[dict[str, list[str]]]:
 def test_a_figure_draws_what_is_listed(
     name: str, examples: Examples, lists: dict[str, list[str]]
 ) -> None:
-    """The failure names the first artist that differs: what it was, and what it is."""
     with mpl.rc_context({"backend": "agg"}):
         drawn = FIGURES[name](examples)
         each = [drawn.figure] if isinstance(drawn, (Figure, Axes)) else drawn

@@ -6,11 +6,12 @@ import re
 import shlex
 from pathlib import Path
 
-import pages
 import pytest
 from armrig.cli import main
 from armrig_core import commands
-from fake_daemon import FakeDaemon
+
+from tests.clients import pages
+from tests.clients.fake_daemon import FakeDaemon
 
 PAGE = pages.DOCS / "experiments.md"
 
@@ -27,7 +28,6 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_line_of_the_page_runs_and_prints_what_it_says(
     recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """All eleven texts that it prints."""
     from matplotlib import pyplot as plt
 
     monkeypatch.chdir(recordings)
@@ -39,7 +39,6 @@ def test_every_line_of_the_page_runs_and_prints_what_it_says(
 
 
 def test_every_command_of_the_page_is_taken(daemon: FakeDaemon, where: str) -> None:
-    """By the command line, to its end."""
     text = PAGE.read_text(encoding="utf-8")
     lines = re.findall(r"^armrig .+$|`(armrig collect [a-z]+ --.+?)`", text, re.MULTILINE)
     blocks = re.findall(r"```sh\n(.+?)\n```", text)
@@ -53,7 +52,6 @@ def test_every_command_of_the_page_is_taken(daemon: FakeDaemon, where: str) -> N
 
 
 def test_every_figure_of_the_page_is_there() -> None:
-    """As many as the script draws, and none besides."""
     shown = set(re.findall(r"\]\(figures/(.+?)\)", PAGE.read_text(encoding="utf-8")))
 
     assert shown == {path.name for path in (PAGE.parent / "figures").glob("experiments-*.svg")}

@@ -1,4 +1,4 @@
-"""What earlier releases wrote is read, verified and decided once more to the last bit."""
+"""Files of earlier releases are read, verified and decided again to the last bit."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from armrig.recordings.calibration import decompressed, estimate
 from armrig.recordings.container import read
 from armrig.recordings.verification import verify
 from armrig_core.calibration_file import raw_path, read_calibration
-from armrig_core.codes import OutcomeCode
+from armrig_core.codes import GapCode, OutcomeCode
 from armrig_core.errors import FileError
 from armrig_core.manifest import CALIBRATION_RAW
 from armrig_core.volts import applied_code, volts_of
-from files_of_today import PACINGS, answers, facts
 from msgspec.structs import replace
+
+from tests.data.files_of_today import PACINGS, answers, facts
 
 DATA = Path(__file__).parents[1] / "data"
 RELEASES = sorted(path.name for path in DATA.iterdir() if (path / "facts.json").exists())
@@ -40,7 +41,7 @@ SHA256 = {
 }
 MODELS = ("bj", "n4sid")
 METER_V = volts_of(applied_code(32768, 10))
-"""What a device of 10 bits made of the one code that a meter was read at."""
+"""Voltage that a device of 10 bits makes of the one measured code."""
 
 
 def _facts(folder: Path) -> dict[str, Any]:
@@ -49,14 +50,13 @@ def _facts(folder: Path) -> dict[str, Any]:
 
 
 def test_there_are_files_of_the_first_release() -> None:
-    """The tests below have something to look at."""
     assert "0.1.0" in RELEASES
 
 
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
 def test_a_recording_is_read_to_the_last_bit(folder: Path, pacing: str) -> None:
-    """Samples, gaps, events, times and angles, as its own release read them."""
+    """Samples, gaps, events, times and angles, as the release of the file read them."""
     recording = armrig.load(folder / f"{pacing}.mcap")
 
     assert facts(recording) == _facts(folder)[pacing]
@@ -65,11 +65,11 @@ def test_a_recording_is_read_to_the_last_bit(folder: Path, pacing: str) -> None:
     assert recording.outcome is not None
     assert recording.outcome.outcome == "complete"
     assert recording.outcome.code == OutcomeCode.COMPLETE  # which it does not say
+    assert {gap.code for gap in recording.gaps} == {GapCode.FRAME_LOST}  # nor this
 
 
 @FOLDERS
 def test_no_file_of_a_release_has_changed(folder: Path) -> None:
-    """Byte for byte: what is read below is what that release wrote."""
     found = {path.name: sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
 
     assert found == SHA256[folder.name]
@@ -78,7 +78,6 @@ def test_no_file_of_a_release_has_changed(folder: Path) -> None:
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
 def test_a_recording_is_verified(folder: Path, pacing: str) -> None:
-    """Each check that there is today finds in it what it needs, and nothing wrong."""
     checks = {check.about: check for check in verify(folder / f"{pacing}.mcap").checks}
 
     assert {check.result for check in checks.values()} == {"passed"}, checks
@@ -87,7 +86,7 @@ def test_a_recording_is_verified(folder: Path, pacing: str) -> None:
 
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
-def test_a_recording_is_decided_once_more_to_the_last_bit(folder: Path, pacing: str) -> None:
+def test_a_recording_is_decided_again_to_the_last_bit(folder: Path, pacing: str) -> None:
     """Every frame to the device and every sample in the file, through lost frames, too."""
     path = folder / f"{pacing}.mcap"
 
@@ -100,8 +99,7 @@ def test_a_recording_is_decided_once_more_to_the_last_bit(folder: Path, pacing: 
 
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
-def test_the_command_line_tells_what_is_in_a_recording(folder: Path, pacing: str) -> None:
-    """`armrig info` finds the file whole, the run complete and the rig calibrated."""
+def test_the_command_line_reports_the_content_of_a_recording(folder: Path, pacing: str) -> None:
     command = [sys.executable, "-m", "armrig", "info", "--json", folder / f"{pacing}.mcap"]
 
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
@@ -115,7 +113,6 @@ def test_the_command_line_tells_what_is_in_a_recording(folder: Path, pacing: str
 
 @FOLDERS
 def test_a_calibration_is_read_and_found_again_in_its_samples(folder: Path) -> None:
-    """The samples beside it are those that it was estimated from, and give the same figures."""
     path = folder / "calibration.toml"
 
     calibration = read_calibration(path)
@@ -130,10 +127,7 @@ def test_a_calibration_is_read_and_found_again_in_its_samples(folder: Path) -> N
 
 
 @FOLDERS
-def test_a_calibration_with_other_samples_beside_it_is_refused(
-    folder: Path, tmp_path: Path
-) -> None:
-    """One bit is enough."""
+def test_a_calibration_with_other_samples_is_refused(folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "calibration.toml"
     path.write_bytes((folder / path.name).read_bytes())
     samples = bytearray(raw_path(folder / path.name).read_bytes())
@@ -147,7 +141,6 @@ def test_a_calibration_with_other_samples_beside_it_is_refused(
 @FOLDERS
 @pytest.mark.parametrize("pacing", PACINGS)
 def test_a_recording_carries_its_calibration(folder: Path, pacing: str) -> None:
-    """With the samples behind it, so that it stands without the file."""
     path = folder / "calibration.toml"
     content = read(folder / f"{pacing}.mcap")
     assert content is not None
@@ -164,7 +157,6 @@ def test_a_recording_carries_its_calibration(folder: Path, pacing: str) -> None:
 @FOLDERS
 @pytest.mark.parametrize("name", MODELS)
 def test_a_model_is_read_and_says_what_it_said(folder: Path, name: str, tmp_path: Path) -> None:
-    """Its poles and its predictions; and written again, it is the same file."""
     path = folder / f"{name}.json"
     data = armrig.load(folder / "scheduled.mcap").dataset(output="alpha")
 

@@ -7,9 +7,10 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-import pages
 import pytest
 from armrig.cli import main
+
+from tests.clients import pages
 
 PAGE = pages.DOCS / "from-matlab.md"
 _TEXT = PAGE.read_text(encoding="utf-8")
@@ -20,7 +21,7 @@ _COMMAND = re.compile(r"`(armrig \w+ [^`…]+)`")
 
 @pytest.fixture(scope="module")
 def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Give what the page's blocks define, run in an empty folder."""
+    """Give the names that the page's blocks define, run in an empty folder."""
     folder = tmp_path_factory.mktemp("page")
     names: dict[str, Any] = {"folder": folder}
     with pytest.MonkeyPatch.context() as patch:
@@ -30,10 +31,9 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return names
 
 
-def test_every_block_prints_what_stands_below_it(
+def test_every_block_prints_the_text_below_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In an empty folder."""
     monkeypatch.chdir(tmp_path)
 
     assert pages.run(PAGE, capsys, atol=2e-3) == 4
@@ -42,7 +42,6 @@ def test_every_block_prints_what_stands_below_it(
 def test_every_expression_of_the_tables_runs(
     names: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With what the blocks define; there are as many as rows, or more."""
     from matplotlib import pyplot as plt
 
     monkeypatch.chdir(names["folder"])
@@ -56,7 +55,6 @@ def test_every_expression_of_the_tables_runs(
 
 
 def test_a_call_of_the_last_column_is_one_of_armrig() -> None:
-    """An option that it names is one that the function has."""
     import inspect
 
     import armrig
@@ -75,7 +73,6 @@ def test_a_call_of_the_last_column_is_one_of_armrig() -> None:
 def test_every_command_of_the_page_runs(
     names: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """To its end, on the two files that the page writes."""
     monkeypatch.chdir(names["folder"])
     commands = [c for c in _COMMAND.findall(_TEXT.split("## The app")[1]) if "report" not in c]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import pages
 import pytest
 from armrig.cli import app
+
+from tests.clients import pages
 
 PAGE = pages.DOCS / "handout.md"
 
@@ -24,14 +25,12 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_line_of_the_page_runs_and_prints_what_it_says(
     recordings: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """All twelve texts that it prints."""
     monkeypatch.chdir(recordings)
 
     assert pages.run(PAGE, capsys, atol=2e-3) == 12
 
 
 def test_every_assignment_is_there() -> None:
-    """In the table, and with a chapter each, or one for all of 4."""
     text = PAGE.read_text(encoding="utf-8")
     chapters = re.findall(r"^## (\d\.\d)", text, re.MULTILINE)
 
@@ -41,7 +40,6 @@ def test_every_assignment_is_there() -> None:
 
 
 def test_every_command_of_the_table_exists() -> None:
-    """Under the name that the page gives it."""
     text = PAGE.read_text(encoding="utf-8")
     known = {c.callback.__name__ for c in app.registered_commands if c.callback}
     known |= {group.name for group in app.registered_groups}
@@ -51,7 +49,6 @@ def test_every_command_of_the_table_exists() -> None:
 
 
 def test_every_figure_of_the_page_is_there() -> None:
-    """As many as the script draws, and none besides."""
     shown = set(re.findall(r"\]\(figures/(.+?)\)", PAGE.read_text(encoding="utf-8")))
 
     assert shown == {path.name for path in (PAGE.parent / "figures").glob("handout-*.svg")}

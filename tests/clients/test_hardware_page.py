@@ -7,10 +7,10 @@ from pathlib import Path
 
 import armrig
 import numpy as np
-import pages
 import pytest
-import rc_rig
 from armrig_daemon.config import load
+
+from tests.clients import pages, rc_rig
 
 TEXT = (pages.DOCS / "hardware.md").read_text(encoding="utf-8")
 WIRING = pages.script("wiring.py")
@@ -18,18 +18,15 @@ SUPPLY = pages.script("motor_supply.py")
 
 
 def test_the_circuit_diagram_connects_the_netlist() -> None:
-    """Each net all of its pins, and no two nets."""
     assert WIRING.drawn(WIRING.DIAGRAM) == WIRING.netlist()
 
 
 def test_the_board_connects_the_netlist() -> None:
-    """Each net all of its pins, and no two tracks touch in a hole."""
     assert WIRING.drawn(WIRING.BOARD) == WIRING.netlist(WIRING.OFF_BOARD)
 
 
 @pytest.mark.parametrize("name", ["DIAGRAM", "BOARD"])
 def test_a_line_too_few_and_a_line_too_many_are_seen(name: str) -> None:
-    """On the drawing of either."""
     drawing = getattr(WIRING, name)
     two = sorted(drawing.pins.values())[0], sorted(drawing.pins.values())[-1]
 
@@ -40,7 +37,6 @@ def test_a_line_too_few_and_a_line_too_many_are_seen(name: str) -> None:
 
 
 def test_each_hole_of_the_board_takes_one_lead() -> None:
-    """Of a part, or of an insulated wire; and each part has its leads there."""
     leads = [*WIRING.BOARD.pins.values()]
     leads += [end for wire in WIRING.BOARD.wires for end in (wire[0], wire[-1])]
 
@@ -64,7 +60,6 @@ def test_the_tables_of_the_page_are_computed(name: str) -> None:
 
 
 def test_the_threshold_of_the_page_is_computed() -> None:
-    """And the current into the thyristor's gate."""
     least, nominal, largest = SUPPLY.trip_voltages()
 
     assert f"Above {nominal:.2f} V ({least:.2f} to {largest:.2f} V" in TEXT
@@ -72,7 +67,6 @@ def test_the_threshold_of_the_page_is_computed() -> None:
 
 
 def test_the_parts_list_has_every_value_of_the_drawing() -> None:
-    """In the section of that name."""
     section = TEXT.split("## Parts\n")[1].split("\n## ")[0]
 
     assert {v for v in WIRING.PARTS.values() if v.removesuffix(" 5 W") not in section} == set()

@@ -1,4 +1,4 @@
-"""Mistakes that students make in Python: each raises what fits, and says the way out."""
+"""Mistakes that students make in Python: each raises a fitting exception with the way out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from made_recordings import of_the_arm, written
+
+from tests.clients.made_recordings import of_the_arm, written
 
 RNG = np.random.default_rng(1)
 U = 0.5 + 4.0 * RNG.integers(0, 2, 400)
@@ -33,9 +34,9 @@ def _entered(rig: str) -> None:
 a: Any = armrig  # mypy would find most of these mistakes before Python does
 MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     # Files.
-    ("load('@last')", lambda: a.load("@last"), armrig.FileError, "`armrig ls --json` says"),
+    ("load('@last')", lambda: a.load("@last"), armrig.FileError, "`armrig ls --json` prints"),
     ("load(3)", lambda: a.load(3), TypeError, 'armrig.load("F.mcap")'),
-    ("load(data)", lambda: a.load(DATA), TypeError, "give the name of a file"),
+    ("load(data)", lambda: a.load(DATA), TypeError, "pass the name of a file"),
     ("load('nofile')", lambda: a.load("nofile"), FileNotFoundError, "nofile"),
     ("load_data(path, 'u', 'y')", lambda: a.load_data("f", "u", "y"), TypeError, "by name"),
     ("load_data(output=)", lambda: a.load_data("f", output="y"), TypeError, "it takes path, input"),
@@ -47,13 +48,13 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     ("(N, 1)", lambda: _dataset(u=U[:, None]), ValueError, "use u.ravel()"),
     ("(N, 2)", lambda: _dataset(u=np.c_[U, U]), ValueError, "such as u[:, 0]"),
     ("a single value", lambda: _dataset(u=2.5), ValueError, "numpy.full(N, 2.5)"),
-    ("nothing", lambda: _dataset(u=[], y=[]), ValueError, "there is nothing in u"),
-    ("None", lambda: _dataset(u=None), TypeError, "u is missing; give its numbers"),
+    ("nothing", lambda: _dataset(u=[], y=[]), ValueError, "u is empty"),
+    ("None", lambda: _dataset(u=None), TypeError, "u is missing; give an array of numbers"),
     ("Ts < 0", lambda: _dataset(Ts=-0.01), ValueError, "must be finite and > 0, in s"),
-    ("Ts='10 ms'", lambda: _dataset(Ts="10 ms"), TypeError, "one number of seconds"),
+    ("Ts='10 ms'", lambda: _dataset(Ts="10 ms"), TypeError, "one number, in seconds"),
     ("Ts=t", lambda: _dataset(Ts=np.arange(400.0)), TypeError, "such as Ts=0.01"),
     ("NaN in y", lambda: _dataset(y=Y * np.nan), ValueError, "valid=numpy.isfinite(y)"),
-    ("text", lambda: _dataset(u=["1,5"] * 400), ValueError, "decimals with a point"),
+    ("text", lambda: _dataset(u=["1,5"] * 400), ValueError, "numbers with a decimal point"),
     ("a file's name", lambda: _dataset(u="f.csv"), ValueError, "armrig.load_data(path)"),
     ("data[0]", lambda: DATA[a and 0], TypeError, "data[a:b]"),
     ("data[1.0:2.0]", lambda: DATA[1.0:2.0], TypeError, "round(t / data.Ts)"),
@@ -70,8 +71,8 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     ("arx('f')", lambda: a.arx("f.mcap", na=2, nb=2), TypeError, 'armrig.load("F.mcap")'),
     ("arx(na=2.0)", lambda: a.arx(DATA, na=2.0, nb=2), ValueError, "na=2.0 must be an integer"),
     ("arx(nf=2)", lambda: a.arx(DATA, na=2, nb=2, nf=2), TypeError, "it takes data, na, nb, nk"),
-    ("y = u", lambda: a.arx(_dataset(y=U), na=2, nb=2), ValueError, "has the very numbers of u"),
-    ("u = 2.5", lambda: a.arx(_dataset(u=0 * U), na=2, nb=2), ValueError, "u is 0 throughout"),
+    ("y = u", lambda: a.arx(_dataset(y=U), na=2, nb=2), ValueError, "equals u: give the column"),
+    ("u = 2.5", lambda: a.arx(_dataset(u=0 * U), na=2, nb=2), ValueError, "u is always 0"),
     ("oe(nb=0)", lambda: a.oe(DATA, nb=0, nf=0), ValueError, "nb=0 must be an integer >= 1"),
     ("oe(nf=500)", lambda: a.oe(DATA, nb=2, nf=500), ValueError, "needs at least"),
     (
@@ -86,7 +87,7 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     ("OE", lambda: a.OE(DATA), AttributeError, "did you mean armrig.oe?"),
     # A model.
     ("simulate(data)", lambda: FIT.simulate(a and DATA), TypeError, "such as data.u"),
-    ("predict(u)", lambda: FIT.predict(a and U), TypeError, "of an input alone, fit.simulate(u)"),
+    ("predict(u)", lambda: FIT.predict(a and U), TypeError, "for an input, use fit.simulate(u)"),
     (
         "predict(horizon=1.5)",
         lambda: FIT.predict(DATA, horizon=a and 1.5),
@@ -101,7 +102,7 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
         TypeError,
         "compare(data, fit1, fit2)",
     ),
-    ("compare of other Ts", lambda: a.compare(OTHER, FIT), ValueError, "at the rate that you vali"),
+    ("compare of other Ts", lambda: a.compare(OTHER, FIT), ValueError, "validate at the same rate"),
     ("residuals(data, fit)", lambda: a.residuals(DATA, FIT), TypeError, "residuals(fit, data)"),
     # Physics.
     ("free=('J1',)", lambda: a.greybox(DATA, free=("J1",)), ValueError, "is none of J_1, J_2"),
@@ -119,10 +120,10 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     # The rig and its input.
     ("telegraph(3000, 5)", lambda: a.telegraph(3000, 5), ValueError, "a probability, 0 <= a <= 1"),
     ("telegraph(3000)", lambda: a.telegraph(3000), TypeError, "telegraph(N, a)"),
-    ("low > high", lambda: a.telegraph(9, 0.1, low=5, high=0), ValueError, "must lie below high"),
+    ("low > high", lambda: a.telegraph(9, 0.1, low=5, high=0), ValueError, "must be below high"),
     ("high=6", lambda: a.telegraph(9, 0.1, high=6), ValueError, "outside the rig's 0 to 5 V"),
     ("low=-1", lambda: a.telegraph(9, 0.1, low=-1), ValueError, "outside the rig's 0 to 5 V"),
-    ("Rig(1)", lambda: a.Rig(1), TypeError, "give its name in quotes, such as '1'"),
+    ("Rig(1)", lambda: a.Rig(1), TypeError, "give the id in quotes, such as '1'"),
     ("run before arm", lambda: a.Rig("1").run(U), armrig.RigError, "call arm(owner) first"),
     ("Rig without with", lambda: a.Rig("1").arm("I"), armrig.RigError, "used in a with block"),
     ("no such rig", lambda: _entered("nosuch"), armrig.RigError, "no reply from rig nosuch"),
@@ -139,7 +140,6 @@ def test_a_mistake_is_refused_with_the_way_out(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """What it raises fits, has at most two lines' worth of words, and repeats no array."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
 
     with pytest.raises(raised) as refusal:
@@ -162,7 +162,6 @@ def test_a_mistake_is_refused_with_the_way_out(
 def test_a_file_that_is_no_recording_is_refused(
     name: str, content: bytes, way_out: str, tmp_path: Path
 ) -> None:
-    """It says what came, and what is read."""
     path = written(tmp_path, content, name)
 
     with pytest.raises(armrig.FileError, match=way_out):
@@ -170,7 +169,6 @@ def test_a_file_that_is_no_recording_is_refused(
 
 
 def test_a_recording_is_no_model(tmp_path: Path) -> None:
-    """It says what writes models."""
     path = written(tmp_path, of_the_arm(U[:50]))
 
     with pytest.raises(armrig.FileError, match=r"a model is what .armrig identify --save"):
@@ -181,11 +179,10 @@ def test_swapped_columns_are_doubted_by_the_model() -> None:
     """An output of two levels looks like an input."""
     fit = armrig.arx(armrig.Dataset(u=Y, y=U, Ts=0.01), na=2, nb=2)
 
-    assert "as if they were swapped" in fit.warnings[0]
+    assert "the columns may be swapped" in fit.warnings[0]
 
 
 def test_what_can_be_meant_is_taken() -> None:
-    """Lists are arrays, numpy's integers are orders, a single name is one that is free."""
     data = armrig.Dataset(u=U.tolist(), y=Y.tolist(), Ts=0.01)
 
     fit = armrig.arx(data, na=int(np.int64(2)), nb=a and np.int64(2))

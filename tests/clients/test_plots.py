@@ -1,4 +1,4 @@
-"""Figures show what they say, with units, and name the recording they show."""
+"""Figures show their quantities with units, and name their recording."""
 
 from __future__ import annotations
 
@@ -35,7 +35,6 @@ from armrig.report.study import Study, study
 from armrig.validation.comparison import compare
 from armrig.validation.comparison_figure import plot_comparison
 from armrig.validation.residuals import residuals
-from handout_plant import HandoutPlant
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -46,6 +45,8 @@ from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from scipy.special import chdtri, ndtri
 
+from tests.clients.handout_plant import HandoutPlant
+
 
 def said(ax: Axes) -> list[str]:
     """Return the lines of the legend."""
@@ -55,7 +56,7 @@ def said(ax: Axes) -> list[str]:
 
 
 def hardly_a_pair() -> Fit:
-    """Return an OE fit whose poles are as near to each other as they are uncertain."""
+    """Return an OE fit whose poles are as close to each other as they are uncertain."""
     rng = np.random.default_rng(0)
     F = np.real(np.poly([0.985 + 0.008j, 0.985 - 0.008j]))
     u = rng.standard_normal(500)
@@ -109,7 +110,6 @@ EVERY = pytest.mark.parametrize("plot", PLOTS.values(), ids=PLOTS.keys())
 def test_a_plot_draws_into_the_axes_it_is_given(
     plot: Plot, done: Study, recording: Recording
 ) -> None:
-    """And returns them, and opens no window of its own."""
     ax = Figure().add_subplot()
 
     assert plot(done, recording, ax) is ax
@@ -119,7 +119,6 @@ def test_a_plot_draws_into_the_axes_it_is_given(
 
 @EVERY
 def test_a_plot_without_axes_makes_them(plot: Plot, done: Study, recording: Recording) -> None:
-    """For a person at the prompt."""
     ax = plot(done, recording, None)
 
     assert ax.has_data()
@@ -128,7 +127,7 @@ def test_a_plot_without_axes_makes_them(plot: Plot, done: Study, recording: Reco
 
 @EVERY
 def test_a_plot_names_its_recording(plot: Plot, done: Study, recording: Recording) -> None:
-    """By the first twelve digits of the hash of what it was made from."""
+    """The first twelve digits of the hash of the recording."""
     ax = plot(done, recording, Figure().add_subplot())
 
     of_data = plot in (PLOTS["data"], PLOTS["jitter"], PLOTS["lateness"])
@@ -139,7 +138,6 @@ def test_a_plot_names_its_recording(plot: Plot, done: Study, recording: Recordin
 
 @EVERY
 def test_every_axis_says_what_it_shows(plot: Plot, done: Study, recording: Recording) -> None:
-    """Each panel has a label at its value axis, the lowest one at the other too."""
     ax = plot(done, recording, Figure().add_subplot())
 
     panels = ax.figure.axes
@@ -147,8 +145,8 @@ def test_every_axis_says_what_it_shows(plot: Plot, done: Study, recording: Recor
     assert panels[-1].get_xlabel()
 
 
-def test_models_are_told_apart_without_colour(done: Study) -> None:
-    """By dashes and width; the first is the widest, so that what lies on it does not hide it."""
+def test_models_differ_without_colour(done: Study) -> None:
+    """Dashes and width separate the models; the first curve is the widest and hides no other."""
     ax = plots.plot_step(*(m.model for m in done.models), ax=Figure().add_subplot())
 
     styles = [(str(line.get_linestyle()), line.get_linewidth()) for line in ax.lines]
@@ -159,10 +157,9 @@ def test_models_are_told_apart_without_colour(done: Study) -> None:
 
 @EVERY
 @pytest.mark.parametrize("size", [(6.4, 4.8), (84 / 25.4, 2.7)], ids=["default", "column"])
-def test_the_names_stand_above_the_data(
+def test_the_names_are_above_the_data(
     plot: Plot, size: tuple[float, float], done: Study, recording: Recording
 ) -> None:
-    """A legend covers no axes, its own or another's, nor its recording; nothing is cut off."""
     figure = Figure(figsize=size, layout="constrained")
     ax = plot(done, recording, figure.add_subplot())
     canvas = FigureCanvasAgg(figure)
@@ -193,7 +190,6 @@ def test_colours_differ_in_lightness(done: Study) -> None:
 
 
 def test_missing_samples_are_shaded(recording: Recording) -> None:
-    """One shade for each stretch without an angle, half a sample beyond it, in both panels."""
     ax = plots.plot_data(recording, ax=Figure().add_subplot())
 
     edges = np.diff(np.concatenate([[0], (~recording.valid).astype(int), [0]]))
@@ -207,7 +203,6 @@ def test_missing_samples_are_shaded(recording: Recording) -> None:
 
 @pytest.mark.parametrize("kind", ["data", "compare", "overview"])
 def test_the_shading_has_one_name(kind: str, done: Study, recording: Recording) -> None:
-    """In the legend once, however many stretches there are, and in a colour that no line has."""
     plot = PLOTS.get(kind, lambda s, r, ax: plot_overview(overview(r), ax=ax))
     ax = plot(done, recording, Figure().add_subplot())
 
@@ -217,8 +212,7 @@ def test_the_shading_has_one_name(kind: str, done: Study, recording: Recording) 
     assert set(faces) == {plots.ORANGE.lower()}
 
 
-def test_the_histogram_tells_its_percentiles(recording: Recording) -> None:
-    """Those of the data, not of what fits into the bins."""
+def test_the_histogram_reports_its_percentiles(recording: Recording) -> None:
     ax = plots.plot_timing(recording, quantity="lateness", ax=Figure().add_subplot())
 
     late = (recording.samples["t_host_ns"] - recording.samples["t_sched_ns"]) / 1e3
@@ -230,7 +224,6 @@ def test_the_histogram_tells_its_percentiles(recording: Recording) -> None:
 
 
 def test_every_sample_is_in_the_histogram(recording: Recording) -> None:
-    """The smallest at the left edge, the largest in the last bin."""
     ax = plots.plot_timing(recording, quantity="lateness", ax=Figure().add_subplot())
 
     counted = sum(patch.get_height() for patch in ax.patches)  # type: ignore[attr-defined]
@@ -238,7 +231,7 @@ def test_every_sample_is_in_the_histogram(recording: Recording) -> None:
 
 
 def test_the_bode_band_holds_95_percent(done: Study) -> None:
-    """Of the magnitude, 1.96 standard deviations above the curve where it is linearised, in dB."""
+    """1.96 standard deviations of the magnitude above the curve if it is linearised, in dB."""
     fit = done.best.fit
     omega = np.geomspace(30.0, 100.0, 20)  # away from the notch at 16 rad/s
     ax = plots.plot_bode(fit, omega=omega, ax=Figure().add_subplot())
@@ -252,7 +245,6 @@ def test_the_bode_band_holds_95_percent(done: Study) -> None:
 
 
 def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
-    """Of a pair of poles that is hardly a pair no ellipse is drawn."""
     fit = hardly_a_pair()
     ax = plots.plot_poles_zeros(fit, ax=Figure().add_subplot())
 
@@ -271,19 +263,19 @@ def test_a_figure_says_where_it_sampled_and_what_it_left_out() -> None:
 
 
 def test_a_pole_and_a_zero_that_cancel_are_framed() -> None:
-    """By a square, told of in the legend; a pair that can be told apart is not."""
     rng = np.random.default_rng(0)
     u = rng.standard_normal(1000)
     y = filtered([0, 1.0], [1, -0.8], u) + 0.5 * rng.standard_normal(1000)
     data = Dataset(u=u, y=y, Ts=1.0)
     right, high = (oe(data, nb=n, nf=n) for n in (1, 2))
 
-    assert "cannot be told apart" in said(plots.plot_poles_zeros(high, ax=Figure().add_subplot()))
+    assert "cannot be distinguished" in said(
+        plots.plot_poles_zeros(high, ax=Figure().add_subplot())
+    )
     assert len(said(plots.plot_poles_zeros(right, ax=Figure().add_subplot()))) == 1
 
 
-def test_spectral_analysis_stands_beside_a_model_as_dots(done: Study) -> None:
-    """With bars, on the model's frequencies, where both know the truth they agree."""
+def test_spectral_analysis_is_drawn_with_a_model_as_dots(done: Study) -> None:
     fit, estimate = done.best.fit, spectral_reference(done.estimation)
     ax = plots.plot_bode(fit, estimate, ax=Figure().add_subplot())
 
@@ -300,7 +292,7 @@ def test_spectral_analysis_stands_beside_a_model_as_dots(done: Study) -> None:
 
 
 def test_the_bars_of_a_phase_are_in_degrees_as_its_axis(done: Study) -> None:
-    """From the dot to 1.96 standard deviations on both sides, which the estimate has in rad."""
+    """From the dot to 1.96 standard deviations on both sides; the estimate has them in rad."""
     estimate = spectral_reference(done.estimation)
     ax = plots.plot_bode(estimate, ax=Figure().add_subplot())
 
@@ -314,7 +306,6 @@ def test_the_bars_of_a_phase_are_in_degrees_as_its_axis(done: Study) -> None:
 
 
 def test_the_bode_plot_takes_a_control_system(done: Study) -> None:
-    """The physics as python-control has it lies on the model made from it."""
     import control
     from armrig_core.arm import ArmParameters, arm_matrices
 
@@ -330,7 +321,7 @@ def test_the_bode_plot_takes_a_control_system(done: Study) -> None:
 
 
 def test_a_phase_is_a_lag_in_degrees() -> None:
-    """Of a first-order lag 45° at its corner, whatever the turns before."""
+    """A first-order lag has 45° at its corner, after any number of turns."""
     import control
 
     ax = plots.plot_bode(
@@ -342,7 +333,6 @@ def test_a_phase_is_a_lag_in_degrees() -> None:
 
 
 def test_a_phase_does_not_jump_by_a_turn() -> None:
-    """Of a delay it falls on, and dots of an estimate stand on the turn of their model."""
     import control
 
     late = control.tf([1.0], [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 1.0)
@@ -357,7 +347,7 @@ def test_a_phase_does_not_jump_by_a_turn() -> None:
 
 
 def test_phases_agree_after_a_zero_that_is_hardly_damped() -> None:
-    """It turns up if the zero is damped a little, down if it grows a little: that is chance."""
+    """The phase turns up if the zero is damped a little and down if it grows a little."""
     import control
 
     pair = [control.tf([1.0, d, 256.0], [1.0, 30.0, 300.0, 0.0]) for d in (0.05, -0.05)]
@@ -369,7 +359,6 @@ def test_phases_agree_after_a_zero_that_is_hardly_damped() -> None:
 
 
 def test_figures_name_a_run_where_it_is_known(recording: Recording) -> None:
-    """As `armrig ls` does; elsewhere the hash."""
     with named_by_run({recording.sha256: "0000000b"}):
         inside = plots.plot_data(recording, ax=Figure().add_subplot())
     outside = plots.plot_data(recording, ax=Figure().add_subplot())
@@ -379,7 +368,6 @@ def test_figures_name_a_run_where_it_is_known(recording: Recording) -> None:
 
 
 def test_a_test_s_figure_names_its_level_and_band(plant: HandoutPlant) -> None:
-    """So does the delay's, and each line in it has a name."""
     data = plant.dataset(1)
     loop = armrig.open_loop(data).plot(ax=Figure().add_subplot())
     late = armrig.delay(data).plot(ax=Figure().add_subplot())
@@ -392,7 +380,7 @@ def test_a_test_s_figure_names_its_level_and_band(plant: HandoutPlant) -> None:
 
 
 def test_the_figure_of_a_delay_is_at_the_level_of_its_tests(plant: HandoutPlant) -> None:
-    """Or a lag that they do not show leaves its band, and their nk is called worse."""
+    """Otherwise a lag without a significant test would leave the band."""
     late = armrig.delay(plant.dataset(1))
     response, losses = late.plot(ax=Figure().add_subplot()).axes
 
@@ -405,7 +393,6 @@ def test_the_figure_of_a_delay_is_at_the_level_of_its_tests(plant: HandoutPlant)
 
 
 def test_each_line_of_a_step_and_of_a_sampling_time_has_a_name(done: Study) -> None:
-    """The steady speed and the initial slope, and the level of −3 dB."""
     step = plots.plot_physical_step(ax=Figure().add_subplot())
     sampling = armrig.sampling_time(done.estimation).plot(ax=Figure().add_subplot())
 
@@ -414,7 +401,6 @@ def test_each_line_of_a_step_and_of_a_sampling_time_has_a_name(done: Study) -> N
 
 
 def test_the_bode_plot_has_hertz_above(done: Study) -> None:
-    """Its own axis in rad/s, and Hz where 2 pi of them stand."""
     ax = plots.plot_bode(done.best.fit, ax=Figure().add_subplot())
     (above,) = ax.child_axes
     ax.figure.draw_without_rendering()
@@ -424,7 +410,6 @@ def test_the_bode_plot_has_hertz_above(done: Study) -> None:
 
 
 def test_a_ramp_is_shown_without_its_slope(done: Study, recording: Recording) -> None:
-    """An angle that turns on shows nothing else; the label gives what was taken off."""
     ax = plots.plot_data(recording, ax=Figure().add_subplot())
 
     slope, _ = np.polyfit(recording.t[recording.valid], recording.theta_1[recording.valid], 1)
@@ -438,7 +423,7 @@ def test_a_ramp_is_shown_without_its_slope(done: Study, recording: Recording) ->
 
 
 def test_a_step_keeps_its_ramp(done: Study) -> None:
-    """There the slope is the answer."""
+    """The slope is the response to the step."""
     step = done.recordings[0]
 
     ax = plots.plot_data(step, ax=Figure().add_subplot())
@@ -448,7 +433,6 @@ def test_a_step_keeps_its_ramp(done: Study) -> None:
 
 
 def test_a_jitter_of_nothing_is_no_histogram(recording: Recording) -> None:
-    """One bar would say less than a sentence."""
     samples = recording.samples.copy()
     samples["t_sched_ns"] = np.arange(samples.size) * 10_000_000
     samples["t_host_ns"] = samples["t_sched_ns"] + 824_000
@@ -463,7 +447,6 @@ def test_a_jitter_of_nothing_is_no_histogram(recording: Recording) -> None:
 
 
 def test_errors_are_shown_against_the_best_model(done: Study) -> None:
-    """The other models' curves are their difference to it: no noise hides them."""
     table = compare(done.validation, *_models(done))
     ax = plots.plot_compare(done.validation, *_models(done), table=table, ax=Figure().add_subplot())
 
@@ -476,7 +459,6 @@ def test_errors_are_shown_against_the_best_model(done: Study) -> None:
 
 
 def test_a_test_of_residuals_and_a_comparison_show_themselves(done: Study) -> None:
-    """As the figures of models and data do, for what was found already."""
     fit, data = done.best.fit, done.validation
 
     tested = residuals(fit, data).plot(ax=Figure().add_subplot())
@@ -488,7 +470,7 @@ def test_a_test_of_residuals_and_a_comparison_show_themselves(done: Study) -> No
 
 
 def test_residuals_name_the_levels_of_band_and_test(done: Study) -> None:
-    """A bar that leaves its band of 99 % contradicts no joint test at 1 %: both are named."""
+    """A bar outside its band of 99 % does not contradict a joint test at 1 %."""
     ax = plots.plot_residuals(done.best.fit, done.validation, ax=Figure().add_subplot())
 
     for panel in ax.figure.axes:
@@ -499,8 +481,7 @@ def test_residuals_name_the_levels_of_band_and_test(done: Study) -> None:
         assert "(joint test, level 1 %)" in read
 
 
-def test_a_stretched_axis_says_so_and_its_numbers_stand_apart(done: Study) -> None:
-    """Dotted lines show where the logarithm begins; nothing covers another in a low panel."""
+def test_a_stretched_axis_says_so_and_its_numbers_do_not_overlap(done: Study) -> None:
     figure = Figure(figsize=(6.4, 2.6), layout="constrained")
     models = _models(done)
     far = replace(done.best.fit, B=np.append(0.0, 2.0 * done.best.fit.B[1:]))
@@ -520,8 +501,7 @@ def test_a_stretched_axis_says_so_and_its_numbers_stand_apart(done: Study) -> No
     assert all(low.y1 <= high.y0 for low, high in pairwise(heights))
 
 
-def test_the_labels_of_a_comparison_stand_apart(done: Study) -> None:
-    """In a figure as low as a command's subject, with the name of a model in its legend."""
+def test_the_labels_of_a_comparison_do_not_overlap(done: Study) -> None:
     figure = Figure(figsize=(6.3, 2.8), layout="constrained")
     plots.plot_compare(
         done.validation, done.best.fit, labels=["OE[4 4 1]"], ax=figure.add_subplot()
@@ -533,7 +513,7 @@ def test_the_labels_of_a_comparison_stand_apart(done: Study) -> None:
 
 
 def test_the_numbers_of_a_stretched_axis_reach_near_its_end(plant: HandoutPlant) -> None:
-    """A number at 0.01 alone says nothing of an error of 0.08."""
+    """A number at 0.01 alone says nothing about an error of 0.08."""
     ax = Figure().add_subplot()
     data = plant.dataset(1, 600)
     rows = [Line("near", 0.003, data.y + 0.003), Line("far", 0.08, data.y + 0.08)]
@@ -554,7 +534,6 @@ class Line:
 
 
 def test_identical_errors_need_no_logarithm(done: Study) -> None:
-    """The errors' scale is linear where no model is far worse than another."""
     oe = done.best.fit
     ax = plots.plot_compare(done.validation, oe, oe, ax=Figure().add_subplot())
 
@@ -562,7 +541,6 @@ def test_identical_errors_need_no_logarithm(done: Study) -> None:
 
 
 def test_a_fit_shows_itself(done: Study) -> None:
-    """Frequency response with bands, step response, poles and zeros with regions, all named."""
     fit = done.best.fit
 
     figure = fit.plot()
@@ -581,7 +559,6 @@ def test_a_fit_shows_itself(done: Study) -> None:
 
 
 def test_a_recording_and_its_data_show_themselves(recording: Recording) -> None:
-    """Into the axes given, as plot_data does."""
     for source in (recording, recording.dataset("alpha")):
         ax = Figure().add_subplot()
 
@@ -602,7 +579,6 @@ def _results_that_plot() -> list[type]:
 
 
 def test_every_result_plots_a_figure_that_can_be_saved() -> None:
-    """One way for all: what `.plot()` returns is matplotlib's Figure."""
     results = _results_that_plot()
     returned = {one.__name__: inspect.signature(one.plot).return_annotation for one in results}  # type: ignore[attr-defined]
 
@@ -613,7 +589,6 @@ def test_every_result_plots_a_figure_that_can_be_saved() -> None:
 
 
 def test_a_figure_of_axes_in_a_part_of_a_figure_is_the_whole_one(recording: Recording) -> None:
-    """So that what is saved is what is seen."""
     whole = Figure()
     ax = whole.subfigures(1, 2)[1].add_subplot()
 
@@ -621,7 +596,6 @@ def test_a_figure_of_axes_in_a_part_of_a_figure_is_the_whole_one(recording: Reco
 
 
 def test_a_plot_is_saved_with_one_more_word(recording: Recording, tmp_path: Path) -> None:
-    """In any format of matplotlib's, by the name's ending."""
     begins = {"svg": b"<?xml", "pdf": b"%PDF-", "png": b"\x89PNG"}
     figure = recording.plot()
     for ending in begins:
@@ -632,7 +606,6 @@ def test_a_plot_is_saved_with_one_more_word(recording: Recording, tmp_path: Path
 
 
 def test_the_step_of_models_that_integrate_is_their_rate(done: Study) -> None:
-    """The angle is a ramp; beside a model that does not integrate it is shown all the same."""
     integrating = [m.model for m in done.models if m.model.integrator]
     ax = plots.plot_step(*integrating, ax=Figure().add_subplot())
     rng = np.random.default_rng(1)
@@ -650,7 +623,6 @@ def test_the_step_of_models_that_integrate_is_their_rate(done: Study) -> None:
 
 @pytest.mark.parametrize("integrator", [True, False])
 def test_a_step_response_begins_at_zero(integrator: bool, done: Study) -> None:
-    """Curve and band, at the step; with a direct term, too."""
     rng = np.random.default_rng(1)
     u = rng.standard_normal(300)
     data = Dataset(u=u, y=filtered([0.5], [1, -0.5], u) + rng.standard_normal(300), Ts=0.01)
@@ -671,7 +643,6 @@ def letters(figure: Figure) -> dict[str, str]:
 
 
 def test_the_panels_of_a_result_have_letters(done: Study, recording: Recording) -> None:
-    """From top to bottom; a figure of one panel has none, nor has one that a person arranged."""
     tested = residuals(done.best.fit, done.validation)
     figure = Figure()
     mine, other = figure.subplots(1, 2)
@@ -686,7 +657,6 @@ def test_the_panels_of_a_result_have_letters(done: Study, recording: Recording) 
 
 
 def test_the_letters_of_several_results_go_on_from_one_to_the_next(recording: Recording) -> None:
-    """Each result's panels follow each other; a second call marks none twice."""
     figure = Figure()
     for ax, name in zip(figure.subplots(1, 2), ("theta_1", "alpha"), strict=True):
         recording.dataset(name).plot(ax=ax)
@@ -700,7 +670,6 @@ def test_the_letters_of_several_results_go_on_from_one_to_the_next(recording: Re
 
 
 def test_two_scales_of_one_panel_have_one_letter(recording: Recording) -> None:
-    """The coherence stands over the magnitude, with an axis of its own on the right."""
     figure = armrig.spa(recording.dataset(), integrator=True).plot(ax=Figure().add_subplot())
 
     assert len(figure.axes) == 3
@@ -708,7 +677,6 @@ def test_two_scales_of_one_panel_have_one_letter(recording: Recording) -> None:
 
 
 def test_a_figure_that_is_written_has_letters(recording: Recording, tmp_path: Path) -> None:
-    """Once in the file, above the axes and left of them, where no number and no name is."""
     figure = Figure(layout="constrained")
     plots.plot_bode(oe(recording.dataset(), nb=2, nf=2, integrator=True), ax=figure.add_subplot())
 
@@ -724,14 +692,13 @@ def test_a_figure_that_is_written_has_letters(recording: Recording, tmp_path: Pa
 
 
 def test_a_column_of_a_legend_is_as_wide_as_its_widest_name() -> None:
-    """Two columns of three names: the first has two of them."""
+    """The first of two columns has two of three names."""
     assert _fits([10.0, 50.0, 10.0], 2, 60.0, 0.0)
     assert not _fits([10.0, 50.0, 10.0], 2, 59.0, 0.0)
 
 
 @pytest.mark.parametrize("result", ["recording", "dataset", "sampling time", "comparison"])
 def test_a_notebook_shows_words_and_figure(result: str, done: Study, recording: Recording) -> None:
-    """And leaves no figure of pyplot's open."""
     data = recording.dataset()
     shown = {
         "recording": lambda: recording,
@@ -750,7 +717,6 @@ def test_a_notebook_shows_words_and_figure(result: str, done: Study, recording: 
 def test_a_notebook_shows_a_plot_once(
     recording: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As a cell's result, and then not again with the figures of pyplot."""
     monkeypatch.setattr(plt, "get_backend", lambda: "module://matplotlib_inline.backend_inline")
     shown: list[object] = []
     ipython = ModuleType("IPython.display")

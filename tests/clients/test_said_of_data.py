@@ -1,4 +1,4 @@
-"""What functions say of data in which little is alike, word for word: said_of_data.txt.
+"""Texts of functions about uneven data, word for word; they are in said_of_data.txt.
 
 A new case is a line `>>> …` in it. `make stored` writes the file again; a person reads its
 difference.
@@ -11,14 +11,14 @@ from difflib import unified_diff
 from pathlib import Path
 
 import pytest
-from said import said_again
+
+from tests.clients.said import said_again
 
 FILE = Path(__file__).with_name("said_of_data.txt")
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_function_says_what_it_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The words exactly, and the numbers but for their last digits."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/0")
     stored = FILE.read_text(encoding="utf-8")

@@ -10,15 +10,14 @@ from __future__ import annotations
 
 import armrig
 import pytest
-import same_numbers
-import same_numbers_calls
+
+from tests import same_numbers, same_numbers_calls
 
 BEFORE = same_numbers.read_stored()
 
 
 @pytest.mark.parametrize("call", same_numbers_calls.CALLS)
 def test_the_numbers_are_what_they_were(call: str) -> None:
-    """Each quantity, to its tolerance; none is gone and none is new."""
     changed = list(same_numbers.changes(call, BEFORE))
 
     advice = "; if that is meant: make stored"
@@ -26,7 +25,6 @@ def test_the_numbers_are_what_they_were(call: str) -> None:
 
 
 def test_every_public_name_is_called() -> None:
-    """What is new in `armrig.__all__` is called here, too."""
     calls, others = same_numbers_calls.CALLS.keys(), same_numbers_calls.NOT_CALLED.keys()
 
     missing = set(armrig.__all__) - calls - others
@@ -37,5 +35,4 @@ def test_every_public_name_is_called() -> None:
 
 
 def test_the_stored_file_has_no_line_of_another_call() -> None:
-    """A call that was taken out leaves no numbers."""
     assert {name.split(" ")[0] for name in BEFORE} <= same_numbers_calls.CALLS.keys()

@@ -1,4 +1,4 @@
-"""docs/your-data.md: every line of Python and of the shell runs, and begins as it says."""
+"""docs/your-data.md: every line of Python and of the shell runs, and its output begins as shown."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ import shlex
 from pathlib import Path
 from typing import Any
 
-import pages
 import pytest
 from armrig.cli import main
+
+from tests.clients import pages
 
 PAGE = pages.DOCS / "your-data.md"
 _BLOCK = re.compile(r"```(python|sh|text)\n(.*?)```", re.DOTALL)
@@ -18,7 +19,6 @@ _BLOCK = re.compile(r"```(python|sh|text)\n(.*?)```", re.DOTALL)
 def test_every_line_of_the_page_runs_and_prints_what_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One after the other in an empty folder; a text is what the block above it begins with."""
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     commands = compared = 0
@@ -41,7 +41,6 @@ def test_every_line_of_the_page_runs_and_prints_what_it_says(
 
 
 def test_every_kind_of_file_of_the_page_is_read() -> None:
-    """The table has the suffixes that the reader has."""
     from armrig.data.files.suffixes import DATA
 
     table = "".join(x for x in PAGE.read_text(encoding="utf-8").splitlines() if x.startswith("| `"))

@@ -1,4 +1,4 @@
-"""What a person is told of a mistake."""
+"""Messages about a mistake."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 
 
 def told(capsys: pytest.CaptureFixture[str]) -> str:
-    """Return what was said on standard error, which must be one or two lines and no traceback."""
+    """Return the text on standard error, which must be one or two lines and no traceback."""
     said = capsys.readouterr()
     assert said.out == ""
     assert 1 <= said.err.count("\n") <= 2

@@ -1,6 +1,6 @@
-"""An Uno behind a pseudo-terminal: its boot loader speaks STK500v1, then its program runs.
+"""An Uno at a pseudo-terminal: its boot loader speaks STK500v1, then its program runs.
 
-What avrdude needs of the protocol (AVR061, and Optiboot, which answers the same way): a page is
+The boot loader implements what avrdude needs of the protocol (AVR061, as Optiboot does): a page is
 loaded, written and read back. A pseudo-terminal has no DTR, so that the boot loader listens from
 the start until it is left.
 """
@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 FIL = ROOT / "firmware_protocol" / "simavr"
 ATMEGA328P = bytes((0x1E, 0x95, 0x0F))
 _INSYNC, _OK, _END = b"\x14", b"\x10", b" "
-# Bytes of each command behind its letter, the ending blank not counted.
+# Bytes of each command after its letter, without the ending blank.
 _LENGTHS = {b"0": 0, b"A": 1, b"B": 20, b"E": 5, b"P": 0, b"Q": 0, b"U": 2, b"V": 4, b"u": 0}
 _LOOK_S = 0.002
 _UNHEARD = 2
@@ -34,7 +34,7 @@ question. A real one does not hear a greeting during its reset, and avrdude send
 
 
 class Program(Protocol):
-    """What runs after the boot loader: bytes in, frames out, by given time."""
+    """Program after the boot loader: bytes in, frames out, by given time."""
 
     def receive(self, now_ns: int, data: bytes) -> None: ...
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]: ...
@@ -48,22 +48,22 @@ def harness() -> Path:
 
 
 class Uno:
-    """A board on a port; its flash is what was written."""
+    """A board on a port, whose flash contains the written bytes."""
 
     def __init__(self, run: Callable[[bytes, int], Program]) -> None:
         """Switch it on; `run` makes the program of the flash."""
         self.flash = bytearray(b"\xff" * 32768)
         self.written = 0
-        """Where the flash that was written ends."""
+        """End of the written flash."""
         self.signature = ATMEGA328P
         self.version = (4, 4)
-        """Of the boot loader: that of an Uno R3."""
+        """Signature of the boot loader: that of an Uno R3."""
         self.speed = 0
         """The only speed at which the boot loader understands anything, of termios; 0: any."""
         self.stuck_bit = False
         """A cell of the flash is worn out."""
         self.falls_silent_at = 1 << 16
-        """Address from which on the boot loader says nothing."""
+        """Address from which on the boot loader does not answer."""
         self.left = False
         """The boot loader was left."""
         self._run = run
@@ -121,7 +121,7 @@ class Uno:
     def _simple(self, letter: bytes, given: bytes) -> bytes:
         if letter == b"U":
             self._address = 2 * int.from_bytes(given, "little")
-        if letter == b"Q":  # whoever opens the port then resets a real one, which listens again
+        if letter == b"Q":  # the next opening of the port resets a real board, which listens again
             self.left, self._greetings = self.written > 0, 0
         asked = dict(zip(b"\x81\x82", self.version, strict=True)).get(given[0], 3) if given else 3
         return {b"u": self.signature, b"A": bytes((asked,)), b"V": b"\x00"}.get(letter, b"")

@@ -1,4 +1,4 @@
-"""Who may do what, by name."""
+"""Permissions by name."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from armrig_core.errors import FileError
 
 
 def test_a_list_is_read_as_it_was_written(tmp_path: Path) -> None:
-    """By the one who makes certificates, for the daemon."""
     made = AccessList(operators=("alice", "bob"), observers=("carol",), revoked=("eve",))
     path = tmp_path / "access.toml"
     path.write_text(made.toml())
@@ -19,7 +18,6 @@ def test_a_list_is_read_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_a_name_moves_from_list_to_list() -> None:
-    """It stands in one at a time."""
     people = AccessList(operators=("alice",), observers=("bob",)).with_name("alice", "revoked")
 
     assert people == AccessList(observers=("bob",), revoked=("alice",))
@@ -29,20 +27,20 @@ def test_a_name_moves_from_list_to_list() -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('operators = ["alice"]\nobservers = ["alice"]', "'alice' stands there twice"),
-        ('operators = ["alice"]\nrevoked = ["alice"]', "'alice' stands there twice"),
+        ('operators = ["alice"]\nobservers = ["alice"]', "'alice' is listed twice"),
+        ('operators = ["alice"]\nrevoked = ["alice"]', "'alice' is listed twice"),
         ('operators = ["Alice"]', "name 'Alice': 1 to 40 of a-z"),
         ('operators = ["*"]', r"name '\*': 1 to 40 of a-z"),
         ('operators = ["a/b"]', "name 'a/b': 1 to 40 of a-z"),
-        ('rigs = ["1"]', "the name in a rig's certificate is needed, such as rig-1"),
-        ('operators = ["rig-1"]\nrigs = ["rig-1"]', "'rig-1' stands there twice"),
+        ('rigs = ["1"]', "allowed are names of rigs' certificates, such as rig-1"),
+        ('operators = ["rig-1"]\nrigs = ["rig-1"]', "'rig-1' is listed twice"),
         ('operators = "alice"', "Expected `array`"),
         ('operator = ["alice"]', "unknown field `operator`"),
         ("operators = [", "Invalid value"),
     ],
 )
 def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) -> None:
-    """A name is part of a key, where * and / would mean others."""
+    """A name is part of a key, in which * and / would match other names."""
     path = tmp_path / "access.toml"
     path.write_text(text)
 
@@ -50,7 +48,6 @@ def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) ->
         read_access_list(path)
 
 
-def test_a_list_that_is_not_there_is_told(tmp_path: Path) -> None:
-    """With what writes one."""
+def test_a_list_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(FileError, match="there is no such file; `armrig pki ca` writes one"):
         read_access_list(tmp_path / "access.toml")

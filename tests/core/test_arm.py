@@ -1,4 +1,4 @@
-"""The arm's dynamics against the handout's figures."""
+"""The arm's dynamics compared with the handout's numbers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_the_poles_are_the_handout_s() -> None:
 
 
 def test_an_arm_that_weighs_nothing_leaves_the_chassis() -> None:
-    """With J_2 -> 0 the arm's transfer function tends to the chassis' alone."""
+    """For J_2 -> 0 the arm's transfer function tends to that of the chassis alone."""
     p = ArmParameters(J_2=1e-9)
     s = 10j
     (A, B, C), (a, b, c) = arm_matrices(p), chassis_matrices(p)
@@ -49,6 +49,5 @@ def test_an_arm_that_weighs_nothing_leaves_the_chassis() -> None:
 
 @pytest.mark.parametrize(("name", "value"), [("J_1", 0.0), ("R_m", -1.0), ("K_m", float("nan"))])
 def test_impossible_parameters_are_refused(name: str, value: float) -> None:
-    """The message names the parameter and its bound."""
     with pytest.raises(ValueError, match=f"{name}=.*must be finite and > 0"):
         ArmParameters(**{name: value})

@@ -1,4 +1,4 @@
-"""A calibration's TOML and the samples beside it."""
+"""A calibration's TOML with its samples."""
 
 from __future__ import annotations
 
@@ -46,7 +46,6 @@ def _written(folder: Path, calibration: Calibration = MEASURED) -> Path:
 
 @pytest.mark.parametrize("calibration", [MEASURED, OF_NO_DEVICE, Calibration()])
 def test_what_was_written_is_read_to_the_last_bit(calibration: Calibration, tmp_path: Path) -> None:
-    """Only where it was read is new."""
     path = _written(tmp_path, calibration)
 
     found = read_calibration(path)
@@ -63,14 +62,13 @@ def test_what_was_written_is_read_to_the_last_bit(calibration: Calibration, tmp_
     ("samples", "said"),
     [
         (None, "No such file"),
-        (b"others", "not the samples that calibration.toml was estimated from"),
+        (b"others", "not the samples from which calibration.toml was estimated"),
         (bytes(RAW_LIMIT + 1), "more than the 1048576 B allowed"),
     ],
 )
 def test_samples_that_are_not_its_own_are_refused(
     samples: bytes | None, said: str, tmp_path: Path
 ) -> None:
-    """With the file's name and the way out."""
     path = _written(tmp_path)
     if samples is None:
         raw_path(path).unlink()
@@ -99,7 +97,6 @@ def test_samples_that_are_not_its_own_are_refused(
     ],
 )
 def test_a_file_that_is_no_calibration_is_refused(text: str, said: str, tmp_path: Path) -> None:
-    """Its name is told."""
     path = tmp_path / "c.toml"
     path.write_text(text)
 
@@ -109,7 +106,6 @@ def test_a_file_that_is_no_calibration_is_refused(text: str, said: str, tmp_path
 
 
 def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
-    """A byte order mark before UTF-8; UTF-16 is told with what to do."""
     path, plain = tmp_path / "c.toml", replace(MEASURED, made=None)
     path.write_text(toml_of(plain), encoding="utf-8-sig")
 
@@ -126,24 +122,26 @@ TOO_MANY = {f"figure_{n}": Figure(value=1.0, std=0.1) for n in range(500)}
     ("calibration", "raw", "said"),
     [
         (replace(MEASURED, made=None), SAMPLES, "does not say how it was made"),
-        (replace(MEASURED, made=replace(MADE, figures=TOO_MANY)), SAMPLES, "the 16384 B allowed"),
-        (MEASURED, bytes(RAW_LIMIT + 1), "1048577 B, at most 1048576 B are allowed"),
-        (MEASURED, b"others", "not those that it was estimated from"),
-        (MEASURED, b"", "not those that it was estimated from"),
-        (replace(MEASURED, made=replace(MADE, raw_sha256="")), SAMPLES, "not those that it was"),
+        (replace(MEASURED, made=replace(MADE, figures=TOO_MANY)), SAMPLES, "more than 16384 B"),
+        (MEASURED, bytes(RAW_LIMIT + 1), "1048577 B; at most 1048576 B are allowed"),
+        (MEASURED, b"others", "not the samples from which it was estimated"),
+        (MEASURED, b"", "not the samples from which it was estimated"),
+        (
+            replace(MEASURED, made=replace(MADE, raw_sha256="")),
+            SAMPLES,
+            "not the samples from which it was",
+        ),
     ],
 )
 def test_what_comes_by_a_command_is_held_to_what_a_file_may_be(
     calibration: Calibration, raw: bytes, said: str
 ) -> None:
-    """Measured, as long at most, and with its own samples; the way out is told."""
     with pytest.raises(FileError, match=said) as refused:
         check_measured(calibration, raw)
     assert "`armrig calibrate`" in str(refused.value)
 
 
 def test_a_measured_calibration_says_how_it_was_made() -> None:
-    """With its samples, or without any where it names none."""
     alone = replace(MADE, raw_sha256="")
 
     assert check_measured(MEASURED, SAMPLES) == MADE

@@ -1,4 +1,4 @@
-"""How a client finds its daemon: files under the environment."""
+"""Settings of a client: files, over which the environment has precedence."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ def _file(path: Path, text: str) -> Path:
 
 
 def test_the_later_file_is_over_the_earlier_and_the_environment_over_both(tmp_path: Path) -> None:
-    """Key by key."""
     first = _file(tmp_path / "a", '[client]\nconnect = "tls/a:1"\ncertificate = "/a.pem"')
     second = _file(tmp_path / "b", '[client]\nconnect = "tls/b:1"\n[rig]\nid = "1"')
 
@@ -27,10 +26,9 @@ def test_the_later_file_is_over_the_earlier_and_the_environment_over_both(tmp_pa
     assert client_settings([first], {"ARMRIG_CLIENT_CONNECT": "tls/c:1"}).connect == "tls/c:1"
 
 
-def test_a_credential_lies_beside_the_file_that_names_it(
+def test_a_credential_is_in_the_folder_of_the_file_that_names_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """That of the environment in the folder where the command is typed; ~ is the user's own."""
     path = _file(tmp_path / "x" / "a", '[client]\ncertificate = "alice.pem"\npassword = "~/p"')
     monkeypatch.setenv("HOME", "/home/alice")
     monkeypatch.chdir(tmp_path)
@@ -51,14 +49,11 @@ def test_a_credential_lies_beside_the_file_that_names_it(
     ],
 )
 def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, says: str) -> None:
-    """With the file's name."""
     with pytest.raises(ValueError, match=rf"armrig.toml: .*{says}"):
         client_settings([_file(tmp_path / "armrig.toml", text)], {})
 
 
 def test_a_file_of_the_daemon_s_alone_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Who may not read it is no less a client."""
-
     def refuse(path: Path, most: int) -> str:
         raise PermissionError(13, "Permission denied", str(path))
 

@@ -1,4 +1,4 @@
-"""Commands are checked field by field; a refusal names the field and what is allowed."""
+"""Commands are checked field by field; a refusal names the field and the allowed values."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ def _calibration(tables: str, beside: str = "") -> str:
 
 
 def test_a_command_is_read_with_its_fields() -> None:
-    """JSON to a frozen value."""
     assert parse("arm", b'{"owner": "a student", "Ts": 0.01}') == Arm(owner="a student", Ts=0.01)
     assert parse("stop", b"") == Stop()
     assert parse("stop", b'{"by": "anna"}') == Stop(by="anna")
@@ -37,7 +36,7 @@ def test_a_command_is_read_with_its_fields() -> None:
         (
             "arm",
             '{"owner": "a\\u001b[2J"}',
-            r"owner 'a\\x1b\[2J': allowed are 1 to 80 .* print",
+            r"owner 'a\\x1b\[2J': allowed are 1 to 80 print",
         ),
         ("arm", '{"owner": "a\\nb"}', r"owner 'a\\nb': allowed are 1 to 80"),
         ("arm", '{"owner": "\\u009b31m"}', r"owner '\\x9b31m': allowed are 1 to 80"),
@@ -61,10 +60,10 @@ def test_a_command_is_read_with_its_fields() -> None:
         ("note", "{}", "missing required field `text`"),
         ("note", '{"text": ""}', r"length >= 1.*\$.text"),
         ("note", f'{{"text": "{501 * "x"}"}}', r"length <= 500.*\$.text"),
-        ("note", '{"text": "a\\u001b[2J"}', r"text 'a\\x1b\[2J': allowed are 1 to 500 .* print"),
+        ("note", '{"text": "a\\u001b[2J"}', r"text 'a\\x1b\[2J': allowed are 1 to 500 print"),
         ("note", '{"text": "a\\nb"}', r"text 'a\\nb': allowed are"),
         ("note", '{"text": "a\\u202eb"}', r"text 'a\\u202eb': allowed are"),  # turns what follows
-        ("note", '{"text": " \\u3164"}', "not blanks alone"),
+        ("note", '{"text": " \\u3164"}', "not only blanks"),
         ("note", '{"text": "x", "t": 1}', "unknown field `t`"),
         ("calibrate", "{}", "missing required field `calibration`"),
         ("calibrate", _calibration('"driver": {"gain": 11}'), r"gain=11.0 .* 0.1 to 10.*\$.c"),
@@ -77,13 +76,11 @@ def test_a_command_is_read_with_its_fields() -> None:
     ],
 )
 def test_what_is_not_allowed_is_refused(name: str, payload: str, complaint: str) -> None:
-    """Nothing is guessed, rounded or clamped."""
     with pytest.raises(ValueError, match=complaint):
         parse(name, payload.encode())
 
 
 def test_every_command_serves_its_schema() -> None:
-    """JSON Schema with the fields' bounds."""
     names = {"arm", "disarm", "run", "renew", "set", "stop", "reset", "calibrate", "status"}
     names |= {"note"}
     assert set(REQUESTS) == names

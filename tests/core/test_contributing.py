@@ -52,12 +52,10 @@ def _names(node: ast.stmt) -> set[str]:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_what_a_page_for_maintainers_names_exists(page: str) -> None:
-    """Files, folders, functions, classes, methods, constants and make targets."""
     assert lacking((ROOT / page).read_text(encoding="utf-8")) == set()
 
 
 def test_contributing_names_a_function_for_each_hop() -> None:
-    """The three flows have at least nine hops each, each with a file."""
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 
     flows = re.findall(r"^## The flow of .*?(?=^## )", text, re.MULTILINE | re.DOTALL)
@@ -81,12 +79,10 @@ def test_contributing_names_a_function_for_each_hop() -> None:
     ],
 )
 def test_a_name_that_is_gone_is_found(text: str) -> None:
-    """As after a move of a module."""
     assert len(lacking(text)) == 1
 
 
 def test_decisions_are_numbered_without_a_hole() -> None:
-    """Their titles have the numbers of their files."""
     files = sorted((ROOT / "docs" / "decisions").glob("*.md"))
 
     assert [int(file.name[:4]) for file in files] == list(range(1, len(files) + 1))

@@ -1,4 +1,4 @@
-"""A credential that cannot be used is refused in a line before anybody tries it."""
+"""An unusable credential is refused in one line before any use."""
 
 from __future__ import annotations
 
@@ -42,8 +42,7 @@ def _written(path: Path, text: str) -> Path:
     return path
 
 
-def test_a_credential_says_whose_it_is_and_for_how_long(authority: Path) -> None:
-    """By the name and the time in the certificate."""
+def test_a_credential_contains_its_owner_and_its_end(authority: Path) -> None:
     issued = pki.issue_to_person(authority, "alice", "operators", days=30)
 
     found = read_credential(issued.path, "client")
@@ -53,7 +52,6 @@ def test_a_credential_says_whose_it_is_and_for_how_long(authority: Path) -> None
 
 
 def test_it_lasts_no_longer_than_its_authority(tmp_path: Path) -> None:
-    """Which must be good itself for whatever it has signed."""
     made = x509.load_pem_x509_certificate(pki.make_authority(tmp_path, days=5).read_bytes())
     issued = pki.issue_to_person(tmp_path, "alice", "operators", days=30)
 
@@ -61,32 +59,30 @@ def test_it_lasts_no_longer_than_its_authority(tmp_path: Path) -> None:
 
 
 def test_a_certificate_is_good_for_one_purpose(authority: Path) -> None:
-    """An operator cannot stand for a rig, nor whoever reads a rig's file for an operator."""
+    """An operator's certificate is none for a rig, and a rig's none for an operator."""
     rig = pki.issue_to_rig(authority, "1", ["localhost"]).path
     alice = pki.issue_to_person(authority, "alice", "operators").path
 
     assert read_credential(rig, "rig").name == "rig-1"
-    assert _refused(rig, "client").startswith("the certificate is for another purpose")
-    assert _refused(alice, "rig").startswith("the certificate is for another purpose")
+    assert _refused(rig, "client").startswith("the certificate has another purpose")
+    assert _refused(alice, "rig").startswith("the certificate has another purpose")
 
 
 def test_a_certificate_is_good_in_its_time(
     authority: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither after it, for either purpose, nor before."""
-    monkeypatch.setattr(pki, "_BEFORE", 10 * DAY)
+    monkeypatch.setattr(pki, "_CLOCK_TOLERANCE", 10 * DAY)
     old = pki.issue_to_person(authority, "alice", "operators", days=-1).path
     old_rig = pki.issue_to_rig(authority, "1", ["localhost"], days=-1).path
-    monkeypatch.setattr(pki, "_BEFORE", -DAY)
+    monkeypatch.setattr(pki, "_CLOCK_TOLERANCE", -DAY)
     new = pki.issue_to_person(authority, "bob", "operators").path
 
     assert "has expired: `armrig pki renew`" in _refused(old)
     assert "has expired: `armrig pki renew`" in _refused(old_rig, "rig")
-    assert "is not valid yet: see that the clock" in _refused(new)
+    assert "is not valid yet: check the clock" in _refused(new)
 
 
 def test_what_another_authority_signed_is_refused(authority: Path, tmp_path: Path) -> None:
-    """Under the same name."""
     key, certificate, _ = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
     pki.make_authority(tmp_path / "forged")
     other = _blocks(tmp_path / "forged" / "authority.pem")[0]
@@ -97,13 +93,12 @@ def test_what_another_authority_signed_is_refused(authority: Path, tmp_path: Pat
 
 
 def test_the_key_must_be_that_of_the_certificate(authority: Path, tmp_path: Path) -> None:
-    """Two files were mixed up."""
     key = _blocks(pki.issue_to_person(authority, "alice", "operators").path)[0]
     bob = _blocks(pki.issue_to_person(authority, "bob", "operators").path)
 
     found = _written(tmp_path / "bob.pem", key + bob[1] + bob[2])
 
-    assert _refused(found) == "the key is not that of the certificate"
+    assert _refused(found) == "the key does not belong to the certificate"
 
 
 @pytest.mark.parametrize(
@@ -118,26 +113,23 @@ def test_the_key_must_be_that_of_the_certificate(authority: Path, tmp_path: Path
 def test_all_three_must_be_there(
     authority: Path, tmp_path: Path, kept: list[int], says: str
 ) -> None:
-    """One key, its certificate, and its authority's."""
     blocks = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
 
     assert _refused(_written(tmp_path / "a.pem", "".join(blocks[i] for i in kept))).startswith(says)
 
 
 def test_a_damaged_file_is_refused(authority: Path, tmp_path: Path) -> None:
-    """In the key, in the certificate, or in the authority's."""
     blocks = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
     for at in range(3):
         spoilt = list(blocks)
         spoilt[at] = re.sub(r"\n[^-]{20}", "\nAAAAAAAAAAAAAAAAAAAA", blocks[at], count=1)
 
         assert _refused(_written(tmp_path / "a.pem", "".join(spoilt))) == (
-            "damaged: its key or a certificate cannot be read"
+            "its key or a certificate is damaged"
         )
 
 
 def test_a_key_with_a_passphrase_is_refused(authority: Path, tmp_path: Path) -> None:
-    """Nobody is there to type it."""
     key, certificate, signer = _blocks(pki.issue_to_person(authority, "alice", "operators").path)
     locked = key.replace("PRIVATE KEY", "ENCRYPTED PRIVATE KEY")
 
@@ -148,20 +140,19 @@ def test_a_key_with_a_passphrase_is_refused(authority: Path, tmp_path: Path) -> 
 
 @pytest.mark.parametrize("mode", [0o640, 0o440, 0o420, 0o404, 0o402, 0o644])
 def test_a_key_that_others_than_its_owner_may_read_is_refused(authority: Path, mode: int) -> None:
-    """Its group, too: that of a service's files is that of the students."""
+    """The group of a service's files is that of the students."""
     path = pki.issue_to_person(authority, "alice", "operators").path
     path.chmod(mode)
 
     assert _refused(path) == (
-        f"mode {mode:04o} lets others than its owner read the key or change it: allowed is 0400 or "
+        f"with mode {mode:04o} other users can read or change the key; allowed is 0400 or "
         f"0600: `chmod 400 {path}`"
     )
     path.chmod(0o400)
     assert read_credential(path, "client").name == "alice"
 
 
-def test_a_command_that_mends_a_mode_can_be_pasted(tmp_path: Path) -> None:
-    """Whatever the name of the file."""
+def test_a_command_that_corrects_a_mode_can_be_pasted(tmp_path: Path) -> None:
     path = tmp_path / "a key;.pem"
     path.touch(mode=0o644)
 
@@ -171,7 +162,7 @@ def test_a_command_that_mends_a_mode_can_be_pasted(tmp_path: Path) -> None:
 def test_the_file_that_is_read_is_judged_and_not_one_before_it(
     authority: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its mode, or the file itself, may change just before it is opened."""
+    """The mode, or the file itself, may change just before it is opened."""
     path = pki.issue_to_person(authority, "alice", "operators").path
     real = os.open
 
@@ -181,12 +172,11 @@ def test_the_file_that_is_read_is_judged_and_not_one_before_it(
 
     monkeypatch.setattr(os, "open", late)
 
-    assert _refused(path).startswith("mode 0644 lets others than its owner read the key")
+    assert _refused(path).startswith("with mode 0644 other users can read or change the key")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root gives a file to another user")
-def test_who_cannot_change_a_key_s_mode_is_told_what_root_types(authority: Path) -> None:
-    """As it is of a service whose key was installed for its group: only its owner changes that."""
+def test_a_user_who_cannot_change_a_key_s_mode_gets_the_command_for_root(authority: Path) -> None:
     path = pki.issue_to_rig(authority, "1", []).path
     os.chown(path, 1, -1)
     path.chmod(0o640)
@@ -194,8 +184,7 @@ def test_who_cannot_change_a_key_s_mode_is_told_what_root_types(authority: Path)
     assert _refused(path, "rig").endswith(f": `chown root {path} && chmod 400 {path}`")
 
 
-def test_a_file_that_is_not_there_is_told_with_what_makes_it(tmp_path: Path) -> None:
-    """By purpose."""
+def test_a_file_that_is_not_there_is_reported_with_what_makes_it(tmp_path: Path) -> None:
     assert (
         _refused(tmp_path / "a.pem", "rig") == "there is no such file; `armrig pki rig` writes one"
     )

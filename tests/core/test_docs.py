@@ -1,4 +1,4 @@
-"""The pages hold no gap that somebody meant to fill, and name what is there."""
+"""The pages have no placeholder, and the names in them exist."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ FOLDERS = {"armrig": ROOT / "clients/armrig", "armrig_daemon": ROOT / "daemon/ar
 
 
 def test_no_page_has_a_placeholder() -> None:
-    """Such as @FIGURE@ or TODO."""
     found = {p.name: re.findall(r"@[A-Z]+@|\bTODO\b|\bMEASURE\b", p.read_text()) for p in PAGES}
 
     assert len(PAGES) > 10
@@ -23,7 +22,6 @@ def test_no_page_has_a_placeholder() -> None:
 
 @pytest.mark.parametrize("package", FOLDERS)
 def test_the_architecture_has_a_line_for_each_room(package: str) -> None:
-    """A room that is not told is not found."""
     page = (ROOT / "ARCHITECTURE.md").read_text()
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     contracts = settings["tool"]["importlinter"]["contracts"]
@@ -38,7 +36,6 @@ def test_the_architecture_has_a_line_for_each_room(package: str) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_a_module_that_a_page_names_is_there(page: Path) -> None:
-    """By its path, from the root of the project or of its package."""
     named = re.findall(r"`([\w/]+/\w+\.py)`", page.read_text())
     homes = (ROOT, ROOT / "daemon", *FOLDERS.values(), ROOT / "firmware_protocol")
 
@@ -47,7 +44,6 @@ def test_a_module_that_a_page_names_is_there(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_a_page_that_a_page_links_to_is_there(page: Path) -> None:
-    """A link into the project leads somewhere."""
     links = re.findall(r"\]\((?!https?:|#)([^)#]+)(?:#[^)]*)?\)", page.read_text())
 
     assert {link for link in links if not (page.parent / link).exists()} == set()

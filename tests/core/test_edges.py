@@ -18,7 +18,6 @@ ROOT = Path(__file__).parents[2]
     ],
 )
 def test_a_new_module_is_pure_or_a_named_edge(package: str, contract: str) -> None:
-    """The rule is for the whole package, so `make check` holds every new module to it."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
     (pure,) = (c for c in settings["contracts"] if c["name"] == contract)
 

@@ -1,4 +1,4 @@
-"""How a recording of an emulated rig is known."""
+"""Recordings of an emulated rig."""
 
 from __future__ import annotations
 
@@ -17,5 +17,5 @@ from armrig_core.emulated import is_emulated
     ],
 )
 def test_a_rig_is_emulated_by_its_device_or_its_port(uid: str, port: str, emulated: bool) -> None:
-    """The simulated Uno draws an identity of its own, so the port decides there."""
+    """The simulated Uno draws an identity of its own, so the port decides."""
     assert is_emulated(uid=uid, port=port) is emulated

@@ -15,7 +15,6 @@ def _mask() -> int:
 
 
 def test_the_mask_is_as_before_after_two_threads_at_once() -> None:
-    """The second thread does not take the first thread's mask for the mask of the process."""
     before, entered, ended = _mask(), threading.Event(), threading.Event()
 
     def other() -> None:

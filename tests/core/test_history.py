@@ -1,4 +1,4 @@
-"""What was published of late, as bytes: it comes back as it was, and nothing else is taken."""
+"""The recent history as bytes: it comes back as it was, and nothing else is accepted."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ messages = st.lists(st.tuples(st.sampled_from(STREAMS), st.binary(max_size=200))
 def test_an_answer_comes_back_as_it_was(
     life: bytes, first: int, given: list[tuple[str, bytes]]
 ) -> None:
-    """Each message with its stream, in order."""
     past = decode_past(encode_past(life, first, -5, given))
 
     assert past == (life, first, -5, tuple(given))
@@ -26,7 +25,6 @@ def test_an_answer_comes_back_as_it_was(
 def test_an_answer_that_is_cut_or_changed_is_refused_or_read(
     given: list[tuple[str, bytes]], data: st.DataObject
 ) -> None:
-    """Whatever stands there: an answer, or the one error."""
     whole = bytearray(encode_past(bytes(16), 0, 0, given))
     cut = whole[: data.draw(st.integers(0, len(whole)))]
     for _ in range(data.draw(st.integers(0, 3))):
@@ -52,6 +50,5 @@ def test_an_answer_that_is_cut_or_changed_is_refused_or_read(
     ],
 )
 def test_what_is_no_answer_is_refused(data: bytes) -> None:
-    """Too short, of an unknown stream, cut within a message, or beyond what a daemon sends."""
     with pytest.raises(MalformedReplyError):
         decode_past(data)

@@ -1,4 +1,4 @@
-"""What is installed by hash is what pyproject.toml asks for."""
+"""The locked versions with hashes are those that pyproject.toml requires."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def pinned(path: Path) -> dict[str, set[str]]:
 
 
 def asked_for(*extras: str) -> list[str]:
-    """Return what pyproject.toml asks for."""
+    """Return the requirements of pyproject.toml."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     more = [text for extra in extras for text in project["optional-dependencies"][extra]]
     return [*project["dependencies"], *more]
@@ -34,7 +34,6 @@ def asked_for(*extras: str) -> list[str]:
 
 @pytest.mark.parametrize("lock", LOCKS)
 def test_every_line_is_a_version_with_hashes(lock: str) -> None:
-    """Nothing else is in it: no address of an index, no package without a hash."""
     text = LOCKS[lock].read_text()
     assert _PINNED.sub("", text).strip() == ""
     assert len(pinned(LOCKS[lock])) > 30
@@ -44,7 +43,7 @@ def test_every_line_is_a_version_with_hashes(lock: str) -> None:
 def test_all_that_is_asked_for_is_in_it_within_its_bounds(
     lock: str, extras: tuple[str, ...]
 ) -> None:
-    """`make lock` was called after the last change of a dependency."""
+    """`make lock` was run after the last change of a dependency."""
     versions = pinned(LOCKS[lock])
     for text in asked_for(*extras):
         asked = requirements.Requirement(text)
@@ -55,6 +54,5 @@ def test_all_that_is_asked_for_is_in_it_within_its_bounds(
 
 
 def test_tests_run_with_the_versions_of_an_installation() -> None:
-    """A package that both have is the same in both."""
     application, dev = pinned(LOCKS["application"]), pinned(LOCKS["dev"])
     assert {name: dev.get(name) for name in application} == application

@@ -13,31 +13,26 @@ HOSTILE = "\x1b]0;title\x07\x1b[2J\r\x9b31m\u202eabc\u200b\x7f\x00\ud800"
 
 
 def test_what_prints_stays_as_it_is() -> None:
-    """In any script."""
     assert printable("Zoë Ångström, 陈 [red] α\\n") == "Zoë Ångström, 陈 [red] α\\n"
 
 
 def test_what_does_not_print_is_escaped() -> None:
-    """Escape sequences of seven and eight bits, marks of direction, halves of a pair."""
     assert printable(HOSTILE) == (r"\x1b]0;title\x07\x1b[2J\r\x9b31m\u202eabc\u200b\x7f\x00\ud800")
 
 
 def test_line_breaks_are_kept_where_they_are_ours() -> None:
-    """In a table of several lines."""
     assert printable("a\nb\r", keep="\n") == "a\nb\\r"
     assert printable("a\nb") == r"a\nb"
 
 
 @given(st.text(st.characters(exclude_categories=["Cs"])))
 def test_all_text_prints_once_it_is_escaped(text: str) -> None:
-    """And what prints is not touched."""
     assert printable(text).isprintable()
     assert printable(printable(text)) == printable(text)
 
 
 @given(st.text(st.characters(exclude_categories=["Cs"])))
 def test_json_keeps_its_value(text: str) -> None:
-    """Whoever reads it gets the very characters."""
     shown = json_printable(json.dumps({"owner": text}, ensure_ascii=False))
 
     assert shown.isprintable()
@@ -46,7 +41,6 @@ def test_json_keeps_its_value(text: str) -> None:
 
 @pytest.mark.parametrize("quote", ["'", '"'])
 def test_a_message_quotes_no_more_than_a_person_reads(quote: str) -> None:
-    """A value of any length, with blanks in it; what stands around it stays."""
     told = brief(f"rig.id = {quote}{'a b ' * 1250}{quote}: 1 to 40 characters are allowed")
 
     begin = f"rig.id = {quote}{'a b ' * 24}a b"
@@ -54,7 +48,6 @@ def test_a_message_quotes_no_more_than_a_person_reads(quote: str) -> None:
 
 
 def test_a_word_without_end_is_shortened() -> None:
-    """Where no quotes say what it is."""
     assert (
         brief(f"key {'x' * 4999}: no such key")
         == f"key {'x' * 100}… (5000 characters): no such key"
@@ -62,7 +55,6 @@ def test_a_word_without_end_is_shortened() -> None:
 
 
 def test_an_ordinary_message_is_left_as_it_is() -> None:
-    """A long path, and many words."""
     message = f"{'/folder' * 50}: there is no such file; " + "many words " * 100
 
     assert brief(message) == message

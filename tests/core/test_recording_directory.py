@@ -1,4 +1,4 @@
-"""Where a client looks for recordings."""
+"""Folders in which a client looks for recordings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from armrig_core.recording_directory import VARIABLE, directory_of, directory_to
 
 @pytest.fixture
 def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Give the folder of a service on a machine whose user has none of his own yet."""
+    """Give the folder of a service; the user has no recordings yet."""
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "own"))
     folder = tmp_path / "service"
     monkeypatch.setattr(recording_directory, "OF_SERVICE", folder)
@@ -19,39 +19,33 @@ def service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_who_has_recorded_with_the_service_finds_it_there(service: Path) -> None:
-    """Without being told where."""
+def test_recordings_of_the_service_are_found(service: Path) -> None:
     assert directory_to_look_in([], {}) == service
 
 
 def test_one_s_own_recordings_come_first(service: Path) -> None:
-    """As one's own daemon does."""
     directory_of("").mkdir(parents=True)
 
     assert directory_to_look_in([], {}) == directory_of("")
 
 
 def test_a_folder_that_is_configured_is_the_one(service: Path, tmp_path: Path) -> None:
-    """Whether it is there or not: another would be a surprise."""
     away = tmp_path / "away"
 
     assert directory_to_look_in([], {VARIABLE: str(away)}) == away
 
 
 def test_without_a_service_it_is_one_s_own(service: Path) -> None:
-    """Where nothing is yet."""
     service.rmdir()
 
     assert directory_to_look_in([], {}) == directory_of("")
 
 
-def test_a_configuration_that_cannot_be_read_is_told_with_its_path(tmp_path: Path) -> None:
-    """It may name another directory."""
+def test_a_configuration_that_cannot_be_read_is_reported_with_its_path(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=f"{tmp_path}: Is a directory"):
         directory_to_look_in([tmp_path], {})
 
 
 def test_the_home_of_nobody_is_refused() -> None:
-    """With what was configured."""
     with pytest.raises(ValueError, match="= '~nobody-is-called-so/runs': there is no such user"):
         directory_of("~nobody-is-called-so/runs")

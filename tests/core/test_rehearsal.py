@@ -37,7 +37,7 @@ def _played(
 
 @pytest.mark.parametrize("N", [1, 2, 63, 64, 65, 128, 777])
 def test_the_rehearsal_ends_where_the_emulated_rig_does(N: int) -> None:
-    """Another implementation of the same arm; N at and around the ends of blocks."""
+    """The emulator is another implementation of the same arm; N is near the ends of blocks."""
     u = _telegraph(N)
 
     seen = _played(u, 0.005, 1)
@@ -50,7 +50,7 @@ def test_the_rehearsal_ends_where_the_emulated_rig_does(N: int) -> None:
 
 @pytest.mark.parametrize("Ts", [0.01, 0.1, 1.0])
 def test_a_peak_between_two_samples_is_seen(Ts: float) -> None:
-    """A long Ts hides the swing of the arm from the samples, not from the rehearsal."""
+    """A long Ts hides the swing of the arm from the samples."""
     u = _telegraph(max(4, round(2 / Ts)))
 
     seen = np.abs(_played(u, Ts, ceil(Ts / 0.0002))[:, 1])
@@ -63,7 +63,7 @@ def test_a_peak_between_two_samples_is_seen(Ts: float) -> None:
 
 
 def test_a_long_run_does_not_drift() -> None:
-    """600 000 samples of 3 V: each turns the chassis by SPEED 3 V Ts, and no more."""
+    """600 000 samples of 3 V: each turns the chassis by SPEED 3 V Ts."""
     found = rehearse(np.full(600_000, 3.0), 0.01)
 
     lag = P.J_1 + P.J_2  # turning along as one body
@@ -72,7 +72,6 @@ def test_a_long_run_does_not_drift() -> None:
 
 
 def test_where_the_chassis_ends_is_counted_from_where_it_was() -> None:
-    """In rad, turns counted; unknown where the start is."""
     u = _telegraph(300)
 
     from_2 = rehearse(u, 0.01, theta_1_rad=2.0)
@@ -85,7 +84,6 @@ def test_where_the_chassis_ends_is_counted_from_where_it_was() -> None:
 
 
 def test_a_limit_is_refused_when_it_is_reached_and_not_before() -> None:
-    """It names the limit, the value, the first sample and what to do."""
     u = np.full(1000, 3.0)
     turns = rehearse(u, 0.01).revolutions
     at = int(np.argmax(_played(u, 0.01, 1)[:, 0] >= pi * 2))  # the first whole turn
@@ -102,7 +100,7 @@ def test_a_limit_is_refused_when_it_is_reached_and_not_before() -> None:
 
 
 def test_a_deflection_is_refused_where_it_first_happens() -> None:
-    """A step of 4 V after a second at rest swings the arm, to the other side first."""
+    """A step of 4 V after a second at rest swings the arm, first to the other side."""
     u = np.r_[np.zeros(100), np.full(100, 4.0)]
     most = rehearse(u, 0.01).alpha_rad
 
@@ -115,7 +113,6 @@ def test_a_deflection_is_refused_where_it_first_happens() -> None:
 
 
 def test_the_rig_is_the_one_that_is_given() -> None:
-    """A softer spring deflects more; without the arm there is nothing to deflect."""
     u = _telegraph(500)
     softer = replace(P, K_lin=P.K_lin / 4)
 

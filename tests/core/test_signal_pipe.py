@@ -54,7 +54,6 @@ def running(program: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def test_a_wait_ends_at_a_signal_of_any_moment() -> None:
-    """A recorder waits again and again, here for no time: each signal comes within a wait."""
     draw = random.Random(1)
 
     with running(_ROUNDS, str(SIGNALS)) as process:
@@ -71,7 +70,6 @@ def test_a_wait_ends_at_a_signal_of_any_moment() -> None:
 
 
 def test_a_signal_before_the_wait_ends_it() -> None:
-    """A wait that begins after the signal returns at once."""
     with until_signal() as ended:
         assert not ended.is_set()
         signal.raise_signal(signal.SIGINT)
@@ -81,7 +79,6 @@ def test_a_signal_before_the_wait_ends_it() -> None:
 
 
 def test_a_second_signal_interrupts() -> None:
-    """The end itself may hang."""
     with until_signal() as ended:
         signal.raise_signal(signal.SIGINT)
         with pytest.raises(KeyboardInterrupt):
@@ -91,7 +88,6 @@ def test_a_second_signal_interrupts() -> None:
 
 
 def test_a_signal_other_than_ctrl_c_is_handed_on() -> None:
-    """To the handler before, which makes an exit code of it; what nohup ignores stays ignored."""
     received: list[int] = []
     before = {
         signal.SIGTERM: signal.signal(signal.SIGTERM, lambda number, _: received.append(number)),
@@ -112,7 +108,6 @@ def test_a_signal_other_than_ctrl_c_is_handed_on() -> None:
 
 
 def test_a_read_gives_the_signals_and_not_the_threads() -> None:
-    """A thread wakes as a signal does, and is no signal."""
     pipe = SignalPipe()
     try:
         pipe.wake()
@@ -126,7 +121,6 @@ def test_a_read_gives_the_signals_and_not_the_threads() -> None:
 
 @pytest.mark.parametrize("number", ENDING)
 def test_a_signal_waits_for_a_process_that_loads(number: signal.Signals) -> None:
-    """It would end there by a traceback, or by its default, and not in order."""
     with held_back(), running(_ONE) as process:
         process.send_signal(number)
         assert process.stdout is not None

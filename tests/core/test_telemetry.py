@@ -30,7 +30,6 @@ samples = st.builds(Sample, *(_KINDS[kind] for _, kind in SAMPLE_FIELDS))
 
 @given(samples)
 def test_protobuf_reads_what_was_packed(sample: Sample) -> None:
-    """The protobuf library and ours agree on every field."""
     message = protobuf.message_class(protobuf.SAMPLE)()
 
     message.ParseFromString(encode_sample(sample))
@@ -40,7 +39,6 @@ def test_protobuf_reads_what_was_packed(sample: Sample) -> None:
 
 @given(samples)
 def test_packed_is_what_protobuf_writes(sample: Sample) -> None:
-    """Zeros are written too: the bytes are the same, and so is their number."""
     message = protobuf.message_class(protobuf.SAMPLE)(**sample._asdict())
 
     assert message.SerializeToString(deterministic=True) == encode_sample(sample)
@@ -74,22 +72,19 @@ def test_a_number_that_a_message_lacks_is_no_measurement(name: str) -> None:
 
 @given(samples)
 def test_a_number_that_a_message_has_is_read_as_it_is(sample: Sample) -> None:
-    """Zeros, too."""
     message = protobuf.decoded(protobuf.SAMPLE, encode_sample(sample))
 
     assert tuple(getattr(message, name) for name, _ in SAMPLE_FIELDS) == sample
 
 
 def test_other_layouts_are_not_taken_for_a_sample() -> None:
-    """A sample with another length or other tags needs the protobuf library."""
     data = encode_sample(Sample(*(0 for _ in SAMPLE_FIELDS)))
 
     assert decode_sample(data + b"\x60\x00") is None
     assert decode_sample(b"\x11" + data[1:]) is None
 
 
-def test_the_served_schemas_stand_alone() -> None:
-    """Each descriptor set names its message, with all that it depends on."""
+def test_the_served_schemas_are_self_contained() -> None:
     for name in (protobuf.SAMPLE, protobuf.GAP, protobuf.TIMING, protobuf.STATE, protobuf.LOG):
         files = descriptor_pb2.FileDescriptorSet.FromString(protobuf.descriptor_set(name)).file
 

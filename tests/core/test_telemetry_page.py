@@ -1,4 +1,4 @@
-"""docs/telemetry.md: its tables are what the schemas say."""
+"""docs/telemetry.md: its tables agree with the schemas."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core import commands, protobuf, topics
-from armrig_core.codes import OutcomeCode, RefusalCode
+from armrig_core.codes import GapCode, OutcomeCode, RefusalCode
 from armrig_protocol.messages import Flag
 from google.protobuf import descriptor_pb2
 
@@ -35,15 +35,14 @@ def _messages() -> dict[str, descriptor_pb2.DescriptorProto]:
 
 
 def _kind(field: descriptor_pb2.FieldDescriptorProto) -> str:
-    """Return a field's type as a .proto file says it, of a message of the same file by its name."""
+    """Return a field's type as in a .proto file, or the name of a message of the same file."""
     if field.type_name:
         return re.sub(r"^\.(armrig\.v1|foxglove\.Log)?\.?", "", field.type_name)
     return descriptor_pb2.FieldDescriptorProto.Type.Name(field.type).removeprefix("TYPE_").lower()
 
 
 @pytest.mark.parametrize("name", _messages())
-def test_every_field_is_told_in_its_order(name: str) -> None:
-    """With its type; the order is that of the numbers, which count from 1."""
+def test_every_field_is_documented_in_its_order(name: str) -> None:
     fields = [(field.name, _kind(field)) for field in _messages()[name].field]
     told = [(row[0], row[1]) for row in _table(name) if not row[0].startswith("0x")]
 
@@ -51,15 +50,13 @@ def test_every_field_is_told_in_its_order(name: str) -> None:
     assert told == fields
 
 
-def test_every_flag_is_told() -> None:
-    """By its value and name."""
+def test_every_flag_is_documented() -> None:
     rows = [row for row in _table("armrig.v1.Sample") if row[0].startswith("0x")]
 
     assert {row[1]: int(row[0], 16) for row in rows} == {flag.name: int(flag) for flag in Flag}
 
 
-def test_every_key_is_told_with_its_encoding() -> None:
-    """As the daemon declares them."""
+def test_every_key_is_documented_with_its_encoding() -> None:
     told = {key.strip("`"): encoding.strip("`") for key, _, encoding in _table("Keys")[:6]}
 
     assert told == {
@@ -75,23 +72,29 @@ def test_every_key_is_told_with_its_encoding() -> None:
     ]
 
 
-def test_every_command_is_told_with_its_fields() -> None:
-    """In the order of the schema that the daemon serves."""
+def test_every_command_is_documented_with_its_fields() -> None:
     told = {row[0]: [field for field in row[1].split(", ") if field] for row in _table("Commands")}
 
     assert told == {name: list(kind.__struct_fields__) for name, kind in commands.REQUESTS.items()}
 
 
-def test_every_refusal_is_told_with_whether_it_passes() -> None:
-    """In the order of the codes."""
+def test_every_refusal_is_documented_with_its_retry() -> None:
     rows = [row for row in _table("Refusals") if len(row) == 3 and row[0] != "---"]
 
     told = {code: passes for code, _, passes in rows if code != "code"}
     assert told == {code.value: "yes" if code.passes else "no" for code in RefusalCode}
 
 
-def test_every_outcome_is_told() -> None:
-    """In the order of the codes."""
+def test_every_outcome_is_documented() -> None:
     told = [row[0] for row in _table("Outcomes") if row[0] not in ("code", "---")]
 
     assert told == [code.value for code in OutcomeCode]
+
+
+def test_every_code_of_a_gap_is_documented_with_its_sentence() -> None:
+    told = dict(row[:2] for row in _table("Reasons of gaps") if row[0] not in ("code", "---"))
+
+    assert list(told) == [code.value for code in GapCode]
+    for code in GapCode:
+        if code not in (GapCode.FAULT, GapCode.UNKNOWN):
+            assert told[code] == code.sentence

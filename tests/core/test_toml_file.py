@@ -1,4 +1,4 @@
-"""A TOML that anybody may have written is read, or refused in a line."""
+"""A TOML file of any origin is read, or refused in a line."""
 
 from __future__ import annotations
 
@@ -24,13 +24,12 @@ from armrig_core.toml_file import read_toml, toml_tables
     ids=["dots", "a table", "quoted", "inline", "lists", "tables", "escaped", "both"],
 )
 def test_what_is_nested_too_deeply_is_refused_at_once(text: str) -> None:
-    """The reader's time would grow with the square of the depth: 18 s of a whole file."""
+    """The reader's time would grow with the square of the depth: 18 s for a file."""
     with pytest.raises(FileError, match="nested too deeply"):
         toml_tables(text)
 
 
 def test_a_key_of_sixteen_parts_is_read() -> None:
-    """And a text, a number or a remark with more dots than that."""
     parts = [f"k{i}" for i in range(16)]
     tables = toml_tables(f"{'.'.join(parts)} = 1.5\ntext = '{'. ' * 40}'  # {'.' * 40}")
 
@@ -40,7 +39,6 @@ def test_a_key_of_sixteen_parts_is_read() -> None:
 
 
 def test_a_file_is_refused_with_the_reader_s_words(tmp_path: Path) -> None:
-    """And with what to save it as, where it is in another encoding."""
     path = tmp_path / "a.toml"
     path.write_text("a = ")
     with pytest.raises(FileError, match=r"not a TOML file: Invalid value \(at end of document\)"):

@@ -14,7 +14,6 @@ codes = st.integers(0, 65535)
 
 @given(codes)
 def test_a_code_is_the_code_of_its_voltage(code: int) -> None:
-    """Code to volts and back changes nothing."""
     assert code_of(volts_of(code)) == code
 
 
@@ -25,14 +24,12 @@ def test_the_ends_are_the_rig_s() -> None:
 
 @pytest.mark.parametrize("volts", [-1e-9, 5.000001, math.nan, math.inf, -math.inf])
 def test_a_voltage_outside_the_rig_s_is_refused_never_clamped(volts: float) -> None:
-    """The message says what would happen."""
     with pytest.raises(ValueError, match="outside 0 … 5 V"):
         code_of(volts)
 
 
 @given(codes, st.integers(8, 16))
 def test_what_a_device_latches_is_within_half_a_step(code: int, bits: int) -> None:
-    """The nearest duty; its own code is latched as it is."""
     applied = applied_code(code, bits)
 
     assert abs(applied - code) <= 65535 / 2**bits / 2 + 0.5
@@ -41,9 +38,8 @@ def test_what_a_device_latches_is_within_half_a_step(code: int, bits: int) -> No
 
 
 def test_the_codes_of_a_run_are_those_of_its_voltages() -> None:
-    """Each as `code_of` gives it, in two bytes; what is outside is refused, not clamped."""
     assert codes_of([0.0, 1.0, 5.0]) == b"".join(
         code_of(u).to_bytes(2, "little") for u in (0, 1, 5)
     )
-    with pytest.raises(ValueError, match=r"5\.1 V is outside"):
+    with pytest.raises(ValueError, match=r"5\.1 V is not allowed"):
         codes_of([5.0, 5.1])

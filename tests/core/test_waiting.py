@@ -48,7 +48,7 @@ def now_ns() -> int:
 
 
 def test_nothing_comes_and_the_deadline_ends_the_wait_never_early(waiter: Waiter) -> None:
-    """The timer counts in ns: a wait that ends early would have the loop turn on the spot."""
+    """A wait that ends early would make the loop spin; the timer counts in ns."""
     for wait_ns in (1, 999, 50_123, 1_500_001):
         due = now_ns() + wait_ns
         assert waiter.wait_until(due) == []
@@ -56,13 +56,11 @@ def test_nothing_comes_and_the_deadline_ends_the_wait_never_early(waiter: Waiter
 
 
 def test_a_deadline_that_has_passed_is_not_waited_for(waiter: Waiter) -> None:
-    """Nor one before the clock began."""
     assert waiter.wait_until(now_ns() - LONG_NS) == []
     assert waiter.wait_until(-1) == []
 
 
 def test_the_same_deadline_can_be_waited_for_again(waiter: Waiter, pipe: tuple[int, int]) -> None:
-    """Something came before it: the rest of the wait is as long as it was."""
     reader, writer = pipe
     waiter.watch(reader)
     due = now_ns() + 20 * MS
@@ -75,10 +73,9 @@ def test_the_same_deadline_can_be_waited_for_again(waiter: Waiter, pipe: tuple[i
     assert waiter.wait_until(due) == []
 
 
-def test_a_pipe_is_told_for_as_long_as_it_can_be_read(
+def test_a_pipe_is_ready_for_as_long_as_it_can_be_read(
     waiter: Waiter, pipe: tuple[int, int]
 ) -> None:
-    """And at once, where nobody is to wait."""
     reader, writer = pipe
     waiter.watch(reader)
     assert waiter.ready() == []
@@ -90,10 +87,10 @@ def test_a_pipe_is_told_for_as_long_as_it_can_be_read(
     assert waiter.ready() == []
 
 
-def test_a_terminal_is_told_once_for_all_that_it_holds(
+def test_a_terminal_is_ready_once_for_all_that_it_holds(
     waiter: Waiter, terminal: tuple[int, int]
 ) -> None:
-    """One read takes it; asked again, the kernel would have to look, and wait for its worker."""
+    """A second wait would wait for the kernel's worker."""
     master, slave = terminal
     waiter.watch_terminal(slave)
     for text in (b"one", b"another"):
@@ -107,7 +104,6 @@ def test_a_terminal_is_told_once_for_all_that_it_holds(
 def test_a_terminal_never_holds_more_than_one_read_takes(
     waiter: Waiter, terminal: tuple[int, int]
 ) -> None:
-    """What its line discipline had no room for comes with a word of its own."""
     master, slave = terminal
     os.set_blocking(master, False)
     waiter.watch_terminal(slave)
@@ -119,10 +115,9 @@ def test_a_terminal_never_holds_more_than_one_read_takes(
         come += len(os.read(slave, TERMINAL_BYTES))
 
 
-def test_room_on_a_terminal_is_told_where_it_is_wanted(
+def test_room_on_a_terminal_is_reported_if_it_is_wanted(
     waiter: Waiter, terminal: tuple[int, int]
 ) -> None:
-    """Its reader was slow, and has read."""
     master, slave = terminal
     os.set_blocking(master, False)
     waiter.watch_terminal(master)
@@ -143,7 +138,6 @@ def test_room_on_a_terminal_is_told_where_it_is_wanted(
 
 
 def test_a_sleep_ends_at_its_deadline_or_later() -> None:
-    """With a spin before it and without."""
     for spin_ns in (0, 50_000):
         due = now_ns() + MS
         assert sleep_until(due, spin_ns) >= due

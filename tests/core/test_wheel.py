@@ -38,13 +38,11 @@ def wheel(unpacked: Path) -> dict[str, bytes]:
 
 
 def test_the_firmware_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
-    """Where `shipped_image` looks for it; it is that which is committed beside its source."""
     assert wheel[IMAGE] == shipped_image().read_bytes()
 
 
 @pytest.mark.usefixtures("wheel")
 def test_an_installed_armrig_reads_its_own_glossary(unpacked: Path) -> None:
-    """The page of docs, without a checkout."""
     program = "from armrig.cli import glossary; print(glossary._page())"
     call = [sys.executable, "-c", program]
     found = subprocess.run(
@@ -58,7 +56,6 @@ def test_an_installed_armrig_reads_its_own_glossary(unpacked: Path) -> None:
 
 @pytest.mark.usefixtures("wheel")
 def test_an_installed_armrig_finds_its_own(unpacked: Path) -> None:
-    """Not that of a checkout."""
     program = "from armrig_core.firmware_image import *; print(shipped_image())"
     call = [sys.executable, "-c", program]
     found = subprocess.run(
@@ -69,7 +66,7 @@ def test_an_installed_armrig_finds_its_own(unpacked: Path) -> None:
 
 
 def test_nothing_of_the_harness_is_in_the_wheel(wheel: dict[str, bytes]) -> None:
-    """It is GPL: no file of its folder, under whatever name, nor any C at all."""
+    """The harness is GPL."""
     harness = {path.read_bytes() for path in (ROOT / "firmware_protocol" / "simavr").glob("*.[ch]")}
 
     assert len(harness) > 5
@@ -79,7 +76,6 @@ def test_nothing_of_the_harness_is_in_the_wheel(wheel: dict[str, bytes]) -> None
 
 
 def test_a_wheel_of_the_source_archive_is_the_same(wheel: dict[str, bytes], tmp_path: Path) -> None:
-    """Whoever builds it from there has the firmware, and no harness in the wheel, either."""
     (path,) = sdists.SdistBuilder(str(ROOT)).build(directory=str(tmp_path))
     with tarfile.open(path) as archive:
         archive.extractall(tmp_path / "source")  # our own; Debian 12 knows no filter

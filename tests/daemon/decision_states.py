@@ -5,24 +5,34 @@ from __future__ import annotations
 from typing import Any
 
 from armrig_daemon.decisions import step
-from armrig_daemon.decisions.state import Asked, Emit, Event, Ordered, Received, Send, State, Want
+from armrig_daemon.decisions.state import (
+    Emit,
+    Event,
+    Ordered,
+    PendingRequest,
+    Received,
+    RequestKind,
+    Send,
+    State,
+)
 from armrig_daemon.pipe import Arm, Order, Run, Set
 from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Message
 from armrig_protocol.messages import Sample as DeviceSample
 from msgspec.structs import replace
-from virtual_bench import LEASE, Bench, codes
+
+from tests.daemon.virtual_bench import LEASE, Bench, codes
 
 ARM = Arm(order=71, owner="a student", lease=LEASE, ts_us=0)
 SET = Set(order=72, lease=LEASE, n=50, code=1000)
 RUN = Run(order=73, lease=LEASE, n=50, run_id="r", codes=codes(1.0, 2.0))
 OURS = 4711
-"""seq of the request that is awaited, where one is."""
+"""seq of the awaited request, if any."""
 
 
 def rested() -> Bench:
-    """Return a bench at 0 V that nobody holds."""
+    """Return a bench at 0 V without a holder."""
     return Bench()
 
 
@@ -51,14 +61,14 @@ def changed(thing: Any, **fields: object) -> Any:
     return replace(thing, **fields)
 
 
-def awaiting(state: State, want: Want, order: Order | None = None, **fields: int) -> State:
+def awaiting(state: State, want: RequestKind, order: Order | None = None, **fields: int) -> State:
     """Return the state with a request on its way, sent at 0."""
-    asked = Asked(want, fields.pop("sent_ns", 0), OURS, 1, 0, False, order)
+    asked = PendingRequest(want, fields.pop("sent_ns", 0), OURS, 1, 0, False, order)
     return replace(state, asked=asked._replace(**fields))
 
 
 class Decided:
-    """What the core decided on one event."""
+    """Decisions of the core on one event."""
 
     def __init__(self, state: State, now_ns: int, event: Event) -> None:
         self.state, self.actions = step.step(state, now_ns, [event])
@@ -80,12 +90,12 @@ class Decided:
 
 
 def ordered(bench: Bench, order: Order, state: State | None = None) -> Decided:
-    """Return what the core decides on an order."""
+    """Return the core's decisions on an order."""
     return Decided(state or bench.loop.state, bench.ports.now, Ordered(order))
 
 
 def heard(bench: Bench, message: Message, state: State | None = None) -> Decided:
-    """Return what the core makes of a message of the device."""
+    """Return the core's reaction to a message of the device."""
     event = Received(b"\0" + encode(message))
     state = changed(state or bench.loop.state, pending=b"")
     return Decided(state, bench.ports.now, event)

@@ -14,7 +14,7 @@ from unittest import mock
 
 
 class Disk:
-    """Counts what is asked of it; the `n`-th call of `kind` fails, or each from there on."""
+    """Counts its calls; the `n`-th call of `kind` fails, or each from there on."""
 
     def __init__(self, kind: str = "", n: int = 0, *, on: bool = False) -> None:
         self.calls: Counter[str] = Counter()
@@ -31,7 +31,7 @@ class Disk:
 
     @contextmanager
     def installed(self) -> Iterator[None]:
-        """Put it below what the recorder calls."""
+        """Replace the calls of the recorder."""
         counted = {name: self._counted(name) for name in ("fsync", "fdatasync")}
         counted["ftruncate"] = self._counted("ftruncate", os.ftruncate)
         counted["posix_fallocate"] = self._counted("posix_fallocate", os.posix_fallocate)
@@ -47,7 +47,7 @@ class Disk:
     def _counted(
         self, name: str, function: Callable[..., Any] = lambda *_: None
     ) -> Callable[..., Any]:
-        """Count what then does nothing, unless it is told otherwise: no disk is waited for."""
+        """Count a call that does nothing by default, so that no test waits for a disk."""
 
         def counted(*args: Any) -> Any:
             self.asked(name)
@@ -71,7 +71,7 @@ class _File(io.FileIO):
 
 
 class _Path(type(Path())):  # type: ignore[misc]
-    """A path of a disk; so are those that are made of it."""
+    """A path of a disk, as every path made of it."""
 
     disk: Disk
 

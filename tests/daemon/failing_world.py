@@ -1,7 +1,7 @@
-"""The loop's real ports in virtual time, in a world whose n-th call of a kind fails.
+"""The loop's real ports in virtual time, with a system whose n-th call of a kind fails.
 
-`ProcessPorts` and `Link` are the product's; the system calls below them are ours: a clock that is
-a number, a line that ends in the emulated device, and the service's two pipes.
+`ProcessPorts` and `Link` are the product's. The system calls below them are replaced: the clock is
+a number, the line ends in the emulated device, and the service's two pipes end in the test.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ WAYS = {
     "put": (errno.EAGAIN, errno.EPIPE),
     "orders": (errno.EAGAIN, "end of file"),
 }
-"""How each kind of call can fail."""
+"""Failures of each kind of call."""
 
 
 class World:
@@ -64,11 +64,11 @@ class World:
             self.loop = Loop(rules, process.ProcessPorts(port, _ORDERS, _RECORDS))
 
     def order(self, at_ns: int, order: Any) -> None:
-        """Let the service ask for something at a time, not before those asked for earlier."""
+        """Let the service send an order at a time, not before earlier orders."""
         self._orders.append((at_ns, record_bytes(order)))
 
     def run_until(self, until_ns: int) -> list[bytes | Record]:
-        """Let the loop run; return what the service got. A loop that hangs is an assertion."""
+        """Let the loop run; return the service's records. A loop that hangs is an assertion."""
         with self._installed():
             while self.now_ns < until_ns and not self.loop.ended:
                 self.loop.turn()
@@ -93,7 +93,7 @@ class World:
                 Waiter=lambda: _Waiter(self),
             ),
             mock.patch.multiple(
-                link, os=calls, serial=serial, _tell_nothing_from_the_end=lambda _: None
+                link, os=calls, serial=serial, _distinguish_empty_from_end=lambda _: None
             ),
         ):
             yield
@@ -166,7 +166,7 @@ class World:
 
 
 class _Waiter:
-    """What the product waits with, in virtual time."""
+    """Replacement of the product's waiter, in virtual time."""
 
     def __init__(self, world: World) -> None:
         self._world = world

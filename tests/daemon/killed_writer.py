@@ -32,16 +32,16 @@ _LEDGER = struct.Struct("<QQ")
 
 
 class Ledger(NamedTuple):
-    """What a process had done when it was killed."""
+    """Progress of a process when it was killed."""
 
     handed: int
     """Samples that the recorder was given."""
     acknowledged: int
-    """Samples that it said were on the disk."""
+    """Samples reported as on the disk."""
 
 
 class Killed(NamedTuple):
-    """One process, and what was found of its recording."""
+    """One process, and the state of its recording."""
 
     ledger: Ledger
     found: int
@@ -49,7 +49,7 @@ class Killed(NamedTuple):
     recovered: int
     """Samples in the file that was completed."""
     faults: tuple[str, ...]
-    """What must not be."""
+    """Violations."""
 
 
 def main() -> None:
@@ -73,9 +73,9 @@ def main() -> None:
 
 
 def judged(folder: Path) -> list[Killed]:
-    """Judge what the processes left, and what the next start of a daemon makes of it.
+    """Judge the remaining files, and their recovery at the next start of a daemon.
 
-    A file of 0 B is of one that was killed before it had begun.
+    A process that was killed before its beginning leaves a file of 0 B.
     """
     left = {path: _loaded(path) for path in unfinished(folder, "1") if path.stat().st_size}
     next_start = StartupRecovery(folder, "1", lambda: None)

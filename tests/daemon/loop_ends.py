@@ -9,7 +9,7 @@ from armrig_daemon.service.child import LoopChild, Starter
 
 
 class LoopEnds:
-    """Pipes as `loop_child.start` makes them, with a process at their end that says nothing."""
+    """Pipes as `loop_child.start` makes them, with a silent process at their end."""
 
     def __init__(self) -> None:
         self.orders_fd, orders_in = os.pipe()
@@ -34,7 +34,7 @@ class LoopEnds:
         self.orders_fd = -1
 
     def close(self) -> None:
-        """Close what is open."""
+        """Close the open ends."""
         assert self.child.end() == 0
         os.close(self.records_fd)
         if self.orders_fd >= 0:

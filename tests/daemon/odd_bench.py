@@ -25,7 +25,8 @@ from armrig_daemon.pipe import (
     Stop,
     Trace,
 )
-from virtual_bench import LEASE, MS, Bench, codes
+
+from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
 EMULATOR: dict[str, Any] = {
     "seed": 11,
@@ -70,9 +71,9 @@ CONFIG = Config(
 
 
 def lines_of(records: list[Any], every: int, device: Any = None) -> Iterator[str]:
-    """Give a line for each record, of samples for some only; numbers with six digits.
+    """Give a line for each record, but for some samples only; numbers have six digits.
 
-    `device` is what a state told of the device before.
+    `device` is the previous state's report of the device.
     """
     seen = 0
     for record in records:
@@ -118,7 +119,7 @@ class Faults:
         self._faults, self._n = faults, 0
 
     def __call__(self, data: bytes) -> bytes:
-        """Return what the line makes of a frame."""
+        """Return the bytes that the line delivers for a frame."""
         self._n += 1
         if self._n in self._faults.get("lost", ()):
             return b""
@@ -128,7 +129,7 @@ class Faults:
 
 
 class Afternoon:
-    """The story: each step gives what the service was told meanwhile."""
+    """The story: each step gives the records that the service received."""
 
     def __init__(self) -> None:
         self.bench = Bench(CONFIG, k=2**32 - 40, switched_on_ns=-2 * MS, **EMULATOR)
@@ -137,21 +138,21 @@ class Afternoon:
         self._device: Any = None
 
     def step(self, what: str, every: int = 20) -> None:
-        """Note what was told since the last step, under a name."""
+        """Note the records since the last step, under a name."""
         records = self.bench.records[self._told :]
         self._told = len(self.bench.records)
         self.lines += [f"# {what}", *lines_of(records, every, self._device)]
         self._device = next((r.device for r in records if getattr(r, "device", 0)), self._device)
 
     def ask(self, kind: type[Any], **fields: Any) -> None:
-        """Give an order, and let 20 ms pass; its answer is among what is told."""
+        """Give an order, and let 20 ms pass; its answer is among the records."""
         self._orders += 1
         self.bench.order(kind(order=self._orders, **fields))
         self.bench.run_for(20)
 
 
 def afternoon() -> list[str]:
-    """Return all that the service is told of a bad afternoon."""
+    """Return all records of a bad afternoon."""
     day = Afternoon()
     bench, line = day.bench, day.bench.ports
     day.step("it is plugged in")

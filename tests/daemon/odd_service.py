@@ -1,4 +1,4 @@
-"""What a service says at the edges of its limits; its words are in `service/said.txt`."""
+"""Messages of a service at its limits; the words are in `service/said.txt`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from armrig_core import protobuf
+from armrig_core.codes import Ending, GapCode, OutcomeCode
 from armrig_core.commands import Renew, Run
 from armrig_core.history import decode_past
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample
@@ -16,7 +17,6 @@ from armrig_daemon.service import client_watchdog, pressure, readings, token_buc
 from armrig_daemon.service.access import Network
 from armrig_daemon.service.history import History
 from armrig_daemon.service.played_input import checked, one_a_line
-from armrig_daemon.service.pressure import outcome
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import part_limits
 from armrig_daemon.service.sentences import (
@@ -30,13 +30,15 @@ from armrig_daemon.service.sentences import (
 from armrig_daemon.service.thinning import Thinning
 from armrig_protocol.messages import Flag
 from msgspec.structs import replace
-from odd_bench import CONFIG
+
+from tests.daemon.odd_bench import CONFIG
 
 __all__ = [
     "CONFIG",
     "Config",
     "RecordingConfig",
     "checked",
+    "ended",
     "endpoint_error",
     "late",
     "network_error",
@@ -49,7 +51,6 @@ __all__ = [
     "odd_signs",
     "odd_state",
     "one_a_line",
-    "outcome",
     "part_limits",
     "served",
     "state_sentence",
@@ -65,7 +66,7 @@ def odd_state(**changes: Any) -> State:
 
 
 def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> str:
-    """Return why a host is not to drive a motor, as a person is told."""
+    """Return the reason why a host must not drive a motor, in words."""
     refusal = pressure.untimely(timing, watchdog_ms, load)
     return refusal.error if refusal else ""
 
@@ -80,6 +81,11 @@ def late(p99_us: float) -> Timing:
         link_round_trip_us=wake,
         queue_depth=wake,
     )
+
+
+def ended(code: str, **state: Any) -> str:
+    """Return the sentence of a run with this end, on a loaded host in this state."""
+    return pressure.with_load(Ending(OutcomeCode(code), "late"), odd_state(**state), "load 2").text
 
 
 def odd_networks() -> None:
@@ -137,7 +143,7 @@ def odd_readings() -> None:
 
 
 def odd_log() -> None:
-    """Print what is said at once of a log with numbers, and what each second behind it."""
+    """Print the lines of a log with numbers: at once, and in each second afterwards."""
     thinning = Thinning()
 
     def log(ms: int, message: str, level: str = "warning", **fields: str) -> None:
@@ -194,7 +200,7 @@ def odd_questions() -> None:
 
 
 def odd_history() -> None:
-    """Print what is kept of messages of 40 B where 100 B may be."""
+    """Print the kept messages of 40 B for a limit of 100 B."""
     history = History(bytes(range(16)), most_bytes=100)
     for n in range(5):
         history.add("sample" if n % 2 else "gap", bytes([n]) * 40)
@@ -205,7 +211,7 @@ def odd_history() -> None:
 
 
 def odd_messages() -> None:
-    """Print what is published of each kind of record."""
+    """Print the published messages of each kind of record."""
     part = Distribution(p50=1.5, p90=2.5, p99=3.5, p999=4.5, max=5.5, n=6, missed=7)
     timing = Timing(
         t_host_ns=3,
@@ -226,7 +232,15 @@ def odd_messages() -> None:
         drift_std_ppm=8.5,
         bound_ns=9.5,
     )
-    gap = Gap(k_first=2, count=3, t_from_ns=4, t_to_ns=5, u_held_v=0.5, reason="late")
+    gap = Gap(
+        k_first=2,
+        count=3,
+        t_from_ns=4,
+        t_to_ns=5,
+        u_held_v=0.5,
+        reason="late",
+        code=GapCode.HOST_LATE,
+    )
     log = Log(t_host_ns=6, level="debug", message="hello", fields={"a": "b"})
     trace = Trace(t_host_ns=7, number=8, state=b"s", steps=b"t", version=2)
     for record in (timing, state, clock, gap, log, trace):

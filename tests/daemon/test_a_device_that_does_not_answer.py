@@ -1,4 +1,4 @@
-"""Who has taken the wrong port or the wrong speed is told what was heard, and what to try."""
+"""A wrong port or a wrong speed: the message names the received bytes and the remedy."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from armrig_daemon.decisions import step
 from armrig_daemon.decisions.requests import unanswered
 from armrig_daemon.decisions.state import (
     Action,
-    Beat,
     Emit,
     Event,
     LinkDown,
@@ -19,21 +18,23 @@ from armrig_daemon.decisions.state import (
     Received,
     State,
     Tick,
+    Wakeup,
 )
 from armrig_daemon.pipe import Log
 from armrig_daemon.pipe import State as StateRecord
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Keepalive
-from decision_states import Decided, heard
 from msgspec.structs import replace
-from virtual_bench import MS, Bench
+
+from tests.daemon.decision_states import Decided, heard
+from tests.daemon.virtual_bench import MS, Bench
 
 WITHIN_MS = 2000
 NOISE = Random(1)
 
 
 class _Line:
-    """The core on an open line, and what it has told; `brings` gives the bytes of each 10 ms."""
+    """The core on an open line, and its reports; `brings` gives the bytes of each 10 ms."""
 
     def __init__(self, brings: Callable[[], bytes] = lambda: b"", beats: bool = True) -> None:
         self.now = 0
@@ -44,14 +45,14 @@ class _Line:
         self._step(LinkUp())
 
     def run_for(self, ms: int) -> None:
-        """Let time pass: a tick each 10 ms, and a beat whenever the core has asked for one."""
+        """Let time pass: a tick each 10 ms, and a wakeup whenever the core has requested one."""
         for _ in range(ms // 10):
             self.now += 10 * MS
             self._step(Tick(self.now // (10 * MS), self.now))
             if data := self._brings():
                 self._step(Received(data))
             if self._beats and self.now >= step.wake_ns(self.state):
-                self._step(Beat())
+                self._step(Wakeup())
 
     def _step(self, event: Event) -> None:
         self.state, actions = step.step(self.state, self.now, [event])
@@ -68,24 +69,23 @@ class _Line:
     [
         (
             lambda: b"",
-            "it was asked 18 times at 500000 baud, and nothing came back; see that it has power, "
-            "that this is its port, and that its firmware is on it",
+            "18 requests at 500000 baud had no answer; check that the device has power, "
+            "that this is its port, and that it contains the firmware",
         ),
         (
             lambda: NOISE.randbytes(10),
-            "of the 1690 bytes that came at 500000 baud none was a frame; see that its firmware "
+            "1690 bytes came at 500000 baud, but no frame; check that its firmware "
             "has the same [device] baud, and that this is its port",
         ),
         (
             lambda: b"\0" + encode(Keepalive(0, 7)),
-            "169 frames came, but no answer to the question who it is; see that its firmware "
+            "169 frames came, but no answer to HELLO; check that its firmware "
             "speaks this version of the wire, and that nothing else is on this port",
         ),
     ],
     ids=["silent", "noise", "frames"],
 )
-def test_what_came_is_told_within_two_seconds(brings: Callable[[], bytes], said: str) -> None:
-    """Once in the log, and in the state."""
+def test_what_came_is_reported_within_two_seconds(brings: Callable[[], bytes], said: str) -> None:
     line = _Line(brings)
 
     line.run_for(1600)
@@ -99,7 +99,6 @@ def test_what_came_is_told_within_two_seconds(brings: Callable[[], bytes], said:
 
 
 def test_what_comes_later_is_in_the_state_a_second_later_and_in_the_log_once_a_minute() -> None:
-    """Its supply was off; now it is on, at another speed."""
     data = [b""]
     line = _Line(lambda: data[0])
     line.run_for(WITHIN_MS)
@@ -107,7 +106,7 @@ def test_what_comes_later_is_in_the_state_a_second_later_and_in_the_log_once_a_m
     data[0] = b"x"
     line.run_for(1000)
 
-    assert "of the 69 bytes" in line.states[-1].line
+    assert "69 bytes came" in line.states[-1].line
     line.run_for(57_000)
     assert len(line.logs) == 1
     line.run_for(WITHIN_MS)
@@ -116,16 +115,14 @@ def test_what_comes_later_is_in_the_state_a_second_later_and_in_the_log_once_a_m
 
 
 def test_a_line_that_is_never_quiet_does_not_keep_the_question_back() -> None:
-    """Where bytes always wait there is no beat: the ticks ask again, too."""
     line = _Line(lambda: NOISE.randbytes(500), beats=False)
 
     line.run_for(WITHIN_MS)
 
-    assert "bytes that came at 500000 baud none was a frame" in line.states[-1].line
+    assert "bytes came at 500000 baud, but no frame" in line.states[-1].line
 
 
 def test_a_device_that_answers_has_nothing_said_of_its_line() -> None:
-    """Nor one that is asked for the first time; what it said before counts no more."""
     bench = Bench()
     assert bench.of(StateRecord)[-1].line == ""
     silent = _silent(bench)
@@ -139,7 +136,7 @@ def test_a_device_that_answers_has_nothing_said_of_its_line() -> None:
     assert again.state.asked is not None
     lost = Decided(silent, bench.ports.now, LinkDown("gone"))
     assert lost.told(StateRecord)[-1].line.startswith(
-        "no rig is there, and the daemon waits for it"
+        "no rig is connected, and the daemon waits for one"
     )
 
 

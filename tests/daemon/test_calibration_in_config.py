@@ -1,4 +1,4 @@
-"""The calibration that the configuration names, and what goes into a recording of it."""
+"""The calibration that the configuration names, and its content in a recording."""
 
 from __future__ import annotations
 
@@ -43,7 +43,6 @@ def _config(folder: Path, text: str, name: str = "armrig.toml") -> Path:
 
 
 def test_a_calibration_is_named_relative_to_the_file_that_names_it(tmp_path: Path) -> None:
-    """Measured values, and how they were made."""
     path = _calibration(tmp_path)
 
     found = load([_config(tmp_path, '[calibration]\nfile = "c.toml"')], {}, {}).calibration
@@ -54,7 +53,6 @@ def test_a_calibration_is_named_relative_to_the_file_that_names_it(tmp_path: Pat
 
 
 def test_the_environment_may_name_it(tmp_path: Path) -> None:
-    """Over what a file says, of which nothing is left."""
     below = _config(tmp_path, "[calibration.alpha]\nzero_counts = 5.0")
 
     variable = {"ARMRIG_CALIBRATION_FILE": str(_calibration(tmp_path))}
@@ -65,7 +63,7 @@ def test_the_environment_may_name_it(tmp_path: Path) -> None:
 
 
 def test_a_value_over_a_calibration_is_not_a_measured_one(tmp_path: Path) -> None:
-    """What was said of how it was made is gone."""
+    """Its sentence of origin is removed."""
     _calibration(tmp_path)
     below = _config(tmp_path, '[calibration]\nfile = "c.toml"')
     above = _config(tmp_path, "[calibration.alpha]\nzero_counts = 5.0", "user.toml")
@@ -83,13 +81,12 @@ def test_a_value_over_a_calibration_is_not_a_measured_one(tmp_path: Path) -> Non
         ("[calibration]\nfile = 1", "calibration.file = 1: must be the path"),
         (
             '[calibration]\nfile = "c.toml"\n[calibration.alpha]\nzero_counts = 1.0',
-            "calibration.alpha is given beside calibration.file: give one",
+            "calibration.alpha and calibration.file are given: give one",
         ),
         ('[calibration]\nfile = "bad.toml"', r"bad\.toml: calibration.beta = {}: no such key"),
     ],
 )
 def test_a_calibration_that_cannot_be_used_is_refused(text: str, said: str, tmp_path: Path) -> None:
-    """The daemon does not start with another one in its place."""
     _calibration(tmp_path)
     _config(tmp_path, "[beta]", "bad.toml")
 
@@ -98,7 +95,6 @@ def test_a_calibration_that_cannot_be_used_is_refused(text: str, said: str, tmp_
 
 
 def test_every_recording_carries_the_samples_of_its_calibration(tmp_path: Path) -> None:
-    """As they lay beside the file when the daemon started; without any, there is no attachment."""
     _calibration(tmp_path)
     config = load([_config(tmp_path, '[calibration]\nfile = "c.toml"')], {}, {})
 

@@ -25,7 +25,6 @@ def _load(tmp_path: Path, text: str, environ: dict[str, str] | None = None) -> C
 
 
 def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
-    """Every key has a default."""
     assert _load(tmp_path, "") == Config()
 
 
@@ -45,9 +44,9 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[limits]\nu_max_v = nan", r"limits\.u_max_v = nan"),
         ("[limits]\nu_min_v = -1", r"limits\.u_min_v = -1: expected `float` >= 0"),
         ("[limits]\nu_min_v = 4\nu_max_v = 3", r"limits: u_min_v = 4.0 must not be above"),
-        ("[limits]\nu_min_v = 4\nu_min_v = 3", r"line 3: u_min_v = 3: is there already; .* once"),
-        ("[limits]\nu_min_v = 4\n[rig]\n[limits]\n", r"line 4: \[limits\]: is there already"),
-        ("limits = {u_min_v = 4, u_min_v = 3}", r"line 1: .*u_min_v = 3}: is there already"),
+        ("[limits]\nu_min_v = 4\nu_min_v = 3", r"line 3: u_min_v = 3: given twice; .* once"),
+        ("[limits]\nu_min_v = 4\n[rig]\n[limits]\n", r"line 4: \[limits\]: given twice"),
+        ("limits = {u_min_v = 4, u_min_v = 3}", r"line 1: .*u_min_v = 3}: given twice"),
         ("[limits]\nu_min_v 4", "not a TOML file"),
         ("[limits]\nrevolutions = 0.004", r"revolutions = 0\.004 must be a whole number of hund"),
         ("[limits]\nrevolutions = 656", r"limits\.revolutions = 656: expected `float` <= 655"),
@@ -75,16 +74,16 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
         ("[arm]\nJ_3 = 1", r"arm\.J_3 = 1: no such key; allowed are J_1, J_2"),
         (
             "[device]\nport = '/dev/tty\x9b'",
-            r"device: port = '/dev/tty\\x9b' must be of char",
+            r"device: port = '/dev/tty\\x9b' must have only print",
         ),
-        ('[device]\nport = "\\u001b[2J"', r"device: port = '\\x1b\[2J' must be of characters"),
+        ('[device]\nport = "\\u001b[2J"', r"device: port = '\\x1b\[2J' must have only printable"),
         (
             f"[device]\nport = 'unix:/{'a' * 107}'",
-            r"device: unix:/a+: a path of 108 B, a socket's has 1 to 107; choose a shorter folder",
+            r"device: unix:/a+: the path has 108 B; .* 1 to 107 B; choose a shorter folder",
         ),
         (
             "[device]\nport = 'unix:'",
-            r"device: unix:: a path of 0 B, .*; name a socket in a folder",
+            r"device: unix:: the path has 0 B; .*; name a socket in your own folder",
         ),
         ("[device]\nwatchdog_ms = 0", r"device\.watchdog_ms = 0: expected `int` >= 20"),
         ("[rig]\nid = '../1'", r"rig id '\.\./1': 1 to 40 of a-z, 0-9 and - are allowed"),
@@ -93,7 +92,6 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, complaint: str) -> None:
-    """The message names file, key, value and what is allowed."""
     with pytest.raises(InputError, match=complaint) as refusal:
         _load(tmp_path, text)
 
@@ -102,13 +100,11 @@ def test_what_is_not_allowed_is_refused(tmp_path: Path, text: str, complaint: st
 
 
 def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
-    """The path is in the message."""
     with pytest.raises(InputError, match=r"nowhere\.toml: there is no such file"):
         load([tmp_path / "nowhere.toml"], {}, {})
 
 
 def test_the_later_layer_wins_key_by_key(tmp_path: Path) -> None:
-    """System, user, environment, command line."""
     system, user = tmp_path / "system.toml", tmp_path / "user.toml"
     system.write_text("[timing]\nTs = 0.02\npriority = 10\n[limits]\nu_max_v = 3.0")
     user.write_text("[timing]\nTs = 0.03\nspin_us = 5")
@@ -121,7 +117,6 @@ def test_the_later_layer_wins_key_by_key(tmp_path: Path) -> None:
 
 
 def test_what_lies_below_gives_way_to_whatever_is_said(tmp_path: Path) -> None:
-    """Files, the environment and the command line each say it over the defaults of a command."""
     user, below = tmp_path / "user.toml", {"device": {"watchdog_ms": 250}}
     user.write_text("[device]\nwatchdog_ms = 100\nbaud = 115200")
 
@@ -143,7 +138,6 @@ def test_what_lies_below_gives_way_to_whatever_is_said(tmp_path: Path) -> None:
     ],
 )
 def test_a_mistyped_variable_is_refused(name: str, text: str, complaint: str) -> None:
-    """It would else be ignored in silence."""
     with pytest.raises(InputError, match=complaint) as refusal:
         load([], {name: text}, {})
 
@@ -151,14 +145,13 @@ def test_a_mistyped_variable_is_refused(name: str, text: str, complaint: str) ->
 
 
 def test_a_variable_that_a_page_names_and_that_is_no_key_stops_nothing() -> None:
-    """docs/firmware.md names ARMRIG_FIL, which may be set for good."""
+    """docs/firmware.md names ARMRIG_FIL, which may be set permanently."""
     named = {"ARMRIG_FIL": "/opt/fil", "ARMRIG_CLIENT_CONNECT": "tls/lab.example.edu:7447"}
 
     assert load([], named | {"ARMRIG_DEVICE_BAUD": "250000"}, {}).device.baud == 250_000
 
 
 def test_a_variable_that_is_given_twice_is_refused() -> None:
-    """In another spelling it is another variable, and the same key."""
     environ = {"ARMRIG_TIMING_TS": "0.01", "ARMRIG_TIMING_Ts": "0.02"}
 
     with pytest.raises(InputError, match=r"ARMRIG_TIMING_Ts='0.02': timing.Ts is given twice"):
@@ -168,7 +161,6 @@ def test_a_variable_that_is_given_twice_is_refused() -> None:
 def test_the_rig_that_runs_are_rehearsed_on_is_the_handout_s_but_for_what_is_given(
     tmp_path: Path,
 ) -> None:
-    """Each parameter by itself."""
     config = _load(tmp_path, "[arm]\nJ_2 = 0.005\nremoved = true")
 
     assert Config().arm.parameters() == ArmParameters()
@@ -185,7 +177,6 @@ def test_what_config_can_say_is_taken(tmp_path: Path, key: str) -> None:
 
 
 def test_the_rules_of_the_core_are_the_configuration_s() -> None:
-    """Volts as codes; no slew limit is 0."""
     rules = Config().rules()
 
     assert (rules.code_min, rules.code_max, rules.slew, rules.turns) == (0, 65535, 0, 0)
@@ -193,7 +184,6 @@ def test_the_rules_of_the_core_are_the_configuration_s() -> None:
 
 
 def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
-    """None is left at its default, and each is in the core's unit."""
     rules = _load(
         tmp_path,
         "[timing]\nTs = 0.02\nstop_after = 3\n"
@@ -219,7 +209,7 @@ def test_each_key_of_the_core_s_rules_reaches_them(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("slew_v", "codes"), [(0.2, 2622), (1.0, 13108), (5.0, 65535)])
 def test_no_step_of_the_slew_is_too_steep_for_its_codes(slew_v: float, codes: int) -> None:
-    """Where it is no whole number of codes the rounding of both ends may add one; none is lost."""
+    """The rounding of both ends may add one code."""
     rules = Config(limits=Limits(slew_v=slew_v)).rules()
 
     steps = [code_of(low + slew_v) - code_of(low) for low in np.linspace(0, 5 - slew_v, 99)]
@@ -229,7 +219,6 @@ def test_no_step_of_the_slew_is_too_steep_for_its_codes(slew_v: float, codes: in
 
 
 def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
-    """A byte order mark before UTF-8; UTF-16 is told with what to do."""
     path = tmp_path / "armrig.toml"
     text = "[timing]\r\nTs = 0.02\r\n"
     path.write_text(text, encoding="utf-8-sig")
@@ -241,7 +230,6 @@ def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
 
 
 def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
-    """A pipe that nobody writes to, in place of the configuration."""
     path = tmp_path / "armrig.toml"
     os.mkfifo(path)
 
@@ -251,7 +239,7 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
 
 @pytest.fixture
 def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Give the machine's folder of configurations, with no user's beside it."""
+    """Give the machine's folder of configurations; the user has none."""
     folder = tmp_path / "etc"
     folder.mkdir()
     monkeypatch.setattr(recording_directory, "SYSTEM", folder / "armrig.toml")
@@ -260,8 +248,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_the_file_of_a_rig_stands_over_that_of_all(machine: Path, tmp_path: Path) -> None:
-    """And the user's over both; whose rig it is decides which is read."""
+def test_the_file_of_a_rig_has_precedence_over_that_of_all(machine: Path, tmp_path: Path) -> None:
     (machine / "armrig.toml").write_text("[limits]\nu_max_v = 4.5\nu_min_v = 0.1\nslew_v = 1")
     (machine / "2.toml").write_text("[limits]\nu_min_v = 0.2\nslew_v = 2")
     (tmp_path / "user" / "armrig").mkdir(parents=True)
@@ -275,7 +262,7 @@ def test_the_file_of_a_rig_stands_over_that_of_all(machine: Path, tmp_path: Path
 
 
 def test_a_service_reads_the_machines_files_alone(machine: Path, tmp_path: Path) -> None:
-    """What its own user can write must not widen its limits."""
+    """A file that its own user can write must not widen its limits."""
     (machine / "1.toml").write_text("[limits]\nslew_v = 2")
     (tmp_path / "user" / "armrig").mkdir(parents=True)
     (tmp_path / "user" / "armrig" / "armrig.toml").write_text("[limits]\nslew_v = 3")
@@ -284,14 +271,13 @@ def test_a_service_reads_the_machines_files_alone(machine: Path, tmp_path: Path)
 
 
 def test_a_service_whose_rig_has_no_file_is_refused(machine: Path) -> None:
-    """A name with a typing error must not start on another's port."""
-    with pytest.raises(InputError, match=rf"^{machine}/l\.toml: there is no such file; write one"):
+    """A name with a typing error must not start on the port of another rig."""
+    with pytest.raises(InputError, match=rf"^{machine}/l\.toml: there is no such file; write it"):
         load_installed({}, {"rig": {"id": "l"}}, system=True)
 
 
 def test_a_file_that_is_another_rigs_is_refused(machine: Path) -> None:
-    """It was copied, and its id not changed."""
     (machine / "2.toml").write_text("[rig]\nid = '1'")
 
-    with pytest.raises(InputError, match=r"2\.toml: rig\.id = '1': this is the file of rig '2'"):
+    with pytest.raises(InputError, match=r"2\.toml: rig\.id = '1': the file belongs to rig '2'"):
         load_installed({"ARMRIG_RIG_ID": "2"}, {})

@@ -1,4 +1,4 @@
-"""`armrigd config --check` says of a file what the daemon would say at its start."""
+"""`armrigd config --check` reports of a file what the daemon would report at its start."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from armrig.lab import pki
 from armrig_core import recording_directory
 from armrig_daemon import config as config_module
 from armrig_daemon.command_line import app
-from armrig_daemon.config import MEND
+from armrig_daemon.config import EX_CONFIG
 from typer.testing import CliRunner
 
 OVER_TLS = (
@@ -31,8 +31,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_file_that_the_daemon_takes_is_told_in_one_line(tmp_path: Path) -> None:
-    """The line has the rig, its port, its limits and who may connect; the exit code is 0."""
+def test_a_file_that_the_daemon_takes_is_reported_in_one_line(tmp_path: Path) -> None:
     pki.make_authority(tmp_path)
     pki.issue_to_rig(tmp_path, "2", ["localhost"])
     pki.issue_to_person(tmp_path, "alice", "operators")
@@ -51,20 +50,19 @@ def test_a_file_that_the_daemon_takes_is_told_in_one_line(tmp_path: Path) -> Non
 def test_a_rest_voltage_of_0_is_taken_and_said_to_mean_nothing(
     tmp_path: Path, text: str, notes: int
 ) -> None:
-    """In the line of the daemon's start, too; a file without it is told nothing."""
     file = tmp_path / "new.toml"
     file.write_text(f"[motor]\n{text}\n")
 
     code, said = _armrigd("config", "--check", file)
 
-    assert (code, said.count("motor.rest_v = 0 means nothing: remove it")) == (0, notes)
+    assert (code, said.count("motor.rest_v = 0 has no effect: remove it")) == (0, notes)
 
 
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("[limits]\nu_max_v = 6\n", "limits.u_max_v = 6: expected `float` <= 5.0"),
-        ("[limits]\nu_max_v = 4\nu_max_v = 4\n", "line 3: u_max_v = 4: is there already"),
+        ("[limits]\nu_max_v = 4\nu_max_v = 4\n", "line 3: u_max_v = 4: given twice"),
         ("[device]\nprot = 1\n", "device.prot = 1: no such key"),
         ('[recording]\ndirectory = "~nobody-of-that-name/x"\n', "there is no such user"),
         ('[calibration]\nfile = "none.toml"\n', "calibration.file = 'none.toml'"),
@@ -73,14 +71,13 @@ def test_a_rest_voltage_of_0_is_taken_and_said_to_mean_nothing(
 def test_a_file_that_the_daemon_refuses_is_refused_in_its_words(
     tmp_path: Path, text: str, says: str
 ) -> None:
-    """The line and the exit code are those of `armrigd run`."""
     file = tmp_path / "new.toml"
     file.write_text(text)
 
     checked = _armrigd("config", "--check", file)
 
     assert checked == _armrigd("run", "--config", file)
-    assert checked[0] == MEND
+    assert checked[0] == EX_CONFIG
     assert says in checked[1]
 
 
@@ -91,19 +88,17 @@ def test_a_file_that_the_daemon_refuses_is_refused_in_its_words(
         ('[access]\nnames = "access.toml"\n', "[access] names is given and listen is not"),
     ],
 )
-def test_the_files_of_who_may_connect_are_checked(tmp_path: Path, text: str, says: str) -> None:
-    """The daemon reads them before it starts the motor's loop."""
+def test_the_files_of_access_are_checked(tmp_path: Path, text: str, says: str) -> None:
     file = tmp_path / "new.toml"
     file.write_text(text)
 
     code, said = _armrigd("config", "--check", file)
 
-    assert (code, said.count("\n")) == (MEND, 1)
+    assert (code, said.count("\n")) == (EX_CONFIG, 1)
     assert says in said
 
 
 def test_a_rig_s_own_file_is_read_as_its_service_reads_it(machine: Path) -> None:
-    """The file of all rigs holds as well, and no variable of the shell does."""
     (machine / "armrig.toml").write_text("[limits]\nu_max_v = 4.5\n")
     (machine / "2.toml").write_text("[limits]\nu_min_v = 1\n")
     (machine / "3.toml").write_text('[rig]\nid = "2"\n')
@@ -113,4 +108,4 @@ def test_a_rig_s_own_file_is_read_as_its_service_reads_it(machine: Path) -> None
         in _armrigd("config", "--check", machine / "2.toml")[1]
     )
     code, said = _armrigd("config", "--check", machine / "3.toml")
-    assert (code, "this is the file of rig '3'" in said) == (MEND, True)
+    assert (code, "the file belongs to rig '3'" in said) == (EX_CONFIG, True)

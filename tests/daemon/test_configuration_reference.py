@@ -1,4 +1,4 @@
-"""Every key of the configuration is told, once, and as the daemon takes it."""
+"""Every key of the configuration is documented once, and as the daemon reads it."""
 
 from __future__ import annotations
 
@@ -35,8 +35,7 @@ def _with_all_keys(tmp_path: Path, *but: str) -> Config:
     return load([path], {}, {})
 
 
-def test_every_key_of_the_schema_is_told_once() -> None:
-    """By table and dotted name, with what it is."""
+def test_every_key_of_the_schema_is_documented_once() -> None:
     told = [f"{table}.{key.name}" for table, _, keys in tables() for key in keys]
     described = [(meaning, key.description) for _, meaning, keys in tables() for key in keys]
 
@@ -47,7 +46,6 @@ def test_every_key_of_the_schema_is_told_once() -> None:
 
 
 def test_the_example_as_it_is_changes_nothing(tmp_path: Path) -> None:
-    """All keys stand behind a #: who saves it has not frozen a default."""
     path = tmp_path / "armrig.toml"
     path.write_text(example(), encoding="utf-8")
 
@@ -55,7 +53,6 @@ def test_the_example_as_it_is_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_the_values_of_the_example_are_the_defaults(tmp_path: Path) -> None:
-    """With every # taken away: two keys have none, and a file excludes its tables."""
     config = _with_all_keys(tmp_path, "file", "cpu", "rest_v")
 
     assert config.arm.parameters() == Config().arm.parameters()
@@ -74,10 +71,9 @@ def _cases() -> Iterator[tuple[str, str, str]]:
 
 
 @pytest.mark.parametrize(("table", "name", "allowed"), [*_cases()])
-def test_a_range_that_is_told_is_the_one_that_is_kept(
+def test_a_documented_range_is_enforced(
     tmp_path: Path, table: str, name: str, allowed: str
 ) -> None:
-    """A value above it is refused, by that key's name."""
     path = tmp_path / "armrig.toml"
     path.write_text(f"[{table}]\n{name} = {float(allowed.split(' to ')[1]) * 2:.0f}\n")
 
@@ -85,8 +81,7 @@ def test_a_range_that_is_told_is_the_one_that_is_kept(
         load([path], {}, {})
 
 
-def test_what_the_emulator_checks_is_told() -> None:
-    """Each of its ranges and choices is beside its key."""
+def test_the_emulator_s_checks_are_documented() -> None:
     (keys,) = (keys for table, _, keys in tables() if table == "emulator")
     allowed = {key.name for key in keys if key.allowed and not key.name.startswith("arm.")}
 
@@ -94,14 +89,12 @@ def test_what_the_emulator_checks_is_told() -> None:
 
 
 def test_the_page_holds_the_tables_of_the_schema() -> None:
-    """As `make check` says, too."""
     text = PAGE.read_text(encoding="utf-8")
 
     assert text.split(BEGIN)[1].split(END)[0].strip() == page_tables().strip()
 
 
 def test_the_command_prints_the_example() -> None:
-    """To standard output; without an option it says what is needed."""
     command = [sys.executable, "-m", "armrig_daemon", "config"]
     printed = subprocess.run([*command, "--example"], capture_output=True, check=True)
     bare = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -109,6 +102,6 @@ def test_the_command_prints_the_example() -> None:
     assert printed.stdout.decode() == example() + "\n"
     assert (bare.returncode, bare.stdout) == (1, "")
     assert bare.stderr == (
-        "armrigd: config: --example or --check FILE is needed: "
+        "armrigd: config: give --example or --check FILE: "
         "`armrigd config --example > armrig.toml`\n"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import get_args
 
+from armrig_core.codes import GapCode
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample, encode_sample
 from armrig_daemon.pipe import (
     Answer,
@@ -22,14 +23,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 SAMPLE = encode_sample(Sample(*range(len(SAMPLE_FIELDS))))
-GAP = Gap(k_first=3, count=2, t_from_ns=1, t_to_ns=2, u_held_v=2.5, reason="the host was late")
+LATE = GapCode.HOST_LATE
+GAP = Gap(k_first=3, count=2, t_from_ns=1, t_to_ns=2, u_held_v=2.5, reason=LATE.sentence, code=LATE)
 LOG = Log(t_host_ns=5, level="info", message="a rig")
 ANSWER = Answer(order=3, body={"lease": "x"})
 
 
 @given(st.lists(st.integers(1, 60), max_size=20))
 def test_records_come_out_as_they_went_in(cuts: list[int]) -> None:
-    """Samples as their bytes, the rest as values, whatever a read returns."""
     stream = sample_bytes(SAMPLE) + record_bytes(GAP) + record_bytes(LOG)
     stream += sample_bytes(SAMPLE) + record_bytes(ANSWER)
     pending, records = bytearray(), []
@@ -43,7 +44,6 @@ def test_records_come_out_as_they_went_in(cuts: list[int]) -> None:
 
 
 def test_orders_come_out_as_they_went_in() -> None:
-    """An experiment of a million samples, too."""
     orders = [
         Arm(order=1, owner="a student", lease="a" * 32, ts_us=0),
         Run(order=2, lease="a" * 32, n=0, run_id="r", codes=b"\x00\x80" * 1_000_000),
@@ -55,8 +55,7 @@ def test_orders_come_out_as_they_went_in() -> None:
     assert take_orders(pending) == orders
 
 
-def test_orders_are_told_apart_by_the_client_s_words() -> None:
-    """The steps of a run carry them: under another tag they are of another trace version."""
+def test_orders_are_tagged_by_the_client_s_words() -> None:
     tags = {kind.__struct_config__.tag for kind in get_args(Orders)}
 
     assert tags == {

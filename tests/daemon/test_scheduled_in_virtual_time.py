@@ -18,7 +18,8 @@ from armrig_protocol.decoder import feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Event, Flag, Ping, Setpoints, Stop
 from armrig_protocol.messages import State as DeviceState
-from virtual_bench import LEASE, MS, Bench, codes
+
+from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
 SETPOINTS = len(encode(Setpoints(0, 0, 0, 0, 0, (0,) * 24)))
 SAMPLE = 36
@@ -45,7 +46,7 @@ def run(bench: Bench, volts: list[float], ts_us: int = 10_000) -> None:
 
 
 def assert_aligned(bench: Bench, volts: list[float], missing: int = 0) -> None:
-    """Every sample of the run has its own u, and k has no break but the gaps that are told."""
+    """Check that every sample of the run has its own u, and k no break but reported gaps."""
     (started,) = bench.of(RunStarted)
     samples = [s for s in bench.samples if 0 <= s.k - started.k_first < len(volts)]
     gaps = [g for g in bench.of(Gap) if 0 <= g.k_first - started.k_first < len(volts)]
@@ -68,7 +69,7 @@ def assert_aligned(bench: Bench, volts: list[float], missing: int = 0) -> None:
 )
 @pytest.mark.parametrize("queue", [512, 256])
 def test_every_u_is_at_its_k(ts_us: int, baud: int, queue: int) -> None:
-    """From 4 Hz to 2 kHz: all samples, all aligned, 0 V afterwards; an Uno's queue is enough."""
+    """From 4 Hz to 2 kHz; an Uno's queue is enough."""
     bench = Bench(Config(device=Device(baud=baud)), queue=queue)
     volts = telegraph(20 if ts_us > 100_000 else 2000)
 
@@ -81,7 +82,7 @@ def test_every_u_is_at_its_k(ts_us: int, baud: int, queue: int) -> None:
 
 
 def test_the_device_keeps_its_period_whatever_the_host_does() -> None:
-    """A host that wakes 8 ms late each time: not a microsecond of it is in the samples."""
+    """The host wakes 8 ms late each time."""
     bench = Bench()
     bench.lateness_ns = 8 * MS
     volts = telegraph(500)
@@ -95,7 +96,6 @@ def test_the_device_keeps_its_period_whatever_the_host_does() -> None:
 
 
 def test_the_numbers_of_the_samples_never_go_back() -> None:
-    """Host's ticks, device's samples, host's ticks again: k grows through all of them."""
     for ts_us in (1_000, 100_000):
         bench = Bench(Config(device=Device(baud=1_000_000)))
 
@@ -107,7 +107,6 @@ def test_the_numbers_of_the_samples_never_go_back() -> None:
 
 
 def test_a_second_run_follows_the_first() -> None:
-    """Arm, run, arm, run; exchange mode between them, and by hand."""
     bench = Bench()
     for _ in range(2):
         run(bench, telegraph(100))
@@ -130,7 +129,7 @@ def _losing(share: float, length: int, seed: int = 3) -> Callable[[bytes], bytes
 
 @pytest.mark.parametrize("queue", [512, 256])
 def test_setpoints_that_are_lost_are_sent_again(queue: int) -> None:
-    """Three frames of ten: go-back-N by `queued` fills the queue all the same."""
+    """Three frames of ten are lost: go-back-N by `queued` fills the queue."""
     bench = Bench(queue=queue)
     bench.ports.to_device = _losing(0.3, SETPOINTS)
     volts = telegraph(3000)
@@ -141,7 +140,7 @@ def test_setpoints_that_are_lost_are_sent_again(queue: int) -> None:
 
 
 def test_samples_that_are_lost_are_gaps_with_their_voltage() -> None:
-    """One of ten: the queue's own u stands in the gap, confirmed or as commanded."""
+    """One of ten is lost; the gap has the queue's own u, confirmed or as commanded."""
     bench = Bench()
     play(bench, volts := telegraph(1000))
     bench.run_for(150)
@@ -157,7 +156,7 @@ def test_samples_that_are_lost_are_gaps_with_their_voltage() -> None:
 
 
 def test_a_stall_shorter_than_the_watchdog_costs_nothing() -> None:
-    """150 ms without the host, 250 ms of watchdog: no sample lost, no u misplaced."""
+    """150 ms without the host, 250 ms of watchdog."""
     bench = Bench(Config(device=Device(watchdog_ms=250)))
     play(bench, volts := telegraph(1000))
     bench.run_for(2000)
@@ -178,7 +177,7 @@ def test_a_stall_shorter_than_the_watchdog_costs_nothing() -> None:
 def test_a_small_queue_may_run_dry_before_the_watchdog_at_1_khz(
     queue: int, stall_ms: int, dry: bool
 ) -> None:
-    """Of 256 ms it has 24 less where no frame fits yet; then each sample says so, at 0 V."""
+    """A queue of 256 ms has 24 ms less if no frame fits."""
     bench = Bench(Config(device=Device(watchdog_ms=250)), queue=queue)
     play(bench, telegraph(1500), ts_us=1_000)
     bench.run_for(810)  # where the next frame is almost due
@@ -195,7 +194,7 @@ def test_a_small_queue_may_run_dry_before_the_watchdog_at_1_khz(
 
 
 def test_a_stall_longer_than_the_watchdog_ends_at_0_v() -> None:
-    """300 ms: the device stops by itself, the host trips at its first tick."""
+    """300 ms: the device stops by itself, and the host trips at its first tick."""
     bench = Bench(Config(device=Device(watchdog_ms=250)))
     play(bench, telegraph(1000))
     bench.run_for(2000)
@@ -255,7 +254,7 @@ def test_a_stop_ends_a_scheduled_run_at_once() -> None:
 
 
 def test_after_a_trip_no_setpoint_and_no_life_is_sent() -> None:
-    """S4, S6: STOP does not get through, everything else would; the watchdog stops the motor."""
+    """S4, S6: STOP does not arrive, so the watchdog stops the motor."""
     bench = Bench()
     play(bench, telegraph(1000))
     bench.run_for(2000)
@@ -276,7 +275,6 @@ def test_after_a_trip_no_setpoint_and_no_life_is_sent() -> None:
 
 
 def test_a_stop_is_asked_for_until_the_device_has_stopped() -> None:
-    """Five tries are given up as an answer to a person, never as a wish."""
     bench = Bench(Config(device=Device(watchdog_ms=250)))
     play(bench, telegraph(1000))
     bench.run_for(2000)
@@ -293,7 +291,6 @@ def test_a_stop_is_asked_for_until_the_device_has_stopped() -> None:
 
 
 def test_a_device_that_leaves_the_run_early_is_not_at_its_end() -> None:
-    """A STOP that is not ours: a trip, and the samples that will not come are told."""
     bench = Bench()
     play(bench, telegraph(1000))
     bench.run_for(2000)
@@ -302,12 +299,12 @@ def test_a_device_that_leaves_the_run_early_is_not_at_its_end() -> None:
     bench.run_for(300)
 
     assert bench.phase is Phase.FAULT
-    assert "nobody asked it to" in bench.of(RunEnded)[0].outcome
+    assert "which the daemon did not request" in bench.of(RunEnded)[0].outcome
     assert bench.volts == 0.0
 
 
 def test_an_end_that_is_not_heard_is_an_end_all_the_same() -> None:
-    """EVENT(END) is lost: by the time the run is over, IDLE means that it has come to its end."""
+    """EVENT(END) is lost; after the end of the run IDLE means that it ended."""
     bench = Bench()
     bench.ports.from_device = lambda data: (
         b"" if any(isinstance(m, Event) for m in feed(b"", data)[1]) else data
@@ -319,7 +316,6 @@ def test_an_end_that_is_not_heard_is_an_end_all_the_same() -> None:
 
 
 def test_a_stop_while_the_queue_is_filled_refuses_the_run() -> None:
-    """Nothing has begun; whoever asked for the run is told."""
     bench = Bench()
     bench.ports.to_device = _losing(1.0, SETPOINTS)
     play(bench, telegraph(1000))
@@ -334,7 +330,6 @@ def test_a_stop_while_the_queue_is_filled_refuses_the_run() -> None:
 
 
 def test_a_device_that_takes_no_setpoints_starts_no_run() -> None:
-    """After two seconds it is given up, at 0 V."""
     bench = Bench()
     bench.ports.to_device = _losing(1.0, SETPOINTS)
     play(bench, telegraph(1000))
@@ -347,8 +342,7 @@ def test_a_device_that_takes_no_setpoints_starts_no_run() -> None:
     assert bench.volts == 0.0
 
 
-def test_an_underrun_is_flagged_in_its_sample_and_told() -> None:
-    """A host that cannot send for longer than the queue lasts: 0 V there, and no other u."""
+def test_an_underrun_is_flagged_in_its_sample_and_reported() -> None:
     bench = Bench(Config(device=Device(baud=1_000_000)))
     play(bench, volts := [3.0] * 4000, ts_us=500)
     bench.run_for(300)
@@ -365,7 +359,7 @@ def test_an_underrun_is_flagged_in_its_sample_and_told() -> None:
 
 
 def test_a_sampling_time_that_only_scheduled_mode_carries_is_not_played_by_hand() -> None:
-    """2 kHz over 1 Mbaud: the refusal says so."""
+    """2 kHz over 1 Mbaud."""
     bench = Bench(Config(device=Device(baud=1_000_000)))
     assert not bench.ask(pipe.Arm, owner="a", lease=LEASE, ts_us=500).error
 
@@ -376,7 +370,6 @@ def test_a_sampling_time_that_only_scheduled_mode_carries_is_not_played_by_hand(
 
 @pytest.mark.parametrize("ppm", [-100.0, 100.0])
 def test_a_device_clock_that_drifts_keeps_its_own_time(ppm: float) -> None:
-    """The samples are the device's: Ts by its clock, and every u at its k."""
     bench = Bench(clock_ppm=ppm)
     volts = telegraph(2000)
 
@@ -389,7 +382,7 @@ def test_a_device_clock_that_drifts_keeps_its_own_time(ppm: float) -> None:
 
 
 def test_a_run_with_too_many_missed_ticks_is_stopped_where_that_is_asked_for() -> None:
-    """`stop_after`: as "maximum missed ticks" in the students' old tool; exchange mode only."""
+    """`stop_after` is "maximum missed ticks" of the students' earlier tool; exchange mode only."""
     bench = Bench(Config(timing=Timing(stop_after=3)))
     bench.arm()
     bench.order(pipe.Run(order=50, lease=LEASE, n=0, run_id="r", codes=codes(*[2.0] * 100)))
@@ -405,7 +398,7 @@ def test_a_run_with_too_many_missed_ticks_is_stopped_where_that_is_asked_for() -
 
 
 def test_the_clock_of_the_device_is_asked_for_all_the_time() -> None:
-    """PING every 25 ms, also when all setpoints are there: it is what feeds the watchdog."""
+    """PING every 25 ms feeds the watchdog, also when all setpoints are there."""
     bench = Bench()
     pings = 0
     length = len(encode(Ping(0, 0, 0)))
@@ -425,8 +418,8 @@ def test_the_clock_of_the_device_is_asked_for_all_the_time() -> None:
 
 @pytest.mark.parametrize("ppm", [-100.0, 0.0, 100.0])
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_the_drift_of_the_device_is_found_and_told(ppm: float, scheduled: bool) -> None:
-    """Within three of its own standard deviations; the samples themselves are left as they are."""
+def test_the_drift_of_the_device_is_found_and_reported(ppm: float, scheduled: bool) -> None:
+    """Within three of its own standard deviations."""
     bench = Bench(clock_ppm=ppm)
     volts = telegraph(3000)
     bench.arm()
@@ -443,7 +436,7 @@ def test_the_drift_of_the_device_is_found_and_told(ppm: float, scheduled: bool) 
 
 
 def test_the_lateness_of_a_scheduled_sample_does_not_grow_with_the_drift() -> None:
-    """When a sample was due is said by the map of the clocks: 100 ppm in 60 s would be 6 ms."""
+    """Without the map of the clocks 100 ppm in 60 s would be 6 ms."""
     bench = Bench(clock_ppm=-100.0)
     volts = telegraph(6000)
 
@@ -455,8 +448,7 @@ def test_the_lateness_of_a_scheduled_sample_does_not_grow_with_the_drift() -> No
     assert max(late_ns) - min(late_ns) < 1 * MS  # a PONG of 0.5 ms may be in the way
 
 
-def test_the_state_tells_the_period_of_the_samples_that_come() -> None:
-    """While the queue is filled, and after a trip, the host asks, at periods of its own."""
+def test_the_state_reports_the_period_of_the_samples_that_come() -> None:
     bench = Bench(Config(timing=Timing(Ts=0.02)))
     assert not bench.arm(5_000).error
     order = pipe.Run(

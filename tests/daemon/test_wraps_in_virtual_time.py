@@ -8,7 +8,8 @@ import pytest
 from armrig_core.volts import code_of, volts_of
 from armrig_daemon.decisions.state import Phase
 from armrig_daemon.pipe import Gap, Run, RunEnded, RunStarted
-from virtual_bench import LEASE, MS, Bench, codes
+
+from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
 TS_US = 10_000
 WRAP = 1 << 32
@@ -24,7 +25,7 @@ def _play(bench: Bench, *, scheduled: bool) -> None:
 
 
 def _assert_whole(bench: Bench) -> None:
-    """Every k of the run is there once, with its own u, and its times go on evenly."""
+    """Check that every k of the run is there once, with its own u, at regular times."""
     (started,) = bench.of(RunStarted)
     run = [s for s in bench.samples if 0 <= s.k - started.k_first < len(RUN)]
     assert [s.k - started.k_first for s in run] == list(range(len(RUN)))
@@ -38,7 +39,6 @@ def _assert_whole(bench: Bench) -> None:
 
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_k_goes_on_where_its_32_bits_on_the_wire_end(scheduled: bool) -> None:
-    """The wrap falls into the run: samples are published under the k that they have."""
     bench = Bench(k=WRAP - 100)
 
     _play(bench, scheduled=scheduled)
@@ -51,7 +51,7 @@ def test_k_goes_on_where_its_32_bits_on_the_wire_end(scheduled: bool) -> None:
 
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_the_device_s_microseconds_wrap_in_a_run(scheduled: bool) -> None:
-    """A device that has been on for 71 minutes: its time is told without the wrap."""
+    """A device that has been on for 71 minutes."""
     bench = Bench(switched_on_ns=1_500 * MS - WRAP * 1000)
 
     _play(bench, scheduled=scheduled)
@@ -63,7 +63,6 @@ def test_the_device_s_microseconds_wrap_in_a_run(scheduled: bool) -> None:
 
 
 def test_a_step_of_the_real_time_clock_changes_no_byte(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever asks for the time of day gets another hour each time; nobody here asks."""
     alone = Bench()
     _play(alone, scheduled=True)
     hours = iter(range(1, 1_000_000))

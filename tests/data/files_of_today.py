@@ -1,6 +1,6 @@
 """Files of today's formats, and what is read from them.
 
-`PYTHONPATH=tests/integration python tests/data/files_of_today.py FOLDER` makes them.
+`python -m tests.data.files_of_today FOLDER` makes them.
 
 An emulated rig whose potentiometers nobody has seen is calibrated, then played on over a line that
 spoils some frames; FOLDER is to be new. `README.md` says what is in one.
@@ -20,8 +20,9 @@ from typing import Any, Literal
 
 import armrig
 import numpy as np
-from processes import Bench
-from relay import Relay
+
+from tests.integration.processes import Bench
+from tests.integration.relay import Relay
 
 SEED, A = 1, 0.1
 PACINGS: tuple[Literal["scheduled", "exchange"], ...] = ("scheduled", "exchange")
@@ -47,7 +48,7 @@ def main(folder: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="rig-") as name:
         scratch = Path(name)
         (scratch / "sitecustomize.py").write_text(_NO_KERNEL)
-        os.environ["PYTHONPATH"] = f"{scratch}:{os.environ['PYTHONPATH']}"
+        os.environ["PYTHONPATH"] = str(scratch)
         bench = Bench(scratch)
         try:
             bench.configure(more=_UNKNOWN)
@@ -69,7 +70,7 @@ def main(folder: Path) -> None:
 
 
 def facts(recording: armrig.Recording) -> dict[str, Any]:
-    """Return what is read from a recording, arrays as fingerprints of their bits."""
+    """Return the content of a recording, arrays as fingerprints of their bits."""
     gaps = [[g.k_first, g.count, g.t, g.u_held_v, g.reason] for g in recording.gaps]
     return {
         "sha256": recording.sha256,
@@ -86,7 +87,7 @@ def facts(recording: armrig.Recording) -> dict[str, Any]:
 
 
 def answers(fit: armrig.Fit, data: armrig.Dataset) -> dict[str, Any]:
-    """Return what a model says: its poles, and y one step ahead where it is known."""
+    """Return a model's answers: its poles, and y one step ahead if it is known."""
     predicted = fit.predict(data)
     return {
         "poles": [[p.real, p.imag] for p in fit.poles().values.tolist()],

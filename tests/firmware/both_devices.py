@@ -18,7 +18,7 @@ from armrig_protocol.messages import (
     State,
 )
 
-from firmware.core_device import CoreDevice
+from tests.firmware.core_device import CoreDevice
 
 US, MS, S = 1_000, 1_000_000, 1_000_000_000
 
@@ -33,7 +33,7 @@ class BothDevices:
         self.k = 0
         self.boot_id = self.config_crc = self.nonce = self.token = 0
         self.held = 0
-        """Index behind the last setpoint sent."""
+        """Index after the last setpoint sent."""
         self.sent: list[bytes] = []
         self.heard: list[Message] = []
         self.changes: tuple[list[Change], list[Change]] = ([], [])

@@ -1,4 +1,4 @@
-"""What the pins of a simulated Uno did is kept, as VCD, where its test fails."""
+"""If a test fails, the pins of its simulated Uno are kept as VCD."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from firmware import uno_host
+from tests.firmware import uno_host
 
 _PINS = pytest.StashKey[list[Path]]()
 

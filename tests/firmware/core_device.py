@@ -18,14 +18,14 @@ from armrig_daemon.emulator.clock import U32, Clock
 from armrig_daemon.emulator.device import Device
 from armrig_protocol.messages import Cause, State
 
-from firmware.library import CoreState, Setup, library
+from tests.firmware.library import CoreState, Setup, library
 
 _CAUSES, _STATES, _RUN = tuple(Cause), tuple(State), int(State.RUN)
 _SENT = Struct("=qB")
 
 
 class CoreFirmware:
-    """What who watches the device, or tries it, wants to know of the core, as of `Firmware`."""
+    """Properties of the core that watchers and tests need, as of `Firmware`."""
 
     def __init__(self, device: CoreDevice) -> None:
         """Look at the core of `device`."""
@@ -47,7 +47,7 @@ class CoreFirmware:
 
     @property
     def cause(self) -> Cause:
-        """Of the last transition."""
+        """Cause of the last transition."""
         return Cause.POWER_ON if self._state.is_booting else _CAUSES[self._c.pc_cause()]
 
     @property
@@ -71,7 +71,7 @@ class CoreFirmware:
 
     @property
     def pending(self) -> list[SimpleNamespace]:
-        """The sample under way, where there is one."""
+        """Sample under way, if any."""
         state = self._state
         if not state.pending_count:
             return []
@@ -79,7 +79,7 @@ class CoreFirmware:
 
     @property
     def boot_id(self) -> int:
-        """Of this boot."""
+        """boot_id of this boot."""
         return self._device._boot_id
 
     @boot_id.setter
@@ -139,7 +139,7 @@ class CoreDevice(Device):
 
     @property
     def is_running(self) -> bool:
-        """Whether the core is in RUN; for calls from C, at which its state is in place."""
+        """Return whether the core is in RUN; for calls from C, during which its state is valid."""
         return bool(self.core.functions.pc_state() == _RUN)
 
     # -- as `Device` -----------------------------------------------------------------------------
@@ -158,14 +158,14 @@ class CoreDevice(Device):
         return self._next_ns
 
     def advance(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Do what is due until `now_ns`; return frames, each with its last byte's departure."""
+        """Do everything due until `now_ns`; return frames, each with its last byte's departure."""
         frames: list[tuple[int, bytes]] = []
         while self._next_ns <= now_ns:
             frames += self._advance(now_ns, to_frame=False)
         return frames
 
     def advance_to_frame(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Do what is due until `now_ns` or the next frame, whatever is first."""
+        """Do everything due until `now_ns` or the next frame, whichever is first."""
         return self._advance(now_ns, to_frame=True) if self._next_ns <= now_ns else []
 
     def _advance(self, now_ns: int, *, to_frame: bool) -> list[tuple[int, bytes]]:
@@ -182,11 +182,11 @@ class CoreDevice(Device):
     # -- what C asks of the world; see boards/pc/pc_device.h -------------------------------------
 
     def read(self, t_ns: int, channel: int) -> int:
-        """Return what the converter makes of an input."""
+        """Return the converter's reading of an input."""
         return self._board.alpha(t_ns) if channel else self._board.theta_1(t_ns)
 
     def drive(self, t_ns: int, steps: int, code: int) -> None:
-        """Let the pin have a duty that stands for `code`."""
+        """Give the pin the duty of `code`."""
         bits = self._hardware.pwm_bits
         wanted = duty(code, bits) if bits < 16 else code
         if steps != wanted or not self.is_running:

@@ -126,7 +126,7 @@ class Library:
     """One build of the core. It has one state, which is swapped where several devices use it."""
 
     def __init__(self, path: Path) -> None:
-        """Load it, and connect it with whoever uses it."""
+        """Load it, and connect it with its user."""
         self.functions = c = ctypes.CDLL(str(path))
         for name, (kind, given) in _FUNCTIONS.items():
             function = getattr(c, name)
@@ -153,7 +153,7 @@ class Library:
         return self.functions
 
     def raise_error(self) -> None:
-        """Raise what a call from C has met: C knows no exceptions."""
+        """Raise the error of a call from C, because C knows no exceptions."""
         error, self._error = self._error, None
         if error is not None:
             raise error
@@ -186,5 +186,5 @@ def library(hardware: Hardware, target: str = "librig.so") -> Library:
 
 @cache
 def _loaded(path: Path) -> Library:
-    # What is loaded twice is one in memory, and calls whoever connected last.
+    # A library that is loaded twice is one in memory, and calls the last user.
     return Library(path)

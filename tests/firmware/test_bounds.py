@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import pytest
 from armrig_protocol.messages import Ack, Cal, CalReply, Code, Config, ConfigReply
-from emulated_host import CONFIG
-from tools import needs
 
-from firmware.both_devices import MS, BothDevices
-from firmware.test_wraps import INSTANT
+from tests.daemon.emulator.emulated_host import CONFIG
+from tests.firmware.both_devices import MS, BothDevices
+from tests.firmware.test_wraps import INSTANT
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 
 
 @pytest.mark.parametrize("channel", [0, 1])
 def test_cal_takes_1_to_1024_readings(channel: int) -> None:
-    """And tells the same of them to the last bit; one more is BAD_VALUE."""
     both = BothDevices(INSTANT)
     both.wait(1 * MS)
 

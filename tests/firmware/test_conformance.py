@@ -1,4 +1,4 @@
-"""The C core does what PROTOCOL.md says, rule by rule, as a board in a laboratory is asked to."""
+"""The C core obeys PROTOCOL.md, rule by rule, as a board in a laboratory must."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from armrig_daemon.conformance.host import Host
 from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
 from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.settings import EmulatorSettings
-from spoilt_devices import AT_A_RAIL
-from tools import needs
 
-from firmware.core_device import CoreDevice
+from tests.daemon.conformance.spoilt_devices import AT_A_RAIL
+from tests.firmware.core_device import CoreDevice
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 
@@ -18,7 +18,6 @@ pytestmark = needs("cc", "make")
 @pytest.mark.parametrize("settings", [{}, {"queue": 256}, {"baud": 1_000_000}], ids=str)
 @pytest.mark.parametrize("resets", [True, False])
 def test_the_c_core_does_what_the_protocol_says(settings: dict[str, int], resets: bool) -> None:
-    """Each rule is tried, and holds, whether the opening of the port resets it or not."""
     emulated = EmulatorSettings(boot_ms=5.0, **AT_A_RAIL, **settings)
     device = CoreDevice(emulated, 0)
 

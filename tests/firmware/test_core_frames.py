@@ -14,15 +14,15 @@ from armrig_daemon.emulator.firmware import Hardware
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol import cobs, decoder, frame
 from armrig_protocol.crc import CHECK, crc32
-from armrig_protocol.decoder import LONGEST
+from armrig_protocol.decoder import MAX_STUFFED
 from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import MAX_DECODED
 from hypothesis import given
 from hypothesis import strategies as st
-from tools import needs
 
-from firmware import library
-from firmware.core_device import CoreDevice
+from tests.firmware import library
+from tests.firmware.core_device import CoreDevice
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 
@@ -44,9 +44,9 @@ def core() -> Any:
 
 
 def opened(stuffed: bytes) -> tuple[str, bytes]:
-    """Return what the core makes of the bytes between two 00, and the text in them."""
+    """Return the core's result for the bytes between two 00, and their text."""
     text = ctypes.create_string_buffer(MAX_DECODED)
-    kind = OPENED[core().pc_open(stuffed, min(len(stuffed), LONGEST + 1), text)]
+    kind = OPENED[core().pc_open(stuffed, min(len(stuffed), MAX_STUFFED + 1), text)]
     return kind, text.raw[: len(stuffed) - 1]
 
 
@@ -58,7 +58,7 @@ def closed(text: bytes) -> bytes:
 
 
 def kind_of(received: decoder.Received) -> str:
-    """Return what the core calls it."""
+    """Return the core's kind of a frame."""
     if isinstance(received, Spoilt):
         return received.reason
     return "unknown" if isinstance(received, Unknown) else "sound"
@@ -66,7 +66,6 @@ def kind_of(received: decoder.Received) -> str:
 
 @pytest.mark.parametrize("vector", VECTORS, ids=[v["doc"] for v in VECTORS])
 def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
-    """Each frame is taken for what it is, and a sound one is closed to the bytes it came in."""
     wire = bytes.fromhex(vector["wire"])
     expected = [
         {"Spoilt": e.get("reason"), "Unknown": "unknown"}.get(e["event"], "sound")
@@ -83,13 +82,12 @@ def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
 
 
 def test_the_check_value_of_the_crc() -> None:
-    """That of the catalogue of CRC algorithms."""
+    """The value is in the catalogue of CRC algorithms."""
     assert core().rig_crc(b"123456789", 9) == CHECK
 
 
 @pytest.mark.parametrize("bit", range(32))
 def test_a_bit_of_the_crc_spoils_the_frame(bit: int) -> None:
-    """Each of its four bytes is looked at."""
     text = bytes((0x13, 0, 1, 0))
 
     kind, _ = opened(cobs.stuff(text + (crc32(text) ^ 1 << bit).to_bytes(4, "little")))
@@ -99,13 +97,11 @@ def test_a_bit_of_the_crc_spoils_the_frame(bit: int) -> None:
 
 @given(st.binary(max_size=255))
 def test_the_crc_is_that_of_zlib(text: bytes) -> None:
-    """For any bytes."""
     assert core().rig_crc(text, len(text)) == crc32(text)
 
 
-@given(st.binary(max_size=cobs.LONGEST))
+@given(st.binary(max_size=cobs.MAX_TEXT))
 def test_stuffing_is_that_of_python(text: bytes) -> None:
-    """In place; and undone it gives the text again."""
     place = ctypes.create_string_buffer(b"\xaa" + text, len(text) + 1)
 
     core().rig_stuff(place, len(text) + 1)
@@ -117,7 +113,6 @@ def test_stuffing_is_that_of_python(text: bytes) -> None:
 
 @given(NO_ZERO)
 def test_unstuffing_is_that_of_python(stuffed: bytes) -> None:
-    """Any bytes without 00; a code that points behind the end is no frame."""
     place = ctypes.create_string_buffer(stuffed, max(1, len(stuffed)))
 
     sound = core().rig_unstuff(place, len(stuffed))
@@ -130,7 +125,6 @@ def test_unstuffing_is_that_of_python(stuffed: bytes) -> None:
 
 @given(NO_ZERO.filter(bool))
 def test_any_bytes_are_taken_for_what_python_takes_them(stuffed: bytes) -> None:
-    """Also where they are too long or too short."""
     _, (received,) = decoder.feed(b"", stuffed + b"\0")
 
     assert opened(stuffed)[0] == kind_of(received)
@@ -150,7 +144,6 @@ def test_any_bytes_are_taken_for_what_python_takes_them(stuffed: bytes) -> None:
     st.randoms(use_true_random=False),
 )
 def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any) -> None:
-    """As many sound and as many spoilt ones as Python's decoder has, cut anywhere."""
     stream = b"".join(parts) + b"\0"
     _, received = decoder.feed(b"", stream)
     spoilt = sum(isinstance(item, Spoilt) for item in received)
@@ -172,7 +165,6 @@ def test_the_same_frames_however_the_line_cuts_them(parts: list[bytes], rng: Any
 
 @pytest.mark.parametrize("bits", [8, 10, 12, 15])
 def test_duty_and_code_are_those_of_python(bits: int) -> None:
-    """For each code; a division is a sum there."""
     c = library.library(hardware(bits)).functions
 
     for u in range(0, 65536, 1 if bits == 10 else 7):
@@ -182,7 +174,6 @@ def test_duty_and_code_are_those_of_python(bits: int) -> None:
 
 
 def test_a_duty_of_16_bits_is_the_code() -> None:
-    """Such a board does not quantise."""
     c = library.library(hardware(16)).functions
 
     assert all(c.rig_duty(u) == c.rig_code(u) == u for u in (0, 1, 32767, 32768, 65535))

@@ -1,10 +1,9 @@
-"""What the core checks of itself, and what stands in its source alone."""
+"""Checks of the core on itself, and rules of its source."""
 
 from __future__ import annotations
 
 import re
 
-import emulated_host
 import pytest
 from armrig_protocol.messages import (
     Cause,
@@ -17,12 +16,13 @@ from armrig_protocol.messages import (
     State,
     Status,
 )
-from emulated_host import MS, US, Host, S, only
-from test_readings import reading
-from tools import needs
 
-from firmware.core_device import CoreDevice
-from firmware.library import FIRMWARE
+from tests.daemon.emulator import emulated_host
+from tests.daemon.emulator.emulated_host import MS, US, Host, S, only
+from tests.daemon.emulator.test_readings import reading
+from tests.firmware.core_device import CoreDevice
+from tests.firmware.library import FIRMWARE
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 
@@ -35,7 +35,7 @@ def host(monkeypatch: pytest.MonkeyPatch) -> Host:
 
 
 def test_a_code_that_no_check_let_through_is_not_driven(host: Host) -> None:
-    """A queue that was spoilt in memory: 0 V, and FAULT(INTERNAL) as soon as main looks."""
+    """A queue that was spoilt in memory: 0 V, and FAULT(INTERNAL)."""
     host.reach(State.ARMED, mode=Mode.SCHEDULED, u_max=1000)
     host.supply(0, [500] * 24)
     host.wait(2 * MS)
@@ -56,7 +56,6 @@ def test_a_code_that_no_check_let_through_is_not_driven(host: Host) -> None:
     [([65_000, 64_900, 0, 700], 700), ([64_900, 0, 0, 0], 0), ([65_471, 64, 64, 64], 16_416)],
 )
 def test_no_mean_is_made_across_the_dead_band(host: Host, codes: list[int], expected: int) -> None:
-    """Where any of the conversions is at a rail the reading is the last."""
     host.reach(State.READY, ts_us=5000, oversampling=4)
     reading(host, codes, [2000] * 4)
 
@@ -66,7 +65,6 @@ def test_no_mean_is_made_across_the_dead_band(host: Host, codes: list[int], expe
 
 
 def test_only_one_function_drives_the_motor() -> None:
-    """board_motor_set is called in one place of the core; u and duty reach it nowhere else."""
     sources = {path: path.read_text() for path in (FIRMWARE / "core").glob("*.c")}
     calls = [path.name for path, text in sources.items() if "board_motor_set(" in text]
 
@@ -75,7 +73,6 @@ def test_only_one_function_drives_the_motor() -> None:
 
 
 def test_every_transition_but_to_run_turns_the_motor_off_first() -> None:
-    """The first statement of the one function that writes the state."""
     texts = {path.name: path.read_text() for path in (FIRMWARE / "core").glob("*.c")}
     writes = [name for name, text in texts.items() for _ in re.finditer(r"rig\.state = ", text)]
     body = texts["rig_states.c"].split("void rig_enter(")[1].split("{\n", 1)[1]
@@ -87,8 +84,7 @@ def test_every_transition_but_to_run_turns_the_motor_off_first() -> None:
     assert cut.startswith("    board_motor_off();\n")
 
 
-def test_bytes_that_the_board_lost_are_counted_and_told_once(host: Host) -> None:
-    """In the next SAMPLE, and in STATUS."""
+def test_bytes_that_the_board_lost_are_counted_and_reported_once(host: Host) -> None:
     host.hello()
     host.device.use().pc_lose(3)
     host.device.use().rig_poll()
@@ -103,7 +99,7 @@ def test_bytes_that_the_board_lost_are_counted_and_told_once(host: Host) -> None
 
 
 def test_samples_that_main_has_no_time_for_are_counted(host: Host) -> None:
-    """Two wait; a third is a frame not sent, counted once, and a break in k."""
+    """Two samples wait; a third is a frame not sent, counted once, and a break in k."""
     host.hello()
     c = host.device.use()
     for k in (1, 2):

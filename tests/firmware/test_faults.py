@@ -6,10 +6,11 @@ import os
 from dataclasses import replace
 
 import pytest
-from simulator import campaign
-from simulator.options import draw
-from simulator.rig import simulate
-from tools import needs
+
+from tests.simulator import campaign
+from tests.simulator.options import draw
+from tests.simulator.rig import simulate
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 
@@ -18,7 +19,6 @@ SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "40"))
 
 
 def test_every_invariant_holds_under_faults() -> None:
-    """With the C core, too."""
     done = campaign.run(range(SEEDS), c_core=True)
 
     assert not done.violations, [
@@ -30,7 +30,6 @@ def test_every_invariant_holds_under_faults() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_schedule_comes_to_the_same_as_with_the_python_firmware(seed: int) -> None:
-    """The same bytes on the line at the same times, the same latches, the same times to 0 V."""
     options = draw(seed)
 
     assert simulate(replace(options, c_core=True)) == simulate(options)
@@ -38,7 +37,6 @@ def test_a_schedule_comes_to_the_same_as_with_the_python_firmware(seed: int) -> 
 
 @pytest.mark.parametrize("tolerates", [True, False])
 def test_every_invariant_holds_while_the_emulator_is_stalled(tolerates: bool) -> None:
-    """Of the board's process, or of the whole machine."""
     done = campaign.run(range(SEEDS // 10), stalls=tolerates, c_core=True)
 
     assert not done.violations

@@ -6,15 +6,15 @@ import re
 import subprocess
 
 import pytest
-from tools import needs
 
-from firmware import library
+from tests.firmware import library
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 
 
 def fuzz(n_bytes: int, seed: int, *constants: str) -> dict[str, int]:
-    """Return what came about; `boards/pc/fuzz.c` says what is required."""
+    """Return the result; `boards/pc/fuzz.c` has the requirements."""
     program = library.build("fuzz", *constants)
     done = subprocess.run(
         [program, str(n_bytes), str(seed)], capture_output=True, text=True, check=False, timeout=600
@@ -34,7 +34,6 @@ def fuzz(n_bytes: int, seed: int, *constants: str) -> dict[str, int]:
     ],
 )
 def test_no_bytes_do_harm(constants: tuple[str, ...]) -> None:
-    """No report, no voltage outside RUN, none outside the limits; and all states were reached."""
     found = fuzz(3_000_000, 1, *constants)
 
     assert found["bytes"] >= 3_000_000
@@ -45,5 +44,4 @@ def test_no_bytes_do_harm(constants: tuple[str, ...]) -> None:
 
 
 def test_another_seed_sends_other_bytes() -> None:
-    """And the same seed the same."""
     assert fuzz(100_000, 1) == fuzz(100_000, 1) != fuzz(100_000, 2)

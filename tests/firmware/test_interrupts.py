@@ -1,13 +1,12 @@
-"""An interrupt between any two accesses to memory does what it does before or after them."""
+"""An interrupt between any two accesses to memory acts as before or after them."""
 
 from __future__ import annotations
 
 import re
 import subprocess
 
-from tools import needs
-
-from firmware import library
+from tests.firmware import library
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 

@@ -16,11 +16,11 @@ from armrig_daemon.conformance.suite import FAIL, RULES, run
 from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
-from sampling import sampled
-from spoilt_devices import UNPLUGGED
-from tools import needs
 
-from firmware.uno_host import broken, harness
+from tests.daemon.conformance.spoilt_devices import UNPLUGGED
+from tests.firmware.uno_host import broken, harness
+from tests.sampling import sampled
+from tests.tools import needs
 
 pytestmark = needs("cc", "make", "simavr", "avr-gcc")
 
@@ -53,21 +53,21 @@ PLANTED = {
         "boards/uno/motor.c",
         "    PORTB = 0;\n    DDRB = PWM_PIN;\n",
         "    PORTB = PWM_PIN;\n    DDRB = PWM_PIN;\n",
-        "outside RUN the motor's pin",
-        "HELLO_R says who is there",
+        "outside RUN, the motor's pin",
+        "HELLO_R identifies the device",
     ),
     "the enable line stays high": Planted(
         "boards/uno/motor.c",
         "    PORTB = 0;\n    PORTD = 0;\n",
         "    PORTB = 0;\n",
-        "outside RUN the motor's pin",
+        "outside RUN, the motor's pin",
         "Both ends of the range",
     ),
     "the PWM goes on outside RUN": Planted(
         "boards/uno/motor.c",
         "    is_staged = false;\n    TCCR1A = DISCONNECTED;\n",
         "    is_staged = false;\n",
-        "outside RUN the motor's pin",
+        "outside RUN, the motor's pin",
         "Both ends of the range",
     ),
     "the pin has half of what is reported": Planted(
@@ -81,25 +81,25 @@ PLANTED = {
         "core/rig_states.c",
         "if (rig_is_bound() && board_now_us()",
         "if (0 && board_now_us()",
-        "silence of `watchdog_ms`",
+        "silence of the host",
     ),
     "the watchdog is early": Planted(
         "core/rig_states.c",
         "rig.config.watchdog_ms * 1000UL",
         "rig.config.watchdog_ms * 990UL",
-        "silence of `watchdog_ms`",
+        "silence of the host",
     ),
     "a HELLO feeds the watchdog": Planted(
         "core/rig_requests.c",
-        "if (!is_hello) // who asks who is there does not command",
+        "if (!is_hello) // HELLO asks for the identity and commands nothing",
         "",
-        "feeds the watchdog",
+        "do not feed the watchdog",
     ),
     "the nonce of ARM is not looked at": Planted(
         "core/rig_transitions.c",
         "m->arm.nonce != rig.nonce",
         "0",
-        "The bytes of an arming",
+        "The bytes of an earlier ARM",
     ),
     "a code above u_max is let through": Planted(
         "core/rig_requests.c",
@@ -111,20 +111,20 @@ PLANTED = {
         "core/rig_requests.c",
         "rig.config.slew && step > rig.config.slew",
         "0 && step",
-        "is FAULT(SLEW), of just so much",
+        "is FAULT(SLEW), a change of `slew` is not",
     ),
     "a dry queue holds the last voltage": Planted(
         "core/rig_queue.c",
         "config->underrun != RIG_UNDERRUN_HOLD || queue->dry > config->hold",
         "config->underrun == RIG_UNDERRUN_HOLD && queue->dry > config->hold",
-        "A dry queue is flagged UNDERRUN",
+        "An empty queue sets UNDERRUN",
     ),
     "STOP leads out of ESTOP": Planted(
         "core/rig_transitions.c",
         "    if (is_latched())\n        rig_answer(&m->header, RIG_CODE_WRONG_STATE);\n"
         "    else if (rig.state == RIG_STATE_IDLE)",
         "    if (rig.state == RIG_STATE_IDLE)",
-        "In ESTOP a request",
+        "In ESTOP, these requests",
     ),
     "old frames are new": Planted(
         "core/rig_requests.c",
@@ -143,7 +143,6 @@ PLANTED = {
 
 @pytest.mark.parametrize("how", sampled(PLANTED, 2))
 def test_a_violation_of_the_firmware_is_seen(how: str, tmp_path: Path) -> None:
-    """By the rule that is named, which holds for the firmware as it is."""
     planted = PLANTED[how]
     image = broken(tmp_path, planted.file, planted.old, planted.new)
     with closing(Uno(harness(), image, EmulatorSettings(**UNPLUGGED), 0)) as uno:

@@ -30,10 +30,10 @@ from armrig_protocol.messages import (
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
-from tools import needs
 
-from firmware import library
-from firmware.both_devices import MS, US, BothDevices
+from tests.firmware import library
+from tests.firmware.both_devices import MS, US, BothDevices
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 
@@ -97,9 +97,9 @@ PAUSES = st.sampled_from([0, 104 * US, 320 * US, 500 * US, 700 * US, 1 * MS])
 
 
 class SameAnswers(RuleBasedStateMachine):
-    """Whatever a host, a line, or somebody with an old recording of it sends.
+    """Any frames of a host, a line, or an attacker with an old recording.
 
-    Few rules, each with much in it: most of the time the motor shall be driven.
+    There are few rules, each with many cases, because the motor must be driven most of the time.
     """
 
     @initialize(bench=st.sampled_from(BENCHES), now=MOSTLY)
@@ -161,7 +161,7 @@ class SameAnswers(RuleBasedStateMachine):
         dt_ns=PAUSES,
     )
     def exchange(self, steps: list[int], codes: list[int], sound: bool, dt_ns: int) -> None:
-        """EXCHANGE close behind each other, out of range, and with a k that is not ahead."""
+        """Send EXCHANGE frames in quick succession, out of range, and with a k not ahead."""
         both = self.both
         for step, code in zip(steps, codes, strict=False):
             both.k = (both.k + step) & 0xFFFFFFFF
@@ -176,7 +176,7 @@ class SameAnswers(RuleBasedStateMachine):
         times=st.sampled_from([1, 1, 3, 30]),
     )
     def setpoints(self, shift: int, codes: list[int], flat: bool, sound: bool, times: int) -> None:
-        """Frames that go on behind the last, overlap it, leave a gap, disagree, or overflow."""
+        """Send frames that follow the last, overlap it, leave a gap, disagree, or overflow."""
         for _ in range(times):
             sent = [codes[0]] * len(codes) if flat else codes
             if sound and self.config:
@@ -186,7 +186,7 @@ class SameAnswers(RuleBasedStateMachine):
 
     @rule(data=st.data(), nonce=MOSTLY, wrong=U32)
     def ask(self, data: st.DataObject, nonce: bool, wrong: int) -> None:
-        """Ask for anything else, rightly or wrongly."""
+        """Send any other request, right or wrong."""
         both = self.both
         kind = data.draw(st.sampled_from([Config, Arm, Start, ClearFault, Cal, Cal, Setpoints]))
         if kind is Config:
@@ -262,7 +262,7 @@ class SameAnswers(RuleBasedStateMachine):
         self.both.held = (k0 + len(codes)) & 0xFFFFFFFF
 
     def _within(self, code: int) -> int:
-        """Return a code that the configuration allows behind u_rest."""
+        """Return a code that the configuration allows after u_rest."""
         low, high, slew = (self.config[key] for key in ("u_min", "u_max", "slew"))
         if slew:
             low = max(low, self.config["u_rest"] - slew // 2)
@@ -270,7 +270,7 @@ class SameAnswers(RuleBasedStateMachine):
         return low + code % (high - low + 1)
 
     def teardown(self) -> None:
-        """Let what is under way come to its end: the watchdog, too."""
+        """Let pending work come to its end, the watchdog included."""
         if hasattr(self, "both"):
             self.both.wait(1200 * MS)
 
@@ -283,7 +283,7 @@ def flipped(wire: bytes, at: int) -> bytes:
 
 
 def test_both_devices_answer_every_byte_alike() -> None:
-    """In both modes, with all guards, whatever comes; at the same nanosecond."""
+    """In both modes, with all guards; at the same nanosecond."""
     run_state_machine_as_test(
         SameAnswers,
         settings=settings(
@@ -295,7 +295,7 @@ def test_both_devices_answer_every_byte_alike() -> None:
 
 
 def test_hardware_that_is_built_alike_has_one_library() -> None:
-    """The hold is no constant of the build; loaded again, C would call another device's pins."""
+    """The hold is no constant of the build; a second library would call the first device's pins."""
     slow, fast = (
         Hardware(conversion_ns=104_000, hold_ns=hold_ns, adc_bits=10, pwm_bits=10, queue=256)
         for hold_ns in (12_000, 2_000)

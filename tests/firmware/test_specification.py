@@ -1,18 +1,16 @@
-"""What the emulated device is specified to do, asked of the C core: the same tests."""
+"""The specification of the emulated device, applied to the C core: the same tests."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-import emulated_host
 import pytest
-import test_device
-import test_scheduled
-from test_device import *  # noqa: F403
-from test_scheduled import *  # noqa: F403
-from tools import needs
 
-from firmware.core_device import CoreDevice
+from tests.daemon.emulator import emulated_host, test_device, test_scheduled
+from tests.daemon.emulator.test_device import *  # noqa: F403
+from tests.daemon.emulator.test_scheduled import *  # noqa: F403
+from tests.firmware.core_device import CoreDevice
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 

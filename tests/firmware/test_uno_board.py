@@ -1,6 +1,6 @@
-"""What the Uno's board layer promises the core: times, names, and a reset where a part of it dies.
+"""The Uno's board layer: times, names, and a reset if a part of it dies.
 
-Where only a broken board could show it, a part of the program is broken, built, and run.
+If only a broken board could show it, a part of the program is broken, built, and run.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from armrig_daemon.emulator.harness import Violation
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno
 from armrig_protocol.messages import ConfigReply, Exchange, Flag, Sample, Start, State, Status, Stop
-from tools import needs
 
-from firmware.uno_host import BOOT_NS, HEX, MS, Host, broken, harness, powered
+from tests.firmware.uno_host import BOOT_NS, HEX, MS, Host, broken, harness, powered
+from tests.tools import needs
 
 pytestmark = needs("cc", "make", "simavr")
 HALF = 32768
@@ -32,7 +32,6 @@ def restart(host: Host) -> None:
 
 
 def test_a_tick_that_waited_for_the_converter_says_so() -> None:
-    """However close an EXCHANGE's sample ends before it: t_us is its trigger, TICK_LATE tells."""
     ts_us = 2600
     late = 0
     with powered() as host:
@@ -65,7 +64,7 @@ def test_a_tick_that_waited_for_the_converter_says_so() -> None:
 @pytest.mark.parametrize("byte", range(12))
 @pytest.mark.parametrize("copy", [0, 1])
 def test_a_spoilt_byte_of_the_uid_changes_nothing(copy: int, byte: int) -> None:
-    """It is kept twice, each with its check."""
+    """The uid is stored twice, each copy with its check."""
     with powered() as host:
         uid = host.hello().uid
         eeprom = host.uno.harness.read_eeprom(0, 1024)
@@ -79,14 +78,13 @@ def test_a_spoilt_byte_of_the_uid_changes_nothing(copy: int, byte: int) -> None:
         assert host.hello().uid == uid
 
 
-def test_hello_tells_the_crc_of_the_image() -> None:
-    """Of every byte that is written to flash, as `armrig flash` asks for."""
+def test_hello_reports_the_crc_of_the_image() -> None:
     with powered() as host:
         assert host.hello().firmware == read_image(HEX).crc
 
 
-def test_status_tells_the_longest_interrupt() -> None:
-    """That in which u is found, 30 us and more; less than a turn of the clock."""
+def test_status_reports_the_longest_interrupt() -> None:
+    """The longest interrupt takes 30 µs and more, less than a turn of the clock."""
     with powered() as host:
         host.start()
         host.drive(HALF, 600)
@@ -101,7 +99,7 @@ def test_status_tells_the_longest_interrupt() -> None:
     ids=["main hangs", "the converter is off", "the clock stands still"],
 )
 def test_the_hardware_s_watchdog_resets_what_is_dead(fault: str, tmp_path: Path) -> None:
-    """S3: in RUN, while the host goes on; the pin is low soon, and stays so."""
+    """S3: in RUN, while the host goes on."""
     loop = "        if (is_time_to_poll())\n"
     dies = f"        if (board_now_us() > {DIES_MS}000) {{ {fault} }}\n"
     image = broken(tmp_path, "boards/uno/main.c", loop, dies + loop)
@@ -130,7 +128,6 @@ def test_the_hardware_s_watchdog_resets_what_is_dead(fault: str, tmp_path: Path)
 
 @builds
 def test_an_eeprom_that_is_worn_out_costs_no_boot_its_name(tmp_path: Path) -> None:
-    """The count cannot be written; each boot has its own boot_id in the low half, too, by noise."""
     count = "    keep(&counts[place], &next, sizeof next);\n"
     image = broken(tmp_path, "boards/uno/identity.c", count, "")
     uno = Uno(harness(), image, EmulatorSettings(), 0)

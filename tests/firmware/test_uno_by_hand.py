@@ -33,10 +33,8 @@ from armrig_protocol.messages import (
     Status,
     Stop,
 )
-from sampling import sampled
-from tools import needs
 
-from firmware.uno_host import (
+from tests.firmware.uno_host import (
     BOOT_NS,
     MS,
     Host,
@@ -45,6 +43,8 @@ from firmware.uno_host import (
     powered,
     switch_on,
 )
+from tests.sampling import sampled
+from tests.tools import needs
 
 pytestmark = needs("cc", "make", "simavr")
 HALF = 32768
@@ -77,7 +77,7 @@ def test_silence_is_0_v_within_the_watchdog_and_a_millisecond(watchdog_ms: int) 
 
 @pytest.mark.parametrize("kind", [Stop, Estop])
 def test_a_stop_acts_within_a_millisecond_of_its_last_byte(kind: type) -> None:
-    """S6: and the pin is low for good."""
+    """S6: and the pin stays low."""
     with powered() as host:
         host.start()
         host.drive(65535, 5)
@@ -115,7 +115,7 @@ def test_a_reset_in_run_is_0_v_at_once(boot_loader: bool) -> None:
     ("version", "told"), [(0x0803, 10), (0x0406, 10), (0x0404, 0), (0xFFFF, 0)], ids=hex
 )
 def test_the_cause_of_a_reset_is_what_optiboot_hands_on(version: int, told: int) -> None:
-    """In r2, from 4.6 on; of an older loader nobody knows what r2 has."""
+    """In r2, from 4.6 on; r2 of an older loader is undefined."""
     with powered(boot_loader=True) as host:
         host.uno.harness.optiboot(version, 10)
 
@@ -127,7 +127,7 @@ def test_the_cause_of_a_reset_is_what_optiboot_hands_on(version: int, told: int)
 
 @pytest.mark.parametrize("between", ["STOP", "0 V"])
 def test_the_first_period_after_0_v_has_the_new_duty(between: str) -> None:
-    """S5: not what the pin had before, and not the rest of a period that began then."""
+    """S5: neither the duty before, nor the rest of a period that began then."""
     with powered() as host:
         host.start()
         host.drive(65535, 5)
@@ -146,7 +146,7 @@ def test_the_first_period_after_0_v_has_the_new_duty(between: str) -> None:
 
 
 def test_a_slow_eeprom_is_no_reason_to_be_reset() -> None:
-    """On a first boot 32 bytes are written, in more than the hardware's watchdog together."""
+    """On a first boot 32 bytes are written, which takes longer than the hardware's watchdog."""
     uno = switch_on(EmulatorSettings(), 0)
     try:
         uno.harness.eeprom_byte(10_000)
@@ -160,7 +160,7 @@ def test_a_slow_eeprom_is_no_reason_to_be_reset() -> None:
 
 
 def test_a_port_that_opens_without_a_reset_is_safe_by_the_watchdog() -> None:
-    """S3: the next daemon finds FAULT, and has to clear it."""
+    """S3: the next daemon finds FAULT, and must clear it."""
     with powered() as host:
         host.start()
         host.drive(HALF, 5)
@@ -176,7 +176,7 @@ def test_a_port_that_opens_without_a_reset_is_safe_by_the_watchdog() -> None:
 
 
 def test_zero_is_the_pin_disconnected_and_not_a_spike() -> None:
-    """A duty of 0 in RUN: not one edge in 100 periods."""
+    """A duty of 0 in RUN: no edge in 100 periods."""
     with powered() as host:
         host.start()
         host.drive(HALF, 5)
@@ -190,7 +190,7 @@ def test_zero_is_the_pin_disconnected_and_not_a_spike() -> None:
 
 
 @pytest.mark.parametrize("u", [33, 64, 1000, HALF, 65472, 65535])
-def test_the_code_that_is_told_is_the_duty_at_the_pin(u: int) -> None:
+def test_the_reported_code_is_the_duty_at_the_pin(u: int) -> None:
     """S5: to the cycle; full scale is always high."""
     with powered() as host:
         host.start()
@@ -225,7 +225,7 @@ def test_theta_1_is_held_where_hello_says() -> None:
 
 
 def test_oversampling_is_the_mean_of_conversions_one_skew_apart() -> None:
-    """Sixteen of each channel, alternating; nothing of it is late."""
+    """Sixteen of each channel, alternating."""
     with powered() as host:
         host.arm(ts_us=10_000, oversampling=16)
         holds: list[tuple[int, int]] = []
@@ -250,7 +250,6 @@ def test_oversampling_is_the_mean_of_conversions_one_skew_apart() -> None:
 
 @pytest.mark.parametrize("ts_us", [1000, 2000])
 def test_a_reading_is_of_its_own_channel_while_the_supply_is_measured(ts_us: int) -> None:
-    """Two seconds of the timer's samples; a supply that sinks meanwhile is told."""
     with powered() as host:
         host.arm(mode=1, ts_us=ts_us, watchdog_ms=250)
         host.uno.stuck = lambda _, channel: 300 + 400 * channel
@@ -269,8 +268,7 @@ def test_a_reading_is_of_its_own_channel_while_the_supply_is_measured(ts_us: int
 
 
 @pytest.mark.parametrize("channel", [0, 1])
-def test_cal_tells_mean_and_spread_of_one_channel(channel: int) -> None:
-    """At 0 V, of what the converter read."""
+def test_cal_reports_mean_and_spread_of_one_channel(channel: int) -> None:
     with powered() as host:
         host.hello()
         codes = iter([500, 502, 504, 506] * 25)
@@ -324,7 +322,6 @@ def test_boots_wear_each_place_of_the_eeprom_alike() -> None:
 
 
 def test_a_count_that_power_failure_has_torn_is_counted_again() -> None:
-    """Whichever byte of the newest place is not written yet: the next boot has its own boot_id."""
     with powered() as host:
         for _ in range(3):
             host.uno.reset(host.now)
@@ -335,7 +332,7 @@ def test_a_count_that_power_failure_has_torn_is_counted_again() -> None:
         for torn in range(8):
             host.uno.harness.write_eeprom(newest, eeprom[newest : newest + 8])
             host.uno.harness.write_eeprom(newest + 8, b"\xff" * 8)
-            # As a boot that counts 5 would leave it, were it cut off behind `torn` bytes.
+            # As left by a boot that counts 5 and is cut off after `torn` bytes.
             whole = (5).to_bytes(4, "little") + _check((5).to_bytes(4, "little"))
             host.uno.harness.write_eeprom(newest + 8, whole[:torn])
             host.uno.reset(host.now)
@@ -347,7 +344,6 @@ def test_a_count_that_power_failure_has_torn_is_counted_again() -> None:
 
 
 def test_a_hundred_thousand_fuzzed_bytes_do_nothing() -> None:
-    """Noise, cut and spoilt frames at full speed: no voltage, and the next HELLO is heard."""
     rng = random.Random(5)
     frames = [
         encode(Exchange(0, 3, 1, HALF)),
@@ -414,7 +410,7 @@ def _act(host: Host, rng: random.Random) -> None:
 
 @pytest.mark.parametrize("first", sampled(range(0, 200, 50)))
 def test_in_every_state_but_run_the_pin_is_low(first: int) -> None:
-    """S1, S6: over 200 seeds of what hosts do, good and bad ones; no spike, no enable line."""
+    """S1, S6: over 200 seeds of what hosts do; no spike, no enable line."""
     driven = 0
     for seed in range(first, first + 50):
         rng = random.Random(seed)
@@ -428,8 +424,7 @@ def test_in_every_state_but_run_the_pin_is_low(first: int) -> None:
     assert driven > 10
 
 
-def test_the_clock_is_told_to_the_microsecond() -> None:
-    """PONG's two times lie between PING's arrival and its own departure."""
+def test_the_clock_is_reported_to_the_microsecond() -> None:
     with powered() as host:
         host.hello()
         for i in range(20):
@@ -443,7 +438,6 @@ def test_the_clock_is_told_to_the_microsecond() -> None:
 
 
 def test_what_it_does_not_know_is_refused_by_name() -> None:
-    """A type of devices from a host: UNKNOWN_TYPE."""
     with powered() as host:
         host.hello()
         host.say(HelloReply, *([0] * (len(HelloReply._fields) - 2)))
@@ -452,8 +446,8 @@ def test_what_it_does_not_know_is_refused_by_name() -> None:
         assert host.last(Ack).of_type == 0x81
 
 
-def test_a_converter_that_stands_still_is_0_v_by_the_hardware_s_watchdog() -> None:
-    """S1: while the host feeds the device's own; it then answers as one that has booted."""
+def test_a_stopped_converter_is_0_v_by_the_hardware_s_watchdog() -> None:
+    """S1: while the host feeds the device's own watchdog."""
     with powered() as host:
         host.start(mode=1, watchdog_ms=250, underrun=1, hold=255)
         boot_id = host.hello().boot_id

@@ -1,6 +1,6 @@
 """The Uno's binary does what PROTOCOL.md says, rule by rule.
 
-In simavr, in virtual time; its PWM pin is looked at beside the answers.
+In simavr, in virtual time; the PWM pin is judged in addition to the answers.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from armrig_daemon.conformance.suite import FAIL, NOT_TRIED, run
 from armrig_daemon.conformance.virtual_line import VirtualLine
 from armrig_daemon.emulator.harness import Violation
 from armrig_daemon.emulator.settings import EmulatorSettings
-from sampling import sampled
-from spoilt_devices import AT_A_RAIL
-from tools import needs
 
-from firmware.uno_host import switch_on
+from tests.daemon.conformance.spoilt_devices import AT_A_RAIL
+from tests.firmware.uno_host import switch_on
+from tests.sampling import sampled
+from tests.tools import needs
 
 pytestmark = needs("cc", "make", "simavr")
 
@@ -27,9 +27,9 @@ pytestmark = needs("cc", "make", "simavr")
     ("resets", "boot_loader"), sampled([(True, False), (False, False), (True, True)])
 )
 def test_the_uno_does_what_the_protocol_says(resets: bool, boot_loader: bool) -> None:
-    """Each rule is tried, and holds, whether the opening of its port resets it or not.
+    """Each rule holds, whether the opening of the port resets the device or not.
 
-    And where that ends in a boot loader, which is deaf for a second.
+    A reset may also end in a boot loader, which is deaf for a second.
     """
     settings = EmulatorSettings(**AT_A_RAIL)
     with closing(switch_on(settings, 0, boot_loader=boot_loader)) as uno:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 
 import pytest
-from simulator import campaign
-from tools import needs
+
+from tests.simulator import campaign
+from tests.tools import needs
 
 pytestmark = needs("cc", "make", "simavr")
 
@@ -16,7 +17,6 @@ SEEDS = int(os.environ.get("ARMRIG_SIMULATE_UNO_SEEDS", "8"))
 
 @pytest.mark.exhaustive
 def test_every_invariant_holds_at_the_pin_under_faults() -> None:
-    """Each code that the device tells is looked for at its pin."""
     done = campaign.run(range(SEEDS), uno=True)
 
     assert not done.violations, [

@@ -1,4 +1,4 @@
-"""The Uno's binary where its line is full, at the shortest Ts that it tells, at both speeds."""
+"""The Uno's binary with a full line, at its shortest Ts, at both speeds."""
 
 from __future__ import annotations
 
@@ -28,10 +28,16 @@ from armrig_protocol.messages import (
     Status,
     Stop,
 )
-from tools import needs
 
-from firmware.test_uno_runs import LATCH_NS, UnoBench, assert_complete, assert_on_the_pin, telegraph
-from firmware.uno_host import BAUD, MS, PERIOD_NS, Host, powered
+from tests.firmware.test_uno_runs import (
+    LATCH_NS,
+    UnoBench,
+    assert_complete,
+    assert_on_the_pin,
+    telegraph,
+)
+from tests.firmware.uno_host import BAUD, MS, PERIOD_NS, Host, powered
+from tests.tools import needs
 
 pytestmark = needs("cc", "make", "simavr")
 BUILDS = needs("avr-gcc")
@@ -43,7 +49,7 @@ N = 600
 
 
 def _play(host: Host, u: list[int], ts_us: int) -> list[Sample]:
-    """Play a run beside a flood that leaves no gap in the line to the device."""
+    """Play a run during a flood that leaves no gap in the line to the device."""
     host.arm(mode=int(Mode.SCHEDULED), ts_us=ts_us, watchdog_ms=250)
     for k0 in range(0, 240, SETPOINTS_PER_FRAME):
         host.say(Setpoints, k0, 24, 0, tuple(u[k0 : k0 + 24]))
@@ -62,8 +68,7 @@ def _play(host: Host, u: list[int], ts_us: int) -> list[Sample]:
 
 
 @pytest.mark.parametrize("baud", BAUDS)
-def test_beside_a_flood_every_sample_is_in_time_and_tells_what_the_pin_has(baud: int) -> None:
-    """What the flood costs are setpoints, and those samples say UNDERRUN."""
+def test_during_a_flood_every_sample_is_in_time_and_reports_the_pin(baud: int) -> None:
     rng = random.Random(3)
     u = [rng.randrange(65536) for _ in range(N)]
     with powered(baud=baud) as host:
@@ -83,7 +88,7 @@ def test_beside_a_flood_every_sample_is_in_time_and_tells_what_the_pin_has(baud:
 
 
 def _at_the_pin(host: Host, holds: list[int]) -> list[int]:
-    """Return the duty at the pin behind each hold, one period of the PWM later."""
+    """Return the duty at the pin after each hold, one period of the PWM later."""
     duties, at, found = host.uno.duties, 0, []
     for hold_ns in holds:
         by_ns = hold_ns + PERIOD_NS + LATCH_NS
@@ -95,9 +100,9 @@ def _at_the_pin(host: Host, holds: list[int]) -> list[int]:
 
 @pytest.mark.parametrize("baud", BAUDS)
 def test_the_daemon_s_own_load_costs_nothing_at_the_shortest_ts(baud: int) -> None:
-    """SETPOINTS, PING and STATUS beside the samples: each u at its k, and on the pin.
+    """SETPOINTS, PING and STATUS are sent between the samples.
 
-    At 1 Mbaud bytes are lost where many setpoints come at once, and come again.
+    At 1 Mbaud bytes are lost if many setpoints come at once, and come again.
     """
     bench = UnoBench(Config(device=Device(baud=baud, watchdog_ms=250)))
     try:
@@ -117,7 +122,7 @@ def test_the_daemon_s_own_load_costs_nothing_at_the_shortest_ts(baud: int) -> No
 
 @pytest.mark.parametrize("baud", BAUDS)
 def test_each_gap_in_what_was_received_is_counted(baud: int) -> None:
-    """The byte that found the ring full, and the overrun that comes after it."""
+    """The byte that found the ring full, and the overrun after it."""
     with powered(baud=baud) as host:
         host.hello()
         flood = b"".join(encode(Stop(0, seq)) for seq in range(100, 400))

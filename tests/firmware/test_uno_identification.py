@@ -11,10 +11,10 @@ from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.commands import Run
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import VirtualService
-from sampling import sampled
-from tools import needs
 
-from firmware.uno_host import switch_on
+from tests.firmware.uno_host import switch_on
+from tests.sampling import sampled
+from tests.tools import needs
 
 pytestmark = needs("cc", "make", "simavr")
 N, Ts = 3000, 0.01

@@ -1,4 +1,4 @@
-"""The Uno's firmware as a file: what is committed is what its sources give, and it fits."""
+"""The Uno's firmware as a file: the committed image equals the build, and fits."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from armrig_core.errors import OperationError
 from armrig_daemon.command_line import app
 from armrig_daemon.emulator.firmware_files import firmware_image, harness_program
 from armrig_daemon.emulator.harness import Harness
-from tools import needs
 
-from firmware.uno_host import HEX, ROOT
+from tests.firmware.uno_host import HEX, ROOT
+from tests.tools import needs
 
 UNO = ROOT / "firmware_protocol" / "firmware" / "boards" / "uno"
 
 
 @needs("avr-gcc")
 def test_the_committed_image_is_what_the_sources_give(tmp_path: Path) -> None:
-    """To the byte; and its 28 kB of flash are not exceeded, or make fails."""
+    """To the byte; make fails if it exceeds 28 kB of flash."""
     image = tmp_path / "uno.hex"
 
     subprocess.run(
@@ -32,7 +32,6 @@ def test_the_committed_image_is_what_the_sources_give(tmp_path: Path) -> None:
 
 
 def test_without_a_harness_it_is_said_how_to_build_one(tmp_path: Path) -> None:
-    """In one line; a file that ARMRIG_FIL names is taken."""
     with pytest.raises(OperationError, match="build it in a checkout by `make fil`") as error:
         harness_program({}, tmp_path)
     assert "\n" not in str(error.value)
@@ -43,7 +42,6 @@ def test_without_a_harness_it_is_said_how_to_build_one(tmp_path: Path) -> None:
 
 
 def test_a_harness_that_has_ended_is_closed_without_an_error(tmp_path: Path) -> None:
-    """What it was not given any more would hide why it ended."""
     harness = Harness(Path("/bin/true"), tmp_path, baud=500_000)
     assert harness._process.wait(30) == 0
 
@@ -54,7 +52,6 @@ def test_a_harness_that_has_ended_is_closed_without_an_error(tmp_path: Path) -> 
 
 
 def test_an_image_that_is_not_there_is_named(tmp_path: Path) -> None:
-    """Which file was looked for."""
     with pytest.raises(OperationError, match=r"other\.hex: no such firmware"):
         firmware_image(tmp_path / "other.hex")
 
@@ -68,7 +65,7 @@ def test_an_image_that_was_cut_off_is_refused_by_each_command_that_runs_it(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Print one line, and switch on nothing: simavr runs the file up to the cut."""
+    """Otherwise simavr would run the file up to the cut."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("ARMRIG_FIL", "/bin/true")  # a harness that ends at once
     image = tmp_path / "cut.hex"
@@ -79,4 +76,7 @@ def test_an_image_that_was_cut_off_is_refused_by_each_command_that_runs_it(
 
     assert ended.value.code not in (None, 0)
     (line,) = capsys.readouterr().err.splitlines()
-    assert f"{image}: no firmware in Intel HEX: it has no end; maybe it was cut off" in line
+    assert (
+        f"{image}: not a firmware image in Intel HEX: it has no end; the file may be cut off"
+        in line
+    )

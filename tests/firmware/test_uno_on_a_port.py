@@ -1,4 +1,4 @@
-"""`armrigd emulate --firmware`: the binary behind a pseudo-terminal, in real time."""
+"""`armrigd emulate --firmware`: the binary at a pseudo-terminal, in real time."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import serial
 from armrig_protocol import decoder
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
-from tools import needs
 
-from firmware.uno_host import broken, harness
+from tests.firmware.uno_host import broken, harness
+from tests.tools import needs
 
 COMMAND = [sys.executable, "-m", "armrig_daemon"]
 EMULATE = [*COMMAND, "emulate", "--firmware", "--port"]
@@ -43,7 +43,6 @@ def port(tmp_path: Path) -> Iterator[Path]:
 
 @needs("cc", "make", "simavr", "avr-gcc")
 def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) -> None:
-    """Which pin, and when; exit code 1."""
     low = "    PORTB = 0;\n    DDRB = PWM_PIN;\n"
     image = broken(tmp_path, "boards/uno/motor.c", low, low.replace("0", "PWM_PIN"))
     environ = os.environ | {"ARMRIG_FIL": str(harness())}
@@ -61,8 +60,7 @@ def test_a_pin_that_is_high_at_reset_is_a_line_and_an_exit_code(tmp_path: Path) 
 
 
 @needs_simavr
-def test_who_opens_the_port_meets_the_firmware(port: Path) -> None:
-    """It answers HELLO, repeated as it boots, and says who it is: no emulator, an image."""
+def test_a_host_that_opens_the_port_meets_the_firmware(port: Path) -> None:
     reply = _greet(port)
 
     assert reply.firmware != 0
@@ -73,7 +71,6 @@ def test_who_opens_the_port_meets_the_firmware(port: Path) -> None:
 @pytest.mark.exhaustive
 @needs_simavr
 def test_it_does_what_the_protocol_says_in_real_time_too(port: Path) -> None:
-    """As a lab asks its board: no rule is broken, however late this machine is."""
     arguments = ["conformance", "--device", str(port), "--motor-unplugged", "--json"]
 
     ended = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
@@ -98,7 +95,6 @@ def _greet(port: Path) -> HelloReply:
 
 
 def test_without_the_harness_it_ends_with_one_line(tmp_path: Path) -> None:
-    """Exit code 78, as for any configuration that a person must mend."""
     environ = os.environ | {"ARMRIG_FIL": str(tmp_path / "none")}
 
     ended = subprocess.run(

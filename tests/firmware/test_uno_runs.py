@@ -1,4 +1,4 @@
-"""Scheduled and exchange runs on the Uno's binary, by the daemon's loop and core as they are."""
+"""Scheduled and exchange runs on the Uno's binary, by the daemon's own loop and core."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from armrig_daemon.emulator.uno import Uno
 from armrig_daemon.pipe import Arm, Run, RunEnded, RunStarted
 from armrig_daemon.virtual import VirtualRig
 from armrig_protocol.messages import Flag, State
-from sampling import sampled
-from tools import needs
-from virtual_bench import LEASE, MS, Bench, codes
 
-from firmware.uno_host import PERIOD_NS, switch_on
+from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
+from tests.firmware.uno_host import PERIOD_NS, switch_on
+from tests.sampling import sampled
+from tests.tools import needs
 
 pytestmark = needs("cc", "make", "simavr")
 LATCH_NS = 10_000
-"""An interrupt may wait so long for another; what it sets acts in the next period."""
+"""Longest delay of an interrupt by another; its duty acts in the next period."""
 
 
 class UnoBench(Bench):
@@ -137,7 +137,7 @@ def index_of_hold(bench: UnoBench, sample: Sample) -> int:
 
 @pytest.mark.parametrize("ts_us", sampled([2000, 1000]))
 def test_every_u_is_at_its_k_and_on_the_pin(bench: UnoBench, ts_us: int) -> None:
-    """10 s at 1 kHz and at 500 Hz, with PING and STATUS beside it: no byte is lost."""
+    """10 s at 1 kHz and at 500 Hz, with PING and STATUS: no byte is lost."""
     volts = telegraph(10_000_000 // ts_us)
 
     bench.run(volts, ts_us)
@@ -151,7 +151,6 @@ def test_every_u_is_at_its_k_and_on_the_pin(bench: UnoBench, ts_us: int) -> None
 
 
 def test_the_same_run_gives_the_same_bytes(switched_on: Callable[..., UnoBench]) -> None:
-    """Three times, with the converter's noise: nothing of the machine that runs it is in them."""
     told = []
     for _ in range(3):
         bench = switched_on(seed=7)
@@ -162,7 +161,7 @@ def test_the_same_run_gives_the_same_bytes(switched_on: Callable[..., UnoBench])
 
 
 def test_the_host_paces_as_well(bench: UnoBench) -> None:
-    """Exchange mode at 200 Hz: every u at its k."""
+    """Exchange mode at 200 Hz."""
     volts = telegraph(1000)
 
     bench.run(volts, 5000, scheduled=False)
@@ -172,7 +171,7 @@ def test_the_host_paces_as_well(bench: UnoBench) -> None:
 
 
 def test_a_host_that_is_late_costs_the_timer_nothing(bench: UnoBench) -> None:
-    """8 ms late at each wake: the device keeps its period."""
+    """8 ms late at each wake."""
     bench.lateness_ns = 8 * MS
     volts = telegraph(1000)
 
@@ -197,7 +196,7 @@ def test_a_host_that_dies_in_a_run_leaves_0_v(bench: UnoBench) -> None:
 
 
 def test_a_reset_in_a_run_is_seen_and_is_0_v(bench: UnoBench) -> None:
-    """S1, S6: a new boot_id ends the run; nothing arms again by itself."""
+    """S1, S6: a new boot_id ends the run."""
     bench.play(telegraph(5000), 2000)
     bench.run_for(1000)
     reset_ns = bench.ports.now

@@ -21,10 +21,10 @@ from armrig_protocol.messages import (
     Start,
     State,
 )
-from emulated_host import CONFIG
-from tools import needs
 
-from firmware.both_devices import MS, US, BothDevices, S
+from tests.daemon.emulator.emulated_host import CONFIG
+from tests.firmware.both_devices import MS, US, BothDevices, S
+from tests.tools import needs
 
 pytestmark = needs("cc", "make")
 
@@ -32,7 +32,7 @@ INSTANT = EmulatorSettings(boot_ms=0.0, model_baud=False, queue=64)
 
 
 def in_run(*, after_ns: int = 1 * MS, **config: int) -> BothDevices:
-    """Return both devices in RUN; where it is scheduled, with the first setpoints."""
+    """Return both devices in RUN; in scheduled mode with the first setpoints."""
     both = BothDevices(INSTANT)
     both.wait(10 * MS)
     both.put(Hello, version=VERSION, schema=SCHEMA_HASH)
@@ -49,7 +49,7 @@ def in_run(*, after_ns: int = 1 * MS, **config: int) -> BothDevices:
 
 
 def test_more_frames_than_seq_counts() -> None:
-    """70 000 frames of a host, and as many of the device: both wrap, and nothing is stale."""
+    """70 000 frames of a host, and as many of the device."""
     both = in_run(watchdog_ms=250)
 
     for _ in range(70_000 // 50):
@@ -65,7 +65,7 @@ def test_more_frames_than_seq_counts() -> None:
 
 
 def test_k_of_exchange_wraps() -> None:
-    """K goes on behind 2^32 - 1 with 0; what is half a circle ahead is not ahead."""
+    """Half a circle ahead is not ahead."""
     both = in_run()
     half = 1 << 31
 
@@ -80,7 +80,7 @@ def test_k_of_exchange_wraps() -> None:
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("ahead_us", [20_000, 25_500, 30_208])
 def test_the_device_clock_wraps(mode: Mode, ahead_us: int) -> None:
-    """Watchdog, timer, STATUS and the supply's measurements go on across 2^32 us."""
+    """Watchdog, timer, STATUS and the supply's measurements continue across 2^32 µs."""
     both = BothDevices(EmulatorSettings(boot_ms=1.0, queue=64, brown_out_s=1.5))
     for device in both.devices:
         device._fw.clock = Clock(-((1 << 32) - ahead_us) * US)
@@ -107,7 +107,7 @@ def test_the_device_clock_wraps(mode: Mode, ahead_us: int) -> None:
 
 
 def test_a_run_longer_than_32_bits_of_its_index() -> None:
-    """The queue goes on across 2^32; what is 0 again is not the first sample of the run."""
+    """The queue continues across 2^32; the second index 0 is not the first sample."""
     both = in_run(after_ns=300 * US, mode=Mode.SCHEDULED, slew=2000, watchdog_ms=250)
     last = 2**32 - 4  # as after 49.7 days
     for device in both.devices:

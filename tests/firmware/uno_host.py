@@ -38,13 +38,13 @@ FIL = ROOT / "firmware_protocol" / "simavr"
 HEX = ROOT / "firmware_protocol" / "firmware" / "armrig-uno.hex"
 MS = 1_000_000
 BOOT_NS = 250 * MS
-"""The Uno has booted, and been heard, after so long."""
+"""Time after which the Uno has booted and answers."""
 PERIOD_NS = 64_000
-"""Of the PWM."""
+"""Period of the PWM, in ns."""
 BAUD = EmulatorSettings().baud
-"""Of the firmware of the checkout."""
+"""Baud rate of the checkout's firmware."""
 pins: list[Path] | None = None
-"""VCD files of what the pins of each Uno do in this test, in the order of their switching on."""
+"""VCD files of the pins of each Uno in this test, in the order of their starts."""
 
 
 @cache
@@ -101,17 +101,17 @@ def new_trace() -> Path:
 
 
 class Host:
-    """Whoever is at the other end of the Uno's line; says what it is told to."""
+    """Host at the other end of the Uno's line; it sends what the test orders."""
 
     def __init__(self, uno: Uno) -> None:
         self.uno = uno
         self.now = 0
         self.seq = 0
         self.heard: list[tuple[int, Message]] = []
-        """What came, each with when its last byte had."""
+        """Messages that came, each with the time of its last byte."""
         self.spoilt = 0
         self.starts: list[int] = []
-        """When each START had arrived."""
+        """Times at which each START had arrived."""
         self._pending = b""
 
     def wait(self, ms: float) -> None:
@@ -155,7 +155,7 @@ class Host:
         return reply
 
     def arm(self, **config: int) -> None:
-        """Come as far as ARMED, in exchange mode unless told otherwise."""
+        """Advance to ARMED, in exchange mode by default."""
         hello = self.hello()
         reply = self.configure(**config)
         self.say(Arm, hello.boot_id, reply.config_crc, reply.nonce)
@@ -201,7 +201,7 @@ def powered(seed: int = 1, baud: int = BAUD, **kwargs: Any) -> Iterator[Host]:
 
 
 def high_from(uno: Uno, since_ns: int, until_ns: int) -> list[Duty]:
-    """Return what was high on the pin in an interval; a period counts where it begins in it."""
+    """Return the high time of the pin in an interval; a period counts by its beginning."""
     ends = [d.cycle for d in uno.duties[1:]] + [uno.harness.cycle]
     return [
         duty
@@ -211,7 +211,7 @@ def high_from(uno: Uno, since_ns: int, until_ns: int) -> list[Duty]:
 
 
 def assert_low_outside_run(host: Host) -> None:
-    """Whenever the device told another state than RUN, its pin was low, up to the next START."""
+    """Check that the pin was low whenever the device reported another state than RUN."""
     uno = host.uno
     assert uno.violations == []
     for t_ns, message in host.heard:

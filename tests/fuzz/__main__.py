@@ -1,4 +1,4 @@
-"""`python -m fuzz`: a long run, and what it came to.
+"""`python -m tests.fuzz`: a long run, and what it came to.
 
 An input that does harm ends it with the exception; the same seed finds it again.
 """
@@ -10,7 +10,7 @@ import resource
 import sys
 import time
 
-from fuzz import bombs, cuts, data_files, files, frames, recoveries, requests
+from tests.fuzz import bombs, cuts, data_files, files, frames, recoveries, requests
 
 TARGETS = {
     "frames": (frames.fuzz, 100_000_000),
@@ -25,8 +25,8 @@ TARGETS = {
 
 
 def main() -> int:
-    """Fuzz what is asked for, or all."""
-    parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
+    """Fuzz the requested kinds, or all."""
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
     parser.add_argument("targets", nargs="*", default=list(TARGETS), help=", ".join(TARGETS))
     parser.add_argument("--most", type=int, help="bytes of frames, or inputs")
     parser.add_argument("--seed", type=int, default=1)

@@ -17,11 +17,11 @@ from armrig_core.recording_file import budget, file_records
 from armrig_core.recording_file.file_records import MAGIC
 from mcap.opcode import Opcode
 
-from fuzz.cuts import edges, noisy
-from fuzz.files import in_memory, recording
+from tests.fuzz.cuts import edges, noisy
+from tests.fuzz.files import in_memory, recording
 
 MOST_MIB = 64.0
-"""What reading a hostile file may cost, in MiB resident."""
+"""Memory that reading a hostile file may need, in MiB resident."""
 _LOAD = """
 import sys
 import armrig.recordings.loading
@@ -60,14 +60,14 @@ def _gigabyte() -> bytes:
 
 
 def _full_chunks() -> bytes:
-    """Return chunks as large as is allowed, of messages that nobody asked for."""
+    """Return chunks of the maximum size, of foreign messages."""
     message = _record(0x05, struct.pack("<HIQQ", 999, 0, 0, 0) + bytes(1000))
     data = message * (file_records.CHUNK_LIMIT // len(message))
     return _chunk(zstandard.compress(data), len(data)) * 12
 
 
 def _long_claims() -> bytes:
-    """Return records that say that they are longer than any memory."""
+    """Return records that claim to be longer than any memory."""
     return struct.pack("<BQ", 0x06, 2**62)
 
 
@@ -123,12 +123,12 @@ BOMBS: dict[str, Callable[[], bytes]] = {
 
 
 def cost_mib(bomb: bytes, directory: Path, *, alone: bool = False) -> float:
-    """Return how much more memory a process needs to load a file that ends in a bomb.
+    """Return the additional memory of a process that loads a file with a bomb at its end.
 
     Parameters
     ----------
     alone : bool
-        Whether nothing stands before the bomb, so that the file yields nothing.
+        The file contains only the bomb, so that it yields nothing.
     """
     honest, path = directory / "honest.mcap", directory / "bomb.mcap"
     data = recording(noisy(2000, 1), checked=True)

@@ -20,7 +20,7 @@ from armrig_core.recording_file import file_records
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recording_part import Part
 
-from fuzz.files import in_memory, in_one_line
+from tests.fuzz.files import in_memory, in_one_line
 
 SMALL, LARGE = 64 << 10, 1 << 20
 """Sizes of the files that are cut, in B."""
@@ -31,10 +31,10 @@ _OFFSET_NS = 10**18
 
 
 class Flushed(NamedTuple):
-    """How far a recording had come at a flush."""
+    """State of a recording at a flush."""
 
     size: int
-    """Of the file, in B."""
+    """Size of the file, in B."""
     samples: int
     """In the file."""
 
@@ -51,7 +51,7 @@ def any_place(most: int, seed: int) -> Counter[str]:
 
 
 def near_edges(most: int, seed: int) -> Counter[str]:
-    """Cut a file of 64 KiB before, at and behind each flush, and at so many random places."""
+    """Cut a file of 64 KiB before, at and after each flush, and at so many random places."""
     rng = Random(seed)
 
     def places(flushes: list[Flushed]) -> set[int]:
@@ -62,7 +62,7 @@ def near_edges(most: int, seed: int) -> Counter[str]:
 
 
 def cut(size: int, seed: int, places: Callable[[list[Flushed]], Iterable[int]]) -> Counter[str]:
-    """Cut a recording of at least `size` B, or some more, and load what is left each time."""
+    """Cut a recording of at least `size` B, or some more, and load the rest each time."""
     found: Counter[str] = Counter()
     with tempfile.TemporaryDirectory(prefix="armrig-fuzz-", dir=in_memory()) as directory:
         path = Path(directory) / "cut.mcap"
@@ -83,7 +83,7 @@ def cut(size: int, seed: int, places: Callable[[list[Flushed]], Iterable[int]]) 
 
 
 def written(path: Path, size: int, seed: int) -> list[Flushed]:
-    """Write a recording as the daemon does; return what was in it at each flush, and at its end."""
+    """Write a recording as the daemon does; return its content at each flush and at its end."""
     samples, flushes = noisy(10**6, seed), []
     part = Part(path, _manifest(), {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * 1000}, 0)
     flushes.append(Flushed(part.size, 0))
@@ -117,7 +117,7 @@ def _manifest() -> Manifest:
 
 
 def check(path: Path, last: Flushed | None) -> str:
-    """Load a file that ends behind its flush `last`; None where it ends before the first."""
+    """Load a file that ends after its flush `last`; None if it ends before the first."""
     loaded = _loaded(path)
     if loaded is None:
         assert last is None, f"what was flushed of {path.stat().st_size} B is refused"
@@ -125,7 +125,7 @@ def check(path: Path, last: Flushed | None) -> str:
     found = loaded.samples["k"]
     assert np.array_equal(found, np.arange(found.size))
     wanted = 0 if last is None else last.samples
-    # The sizes and checksums behind the samples of a flush may be cut off; they are not needed.
+    # The sizes and checksums after the samples of a flush may be cut off; they are not needed.
     assert wanted <= found.size <= wanted + FLUSH, f"{found.size} of {wanted} samples"
     return "cut" if loaded.truncated else "whole"
 

@@ -1,4 +1,4 @@
-"""The reader of data that are no recording: any file gives a Dataset, or one line that says why."""
+"""The reader of other data: any file gives a Dataset, or one line with the reason."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from armrig.data.files.loading import load_data
 from armrig_core.errors import FileError
 from scipy.io import savemat
 
-from fuzz.files import in_memory, in_one_line
-from fuzz.mutation import mutated
+from tests.fuzz.files import in_memory, in_one_line
+from tests.fuzz.mutation import mutated
 
 N = 30
 _LONGEST = 400  # characters that one or two lines have

@@ -22,7 +22,7 @@ from armrig_core.manifest import CALIBRATION, OUTCOME, RUN, Manifest, Outcome
 from armrig_core.topics import topic
 from mcap.writer import CompressionType, Writer
 
-from fuzz.mutation import mutated
+from tests.fuzz.mutation import mutated
 
 N = 40
 _MANIFEST = Manifest(
@@ -103,7 +103,7 @@ def in_one_line(err: Exception) -> None:
 
 
 def used(found: Recording) -> None:
-    """Do with a recording what a user does; only what is documented may come out."""
+    """Use a recording as a user does; only documented results may come out."""
     assert np.all(np.diff(found.samples["k"].astype(np.int64)) > 0)
     for output in ("theta_1", "alpha"):
         try:
@@ -135,6 +135,6 @@ def fuzz(most: int, seed: int) -> Counter[str]:
 
 
 def in_memory() -> str | None:
-    """Return a directory that is no disk, where there is one."""
+    """Return a directory in memory, if there is one."""
     shared = "/dev/shm"
     return shared if os.access(shared, os.W_OK) else None

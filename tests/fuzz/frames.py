@@ -8,11 +8,11 @@ from struct import Struct, pack
 
 from armrig_protocol import cobs
 from armrig_protocol.crc import crc32
-from armrig_protocol.decoder import LONGEST, feed
+from armrig_protocol.decoder import MAX_STUFFED, feed
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import LAYOUTS, MESSAGES
 
-from fuzz.mutation import mutated
+from tests.fuzz.mutation import mutated
 
 _BATCH = 64
 _CLASSES = tuple(MESSAGES.values())
@@ -39,7 +39,7 @@ def stream(rng: Random, corpus: list[bytes]) -> bytes:
         if of > 0.25:
             frame = mutated(frame, rng, corpus)
         if of > 0.97:
-            frame = rng.randbytes(rng.randrange(4 * LONGEST))
+            frame = rng.randbytes(rng.randrange(4 * MAX_STUFFED))
         frames.append(frame)
     return b"".join(frames)
 
@@ -58,7 +58,7 @@ def fuzz(most: int, seed: int) -> Counter[str]:
             piece = data[at : at + rng.choice((1, 7, 64, 2048))]
             at += len(piece)
             pending, received = feed(pending, piece)
-            assert len(pending) <= LONGEST + 1, len(pending)
+            assert len(pending) <= MAX_STUFFED + 1, len(pending)
             for message in received:
                 found[type(message).__name__] += 1
                 if isinstance(message, _CLASSES) and rng.random() < 0.02:

@@ -13,11 +13,11 @@ from armrig_core.errors import FileError
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.recording_file.unfinished import RecoveryError
 
-from fuzz.files import corpus, in_memory, in_one_line
-from fuzz.mutation import mutated
+from tests.fuzz.files import corpus, in_memory, in_one_line
+from tests.fuzz.mutation import mutated
 
 CHECKED = 2
-"""Which of the corpus has check sums, as a daemon's files have."""
+"""Number of files of the corpus with checksums, as a daemon writes them."""
 _RECOVERY = Recovery(armrig="0", now=lambda: "2026-01-01T00:00:00+00:00")
 
 

@@ -9,7 +9,7 @@ from random import Random
 from armrig_core.commands import REQUESTS, Calibrate, Requests, Run, Set, parse
 from armrig_core.volts import U_MAX_V
 
-from fuzz.mutation import mutated
+from tests.fuzz.mutation import mutated
 
 _LEASE = b'"lease": "0123456789abcdef0123456789abcdef", "n": 7'
 CORPUS = [
@@ -58,7 +58,7 @@ def command(rng: Random) -> tuple[str, bytes]:
 
 
 def check(request: Requests) -> None:
-    """Assert that what was taken is allowed: S1 at the first of its gates."""
+    """Assert that an accepted command is allowed: S1 at the first of its gates."""
     if isinstance(request, Set):
         assert 0.0 <= request.u <= U_MAX_V, request.u
     if isinstance(request, Calibrate):

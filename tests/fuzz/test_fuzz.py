@@ -8,11 +8,10 @@ from random import Random
 import pytest
 from armrig_core.commands import Set
 
-from fuzz import bombs, cuts, data_files, files, frames, mutation, recoveries, requests
+from tests.fuzz import bombs, cuts, data_files, files, frames, mutation, recoveries, requests
 
 
-def test_any_bytes_give_frames_or_are_told_as_spoilt() -> None:
-    """Of each kind some come through, and nothing else comes out."""
+def test_any_bytes_give_frames_or_are_reported_as_spoilt() -> None:
     found = frames.fuzz(1_000_000, seed=1)
 
     kinds = {message.__name__ for message in frames.MESSAGES.values()}
@@ -20,7 +19,6 @@ def test_any_bytes_give_frames_or_are_told_as_spoilt() -> None:
 
 
 def test_any_fields_give_an_allowed_command_or_a_refusal() -> None:
-    """A few are still commands, so that what is taken is looked at, too."""
     found = requests.fuzz(20_000, seed=1)
 
     assert found["taken"] > 300
@@ -30,7 +28,6 @@ def test_any_fields_give_an_allowed_command_or_a_refusal() -> None:
 
 
 def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
-    """With check sums and without; as deep as a change can go."""
     found = files.fuzz(2_000, seed=1)
 
     assert found["cut"] > 1000
@@ -39,7 +36,6 @@ def test_any_file_gives_its_beginning_or_is_refused_in_a_line() -> None:
 
 
 def test_any_unfinished_file_is_recovered_or_stays_as_it_is() -> None:
-    """With all that a reader found in it before, and nothing beside it."""
     found = recoveries.fuzz(400, seed=1)
 
     assert found["recovered"] > 300
@@ -47,7 +43,6 @@ def test_any_unfinished_file_is_recovered_or_stays_as_it_is() -> None:
 
 
 def test_any_file_of_data_gives_data_or_is_refused_in_a_line() -> None:
-    """Of each kind; a reader that is compiled fell over such files."""
     found = data_files.fuzz(600, seed=1)
 
     assert found["read"] > 50
@@ -65,21 +60,18 @@ def test_a_recording_cut_anywhere_gives_its_beginning_up_to_the_last_flush() -> 
 
 @pytest.mark.parametrize("name", ["1 GiB in one chunk", "events", "timing"])
 def test_a_file_made_to_cost_memory_costs_64_mib_at_most(name: str, tmp_path: Path) -> None:
-    """In a process of its own, beyond what an honest file costs."""
     cost = bombs.cost_mib(bombs.BOMBS[name](), tmp_path)
 
     assert 0.1 < cost <= bombs.MOST_MIB  # it was read at all
 
 
 def test_a_file_that_yields_nothing_costs_64_mib_at_most(tmp_path: Path) -> None:
-    """Without the manifest of a run there is nothing to return, however much is read."""
     cost = bombs.cost_mib(bombs.BOMBS["events"](), tmp_path, alone=True)
 
     assert 0.1 < cost <= bombs.MOST_MIB  # it was read at all
 
 
 def test_the_same_seed_gives_the_same_inputs() -> None:
-    """What a long run finds can be found again."""
     data = files.corpus()
     a, b = (mutation.mutated(data[0], Random(7), data) for _ in range(2))
 

@@ -1,8 +1,9 @@
-"""A program that connects again and again, and sends what it may not, as JSON at its end.
+"""A program that connects again and again without permission, and prints its counts as JSON.
 
-`python besieger.py ENDPOINT AUTHORITY NAME CREDENTIAL` reads, from its standard input, how many
-connections it is to make and how many messages to send on each; "flood", how long to send without
-pause what is too much and too long.
+`python -m tests.integration.besieger ENDPOINT AUTHORITY NAME CREDENTIAL` reads one line from
+its standard input. The line has the number of connections and the number of messages on each.
+Or it has "flood" and a time in seconds, in which the program sends too many and too long messages
+without a pause.
 """
 
 from __future__ import annotations
@@ -14,14 +15,23 @@ from collections import Counter
 from typing import Any
 
 import zenoh
-from stranger import ANY, LIE, OPERATOR, STREAM_KEYS, answers, command_keys, opened
+
+from tests.integration.stranger import (
+    ANY,
+    LIE,
+    OPERATOR,
+    STREAM_KEYS,
+    answers,
+    command_keys,
+    opened,
+)
 
 _OVERSIZE = bytes(7 << 20)  # inside of what the connection stands, far beyond any command
 _HUGE = bytes(9 << 20)  # beyond it: dropped piece by piece
 
 
 def main(endpoint: str, authority: str, name: str, credential: str) -> None:
-    """Do what the standard input says."""
+    """Obey the line of the standard input."""
     words = sys.stdin.readline().split()
     reach = endpoint, authority, credential
     if words[0] == "flood":
@@ -36,7 +46,7 @@ def besiege(
 ) -> dict[str, int]:
     """Return how many links there were, messages sent, replies got and samples heard."""
     found: Counter[str] = Counter()
-    # A watcher of the list may hear and ask for the state: what he may is not tried here.
+    # An observer may listen and request the state; permitted operations are not tried here.
     commands = [key for key in command_keys(OPERATOR) if not key.endswith(f"status/{name}")]
     commands += [key for key in command_keys(name) if name != "bob" or "/status/" not in key]
     for _ in range(connections):
@@ -48,7 +58,9 @@ def besiege(
         with session:
 
             def hear(sample: zenoh.Sample) -> None:
-                found["heard"] += sample.attachment is None  # else it is his own, or another's
+                found["heard"] += (
+                    sample.attachment is None
+                )  # otherwise it is a forgery, its own or another's
 
             for heard in ("rig/1/**", *(STREAM_KEYS if name != "bob" else ())):
                 session.declare_subscriber(heard, hear)
@@ -73,7 +85,7 @@ def _one(
 
 
 def flood(reach: tuple[str, str, str], name: str, seconds: float) -> dict[str, int]:
-    """Ask for the state a thousand times a second, and send what is too long, for so long."""
+    """Request the state a thousand times a second, and send too long messages, for a time."""
     found: Counter[str] = Counter()
     until = time.monotonic() + seconds
     session: Any = None

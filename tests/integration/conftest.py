@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from driving import bring_to_rest
-from fork_server import ForkServer
-from processes import Bench
+
+from tests.integration.driving import bring_to_rest
+from tests.integration.fork_server import ForkServer
+from tests.integration.processes import Bench
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
@@ -27,7 +28,7 @@ def forks() -> Iterator[ForkServer]:
 
 @pytest.fixture
 def bench(tmp_path: Path, forks: ForkServer) -> Iterator[Bench]:
-    """Give a bench, and end all that was started on it."""
+    """Give a bench, and end all its processes."""
     bench = Bench(tmp_path, forks)
     yield bench
     bench.end()
@@ -48,6 +49,6 @@ def _serving(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
 
 @pytest.fixture
 def served(_serving: Bench) -> Bench:
-    """Give a rig and a daemon that a module's tests share: at 0 V, and nobody's."""
+    """Give a rig and a daemon that a module's tests share: at 0 V, without a holder."""
     bring_to_rest(_serving)
     return _serving

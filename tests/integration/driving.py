@@ -1,4 +1,4 @@
-"""A client that drives the motor while something fails, and what is left of its run."""
+"""A client that drives the motor during a failure, and the remains of its run."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from typing import Any
 import armrig
 import numpy as np
 from armrig.rig.client import Rig, RigError
-from fork_server import Forked
-from processes import WITHIN_S, Bench, wait_for
+
+from tests.integration.fork_server import Forked
+from tests.integration.processes import WITHIN_S, Bench, wait_for
 
 VOLTS = (1.0, 4.0)
 STOPPED_S = 1.0
-"""Tells a stop from no stop on a busy machine; `tests/benchmarks/stops.py` measures."""
+"""Threshold between a stop and no stop on a busy machine; `tests/benchmarks/stops.py` measures."""
 _STEP_V = 5 / 1024  # of the emulated duty
 _RUNNER = """
 import sys
@@ -56,7 +57,7 @@ def begin(bench: Bench, changes: int, runner: str, *arguments: str) -> Popen[byt
 
 
 def changed(bench: Bench, times: int) -> bool:
-    """Return whether the voltage has changed more often than so many times."""
+    """Return whether the voltage has changed more than so many times."""
     return len(bench.voltage_changes()) > times
 
 
@@ -75,7 +76,7 @@ def hold(rig: Rig, bench: Bench, volts: float, owner: str = "a test") -> None:
 
 
 def samples(rig: Rig) -> Iterator[Any]:
-    """Give the live samples; what was missed on the way here is passed over."""
+    """Give the live samples; samples missed before are discarded."""
     return (one for one in rig.stream() if not isinstance(one, armrig.LiveGap))
 
 

@@ -1,4 +1,4 @@
-"""Several rigs of a lab and its router: daemons' sessions that publish what they are told to."""
+"""Several rigs of a lab and its router: sessions of daemons that publish on request."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.config import Access, Config, Rig
 from armrig_daemon.service.access import networks_of
 from armrig_daemon.service.publish import Session
-from laboratory import certificates, free_port
-from processes import wait_for
+
+from tests.integration.laboratory import certificates, free_port
+from tests.integration.processes import wait_for
 
 RIGS = ("1", "2", "3")
 WITHIN_S = 60
@@ -141,7 +142,7 @@ class Recorder:
         session = self._stack.enter_context(open_endpoint(lab.endpoint).session)
         self._fleet = FleetRecorder(session, lab.endpoint, self.path_of, tell, tell_error)
         self.paths: dict[str, Path] = {}
-        """Of rigs whose files go elsewhere."""
+        """Rigs whose files go elsewhere."""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._record)
 
@@ -155,7 +156,7 @@ class Recorder:
         self._stack.close()
 
     def path_of(self, rig: str) -> Path:
-        """Return where the first file of a rig goes."""
+        """Return the path of a rig's first file."""
         return self.paths.get(rig, self.folder / f"{rig}.mcap")
 
     def has_begun(self, *rigs: str) -> None:

@@ -1,8 +1,8 @@
 """Programs that begin as copies of an interpreter that has loaded what they need.
 
-Each is a process of its own and does what `python -m` or `python -c` does, and ends as they do;
-but to load modules takes most of a short program's time, and is done here once. What the tests of
-a module share (`served`) is started as a person starts it.
+Each is a process of its own that acts and ends as `python -m` or `python -c` does. Loading modules
+takes most of a short program's time, and is done here once. A daemon that the tests of a module
+share (`served`) is started as a person starts it.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Forked:
 
 
 class ForkServer:
-    """The interpreter that is copied; it ends with whoever started it."""
+    """The interpreter that is copied; it ends with the process that started it."""
 
     def __init__(self) -> None:
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -85,13 +85,13 @@ class ForkServer:
         return Forked(int(self._socket.recv(100)), ended_out)
 
     def end(self) -> None:
-        """End it; what it has started goes on."""
+        """End it; the started programs go on."""
         self._socket.close()
         self._process.wait()
 
 
 def _copy(asked: socket.socket) -> dict[str, Any]:
-    """Return, in a new process for each, what it is asked to be."""
+    """Return, in a new process for each, the requested program."""
     while True:
         data, fds, _, _ = socket.recv_fds(asked, _MOST_BYTES, 3)
         if not data:
@@ -103,7 +103,7 @@ def _copy(asked: socket.socket) -> dict[str, Any]:
         with suppress(ChildProcessError):  # what it took counts as ours: `time make test`
             while os.waitpid(-1, os.WNOHANG)[0]:
                 pass
-    # A parent for one program: it tells the exit code, which only a parent is told.
+    # A parent for one program, because only a parent receives the exit code.
     ended_fd, stdout, stderr = fds
     pid = os.fork()
     if pid:

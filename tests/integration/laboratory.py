@@ -15,7 +15,8 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 from cryptography.x509.oid import NameOID
-from processes import Bench
+
+from tests.integration.processes import Bench
 
 HOSTS = ["localhost", "127.0.0.1", "10.77.0.1"]
 PASSWORD = "correct horse battery"
@@ -23,17 +24,18 @@ OPERATORS, OBSERVERS = ("alice", "carol"), ("bob",)
 
 
 def free_port() -> int:
-    """Return a port of TCP that nobody listens at."""
+    """Return a free port of TCP."""
     with socket.socket() as found:
         found.bind(("127.0.0.1", 0))
         return int(found.getsockname()[1])
 
 
 def certificates(folder: Path) -> Path:
-    """Make an authority's folder with all that are told apart; return it.
+    """Make an authority's folder with a certificate of each kind; return it.
 
-    Operators, an observer, one who was revoked (eve), one who is on no list (wrong), one whose time
-    is over (expired), and an operator's name by another authority (forged).
+    The certificates are those of operators, an observer, a revoked client (eve) and a client on no
+    list (wrong). One has expired (expired), and one has an operator's name by another authority
+    (forged).
     """
     made = folder / "pki"
     pki.make_authority(made)
@@ -47,7 +49,7 @@ def certificates(folder: Path) -> Path:
     people = (made / pki.ACCESS_LIST).read_text()
     pki.issue_to_person(made, "wrong", "operators")
     (made / pki.ACCESS_LIST).write_text(people)
-    with patch.object(pki, "_BEFORE", timedelta(days=10)):
+    with patch.object(pki, "_CLOCK_TOLERANCE", timedelta(days=10)):
         expired = pki._issue(made, "alice", "operators", [], -1, force=True).path
         expired.rename(made / "expired.pem")
     pki._issue(made, "alice", "operators", [], 365, force=True)
@@ -59,9 +61,10 @@ def certificates(folder: Path) -> Path:
 
 
 def _signed_by_bob(made: Path) -> None:
-    """Make a certificate of alice's that bob's own signs, as if he were an authority.
+    """Make a certificate of alice that bob's certificate signs, as if bob were an authority.
 
-    Beside it his own with hers behind: whoever looks at the last one takes him for her.
+    In addition make a chain of bob's certificate and alice's: a program that reads the last one
+    takes bob for alice.
     """
     bob, alice = (read_credential(made / f"{name}.pem", "client") for name in ("bob", "alice"))
     issuer = x509.load_pem_x509_certificate(bob.certificate)
@@ -86,7 +89,7 @@ def _signed_by_bob(made: Path) -> None:
 
 def expire_rig(made: Path) -> None:
     """Put a rig's certificate whose time is over in the place of the good one."""
-    with patch.object(pki, "_BEFORE", timedelta(days=10)):
+    with patch.object(pki, "_CLOCK_TOLERANCE", timedelta(days=10)):
         pki.issue_to_rig(made, "1", HOSTS, days=-1, force=True)
 
 
@@ -123,5 +126,5 @@ class Laboratory:
         self.endpoint = by_certificate(bench, self.made, f"tls/localhost:{free_port()}")
 
     def rig(self, who: str) -> Rig:
-        """Return the client of somebody."""
+        """Return a client with this name."""
         return Rig("1", connect=self.endpoint, certificate=self.made / f"{who}.pem")

@@ -40,7 +40,7 @@ def missing() -> str:
 
 @contextmanager
 def connected() -> Iterator[Namespaces]:
-    """Give two namespaces, connected with each other and with nobody else."""
+    """Give two namespaces, connected with each other only."""
     own = os.getpid()
     both = Namespaces(f"armrig-{own}-rig", f"armrig-{own}-stranger")
     ends: dict[Side, str] = {"rig": f"ar{own}", "stranger": f"as{own}"}  # 15 characters at most

@@ -1,6 +1,6 @@
-"""The daemon without its guard, for the control of the tests that nobody gets past it.
+"""The daemon without its guard, as the control for the tests of the guard.
 
-`python open_daemon.py run …`: whoever speaks TLS is let in, and nothing is denied him.
+`python open_daemon.py run …`: any TLS client may connect and do everything.
 """
 
 from __future__ import annotations

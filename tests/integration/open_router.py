@@ -1,6 +1,6 @@
-"""The router without its guard, for the control of the tests that nobody gets past it.
+"""The router without its guard, as the control for the tests of the guard.
 
-`python open_router.py router …`: whoever speaks TLS is let in, and nothing is denied him.
+`python open_router.py router …`: any TLS client may connect and do everything.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Real processes: an emulated rig behind a socket, and the daemon that drives it.
+"""Real processes: an emulated rig at a socket, and the daemon that drives it.
 
-What is about the serial edge itself has a pseudo-terminal in place of the socket.
+Tests of the serial edge itself have a pseudo-terminal instead of the socket.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from tempfile import TemporaryFile
 
 from armrig.rig.client import Rig
 from armrig_core.emulator_socket import socket_path
-from fork_server import Forked, ForkServer
+
+from tests.integration.fork_server import Forked, ForkServer
 
 WITHIN_S = 30.0
-"""How long is waited for what must come; a busy machine takes seconds to load a program."""
+"""Time to wait for an event; a busy machine takes seconds to load a program."""
 _COMMAND_S = 60.0
 _LAST_LINES = 1000  # B
 BURNER = """
@@ -105,7 +106,7 @@ def burning(n: int, *, apart: bool = False) -> Iterator[None]:
 
 
 class Process:
-    """A program of ours with its standard error kept."""
+    """A program with its standard error kept."""
 
     def __init__(
         self,
@@ -131,7 +132,7 @@ class Process:
 
     @property
     def said(self) -> str:
-        """What it has said."""
+        """Return its output so far."""
         return self.log.read_text()
 
     def kill(self, number: int = signal.SIGKILL) -> int:
@@ -175,7 +176,7 @@ class Bench:
         )
 
     def start(self, *arguments: str, env: dict[str, str] | None = None) -> Process:
-        """Start a program of ours, with more in its environment."""
+        """Start a program, with additions to its environment."""
         log = self.folder / f"log{len(self.processes)}"
         env = {"XDG_RUNTIME_DIR": str(self.folder), **(env or {})}
         process = Process(log, *arguments, env=env, forks=self.forks)
@@ -183,7 +184,7 @@ class Bench:
         return process
 
     def client(self, program: str, *arguments: str) -> subprocess.Popen[bytes] | Forked:
-        """Start a client's program; what it says is lost."""
+        """Start a client's program without its output."""
         command = ["-c", program, *arguments]
         if self.forks is None:
             nothing = subprocess.DEVNULL
@@ -235,7 +236,7 @@ class Bench:
         return max(self.recordings.glob("*.mcap"), key=lambda path: path.stat().st_mtime_ns)
 
     def phase(self) -> str:
-        """Return the daemon's phase, or nothing where there is no daemon yet."""
+        """Return the daemon's phase, or nothing without a daemon."""
         if not (self.folder / "armrig" / "1.sock").exists():
             return ""
         try:
@@ -260,12 +261,12 @@ class Bench:
         return pid
 
     def end(self) -> None:
-        """End all that was started, the last first."""
+        """End all processes, the last first."""
         for process in reversed(self.processes):
             process.end()
 
     def voltage_changes(self) -> list[tuple[int, float]]:
-        """Return what the witness saw at the motor's terminals: monotonic ns, V."""
+        """Return the witness's voltages at the motor's terminals: monotonic ns, V."""
         return _changes(self.trace.read_text().splitlines())
 
     def volts(self) -> float:
@@ -276,7 +277,7 @@ class Bench:
         return _changes(lines[1:] if skipped else lines)[-1][1]  # half a line is none
 
     def went_to_0_v_after(self, t_ns: int) -> float:
-        """Return how long after `t_ns` the motor stood at 0 V for good, in s."""
+        """Return the time from `t_ns` until the motor stayed at 0 V, in s."""
         wait_for(lambda: self.volts() == 0.0)
         changes = self.voltage_changes()
         return max(0, changes[-1][0] - t_ns) / 1e9

@@ -1,6 +1,6 @@
 """A line that fails: between the daemon's port and the device's, a process of its own.
 
-`python -m relay DEVICE LINK` makes LINK, a port that a daemon opens, and carries bytes between it
+`python relay.py DEVICE LINK` makes LINK, a port that a daemon opens, and carries bytes between it
 and DEVICE. Each line on its standard input is one of its methods, answered with the monotonic time
 in ns at which it was carried out.
 """
@@ -68,11 +68,11 @@ class Line:
         self._fd = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
 
     def stop_reading(self) -> None:
-        """Leave what the host sends in its buffer."""
+        """Leave the host's bytes in its buffer."""
         self.deaf = True
 
     def stop_answering(self) -> None:
-        """Lose what the device says."""
+        """Lose the device's answers."""
         self.mute = True
 
     def flip(self) -> None:
@@ -88,11 +88,11 @@ class Line:
         self._spoil = lambda data: data[: self._random.randrange(len(data))]
 
     def other_firmware(self) -> None:
-        """Let the device say that it speaks another version."""
+        """Let the device report another version."""
         self._said = self._of_another_version
 
     def carry(self) -> bool:
-        """Carry what is there; return whether there is something to be read from the test."""
+        """Carry the present bytes; return whether the test has sent a line."""
         host = [] if self.deaf or self.master < 0 else [self.master]
         ready, _, _ = select.select([0, self._fd, *host], [], [], 1)
         if self._fd in ready:
@@ -127,12 +127,10 @@ class Relay:
     """The relay as a test holds it."""
 
     def __init__(self, device: Path, link: Path) -> None:
-        folders = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
         self.popen = subprocess.Popen(
-            [sys.executable, "-m", "relay", str(device), str(link)],
+            [sys.executable, __file__, str(device), str(link)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(folders)},
             text=True,
         )
         self._answer()
@@ -155,7 +153,7 @@ class Relay:
 
 
 def main() -> None:
-    """Carry, and do as told, until the test is gone."""
+    """Carry bytes and obey the test, until the test is gone."""
     line = Line(Path(sys.argv[1]), Path(sys.argv[2]))
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))

@@ -10,16 +10,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from namespaces import Namespaces
-from processes import Bench, wait_for
-from star import Star
+from tests.integration.namespaces import Namespaces
+from tests.integration.processes import Bench, wait_for
+from tests.integration.star import Star
 
 HERE = Path(__file__).parent
 GUARDED = ("-m", "armrig_daemon")
 """Program of the daemon."""
 UNGUARDED = (str(HERE / "open_daemon.py"),)
 """And of that which denies nothing."""
-STRANGER = HERE / "stranger.py"
+STRANGER = "tests.integration.stranger"
 PORT = 7447
 WITHIN_S = 120
 
@@ -44,19 +44,20 @@ def started(line: Namespaces, bench: Bench, *program: str) -> Iterator[Path]:
 
 
 def stranger(
-    line: Namespaces | Star, where: str, made: Path, who: str, pem: str, program: Path = STRANGER
+    line: Namespaces | Star, where: str, made: Path, who: str, pem: str, program: str = STRANGER
 ) -> subprocess.Popen[str]:
-    """Start a program of somebody's on the strangers' side."""
+    """Start a program on the strangers' side."""
     credential = [str(made / pem)] if pem else []
     return subprocess.Popen(
         line.command(
             "stranger",
-            *(sys.executable, str(program)),
+            *(sys.executable, "-m", program),
             *(where, str(made / "authority.pem"), who, *credential),
         ),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
+        cwd=HERE.parents[1],
     )
 
 
@@ -70,7 +71,7 @@ def watching(line: Namespaces | Star, where: str, made: Path) -> Iterator[subpro
 
 
 def said(program: subprocess.Popen[str]) -> Any:
-    """End what a program reads, and return the JSON that it writes at its end."""
+    """End a program's input, and return the JSON of its output."""
     text, _ = program.communicate(timeout=WITHIN_S)
     assert program.returncode == 0
     return json.loads(text)

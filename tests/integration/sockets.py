@@ -1,4 +1,4 @@
-"""Where a process hears what is sent to it."""
+"""Sockets on which a process listens."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from subprocess import CalledProcessError
 
-from namespaces import run
+from tests.integration.namespaces import run
 
 _NETWORK = "10.78.0"
 
@@ -33,7 +33,7 @@ class Star:
 
 @contextmanager
 def star(hosts: Sequence[str]) -> Iterator[Star]:
-    """Give machines that reach each other, and nobody else."""
+    """Give machines that reach only each other."""
     made = Star(hosts)
     middle = made.hosts[0]
     try:

@@ -1,8 +1,9 @@
-"""A program that tries all that zenoh can do on every key, and says what came of it, as JSON.
+"""A program that tries every operation of zenoh on every key, and prints the results as JSON.
 
-`python stranger.py ENDPOINT AUTHORITY NAME [CREDENTIAL]`. It is no client of armrig's: it knows the
-keys, the authority's certificate and the operators' names, as anybody may. With "watch" for a name
-it listens until its standard input ends, and says whose forgeries it has met.
+`python -m tests.integration.stranger ENDPOINT AUTHORITY NAME [CREDENTIAL]`. The program is no
+client of armrig. It knows what anybody may know: the keys, the authority's certificate and the
+operators' names. With the name "watch" it listens until its standard input ends, and then prints
+the senders of the forgeries that it received.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ ANY: dict[str, Any] = {
 
 
 def command_keys(name: str) -> list[str]:
-    """Return the keys of all commands, as `name` may ask them."""
+    """Return the keys of all commands, as `name` may query them."""
     return [f"rig/1/cmd/{command}/{name}" for command in REQUESTS]
 
 
 def every_key(name: str) -> list[str]:
-    """Return every key that there is, somebody else's, and those that mean several."""
+    """Return every key, another rig's, and those with wildcards."""
     commands = [f"rig/1/cmd/{command}" for command in REQUESTS]
     return [
         *(*STREAM_KEYS, ALIVE, *TOLD_KEYS, *WILD_KEYS, *commands),
@@ -52,7 +53,7 @@ def every_key(name: str) -> list[str]:
 
 
 def opened(endpoint: str, authority: str, credential: str) -> zenoh.Session | None:
-    """Return a session that is connected; None where nobody lets us in."""
+    """Return a connected session; None if it is refused."""
     tls: dict[str, Any] = {"root_ca_certificate": authority}
     if credential:
         tls |= {"connect_private_key": credential, "connect_certificate": credential}
@@ -70,13 +71,13 @@ def opened(endpoint: str, authority: str, credential: str) -> zenoh.Session | No
 
 
 def anywhere(endpoint: str) -> zenoh.Session:
-    """Return the session of a default peer, which looks for others by itself."""
+    """Return the session of a default peer, which discovers others by itself."""
     config = {"connect": {"endpoints": [endpoint], "exit_on_failure": False, "timeout_ms": 0}}
     return zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
 
 
 def main(endpoint: str, authority: str, name: str, credential: str = "") -> None:
-    """Try everything, and say what came of it."""
+    """Try everything, and print the results."""
     if name == "watch":
         watch(endpoint, authority, credential)
         return
@@ -98,7 +99,7 @@ def main(endpoint: str, authority: str, name: str, credential: str = "") -> None
 
 
 def tried(enter: Callable[[], zenoh.Session], name: str) -> dict[str, Counts]:
-    """Return how often each thing worked on each key, and what was overheard."""
+    """Return the successes of each operation on each key, and the received messages."""
     with enter() as session:
         asked = _asked(session, name)
     return asked | _heard(enter, every_key(name))
@@ -119,7 +120,7 @@ def _asked(session: zenoh.Session, name: str) -> dict[str, Counts]:
     return {
         "query": {key: _count(lambda key=key: _answered(session, key)) for key in keys},
         "liveliness": {key: _count(lambda key=key: _alive(session, key)) for key in keys},
-        # Of others, too, who are as cut off as he is: what the watcher asks goes to the daemon.
+        # Other strangers may answer, too; the watcher's query reaches only the daemon.
         "overhear": {key: n for key, n in overheard.items() if key.endswith(f"/{WATCHER}")},
     }
 
@@ -148,7 +149,7 @@ def answers(replies: Iterable[zenoh.Reply]) -> int:
 
 
 def _alive(session: zenoh.Session, key: str) -> bool:
-    """Whether a daemon is seen."""
+    """Return whether a daemon is visible."""
     replies = session.liveliness().get(key, timeout=5)
     return any(str(r.ok.key_expr) == ALIVE for r in replies if r.ok is not None)
 
@@ -191,7 +192,7 @@ def _see(met: set[str], key: str, sample: zenoh.Sample) -> None:
 
 
 def watch(endpoint: str, authority: str, credential: str) -> None:
-    """Listen as an operator, ask all the while, and say what was forged."""
+    """Listen as an operator, query all the while, and print the forgeries."""
     session = opened(endpoint, authority, credential)
     assert session is not None
     forged: Counter[str] = Counter()

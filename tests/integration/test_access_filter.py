@@ -1,4 +1,4 @@
-"""docs/access.md: its packet filter keeps a stranger's connections out of everybody else's way."""
+"""docs/access.md: its packet filter keeps a stranger's connections out of the others' way."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import namespaces
 import pytest
-from laboratory import by_certificate, certificates
-from namespaces import Namespaces
-from processes import Bench
-from remote_rig import GUARDED, PORT, started, stranger
-from tools import require
+
+from tests.integration import namespaces
+from tests.integration.laboratory import by_certificate, certificates
+from tests.integration.namespaces import Namespaces
+from tests.integration.processes import Bench
+from tests.integration.remote_rig import GUARDED, PORT, started, stranger
+from tests.tools import require
 
 pytestmark = pytest.mark.machine
 PAGE = (Path(__file__).parents[2] / "docs" / "access.md").read_text(encoding="utf-8")
@@ -24,7 +25,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "access.md").read_text(encoding="ut
 ELSEWHERE = "10.77.0.3"
 TRIED, SECONDS = 100, 20
 HELD = 16
-"""Connections of one address at a time, as the page says."""
+"""Connections of one address at a time, as on the page."""
 HOLDER = f"""
 import select, socket, time
 poll, held = select.poll(), []
@@ -61,7 +62,7 @@ def _run(command: list[str], text: str = "") -> str:
 
 @contextmanager
 def _held(line: Namespaces) -> Iterator[int]:
-    """Have somebody hold as many connections as he gets; give how many that are."""
+    """Have a client hold as many connections as possible; give their number."""
     command = line.command("stranger", sys.executable, "-c", HOLDER)
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as holder:
@@ -73,7 +74,6 @@ def _held(line: Namespaces) -> Iterator[int]:
 def test_a_stranger_s_connections_are_few_and_others_come_in(
     line: Namespaces, bench: Bench
 ) -> None:
-    """By the page's rules; without them all of his are made."""
     made = certificates(bench.folder)
     where = by_certificate(bench, made, f"tls/{namespaces.ADDRESSES['rig']}:{PORT}")
     bench.emulate()

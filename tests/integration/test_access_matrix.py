@@ -1,7 +1,7 @@
-"""Who may do what over a network, tried: everybody, every thing that zenoh can do, every key.
+"""Permissions over a network: every client tries every operation of zenoh on every key.
 
-Each cell 20 times, from a network namespace of its own. And the control: with the guard taken away
-the same attempts succeed, so that a cell that stays empty says something.
+Each cell is tried 20 times, from a network namespace of its own. As the control the same attempts
+succeed without the guard, so that an empty cell is evidence.
 """
 
 from __future__ import annotations
@@ -10,13 +10,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import namespaces
 import pytest
-from laboratory import by_certificate, certificates
-from namespaces import Namespaces
-from processes import Bench
-from remote_rig import GUARDED, PORT, UNGUARDED, said, started, stranger, watching
-from stranger import ALIVE, FORGED, STREAM_KEYS, TIMES, TOLD_KEYS, command_keys, every_key
+
+from tests.integration import namespaces
+from tests.integration.laboratory import by_certificate, certificates
+from tests.integration.namespaces import Namespaces
+from tests.integration.processes import Bench
+from tests.integration.remote_rig import GUARDED, PORT, UNGUARDED, said, started, stranger, watching
+from tests.integration.stranger import (
+    ALIVE,
+    FORGED,
+    STREAM_KEYS,
+    TIMES,
+    TOLD_KEYS,
+    command_keys,
+    every_key,
+)
 
 pytestmark = pytest.mark.machine
 WHO = {
@@ -33,7 +42,7 @@ ON_NO_LIST = ("wrong", "eve")
 
 
 class Tried(NamedTuple):
-    """What came of it all."""
+    """Results of all attempts."""
 
     by: dict[str, dict[str, Any]]
     watcher: dict[str, dict[str, int]]
@@ -81,8 +90,7 @@ def _worked(counts: dict[str, int]) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("who", NOT_LET_IN)
-def test_who_has_no_certificate_that_counts_is_not_let_in(guarded: Tried, who: str) -> None:
-    """None, an operator's name by another authority, one whose time is over: no link, nothing."""
+def test_a_client_without_a_valid_certificate_is_refused(guarded: Tried, who: str) -> None:
     found = guarded.by[who]
 
     assert found["links"] == 0
@@ -91,8 +99,7 @@ def test_who_has_no_certificate_that_counts_is_not_let_in(guarded: Tried, who: s
 
 
 @pytest.mark.parametrize("who", ON_NO_LIST)
-def test_who_is_on_no_list_hears_and_does_nothing(guarded: Tried, who: str) -> None:
-    """A certificate of the authority lets him connect, and that is all."""
+def test_a_client_on_no_list_hears_and_does_nothing(guarded: Tried, who: str) -> None:
     found = guarded.by[who]
 
     assert found["links"] == TIMES
@@ -101,20 +108,18 @@ def test_who_is_on_no_list_hears_and_does_nothing(guarded: Tried, who: str) -> N
 
 
 def test_an_observer_hears_the_rig_and_asks_for_its_state(guarded: Tried) -> None:
-    """Each time; nothing else, not under an operator's name, not by a key that means several."""
     found = guarded.by["bob"]
 
     assert found["links"] == TIMES
     assert _worked(found["query"]) == dict.fromkeys((*TOLD_KEYS, "rig/1/cmd/status/bob"), TIMES)
     assert _heard_only(found, {*STREAM_KEYS, "rig/1/*"})
     assert _worked(found["liveliness"]) == dict.fromkeys((ALIVE, "rig/1/*"), TIMES)
-    # His own session tells the token that it has got to each subscriber of his whom it fits.
+    # The stranger's own session delivers its token to each of its matching subscribers.
     assert min(found["tokens"][key] for key in (ALIVE, "rig/1/*")) > TIMES / 2
     assert _worked(found["overhear"]) == {}
 
 
-def test_an_operator_commands_under_his_own_name(guarded: Tried) -> None:
-    """Each command, each time; he can neither publish nor hear what others ask."""
+def test_an_operator_commands_under_their_own_name(guarded: Tried) -> None:
     found = guarded.by["alice"]
 
     assert found["links"] == TIMES
@@ -125,19 +130,18 @@ def test_an_operator_commands_under_his_own_name(guarded: Tried) -> None:
 
 
 def _heard_only(found: dict[str, Any], keys: set[str]) -> bool:
-    """Whether samples were heard, in most rounds on a busy machine, and no other key than these."""
+    """Return whether samples arrived in most rounds, and from no other key than these."""
     heard = _worked(found["subscribe"])
     return min(heard["rig/1/sample"], heard["rig/1/*"]) > TIMES / 2 and heard.keys() <= keys
 
 
-def test_nobody_else_is_heard_by_who_listens(guarded: Tried) -> None:
-    """A watcher met none of 10 000 forgeries: no sample, no end of one, no token, no reply."""
+def test_a_listener_hears_nobody_else(guarded: Tried) -> None:
+    """A watcher met none of 10 000 forgeries: no sample, no token, no reply."""
     assert guarded.watcher["heard"]["rig/1/sample"] > 100
     assert _worked(guarded.watcher["forged"]) == {}
 
 
 def test_no_command_was_taken_but_an_operator_s(guarded: Tried) -> None:
-    """By the daemon's own log."""
     taken = [line.split(": by ")[1] for line in guarded.log.splitlines() if ": by " in line]
 
     assert taken
@@ -169,7 +173,6 @@ def test_without_the_guard_tokens_and_replies_are_forged(unguarded: Tried) -> No
 
 
 def test_every_key_of_the_rig_was_tried() -> None:
-    """A stream or a command that is new stands in the matrix by itself."""
     keys = every_key("bob")
 
     assert len(keys) == len(set(keys))

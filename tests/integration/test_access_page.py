@@ -14,8 +14,9 @@ import pytest
 from armrig.cli import main
 from armrig_daemon.config import Config, load
 from armrig_daemon.service.access import network_of
-from laboratory import free_port
-from processes import Bench, wait_for
+
+from tests.integration.laboratory import free_port
+from tests.integration.processes import Bench, wait_for
 
 PAGE = (Path(__file__).parents[2] / "docs" / "access.md").read_text(encoding="utf-8")
 HOST, ROUTER_HOST = "lab-1.example.edu", "lab.example.edu"
@@ -26,7 +27,7 @@ def _blocks(language: str) -> list[str]:
 
 
 def _here(text: str, port: int) -> str:
-    """Return what the page says, for a rig on this machine."""
+    """Return the page's text, for a rig on this machine."""
     return (
         text.replace("0.0.0.0:7447", f"127.0.0.1:{port}")
         .replace(HOST, "localhost")
@@ -69,7 +70,7 @@ def _client(lab: Bench, table: str, port: int) -> None:
 
 
 def _armrig(lab: Bench, *arguments: str, **env: str) -> subprocess.CompletedProcess[str]:
-    """Run a command as a person who runs no daemon of his own."""
+    """Run a command as a user without a daemon."""
     environ = {**os.environ, "XDG_RUNTIME_DIR": str(lab.folder / "nowhere"), **env}
     return subprocess.run(
         [sys.executable, "-m", "armrig", *arguments],
@@ -83,7 +84,6 @@ def _armrig(lab: Bench, *arguments: str, **env: str) -> subprocess.CompletedProc
 
 @pytest.mark.exhaustive
 def test_a_recording_is_made_over_the_network_as_the_page_says(lab: Bench) -> None:
-    """From the authority to the recording; by the configuration, for once, and in Python."""
     port = free_port()
     _serve(lab, ACCESS, port)
     _client(lab, CLIENT, port)
@@ -112,7 +112,6 @@ def test_a_recording_is_made_over_the_network_as_the_page_says(lab: Bench) -> No
 
 
 def test_a_password_is_taken_as_the_page_says(lab: Bench) -> None:
-    """The daemon's file, and the user's own."""
     port = free_port()
     _client(lab, CLIENT_BY_PASSWORD, port)
     for path in (lab.folder / "passwords", lab.folder / "config" / "armrig" / "alice.password"):
@@ -132,7 +131,6 @@ def test_a_password_is_taken_as_the_page_says(lab: Bench) -> None:
 def test_a_rig_is_reached_through_a_router_as_the_page_says(
     lab: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Line by line: certificates, the router, the rig's configuration, what alice types."""
     port = free_port()
     for command in _commands(MADE_FOR_ROUTER):
         assert main([part.replace(ROUTER_HOST, "localhost") for part in command]) == 0
@@ -161,7 +159,6 @@ def _at_router(text: str, port: int) -> str:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root installs files for another user")
 def test_a_student_reads_no_key_and_no_password_that_lies_as_the_page_says(lab: Bench) -> None:
-    """With the group of the socket, and with the access list, which is no secret, to read."""
     owner, folder = getpwnam("daemon"), lab.folder / "etc"
     student = {"user": 65534, "group": 65534, "extra_groups": [owner.pw_gid]}
     folder.mkdir()
@@ -186,7 +183,6 @@ def test_a_student_reads_no_key_and_no_password_that_lies_as_the_page_says(lab: 
 def test_certificates_are_renewed_and_revoked_as_the_page_says(
     lab: Bench, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Command by command."""
     for command in _commands(CHANGED):
         assert main(command) == 0
     capsys.readouterr()
@@ -203,7 +199,6 @@ def test_certificates_are_renewed_and_revoked_as_the_page_says(
 
 @pytest.mark.parametrize("access", [ACCESS, ACCESS_BY_PASSWORD])
 def test_a_configuration_of_the_page_opens_what_it_says(lab: Bench, access: str) -> None:
-    """As it stands, beside the files that it names."""
     folder = lab.folder / "pki"
     (folder / "passwords").write_text(PASSWORDS)
     (folder / "passwords").chmod(0o400)
@@ -218,7 +213,6 @@ def test_a_configuration_of_the_page_opens_what_it_says(lab: Bench, access: str)
 
 
 def test_the_extra_has_the_name_that_the_page_says() -> None:
-    """As pyproject.toml declares it."""
     project = (Path(__file__).parents[2] / "pyproject.toml").read_text()
 
     assert INSTALL.strip() == "pip install '.[pki]'"

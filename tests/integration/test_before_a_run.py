@@ -1,4 +1,4 @@
-"""What is looked at before a motor may turn: the rehearsal, and the state of the rig."""
+"""Checks before a motor may turn: the rehearsal, and the state of the rig."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import pytest
 from armrig.rig.replies import RefusedError
 from armrig_core.commands import RunAccepted
 from armrig_core.rehearsal import rehearse
-from driving import samples
-from processes import Bench
+
+from tests.integration.driving import samples
+from tests.integration.processes import Bench
 
 
 def _serve(bench: Bench, emulator: str = "", more: str = "") -> None:
@@ -19,7 +20,6 @@ def _serve(bench: Bench, emulator: str = "", more: str = "") -> None:
 
 
 def test_a_run_that_would_leave_a_limit_never_begins(bench: Bench) -> None:
-    """The refusal says where, and 0 V stays; a shorter run goes, and the rig does as rehearsed."""
     _serve(bench, "adc_noise_v = 0.0", "[limits]\nrevolutions = 1.5")
     u = armrig.telegraph(400, 0.1, low=1.0, high=4.0, seed=1)
     turns = rehearse(u, 0.02).revolutions
@@ -47,7 +47,7 @@ def test_a_run_that_would_leave_a_limit_never_begins(bench: Bench) -> None:
 
 
 def test_a_rig_whose_alpha_is_at_the_end_of_its_range_is_not_armed(bench: Bench) -> None:
-    """A torn wire reads 0 by its pull-down; so does a wiper at the beginning of its track."""
+    """A torn wire reads 0 by its pull-down, as a wiper does at the beginning of its track."""
     _serve(bench, "alpha_zero_deg = 0.0\nadc_noise_v = 0.0")
 
     with bench.rig() as rig:
@@ -57,7 +57,6 @@ def test_a_rig_whose_alpha_is_at_the_end_of_its_range_is_not_armed(bench: Bench)
 
 
 def test_a_rig_whose_chassis_did_not_move_is_not_armed_again(bench: Bench) -> None:
-    """The brake holds: the motor was driven for turns, and theta_1 shows none."""
     _serve(bench, "coulomb_nm = 10.0")
 
     with bench.rig() as rig:
@@ -68,7 +67,6 @@ def test_a_rig_whose_chassis_did_not_move_is_not_armed_again(bench: Bench) -> No
 
 
 def test_a_rig_is_not_armed_where_nothing_can_be_recorded(bench: Bench) -> None:
-    """The recordings' directory is a file."""
     bench.recordings.write_text("")
     _serve(bench)
 

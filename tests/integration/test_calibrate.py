@@ -1,4 +1,4 @@
-"""`armrig calibrate` on real processes: the daemon then uses what it has found."""
+"""`armrig calibrate` on real processes: the daemon then uses the result."""
 
 from __future__ import annotations
 
@@ -21,9 +21,10 @@ from armrig.rig.replies import RefusedError
 from armrig_core.calibration import Calibration, Made, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from armrig_core.manifest import CALIBRATION, CALIBRATION_RAW
-from driving import check_every_k, driven, recorded
 from msgspec.structs import replace
-from processes import Bench, wait_for
+
+from tests.integration.driving import check_every_k, driven, recorded
+from tests.integration.processes import Bench, wait_for
 
 ALPHA = Potentiometer(zero_counts=32768.0, wraps=False)
 UNKNOWN = """
@@ -43,7 +44,7 @@ def _command(bench: Bench, *arguments: str) -> list[str]:
 
 
 def _calibrated(bench: Bench, output: Path, *arguments: str) -> tuple[dict[str, Any], str]:
-    """Calibrate on the command line, Enter at each question; return what it printed and said."""
+    """Calibrate on the command line, Enter at each question; return its output."""
     ours, theirs = os.openpty()
     os.write(ours, b"\n" * 5)
     done = subprocess.run(
@@ -67,10 +68,6 @@ def _calibrated(bench: Bench, output: Path, *arguments: str) -> tuple[dict[str, 
 
 @pytest.mark.exhaustive
 def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> None:
-    """In force at once, until the daemon ends; and from its start where the configuration says so.
-
-    Found, written, attached, applied, decided once more by the replay.
-    """
     bench.configure(more=UNKNOWN)
     bench.emulate()
     daemon = bench.serve()
@@ -95,7 +92,7 @@ def test_a_rig_is_calibrated_and_its_next_recording_carries_it(bench: Bench) -> 
     assert abs(scale["value"] - true) < 3 * scale["std"] < 1e-3 * abs(true)
     assert found["alpha_sign"] == -1
     assert bench.volts() == 0.0
-    assert "Use it now? The running daemon takes it [Y/n]" in said
+    assert "Load the calibration into the running daemon now? [Y/n]" in said
     assert f'[calibration]\nfile = "{output}"' in said
     assert found["in_use"]
     assert "sent by `armrig calibrate`, made 20" in status.calibration
@@ -126,7 +123,6 @@ def _recorded(bench: Bench) -> armrig.Recording:
 
 
 def test_a_calibration_is_taken_between_runs_only(served: Bench) -> None:
-    """Refused while the motor turns, and the run goes on; taken once the rig is at rest."""
     path = served.folder / "c.toml"
     with served.rig() as rig:
         made = Made(
@@ -150,7 +146,6 @@ def test_a_calibration_is_taken_between_runs_only(served: Bench) -> None:
 
 
 def test_ctrl_c_while_it_turns_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -> None:
-    """The run is stopped at once, and the exit code says that it was interrupted."""
     bench.emulate()
     bench.serve()
     output = bench.folder / "calibration.toml"
@@ -164,6 +159,6 @@ def test_ctrl_c_while_it_turns_leaves_the_rig_at_0_v_and_no_file(bench: Bench) -
     _, said = asked.communicate(timeout=30)
 
     assert asked.returncode == 130, said
-    assert "was told to stop (0 V)" in said
+    assert "a stop (0 V) was sent" in said
     wait_for(lambda: bench.volts() == 0.0)
     assert not output.exists()

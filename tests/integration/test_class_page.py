@@ -1,4 +1,4 @@
-"""docs/class.md: what it says of a rig that several people share."""
+"""docs/class.md: its statements about a shared rig."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ import pytest
 from armrig.rig.client import Rig
 from armrig.rig.replies import BusyError, RefusedError
 from armrig_daemon import config
-from armrig_daemon.config import MEND
+from armrig_daemon.config import EX_CONFIG
 from armrig_daemon.emulator.settings import EmulatorSettings
-from processes import Bench
+
+from tests.integration.processes import Bench
 
 PAGE = (Path(__file__).parents[2] / "docs" / "class.md").read_text(encoding="utf-8")
 SAID = [text.strip() for text in re.findall(r"```text\n(.*?)```", PAGE, re.DOTALL)]
@@ -40,7 +41,6 @@ def _armrig(bench: Bench, line: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.exhaustive
 def test_the_commands_of_a_student_are_taken(served: Bench) -> None:
-    """Each line that names the socket, but for the one that goes on until Ctrl-C."""
     lines = [line for line in LINES if line.startswith("armrig ") and THERE in line]
 
     done = {line.split()[1]: _armrig(served, line) for line in lines if "watch" not in line}
@@ -50,7 +50,6 @@ def test_the_commands_of_a_student_are_taken(served: Bench) -> None:
 
 
 def test_the_group_may_open_the_socket_and_read_recordings(served: Bench) -> None:
-    """And others neither; nobody but the daemon's user may change a recording."""
     with served.rig() as rig:
         rig.arm("a test")
         recording = rig.run([1.0] * 10)
@@ -60,8 +59,7 @@ def test_the_group_may_open_the_socket_and_read_recordings(served: Bench) -> Non
     assert oct(recording.stat().st_mode & 0o777) == "0o640"
 
 
-def test_a_held_rig_is_refused_with_who_holds_it(served: Bench) -> None:
-    """In the words of the page; it is no refusal for the moment only, and a stop is everybody's."""
+def test_a_held_rig_is_refused_with_its_holder(served: Bench) -> None:
     with served.rig() as holder, Rig("1", connect=_endpoint(served)) as other:
         holder.arm("group 3")
         with pytest.raises(RefusedError) as refused:
@@ -75,7 +73,6 @@ def test_a_held_rig_is_refused_with_who_holds_it(served: Bench) -> None:
 
 
 def test_a_second_daemon_of_the_same_rig_is_refused(served: Bench) -> None:
-    """In the words of the page."""
     second = subprocess.run(
         [sys.executable, "-m", "armrig_daemon", "run", "--port", served.folder / "no-port"],
         env={**os.environ, "XDG_RUNTIME_DIR": str(served.folder)},
@@ -85,13 +82,12 @@ def test_a_second_daemon_of_the_same_rig_is_refused(served: Bench) -> None:
         check=False,
     )
 
-    assert second.returncode == MEND
+    assert second.returncode == EX_CONFIG
     (said,) = [text for text in SAID if "already runs" in text]
     assert f"armrigd: error: {said.replace(THERE, _endpoint(served))}" in second.stderr.splitlines()
 
 
 def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:
-    """With the limits that it tells, by the daemon's own reader."""
     (text,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
     path = tmp_path / "armrig.toml"
     path.write_text(text)
@@ -102,7 +98,6 @@ def test_the_configuration_of_the_page_is_taken(tmp_path: Path) -> None:
 
 
 def test_a_group_s_own_emulated_rig_is_what_the_page_says() -> None:
-    """Its variables are keys of the configuration."""
     (line,) = [line for line in LINES if line.startswith("ARMRIG_")]
     environ = dict(word.split("=", 1) for word in shlex.split(line) if word.startswith("ARMRIG_"))
 

@@ -1,4 +1,4 @@
-"""Somebody sets the time of day while the rig is recorded."""
+"""The time of day is set during a recording."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from armrig_core.topics import topic
 from mcap.reader import make_reader
-from processes import Bench, wait_for
-from tools import require
+
+from tests.integration.processes import Bench, wait_for
+from tests.tools import require
 
 HOUR_S = 3600
 SAMPLES = topic("1", "sample")
@@ -47,7 +48,7 @@ def stepped_clock(tmp_path: Path) -> tuple[Path, Path]:
 def test_a_step_of_the_real_time_clock_is_not_in_the_recording(
     bench: Bench, stepped_clock: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An hour forward in the middle of a run: no sample lost, none moved, no trip."""
+    """An hour forward in the middle of a run."""
     library, step = stepped_clock
     bench.emulate()
     bench.forks = None  # a copy of an interpreter preloads nothing

@@ -1,4 +1,4 @@
-"""The dashboard's server, asked over HTTP; behind it a real daemon and its emulated rig."""
+"""The dashboard's server over HTTP, with a real daemon and its emulated rig."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from typing import Any
 import pytest
 from armrig.dashboard.connections import MOST
 from armrig.rig.status_rows import status_rows
-from driving import STOPPED_S, check_volts, hold
-from processes import WITHIN_S, Bench, wait_for
-from watching import STEP, Client, begin, watched
+
+from tests.integration.driving import STOPPED_S, check_volts, hold
+from tests.integration.processes import WITHIN_S, Bench, wait_for
+from tests.integration.watching import STEP, Client, begin, watched
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +35,9 @@ def page(served: Bench, _page: Client) -> Client:
 
 
 def test_samples_come_in_the_stream(page: Client) -> None:
-    """Each row is later than the one before: least and largest of each signal.
+    """Each row is later than the row before.
 
-    The first that are live may be the last of the past once more; the page passes over them.
+    The first live rows may repeat the last of the past; the page discards them.
     """
     past: list[list[float]] = []
     live: list[list[float]] = []
@@ -55,7 +56,6 @@ def test_samples_come_in_the_stream(page: Client) -> None:
 
 
 def test_the_past_comes_first(page: Client, served: Bench) -> None:
-    """Who connects late is shown what was before, from the daemon's own memory, too."""
     began = page.wait("live", lambda seen: seen["rows"])["rows"][-1][0]
     with watched(served) as anew:
         anew.wait("live", lambda seen: not seen["is_stale"])
@@ -70,18 +70,16 @@ def test_the_past_comes_first(page: Client, served: Bench) -> None:
 
 
 def test_the_words_are_those_of_the_status(page: Client, served: Bench) -> None:
-    """`armrig status` prints the very rows."""
     rows = dict(page.first("status")["rows"])
 
     with served.rig() as rig:
         assert rows == dict(status_rows(rig.status()))
     assert rows["phase"] == "safe"
     assert rows["owner"] == "nobody"
-    assert rows["motor"] == "at 0 V, says the device"
+    assert rows["motor"] == "at 0 V, as the device reports"
 
 
 def test_an_experiment_is_shown_before_it_runs(page: Client) -> None:
-    """Its input, what the model does under it, and what it would teach."""
     status, shown = page.ask("/api/preview", STEP)
 
     assert status == 200
@@ -92,7 +90,6 @@ def test_an_experiment_is_shown_before_it_runs(page: Client) -> None:
 
 
 def test_a_preview_moves_nothing(page: Client, served: Bench) -> None:
-    """It asks the daemon for nothing."""
     before = served.voltage_changes()
     page.ask("/api/preview", STEP)
 
@@ -101,7 +98,6 @@ def test_a_preview_moves_nothing(page: Client, served: Bench) -> None:
 
 
 def test_an_experiment_runs_and_is_recorded(page: Client, served: Bench) -> None:
-    """By the command line's way: under a lease, with the owner's name, rehearsed, and judged."""
     short = STEP | {"seconds": 1.0, "name": "page"}
     begin(page, served, short)
     page.wait("run", lambda seen: not seen["is_going"])
@@ -116,7 +112,6 @@ def test_an_experiment_runs_and_is_recorded(page: Client, served: Bench) -> None
 
 
 def test_stop_ends_a_run_of_the_page(page: Client, served: Bench) -> None:
-    """At the motor's terminals; the run says who stopped it."""
     begin(page, served)
     told = time.monotonic_ns()
     assert page.ask("/api/stop", {"owner": "somebody"}) == (200, {"stopped": True})
@@ -127,7 +122,6 @@ def test_stop_ends_a_run_of_the_page(page: Client, served: Bench) -> None:
 
 
 def test_a_note_is_marked_and_is_in_the_recording(page: Client, served: Bench) -> None:
-    """With the page's name; one that is not allowed is refused, and says why."""
     begin(page, served)
     assert page.ask("/api/note", {"owner": "Ada", "text": "<b>touched"}) == (
         200,
@@ -135,7 +129,7 @@ def test_a_note_is_marked_and_is_in_the_recording(page: Client, served: Bench) -
     )
     page.wait("marks", lambda seen: [kind for _, kind in seen][-2:] == ["start", "note"])
     status, told = page.ask("/api/note", {"owner": "Ada", "text": "x" * 501})
-    assert (status, told["error"][-20:]) == (400, "and not blanks alone")
+    assert (status, told["error"][-21:]) == (400, "line, not only blanks")
     page.ask("/api/stop", {})
     last = page.wait("status", lambda seen: seen["last_run"]["finished"])["last_run"]
 
@@ -145,8 +139,7 @@ def test_a_note_is_marked_and_is_in_the_recording(page: Client, served: Bench) -
     assert [(owner, text) for _, owner, text in found["notes"]] == [("Ada", "<b>touched")]
 
 
-def test_a_stop_right_behind_a_run_holds(page: Client, served: Bench) -> None:
-    """However far the run has come: neither armed, nor rehearsed, nor begun."""
+def test_a_stop_right_after_a_run_holds(page: Client, served: Bench) -> None:
     for _ in range(5):
         assert page.ask("/api/run", {"owner": "me", "experiment": STEP})[0] == 200
         assert page.ask("/api/stop", {"owner": "somebody"})[0] == 200
@@ -156,7 +149,6 @@ def test_a_stop_right_behind_a_run_holds(page: Client, served: Bench) -> None:
 
 
 def test_stop_ends_another_s_run(page: Client, served: Bench) -> None:
-    """It needs no lease, and no run of the page's own."""
     with served.rig() as other:
         hold(other, served, 1.0, "somebody else")
         assert page.ask("/api/stop", {})[0] == 200
@@ -164,7 +156,6 @@ def test_stop_ends_another_s_run(page: Client, served: Bench) -> None:
 
 
 def test_a_stop_is_not_refused_for_its_body(page: Client, served: Bench) -> None:
-    """Whatever stands in it, the motor stops."""
     begin(page, served)
 
     assert page.ask("/api/stop", b"\xff no JSON")[0] == 200
@@ -172,7 +163,6 @@ def test_a_stop_is_not_refused_for_its_body(page: Client, served: Bench) -> None
 
 
 def test_what_another_has_is_refused_in_a_line(page: Client, served: Bench) -> None:
-    """The page has no way around the lease."""
     with served.rig() as other:
         other.arm("somebody else")
         status, told = page.ask("/api/arm", {"owner": "me"})
@@ -184,7 +174,6 @@ def test_what_another_has_is_refused_in_a_line(page: Client, served: Bench) -> N
 
 
 def test_arm_and_release(page: Client, served: Bench) -> None:
-    """The owner is told to all, and the rig is nobody's afterwards."""
     assert page.ask("/api/arm", {"owner": "me"}) == (200, {"armed": True})
     page.wait("status", lambda seen: seen["owner"] == "me")
     assert page.ask("/api/release", {}) == (200, {"released": True})
@@ -192,14 +181,13 @@ def test_arm_and_release(page: Client, served: Bench) -> None:
 
 
 def test_two_runs_at_once_are_refused(page: Client, served: Bench) -> None:
-    """One after the other."""
     begin(page, served)
 
     status, told = page.ask("/api/run", {"owner": "me", "experiment": STEP})
     page.ask("/api/stop", {})
 
     assert status == 409
-    assert "already" in told["error"]
+    assert "is in progress" in told["error"]
     page.wait("run", lambda seen: not seen["is_going"])
 
 
@@ -210,19 +198,18 @@ MARKUP = "<img src=x onerror=alert(1)>"
     ("experiment", "says"),
     [
         ({"kind": "step", "high": 6.0}, "high"),
-        ({"kind": "step", "at": 9.0}, "--at 9 s is after the end"),
+        ({"kind": "step", "at": 9.0}, "step at 9 s: after the end"),
         ({"kind": "nonsense"}, "nonsense"),
         ({"kind": "step", "unknown": 1}, "unknown"),
         ({"kind": "csv", "text": "u\n7\n"}, "is outside 0 to 5 V"),
         ({"kind": "csv", "text": "u\n1\n", "file": MARKUP, "seconds": 1e9}, "seconds"),
-        ({"kind": "blackbox", "seconds": 80_000, "Ts": 0.001}, "at most 4000000 samples"),
+        ({"kind": "blackbox", "seconds": 80_000, "Ts": 0.001}, "(4000000 samples)"),
         ({"kind": "step", "name": "No!"}, "name"),
     ],
 )
 def test_what_is_not_possible_is_refused_before_anything_moves(
     page: Client, served: Bench, experiment: dict[str, Any], says: str
 ) -> None:
-    """In a line, which names what is allowed; and the motor stays where it is."""
     for path, body in (
         ("/api/preview", experiment),
         ("/api/run", {"owner": "me", "experiment": experiment}),
@@ -261,7 +248,6 @@ COMMANDS = ("arm", "release", "reset", "preview", "run", "stop", "recordings", "
 def test_a_stranger_commands_nothing(
     page: Client, served: Bench, headers: dict[str, str | None]
 ) -> None:
-    """Wrong Host, wrong Origin, another page, no token: one line, and nothing happens."""
     for command in COMMANDS:
         status, told = page.ask(f"/api/{command}", {"owner": "evil"}, **headers)
         assert status in (400, 403)
@@ -274,7 +260,6 @@ def test_a_stranger_commands_nothing(
 
 
 def test_no_answer_lets_another_page_in(page: Client) -> None:
-    """No script but the page's own files, in nobody's frame, and no permission for others."""
     link = socket.create_connection((page.host, page.port), 10.0)
     with link:
         link.sendall(f"GET / HTTP/1.1\r\nHost: {page.host}:{page.port}\r\n\r\n".encode())
@@ -288,7 +273,6 @@ def test_no_answer_lets_another_page_in(page: Client) -> None:
 
 
 def test_nothing_of_the_disk_is_served_but_recordings(page: Client, served: Bench) -> None:
-    """No path leads out of their folder, nor out of the page's files."""
     served.recordings.mkdir(exist_ok=True)
     outside = served.folder / "outside.mcap"
     outside.write_bytes(b"of somebody")
@@ -310,7 +294,7 @@ def test_nothing_of_the_disk_is_served_but_recordings(page: Client, served: Benc
 
 @pytest.mark.parametrize("question", ["mcap", "recording", "curves", "csv", "identify", "report"])
 def test_a_link_in_the_folder_hands_out_no_file(page: Client, served: Bench, question: str) -> None:
-    """Whoever may write there could name any file that the page's user may read."""
+    """A link could lead to any file that the user of the page may read."""
     outside = served.folder / "of-somebody"
     outside.write_bytes(b"secret")
     link = served.recordings / "evil.mcap"
@@ -326,7 +310,6 @@ def test_a_link_in_the_folder_hands_out_no_file(page: Client, served: Bench, que
 
 
 def test_a_file_that_is_no_recording_is_not_handed_out(page: Client, served: Bench) -> None:
-    """Its name alone does not make it one."""
     served.recordings.mkdir(exist_ok=True)
     (served.recordings / "words.mcap").write_bytes(b"secret")
 
@@ -337,7 +320,6 @@ def test_a_file_that_is_no_recording_is_not_handed_out(page: Client, served: Ben
 
 
 def test_a_body_that_is_too_long_is_refused(page: Client, served: Bench) -> None:
-    """Ten megabytes, told or untold, are not read to their end."""
     assert page.ask("/api/run", b"[", Content_Length=str(10 << 20))[0] == 413
     with socket.create_connection((page.host, page.port), 10.0) as link:
         head = "POST /api/run HTTP/1.1\r\nTransfer-Encoding: chunked\r\n"
@@ -364,7 +346,6 @@ def test_a_body_that_is_too_long_is_refused(page: Client, served: Bench) -> None
 
 
 def test_a_thousand_connections_keep_nobody_from_a_stop(page: Client, served: Bench) -> None:
-    """Those that ask nothing give way."""
     begin(page, served)
     with ExitStack() as links:
         opened = [
@@ -389,7 +370,6 @@ def test_a_thousand_connections_keep_nobody_from_a_stop(page: Client, served: Be
 def test_questions_that_do_not_end_keep_nobody_from_a_stop(
     page: Client, served: Bench, asked: str
 ) -> None:
-    """On as many connections as there may be."""
     begin(page, served)
     with ExitStack() as links:
         for _ in range(MOST + 10):
@@ -412,10 +392,9 @@ def test_questions_that_do_not_end_keep_nobody_from_a_stop(
     ],
     ids=["no HTTP", "a WebSocket"],
 )
-def test_who_has_no_token_writes_nothing_on_the_terminal(
+def test_a_client_without_a_token_writes_nothing_on_the_terminal(
     page: Client, caplog: pytest.LogCaptureFixture, said: bytes
 ) -> None:
-    """A warning is a line there, in the midst of what `armrig lab` shows live."""
     with socket.create_connection((page.host, page.port), 10.0) as link:
         link.sendall(said + f"Host: {page.host}:{page.port}\r\n\r\n".encode())
         assert link.recv(100).startswith(b"HTTP/1.1 ")
@@ -424,7 +403,7 @@ def test_who_has_no_token_writes_nothing_on_the_terminal(
 
 
 def _is_open(link: socket.socket) -> bool:
-    """Tell whether the server has left a connection open, on which nothing was asked."""
+    """Return whether the server has left an idle connection open."""
     link.setblocking(False)
     try:
         return link.recv(1) != b""
@@ -447,8 +426,7 @@ def deaf(page: Client) -> Iterator[socket.socket]:
 
 
 @pytest.mark.exhaustive
-def test_who_does_not_read_is_dropped_and_delays_nobody(page: Client) -> None:
-    """His messages are not kept for him beyond a bound; another hears all the while."""
+def test_a_viewer_that_does_not_read_is_dropped_and_delays_nobody(page: Client) -> None:
     with deaf(page):
         most = 0
         for name, value in page.events():
@@ -461,7 +439,6 @@ def test_who_does_not_read_is_dropped_and_delays_nobody(page: Client) -> None:
 
 
 def test_a_daemon_that_dies_is_stale_and_comes_back(bench: Bench) -> None:
-    """Told as such, with what to do; and found again without a new page."""
     bench.configure(watchdog_ms=250)
     bench.emulate()
     daemon = bench.serve()
@@ -479,7 +456,6 @@ def test_a_daemon_that_dies_is_stale_and_comes_back(bench: Bench) -> None:
 
 
 def test_a_fault_shows_its_cause_before_its_reset(bench: Bench) -> None:
-    """In the words of the daemon; after the reset the rig is safe."""
     bench.configure(watchdog_ms=250)
     emulator = bench.emulate()
     bench.serve()
@@ -498,10 +474,10 @@ def test_a_fault_shows_its_cause_before_its_reset(bench: Bench) -> None:
         page.wait("status", lambda seen: seen["phase"] == "safe")
 
 
-def test_a_name_is_told_as_it_is(page: Client, served: Bench) -> None:
+def test_a_name_is_reported_unchanged(page: Client, served: Bench) -> None:
     """Markup in a name stays text: the answer is JSON, and no browser takes it for a page.
 
-    But for round brackets, which say what the daemon has checked.
+    Round brackets are removed, because they mark what the daemon has checked.
     """
     shown = MARKUP.replace("(", "[").replace(")", "]")
     with served.rig() as other:
@@ -511,7 +487,6 @@ def test_a_name_is_told_as_it_is(page: Client, served: Bench) -> None:
 
 
 def test_nobody_waits_for_the_end(served: Bench) -> None:
-    """A dashboard ends the run that it began, and all streams, also of who does not read."""
     with ExitStack() as links:
         with watched(served) as page:
             begin(page, served)
@@ -524,7 +499,6 @@ def test_nobody_waits_for_the_end(served: Bench) -> None:
 
 
 def test_a_recording_is_looked_at(page: Client, served: Bench) -> None:
-    """Its verdict, its curves, a part of it as CSV, and the file itself."""
     begin(page, served, STEP | {"seconds": 2.0})
     page.wait("run", lambda seen: not seen["is_going"])
     file = page.first("run")["recording"]
@@ -546,7 +520,6 @@ def test_a_recording_is_looked_at(page: Client, served: Bench) -> None:
 
 
 def test_where_no_model_fits_it_says_why(page: Client, served: Bench) -> None:
-    """And the curves are there all the same."""
     begin(page, served, {"kind": "csv", "text": "u\n" + "1\n" * 60, "file": "flat.csv"})
     page.wait("run", lambda seen: not seen["is_going"])
     file = page.first("run")["recording"]
@@ -559,7 +532,6 @@ def test_where_no_model_fits_it_says_why(page: Client, served: Bench) -> None:
 
 
 def test_a_model_is_estimated_on_request(page: Client, served: Bench) -> None:
-    """While a run goes on, for all who watch; and no more when nobody wants it."""
     assert page.first("timing")["model"] is None
     assert page.ask("/api/model", {"wanted": True})[0] == 200
     begin(page, served, {"kind": "blackbox", "seconds": 20.0})

@@ -1,4 +1,4 @@
-"""What else the dashboard opens when it is asked to: a door for visitors, and one for Foxglove."""
+"""Further doors of the dashboard: one for visitors, and one for Foxglove."""
 
 from __future__ import annotations
 
@@ -21,10 +21,11 @@ import pytest
 from armrig.dashboard.serving import Settings, dashboard
 from armrig_core.telemetry import decode_sample
 from armrig_core.topics import STREAMS
-from driving import hold
-from layouts import Kinds, foxglove_paths, frame_angles, kinds, plotjuggler_curves, snippets
-from processes import WITHIN_S, Bench, wait_for
-from watching import Client, begin, endpoint
+
+from tests.integration.driving import hold
+from tests.integration.processes import WITHIN_S, Bench, wait_for
+from tests.integration.watching import Client, begin, endpoint
+from tests.layouts import Kinds, foxglove_paths, frame_angles, kinds, plotjuggler_curves, snippets
 
 ADDRESS = "127.0.0.1"  # a visitor's; of a network in `armrig dashboard --share`
 
@@ -40,7 +41,6 @@ def doors(served: Bench) -> Iterator[tuple[Client, Client]]:
 
 
 def test_a_visitor_watches_and_stops(doors: tuple[Client, Client], served: Bench) -> None:
-    """By TLS, with his own token; the page is told that it may not command."""
     _, visitor = doors
     assert visitor.first("hello")["may_command"] is False
     assert not visitor.first("live")["is_stale"]
@@ -51,7 +51,6 @@ def test_a_visitor_watches_and_stops(doors: tuple[Client, Client], served: Bench
 
 
 def test_a_visitor_stops_in_nobody_s_name(doors: tuple[Client, Client], served: Bench) -> None:
-    """A recording keeps who stopped its run: that of a visitor does not name somebody else."""
     own, visitor = doors
     begin(own, served)
     assert visitor.ask("/api/stop", {"owner": "the teacher"})[0] == 200
@@ -61,7 +60,6 @@ def test_a_visitor_stops_in_nobody_s_name(doors: tuple[Client, Client], served: 
 
 
 def test_a_visitor_commands_nothing_else(doors: tuple[Client, Client], served: Bench) -> None:
-    """There is no such route at his door, and his token opens no other."""
     own, visitor = doors
     rest = ("note", "preview", "recordings", "mcap", "identify")
     for command in ("arm", "release", "reset", "run", *rest):
@@ -73,7 +71,6 @@ def test_a_visitor_commands_nothing_else(doors: tuple[Client, Client], served: B
 
 
 def test_without_tls_there_is_no_door(doors: tuple[Client, Client]) -> None:
-    """A token is never read in the clear."""
     _, visitor = doors
     plain = Client(visitor.url.replace("https:", "http:"))
     with pytest.raises(OSError):  # noqa: PT011  # reset, or closed
@@ -81,7 +78,7 @@ def test_without_tls_there_is_no_door(doors: tuple[Client, Client]) -> None:
 
 
 def test_the_certificate_names_the_address(served: Bench) -> None:
-    """A browser that was told to trust it finds the address in it, and the fingerprint is its."""
+    """A browser that trusts the certificate finds the address and the fingerprint in it."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
@@ -124,7 +121,6 @@ def _heard(link: Any, most: int) -> tuple[dict[str, Any], list[dict[str, Any]], 
 
 
 def test_foxglove_hears_samples_and_commands_nothing(served: Bench) -> None:
-    """At the schemas of the daemon; no capability is offered, and what is sent moves nothing."""
     pytest.importorskip("foxglove", reason="no foxglove-sdk")
     sync_client = pytest.importorskip("websockets.sync.client", reason="no websockets")
     from armrig.dashboard.foxglove import foxglove
@@ -155,7 +151,6 @@ def test_foxglove_hears_samples_and_commands_nothing(served: Bench) -> None:
 
 
 def test_the_layout_s_topics_are_served_and_the_frames_go_with_the_samples(served: Bench) -> None:
-    """With the fields that the layout names; the frames have the angles of the sample before."""
     pytest.importorskip("foxglove", reason="no foxglove-sdk")
     sync_client = pytest.importorskip("websockets.sync.client", reason="no websockets")
     from armrig.dashboard.foxglove import foxglove

@@ -14,13 +14,14 @@ from typing import Any
 from xml.etree import ElementTree
 
 import armrig
-import made_recordings
 import pytest
 from armrig.dashboard.serving import Settings, dashboard
-from driving import STOPPED_S, bring_to_rest
-from processes import WITHIN_S, Bench
-from tools import needs
-from watching import STEP, Client, begin, endpoint, recorded, watched
+
+from tests.clients import made_recordings
+from tests.integration.driving import STOPPED_S, bring_to_rest
+from tests.integration.processes import WITHIN_S, Bench
+from tests.integration.watching import STEP, Client, begin, endpoint, recorded, watched
+from tests.tools import needs
 
 playwright = pytest.importorskip("playwright.sync_api", reason="no playwright")
 CHROMIUM = shutil.which("chromium")
@@ -54,7 +55,7 @@ def opened(browser: Any, url: str, size: dict[str, int] = SMALL, **how: Any) -> 
         page.goto(url)
         page.wait_for_selector(".pill.safe")
         yield page
-        # A server that is gone is told by the browser itself.
+        # The browser itself reports a server that is gone.
         assert [text for text in errors if "Failed to load resource" not in text] == []
     finally:
         page.close()
@@ -103,12 +104,11 @@ def until(page: Any, what: Callable[[], object], within_s: float = WITHIN_S) -> 
 
 
 def text(page: Any, selector: str) -> str:
-    """Return what stands in an element."""
+    """Return the text of an element."""
     return str(page.text_content(selector))
 
 
 def test_data_grow_and_have_an_age(browser: Any, client: Client) -> None:
-    """The values have units, and the newest are some milliseconds old."""
     with opened(browser, client.url) as page:
         until(page, lambda: "°" in text(page, "#value-theta_1"))
         assert text(page, "#value-u") == "0.00 V"
@@ -119,7 +119,6 @@ def test_data_grow_and_have_an_age(browser: Any, client: Client) -> None:
 
 
 def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, served: Bench) -> None:
-    """No run without what it does, the second neither; a figure that changes is shown again."""
     with opened(browser, client.url) as page:
         show_step(page, "2")
         assert "the chassis turns" in text(page, "#preview-lines")
@@ -134,24 +133,22 @@ def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, serv
 
 
 def test_a_refusal_is_in_sight(browser: Any, client: Client) -> None:
-    """On a phone the form is some screens below the top."""
     with opened(browser, client.url, PHONE) as page:
         page.select_option("#kind", "step")
         page.fill("#field-at", "9")
         page.click("#show")
-        until(page, lambda: "is after the end" in text(page, "#notice"))
+        until(page, lambda: "after the end" in text(page, "#notice"))
         box = page.locator("#notice").bounding_box()
         assert page.evaluate("scrollY") > PHONE["height"] / 2
         assert 0 <= box["y"] <= PHONE["height"] - box["height"]
 
 
 def test_a_refusal_is_over_with_the_next_attempt(browser: Any, client: Client) -> None:
-    """What was refused does not stand above what is shown now."""
     with opened(browser, client.url) as page:
         page.select_option("#kind", "step")
         page.fill("#field-at", "9")
         page.click("#show")
-        until(page, lambda: "is after the end" in text(page, "#notice"))
+        until(page, lambda: "after the end" in text(page, "#notice"))
         page.fill("#field-at", "1")
         page.click("#show")
         page.wait_for_selector("#preview:not([hidden])")
@@ -159,7 +156,6 @@ def test_a_refusal_is_over_with_the_next_attempt(browser: Any, client: Client) -
 
 
 def test_a_notice_moves_nothing_and_takes_no_click(browser: Any, client: Client) -> None:
-    """It lies over the page: what one is about to click stays where it is."""
     with opened(browser, client.url) as page:
         page.select_option("#kind", "step")
         page.fill("#field-at", "9")
@@ -172,7 +168,6 @@ def test_a_notice_moves_nothing_and_takes_no_click(browser: Any, client: Client)
 
 
 def test_the_wheel_zooms_and_moves_the_view(browser: Any, client: Client) -> None:
-    """Plain in time, with Shift along it, with Alt the values; a double click goes back to live."""
     with opened(browser, client.url, WIDE) as page:
         until(page, lambda: "V" in text(page, "#value-u"))
         page.locator(".u-over >> nth=0").hover()
@@ -206,7 +201,6 @@ def test_a_finger_finds_each_button(browser: Any, client: Client) -> None:
 
 
 def test_the_drawn_arm_turns_with_the_rig(browser: Any, client: Client, served: Bench) -> None:
-    """By the angle that is shown, against the clock."""
     with opened(browser, client.url, WIDE) as page:
         turned = "document.querySelector('#arm-drawing .chassis').getAttribute('transform')"
         until(page, lambda: "rotate" in str(page.evaluate(turned)))
@@ -220,7 +214,6 @@ def test_the_drawn_arm_turns_with_the_rig(browser: Any, client: Client, served: 
 def test_what_is_seen_is_saved_as_a_picture_and_as_values(
     browser: Any, client: Client, tmp_path: Path
 ) -> None:
-    """PNG, SVG with each panel's name and unit, and CSV of the page's quantities."""
     with opened(browser, client.url, WIDE) as page:
         until(page, lambda: "V" in text(page, "#value-u"))
         saved = {}
@@ -239,7 +232,6 @@ def test_what_is_seen_is_saved_as_a_picture_and_as_values(
 
 
 def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Client) -> None:
-    """In letters that are read from ten metres, until it is switched off."""
     with opened(browser, client.url, WIDE) as page:
         page.click("#projector")
         size = "(id) => parseFloat(getComputedStyle(document.getElementById(id)).fontSize)"
@@ -255,7 +247,6 @@ def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Clie
 def test_a_recording_is_played_again_and_compared(
     browser: Any, client: Client, served: Bench
 ) -> None:
-    """Its cursor and its arm move at ten times its time; another one, or a model, lies over it."""
     for seconds in (4.0, 5.0):
         begin(client, served, STEP | {"seconds": seconds, "at": 1.0})
         client.wait("run", lambda seen: not seen["is_going"])
@@ -281,7 +272,6 @@ def test_a_recording_is_played_again_and_compared(
 def test_the_space_bar_stops_wherever_the_focus_is(
     browser: Any, client: Client, served: Bench
 ) -> None:
-    """Without a dialog, at the motor's terminals; it presses no button and writes no blank."""
     with opened(browser, client.url) as page:
         for focus in ("#run", "#owner-name", "#note-text", "#kind", "#plots", "body"):
             run_step(page, served)
@@ -300,7 +290,6 @@ def test_the_space_bar_stops_wherever_the_focus_is(
 def test_a_note_is_typed_while_a_run_plays_and_the_space_bar_still_stops(
     browser: Any, client: Client, served: Bench
 ) -> None:
-    """With Shift it writes a blank, alone it is the stop; a sent note leaves its field."""
     with opened(browser, client.url) as page:
         run_step(page, served)
         page.wait_for_selector(".pill.active")
@@ -325,7 +314,7 @@ def test_a_note_is_typed_while_a_run_plays_and_the_space_bar_still_stops(
 def test_as_many_tabs_as_a_browser_has_connections_hold_up_no_stop(
     browser: Any, client: Client, served: Bench
 ) -> None:
-    """It has six to a server, and each tab's stream takes one: ours gives its own to the stop."""
+    """A browser has six to a server, and each tab's stream takes one."""
     with opened(browser, client.url) as page:
         # As of other tabs, which would be slow to draw.
         asked = {"headers": {"Authorization": f"Bearer {client.token}"}}
@@ -340,10 +329,9 @@ def test_as_many_tabs_as_a_browser_has_connections_hold_up_no_stop(
         assert served.volts() == 0.0
 
 
-def test_a_run_that_is_still_to_be_sent_is_not_sent_behind_a_stop(
+def test_a_run_that_is_still_to_be_sent_is_not_sent_after_a_stop(
     browser: Any, client: Client, served: Bench
 ) -> None:
-    """It may wait for a connection of the browser's; the stop goes first, and withdraws it."""
     with opened(browser, client.url) as page:
         waiting: list[Any] = []
         withdrawn: list[str] = []
@@ -355,7 +343,7 @@ def test_a_run_that_is_still_to_be_sent_is_not_sent_behind_a_stop(
         until(page, lambda: waiting)
         before = len(served.voltage_changes())
         page.keyboard.press("Space")
-        until(page, lambda: "told the rig to stop" in text(page, "#notice"))
+        until(page, lambda: "stop sent" in text(page, "#notice"))
         waiting[0].continue_()
         until(page, lambda: runs in withdrawn or len(served.voltage_changes()) > before)
 
@@ -364,7 +352,6 @@ def test_a_run_that_is_still_to_be_sent_is_not_sent_behind_a_stop(
 
 
 def test_at_rest_a_name_takes_a_blank(browser: Any, client: Client) -> None:
-    """While nothing can turn, a text is a text."""
     with opened(browser, client.url) as page:
         page.fill("#owner-name", "Ada")
         page.type("#owner-name", " L.")
@@ -372,7 +359,6 @@ def test_at_rest_a_name_takes_a_blank(browser: Any, client: Client) -> None:
 
 
 def test_another_s_markup_is_text(browser: Any, client: Client, served: Bench) -> None:
-    """In the names of an owner, of who stops, of a CSV and of a file: no element, no script."""
     begin(client, served, {"kind": "csv", "text": "u\n" + "1\n" * 12_000, "file": MARKUP})
     client.ask("/api/stop", {"owner": MARKUP})
     client.wait("run", lambda seen: not seen["is_going"])
@@ -393,7 +379,7 @@ def test_another_s_markup_is_text(browser: Any, client: Client, served: Bench) -
 def test_another_origin_s_page_commands_nothing(
     browser: Any, client: Client, served: Bench
 ) -> None:
-    """Neither without asking (no-cors) nor with the token, for which a browser asks first."""
+    """Neither without a preflight request (no-cors) nor with the token."""
     wanted = json.dumps({"owner": "evil", "experiment": STEP})
     answers = []
     page = browser.new_page()  # about:blank, whose origin is null
@@ -416,7 +402,6 @@ def test_another_origin_s_page_commands_nothing(
 
 
 def test_zoom_holds_the_view_and_escape_goes_on(browser: Any, client: Client) -> None:
-    """The cursor tells the values at its place, by mouse and by keys."""
     with opened(browser, client.url) as page:
         page.wait_for_timeout(500)
         box = page.locator("#charts .u-over").first.bounding_box()
@@ -438,7 +423,6 @@ def test_zoom_holds_the_view_and_escape_goes_on(browser: Any, client: Client) ->
 def test_a_drag_across_a_recording_shows_that_part(
     browser: Any, client: Client, served: Bench
 ) -> None:
-    """And a double-click the whole of it again."""
     recording = made_recordings.of_the_arm(armrig.telegraph(500, 0.05, seed=1))
     (served.recordings / "drag.mcap").write_bytes(recording)
     with opened(browser, client.url) as page:
@@ -449,8 +433,8 @@ def test_a_drag_across_a_recording_shows_that_part(
         width = plot.bounding_box()["width"]
         ends = [{"x": share * width, "y": 20} for share in (0.4, 0.6)]
         plot.drag_to(plot, source_position=ends[0], target_position=ends[1])
-        until(page, lambda: "are seen" in text(page, "#seen"))
-        found = re.match(r"([\d.]+) to ([\d.]+) s are seen", text(page, "#seen"))
+        until(page, lambda: "are shown" in text(page, "#seen"))
+        found = re.match(r"([\d.]+) to ([\d.]+) s are shown", text(page, "#seen"))
         assert found
         assert [*map(float, found.groups())] == pytest.approx([2.0, 3.0], abs=0.1)
         plot.dblclick()
@@ -461,7 +445,6 @@ def test_a_drag_across_a_recording_shows_that_part(
 def test_a_recording_is_identified_and_reported(
     browser: Any, client: Client, served: Bench, tmp_path: Path
 ) -> None:
-    """From the list to its model's figures and the PDF; all by buttons."""
     recorded(client, {"kind": "blackbox", "seconds": 5})
     with opened(browser, client.url) as page:
         page.keyboard.press("r")
@@ -471,7 +454,7 @@ def test_a_recording_is_identified_and_reported(
         until(page, lambda: page.locator(".figures img").count() == 4, 90)
         assert "advice" in text(page, "#model")
         with page.expect_download(timeout=120_000) as coming:
-            page.click("text=Report")
+            page.get_by_role("button", name="Report", exact=True).click()
         coming.value.save_as(tmp_path / "report.pdf")
         with page.expect_download() as coming:
             page.click("text=Download MCAP")
@@ -481,7 +464,6 @@ def test_a_recording_is_identified_and_reported(
 
 
 def test_it_fits_the_screen(browser: Any, client: Client) -> None:
-    """Nothing to scroll sideways, and the stop in sight wherever one is; in both themes."""
     with opened(browser, client.url) as page:
         for theme, size in itertools.product(("light", "dark"), (WIDE, PHONE)):
             page.emulate_media(color_scheme=theme)
@@ -500,7 +482,6 @@ _WIDTH = "document.documentElement.scrollWidth"
 
 
 def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, served: Bench) -> None:
-    """In its name, its notes and the choice of others: nothing to scroll sideways."""
     of = made_recordings.manifest(experiment=LONG_WORD)
     note = made_recordings.note(100, LONG_WORD, LONG_WORD[:80])
     data = made_recordings.recorded([*map(made_recordings.sample, range(300)), note], manifest=of)
@@ -512,7 +493,7 @@ def test_long_words_of_a_recording_are_broken(browser: Any, client: Client, serv
         page.wait_for_selector("#curves canvas")
         for size in (WIDE, PHONE):
             page.set_viewport_size(size)
-            # The charts are told of their new width once it is laid out.
+            # The charts get their new width after the layout.
             until(page, lambda most=size["width"]: page.evaluate(_WIDTH) <= most)
 
 
@@ -524,7 +505,6 @@ _LINES = """cells => cells.map(cell => {
 
 
 def test_a_figure_and_its_unit_are_on_one_line(browser: Any, client: Client, served: Bench) -> None:
-    """In the list of recordings: a length, and the day and the hour, however narrow it is."""
     begin(client, served)
     client.ask("/api/stop", {"owner": "somebody with a name that is as long as a phone is wide"})
     client.wait("run", lambda seen: not seen["is_going"])
@@ -540,7 +520,7 @@ def test_a_figure_and_its_unit_are_on_one_line(browser: Any, client: Client, ser
 
 
 def test_what_a_browser_is_started_with_opens_once(browser: Any, served: Bench) -> None:
-    """Others read it in `ps`. The page then has the printed address, and may be loaded again."""
+    """Other users can read it in `ps`."""
     with dashboard(Settings(connect=endpoint(served))) as found:
         code = found.browser_url.partition("#once=")[2]
         with opened(browser, found.browser_url) as page:
@@ -561,7 +541,7 @@ def test_what_a_browser_is_started_with_opens_once(browser: Any, served: Bench) 
 
 
 def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: Bench) -> None:
-    """His page has no experiment, no arming, no recordings, no reset."""
+    """The visitor's page has no experiment, no arming, no recordings, no reset."""
     pytest.importorskip("cryptography", reason="no cryptography: no certificate for visitors")
     with (
         dashboard(Settings(connect=endpoint(served), share="127.0.0.1")) as found,
@@ -575,7 +555,6 @@ def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: 
 
 
 def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> None:
-    """The page does not go on to show a fine rig, and needs no reload."""
     bench.configure(watchdog_ms=250)
     bench.emulate()
     daemon = bench.serve()
@@ -596,7 +575,6 @@ def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> 
 
 
 def test_a_dead_server_is_stale_too(browser: Any, client: Client, served: Bench) -> None:
-    """Where the page hears nothing it says so itself."""
     with watched(served) as short:
         context = opened(browser, short.url)
         page = context.__enter__()
@@ -608,7 +586,6 @@ def test_a_dead_server_is_stale_too(browser: Any, client: Client, served: Bench)
 def test_a_stop_that_did_not_arrive_says_what_to_do_until_that_is_done(
     browser: Any, client: Client, served: Bench
 ) -> None:
-    """First the plug of the motor's supply, then what ends by itself, then commands."""
     with watched(served) as short:
         context = opened(browser, short.url)
         page = context.__enter__()
@@ -627,7 +604,6 @@ def test_a_stop_that_did_not_arrive_says_what_to_do_until_that_is_done(
 
 
 def test_an_unplugged_device_is_a_fault_that_is_reset(browser: Any, bench: Bench) -> None:
-    """Its cause and what to do stand before the button."""
     bench.configure(watchdog_ms=250)
     emulator = bench.emulate()
     bench.serve()

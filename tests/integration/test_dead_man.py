@@ -1,4 +1,4 @@
-"""A run whose client goes: stopped where it asked for that, on real processes."""
+"""A run whose client goes: stopped on request of the run, on real processes."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import time
 
 import armrig
 import pytest
-from driving import begin
-from processes import Bench, wait_for
+
+from tests.integration.driving import begin
+from tests.integration.processes import Bench, wait_for
 
 pytestmark = pytest.mark.timed
 DEAD_MAN_S = 0.6
 LATE_S = 0.5
-"""What a busy machine may add; docs/safety.md has the measured times."""
+"""Allowance for a busy machine, in s; docs/safety.md has the measured times."""
 RUNNER = """
 import sys
 from armrig.rig.client import Rig
@@ -38,7 +39,7 @@ class Client:
         self.popen = begin(bench, 50, program, str(periods), pacing, str(DEAD_MAN_S))
 
     def end(self) -> None:
-        """Kill it, whatever state it is in."""
+        """Kill it in any state."""
         self.popen.kill()
         self.popen.wait()
 
@@ -52,7 +53,7 @@ def _client(
 
 
 def _ended(bench: Bench) -> armrig.Recording:
-    """Return the recording of the run, once it is finished; the rig is nobody's, and no fault."""
+    """Return the finished recording of the run, without a holder or a fault."""
     with bench.rig() as rig:
         wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
         wait_for(lambda: rig.status().phase == "safe")
@@ -67,7 +68,7 @@ def _ended(bench: Bench) -> armrig.Recording:
 def test_a_run_ends_soon_after_its_client(
     bench: Bench, number: signal.Signals, pacing: str
 ) -> None:
-    """Killed, or frozen: 0 V a period after its last sign, and the recording says why."""
+    """Killed, or frozen: 0 V one period after its last sign."""
     client = _client(bench, pacing=pacing)
 
     client.popen.send_signal(number)
@@ -82,7 +83,6 @@ def test_a_run_ends_soon_after_its_client(
 
 
 def test_a_client_that_hangs_counts_as_gone(bench: Bench) -> None:
-    """Its process lives, and so does its connection: only its wait for the run does not go on."""
     client = _client(bench, HANGING)
 
     wait_for(lambda: bench.volts() == 0.0)
@@ -95,7 +95,6 @@ def test_a_client_that_hangs_counts_as_gone(bench: Bench) -> None:
 
 
 def test_a_client_that_stays_gets_the_whole_run(bench: Bench) -> None:
-    """Several periods long: its signs keep the run alive."""
     bench.emulate()
     bench.serve()
 

@@ -53,7 +53,7 @@ def _demo(folder: Path, *more: str, **environ: str) -> subprocess.CompletedProce
 
 @pytest.fixture(scope="module")
 def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
-    """Give the folder, and both outputs, of one without terminals, that tells it to a program."""
+    """Give the folder and both outputs of a demonstration without terminals, with --json."""
     hidden = tmp_path_factory.mktemp("elsewhere")
     (hidden / "sitecustomize.py").write_text(ELSEWHERE)
     path = os.pathsep.join([str(hidden), *filter(None, sys.path)])
@@ -64,7 +64,7 @@ def elsewhere(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]
 
 
 def _made(folder: Path) -> dict[str, bytes]:
-    """Return what was made, by name, but the configuration."""
+    """Return the made files, by name, without the configuration."""
     return {p.name: p.read_bytes() for p in folder.iterdir() if p.suffix != ".toml"}
 
 
@@ -72,7 +72,6 @@ def _made(folder: Path) -> dict[str, bytes]:
 def test_the_same_seed_gives_the_same_bytes_anywhere(
     elsewhere: tuple[Path, str, str], tmp_path: Path
 ) -> None:
-    """Recordings, figures and report; without terminals, locks or SIGHUP, and in another zone."""
     said = _demo(tmp_path).stderr
     here, there = _made(tmp_path), _made(elsewhere[0])
 
@@ -91,8 +90,7 @@ def test_the_same_seed_gives_the_same_bytes_anywhere(
     assert armrig.load(telegraph).manifest.details["seed"] == 7
 
 
-def test_a_program_is_told_where_everything_lies(elsewhere: tuple[Path, str, str]) -> None:
-    """One line of JSON on standard output; what a person reads is beside it."""
+def test_a_program_gets_the_paths_of_all_files(elsewhere: tuple[Path, str, str]) -> None:
     _, told, said = elsewhere
 
     found = json.loads(told)

@@ -1,16 +1,15 @@
-"""`armrigd estop` on a rig whose daemon is dead, and beside one that lives."""
+"""`armrigd estop` on a rig whose daemon is dead, and next to a live daemon."""
 
 from __future__ import annotations
 
 import os
 import signal
 
-from driving import driven
-from processes import WITHIN_S, Bench, wait_for
+from tests.integration.driving import driven
+from tests.integration.processes import WITHIN_S, Bench, wait_for
 
 
 def test_the_rig_of_a_dead_daemon_is_stopped(bench: Bench) -> None:
-    """The motor turns: both processes are killed in a run. A new daemon finds it at 0 V."""
     bench.emulate()
     daemon = bench.serve()
     with driven(bench):
@@ -27,13 +26,12 @@ def test_the_rig_of_a_dead_daemon_is_stopped(bench: Bench) -> None:
 
 
 def test_a_daemon_that_lives_is_not_disturbed(served: Bench) -> None:
-    """Whoever wants to stop that one is told how; its rig is neither stopped nor latched."""
     stop = served.start("armrig_daemon", "estop", "--config", str(served.config))
 
     assert stop.popen.wait(WITHIN_S) == 1
     assert stop.said == (
         f"armrigd: estop: nothing sent: {served.port} cannot be opened: it is taken by another "
-        "program, maybe another rig's daemon; end that one, or give this rig a port of its own; "
-        "a daemon that runs is stopped by `armrig stop`\n"
+        "program, maybe another rig's daemon; end that program, or give this rig a port of its "
+        "own; `armrig stop` stops the motor of a running daemon\n"
     )
     assert served.settled() == "safe"

@@ -1,6 +1,6 @@
-"""Whatever dies, the motor goes to 0 V, and what was recorded can be read.
+"""After the death of any process the motor goes to 0 V, and the recording can be read.
 
-The bounds here only tell a stop from no stop; docs/safety.md has the measured times.
+The bounds here only separate a stop from no stop; docs/safety.md has the measured times.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.rig.replies import RefusedError, RunEndedError
-from driving import begin
-from processes import WITHIN_S, Bench, freeze, wait_for
+
+from tests.integration.driving import begin
+from tests.integration.processes import WITHIN_S, Bench, freeze, wait_for
 
 STOPPED_S = 1.0
 RUNNER = """
@@ -62,7 +63,7 @@ def run(bench: Bench) -> Iterator[Run]:
 
 @pytest.fixture
 def run_of_many(served: Bench) -> Iterator[Run]:
-    """Give such a run on a daemon that the last tests here share: none of them ends it."""
+    """Give such a run on a daemon that the last tests here share; none of them ends it."""
     run = Run(served)
     yield run
     run.end()
@@ -99,10 +100,7 @@ def test_kill_9_of_a_service_whose_disk_keeps_it_from_dying(run: Run) -> None:
 
 
 def test_kill_9_of_the_service(run: Run) -> None:
-    """The loop sees its pipes end and stops the motor; the file loads, and the next start ends it.
-
-    With all that was read before, and a word in the log.
-    """
+    """The loop sees its pipes end and stops the motor; the next start completes the file."""
     killed_ns = run.daemon.kill()
 
     assert run.bench.went_to_0_v_after(killed_ns) < STOPPED_S
@@ -136,7 +134,7 @@ def test_kill_9_of_the_loop(run: Run) -> None:
 
 
 def test_kill_9_of_both(run: Run) -> None:
-    """Nobody is left but the device: its watchdog."""
+    """Only the device's watchdog is left."""
     freeze(run.daemon.popen.pid)  # or it may see the loop's end before its own
     os.kill(run.loop_pid, signal.SIGKILL)
     killed_ns = run.daemon.kill()
@@ -160,7 +158,7 @@ def test_a_signal_ends_it_in_good_order(run: Run, number: signal.Signals) -> Non
 
 
 def test_ctrl_c_reaches_both_processes(run: Run) -> None:
-    """A terminal sends SIGINT to the whole group: still one orderly end."""
+    """A terminal sends SIGINT to the whole group."""
     os.kill(run.loop_pid, signal.SIGINT)
     told_ns = run.daemon.kill(signal.SIGINT)
 
@@ -215,7 +213,6 @@ def test_a_loop_frozen_for_less_than_the_watchdog_costs_nothing(
 
 
 def test_a_client_that_is_killed_does_not_cost_the_recording(served: Bench) -> None:
-    """An experiment is one command: it is played to its end without its client."""
     run = Run(served, periods=150)
 
     run.end()
@@ -228,7 +225,7 @@ def test_a_client_that_is_killed_does_not_cost_the_recording(served: Bench) -> N
 
 
 def test_a_loop_that_is_frozen_is_stopped_by_the_device(run_of_many: Run) -> None:
-    """SIGSTOP: the watchdog; after SIGCONT old frames start nothing, the fault stays."""
+    """After SIGCONT old frames start nothing, and the fault stays."""
     run = run_of_many
     freeze(run.loop_pid)
     frozen_ns = time.monotonic_ns()
@@ -240,7 +237,6 @@ def test_a_loop_that_is_frozen_is_stopped_by_the_device(run_of_many: Run) -> Non
 
 
 def test_the_rig_is_unplugged_and_plugged_in_again(run_of_many: Run) -> None:
-    """Latched at 0 V; sampling is back by itself; reset and arm lead out."""
     run = run_of_many
     run.emulator.end()
     wait_for(lambda: run.bench.phase() == "fault")

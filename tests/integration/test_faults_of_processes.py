@@ -1,4 +1,4 @@
-"""What may happen to the daemon's processes, beside what `test_every_way_out.py` tries."""
+"""Faults of the daemon's processes, in addition to `test_every_way_out.py`."""
 
 from __future__ import annotations
 
@@ -14,8 +14,17 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.rig.replies import RefusedError
-from driving import STOPPED_S, check_every_k, check_volts, driven, hold, outcome, recorded
-from processes import WITHIN_S, Bench, Process, freeze, wait_for
+
+from tests.integration.driving import (
+    STOPPED_S,
+    check_every_k,
+    check_volts,
+    driven,
+    hold,
+    outcome,
+    recorded,
+)
+from tests.integration.processes import WITHIN_S, Bench, Process, freeze, wait_for
 
 TRIPPED = ("ticks in a row were missed", "no answer from the device", "the host paused for")
 """The first is meant; a machine that is busy itself makes one of the others of it."""
@@ -32,7 +41,6 @@ def _ends_in_good_order(bench: Bench, daemon: Process, number: signal.Signals) -
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_while_nobody_answers(bench: Bench, number: signal.Signals) -> None:
-    """Phase init: a port behind which there is no device."""
     master, slave = pty.openpty()
     bench.port = Path(os.ttyname(slave))
     bench.configure()
@@ -49,7 +57,6 @@ def test_a_signal_while_nobody_answers(bench: Bench, number: signal.Signals) -> 
     [("safe", signal.SIGINT), ("armed", signal.SIGTERM), ("active", signal.SIGINT)],
 )
 def test_a_signal_in_every_phase(bench: Bench, phase: str, number: signal.Signals) -> None:
-    """At rest, armed, and driven by hand; `test_every_way_out.py` has a scheduled run."""
     bench.emulate()
     daemon = bench.serve()
     with bench.rig() as rig:
@@ -63,7 +70,6 @@ def test_a_signal_in_every_phase(bench: Bench, phase: str, number: signal.Signal
 
 
 def test_a_signal_in_an_exchange_run_and_in_a_fault(bench: Bench) -> None:
-    """The file says why the run ended; a latched fault keeps nobody from ending."""
     emulator = bench.emulate()
     daemon = bench.serve()
     with driven(bench, pacing="exchange"):
@@ -82,7 +88,7 @@ def test_a_signal_in_an_exchange_run_and_in_a_fault(bench: Bench) -> None:
 def test_a_lab_that_is_killed_takes_its_daemon_along(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """`kill -9`: 0 V, the run recorded up to then, the socket free for the next."""
+    """`kill -9`: 0 V, the run recorded up to then, the socket free for the next lab."""
     monkeypatch.setenv("XDG_STATE_HOME", str(bench.folder))
     bench.emulate()
     lab = bench.start("armrig", "lab", "--config", str(bench.config), "--port", str(bench.port))
@@ -103,7 +109,7 @@ def test_a_lab_that_is_killed_takes_its_daemon_along(
 
 
 def _killed_again_and_again(daemon: Process, *pids: int) -> int:
-    """Let nobody be told to end only once; return when the first signal came."""
+    """Send the signal again and again; return the time of the first."""
     told_ns = time.monotonic_ns()
     while daemon.popen.poll() is None and time.monotonic_ns() < told_ns + WITHIN_S * 1e9:
         for pid in pids:
@@ -115,7 +121,6 @@ def _killed_again_and_again(daemon: Process, *pids: int) -> int:
 
 @pytest.mark.parametrize("loop_too", [False, True])
 def test_more_signals_change_nothing(bench: Bench, loop_too: bool) -> None:
-    """Who is impatient gets the same good order, to the very end; Ctrl-C goes to both processes."""
     bench.emulate()
     daemon = bench.serve()
     pids = [daemon.popen.pid] + [bench.loop_pid(daemon)] * loop_too
@@ -129,7 +134,6 @@ def test_more_signals_change_nothing(bench: Bench, loop_too: bool) -> None:
 
 
 def test_more_signals_to_an_emulator_change_nothing(bench: Bench) -> None:
-    """It takes its port away."""
     emulator = bench.emulate()
 
     _killed_again_and_again(emulator, emulator.popen.pid)
@@ -140,10 +144,7 @@ def test_more_signals_to_an_emulator_change_nothing(bench: Bench) -> None:
 
 @pytest.mark.timed
 def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:
-    """SIGSTOP, 300 ms, SIGCONT: at its first tick, or by what the device said meanwhile.
-
-    Each k is told, and neither old samples nor old frames drive anything.
-    """
+    """SIGSTOP, 300 ms, SIGCONT: at its first tick, or by a report of the device."""
     bench.emulate()
     daemon = bench.serve()
     loop_pid = bench.loop_pid(daemon)
@@ -164,7 +165,6 @@ def test_a_loop_that_was_frozen_in_exchange_mode_trips(bench: Bench) -> None:
 
 @pytest.mark.timed
 def test_a_command_that_waited_for_a_frozen_loop_drives_nothing(bench: Bench) -> None:
-    """It was valid when it was sent; at its turn the rig has tripped."""
     bench.emulate()
     daemon = bench.serve()
     loop_pid = bench.loop_pid(daemon)
@@ -195,10 +195,7 @@ def test_a_command_that_waited_for_a_frozen_loop_drives_nothing(bench: Bench) ->
 def test_ticks_that_an_overloaded_host_misses_are_counted_then_trip(
     bench: Bench, stop_after: int
 ) -> None:
-    """The processor is taken away from the loop for two ticks, again and again.
-
-    Each time one is skipped; nothing else trips, and a limit of one ends the run.
-    """
+    """The loop loses the processor for two ticks, again and again."""
     bench.configure(more=f"[timing]\nstop_after = {stop_after}", watchdog_ms=250)
     bench.emulate()
     daemon = bench.serve()

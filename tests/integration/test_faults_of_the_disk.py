@@ -1,4 +1,4 @@
-"""What may happen to the directory of the recordings, beside what `test_recorder.py` tries."""
+"""Faults of the recordings' directory, in addition to `test_recorder.py`."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from armrig_core.codes import COMPLETE
 from armrig_core.commands import parse
 from armrig_core.manifest import Manifest
 from armrig_core.recording_file.recorder import Recording, RecordingError
-from driving import STOPPED_S, changed, check_every_k, check_volts, driven
-from processes import Bench, wait_for
-from sampling import sampled
+
+from tests.integration.driving import STOPPED_S, changed, check_every_k, check_volts, driven
+from tests.integration.processes import Bench, wait_for
+from tests.sampling import sampled
 
 ROOM = 8 << 10  # B
 LOADED_S = 40.0
@@ -38,7 +39,7 @@ MANIFEST = Manifest(
 
 
 def test_the_disk_is_full_in_the_middle_of_a_run(bench: Bench) -> None:
-    """RLIMIT_FSIZE: 0 V, a whole prefix, the reason; and the next run finds room again."""
+    """RLIMIT_FSIZE."""
     bench.emulate()
     daemon = bench.serve()
     with driven(bench, samples=3000):  # it would go on for longer than anybody waits here
@@ -52,7 +53,7 @@ def test_the_disk_is_full_in_the_middle_of_a_run(bench: Bench) -> None:
             wait_for(lambda: (last := rig.status().last_run) is not None and last.finished)
             last = rig.status().last_run
     assert last is not None
-    assert "File too large; what was flushed is kept there" in last.outcome
+    assert "File too large; the flushed samples are kept there" in last.outcome
     assert Path(last.recording) == active
     recording = armrig.load(active)
     assert recording.truncated
@@ -69,7 +70,6 @@ def test_the_disk_is_full_in_the_middle_of_a_run(bench: Bench) -> None:
 
 @pytest.mark.parametrize("folder", sampled(["moved", "removed"]))
 def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) -> None:
-    """An ordinary stop, and a line for who waits: nothing is played that nobody records."""
     bench.emulate()
     daemon = bench.serve()
     client = _collecting(bench)
@@ -93,7 +93,9 @@ def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) ->
         assert recording.samples.size > 20
         check_every_k(recording)
     else:
-        assert ".mcap.active: removed while it was written; its samples are gone" in line
+        assert (
+            ".mcap.active: the file was removed during the recording; its samples are lost" in line
+        )
     check_volts(bench, 0.5, 4.5)
     assert "Traceback" not in daemon.said
     with bench.rig() as rig:
@@ -103,7 +105,6 @@ def test_the_directory_goes_in_the_middle_of_a_run(bench: Bench, folder: str) ->
 
 
 def test_what_only_looks_like_a_recording_does_not_keep_the_daemon(bench: Bench) -> None:
-    """A pipe, a link to nowhere, an empty file, a name that is no UTF-8: each is told."""
     bench.emulate()
     bench.recordings.mkdir()
     os.mkfifo(bench.recordings / "1-a.mcap.active")
@@ -115,7 +116,7 @@ def test_what_only_looks_like_a_recording_does_not_keep_the_daemon(bench: Bench)
 
     wait_for(lambda: "1-d.mcap.active" in daemon.said)
     for name in "ab":
-        assert f"1-{name}.mcap.active: not a regular file; passed over" in daemon.said
+        assert f"1-{name}.mcap.active: not a regular file; it is skipped" in daemon.said
     for name in ("c\N{REPLACEMENT CHARACTER}", "d"):
         assert f"1-{name}.mcap.active: 0 B: nothing was recorded; delete it" in daemon.said
     assert "Traceback" not in daemon.said
@@ -133,10 +134,9 @@ def _collecting(bench: Bench) -> subprocess.Popen[str]:
     return client
 
 
-def test_a_directory_that_cannot_be_written_is_told_before_the_motor_turns(
+def test_a_directory_that_cannot_be_written_is_reported_before_the_motor_turns(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Read-only from the start: not armed. Read-only later: the run is refused, 0 V stays."""
     bench.emulate()
     bench.recordings.mkdir()
     launcher = bench.folder / "unprivileged.py"
@@ -164,7 +164,6 @@ def test_a_directory_that_cannot_be_written_is_told_before_the_motor_turns(
     "name", ["../../x", "/tmp/x", "a\\u0000b", "x/y", "", "a" * 41, ".", "x\\n"]
 )
 def test_a_name_that_leads_elsewhere_is_refused(name: str) -> None:
-    """The daemon makes the file's name; of the client's it takes letters, digits and -."""
     payload = f'{{"lease": "{"a" * 32}", "n": 1, "u": [1], "experiment": "{name}"}}'
 
     with pytest.raises(ValueError, match=r"regex.*\$\.experiment"):
@@ -173,7 +172,6 @@ def test_a_name_that_leads_elsewhere_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("suffix", [".active", ".compact", ""])
 def test_a_link_that_waits_at_the_name_is_not_written_through(tmp_path: Path, suffix: str) -> None:
-    """Somebody who can write there puts a symbolic link: what it leads to stays as it was."""
     directory, elsewhere = tmp_path / "recordings", tmp_path / "elsewhere"
     directory.mkdir()
     elsewhere.write_text("precious")
@@ -194,7 +192,6 @@ def test_a_link_that_waits_at_the_name_is_not_written_through(tmp_path: Path, su
 
 
 def test_a_link_that_takes_the_place_of_a_file_is_not_written_through(tmp_path: Path) -> None:
-    """While it is written: the open file is ours, whatever its name leads to."""
     elsewhere = tmp_path / "elsewhere"
     elsewhere.write_text("precious")
     directory = tmp_path / "recordings"

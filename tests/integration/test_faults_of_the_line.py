@@ -1,4 +1,4 @@
-"""What may happen to the line between daemon and device, in the middle of a run.
+"""Faults of the line between daemon and device, during a run.
 
 The witness at the motor's terminals is the emulator's.
 """
@@ -11,11 +11,20 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 from armrig.rig.replies import RefusedError
-from driving import STOPPED_S, check_every_k, check_volts, driven, outcome, recorded, samples
-from fork_server import ForkServer
-from processes import Bench, settled, wait_for
-from relay import Relay
-from sampling import sampled
+
+from tests.integration.driving import (
+    STOPPED_S,
+    check_every_k,
+    check_volts,
+    driven,
+    outcome,
+    recorded,
+    samples,
+)
+from tests.integration.fork_server import ForkServer
+from tests.integration.processes import Bench, settled, wait_for
+from tests.integration.relay import Relay
+from tests.sampling import sampled
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +44,7 @@ def _connected(
 
 @pytest.fixture
 def bench(_connected: tuple[Bench, Relay]) -> Bench:
-    """Give the rig and the daemon that all tests here share: at 0 V, and nobody's."""
+    """Give the rig and the daemon that all tests here share: at 0 V, without a holder."""
     bench, relay = _connected
     relay.do("ends")
     with bench.rig() as rig:
@@ -67,7 +76,7 @@ def _stays_at_0_v_but_samples_again(bench: Bench) -> None:
 
 @pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
 def test_the_cable_is_pulled(bench: Bench, line: Relay, pacing: str) -> None:
-    """The pty's master is closed: the device's watchdog stops the motor; plugged in, it samples."""
+    """The master of the pty is closed."""
     with driven(bench, pacing=pacing):
         pulled_ns = line.do("unplug")
 
@@ -80,7 +89,7 @@ def test_the_cable_is_pulled(bench: Bench, line: Relay, pacing: str) -> None:
 
 @pytest.mark.parametrize("fault", ["stop_reading", "stop_answering"])
 def test_one_direction_of_the_line_fails(bench: Bench, line: Relay, fault: str) -> None:
-    """S4: no answer is no fresh round trip. What waited in the line meanwhile drives nothing."""
+    """S4: no answer is no fresh round trip."""
     with driven(bench, pacing="exchange"):
         failed_ns = line.do(fault)
 
@@ -96,7 +105,7 @@ def test_one_direction_of_the_line_fails(bench: Bench, line: Relay, fault: str) 
 
 @pytest.mark.parametrize("noise", sampled(["flip", "garbage", "cut"]))
 def test_noise_on_the_line_drives_nothing(bench: Bench, line: Relay, noise: str) -> None:
-    """Either way, one piece of twenty: frames are lost, none is made up, every k is told."""
+    """Either way, one piece of twenty is spoilt."""
     with driven(bench), bench.rig() as rig:
         line.do(noise)
         time.sleep(2.0)
@@ -113,7 +122,6 @@ def test_noise_on_the_line_drives_nothing(bench: Bench, line: Relay, noise: str)
 
 
 def test_the_device_is_reset(bench: Bench, line: Relay) -> None:
-    """By DTR, as by any program that opens its port: 0 V at once, and nobody drives it on."""
     with driven(bench):
         reset_ns = line.do("reset")
 
@@ -126,7 +134,6 @@ def test_the_device_is_reset(bench: Bench, line: Relay) -> None:
 
 
 def test_another_firmware_is_read_and_never_armed(bench: Bench, line: Relay) -> None:
-    """It says which version came and which is wanted; samples come, 0 V stays."""
     before = len(bench.voltage_changes())
     line.do("other_firmware")
     line.do("reset")

@@ -1,4 +1,4 @@
-"""A lab's router, its rigs, and one recorder for all: nothing is lost, and nobody harms another."""
+"""A lab's router, its rigs, and one recorder for all: nothing is lost, and no rig harms another."""
 
 from __future__ import annotations
 
@@ -18,12 +18,21 @@ from armrig.cli import main
 from armrig.lab import fleet_recorder
 from armrig.lab.fleet_recorder import FleetRecorder
 from armrig.rig.client import Rig
-from armrig.rig.remote_recording import CUT_OFF
 from armrig.rig.session import RigError, open_connection, open_endpoint
+from armrig_core.codes import GapCode
 from armrig_core.history import encode_past
 from armrig_daemon.service.history import History
-from fleet_lab import RIGS, WITHIN_S, FleetLab, Publisher, connected, publish, sample
-from processes import Bench, wait_for
+
+from tests.integration.fleet_lab import (
+    RIGS,
+    WITHIN_S,
+    FleetLab,
+    Publisher,
+    connected,
+    publish,
+    sample,
+)
+from tests.integration.processes import Bench, wait_for
 
 
 @pytest.fixture
@@ -36,7 +45,7 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FleetLab:
 
 @pytest.fixture
 def stack() -> Iterator[ExitStack]:
-    """Give what ends all that a test has begun."""
+    """Give a stack that ends everything that a test has begun."""
     with ExitStack() as stack:
         yield stack
 
@@ -46,8 +55,7 @@ def recorded_k(path: Path) -> list[int]:
     return [int(k) for k in armrig.load(path).samples["k"]]
 
 
-def test_nothing_is_lost_while_the_router_is_started_anew(lab: FleetLab, stack: ExitStack) -> None:
-    """Rigs and recorder find it again by themselves; each sample is in its rig's file, once."""
+def test_nothing_is_lost_while_the_router_is_restarted(lab: FleetLab, stack: ExitStack) -> None:
     router = lab.router()
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     told: list[str] = []
@@ -69,7 +77,6 @@ def test_nothing_is_lost_while_the_router_is_started_anew(lab: FleetLab, stack: 
 
 
 def test_a_rig_that_comes_later_is_taken_in(lab: FleetLab, stack: ExitStack) -> None:
-    """And one that goes away ends with its last sample; the others go on."""
     stack.enter_context(lab.router())
     first = stack.enter_context(lab.daemon("1"))
     publish([first], range(100))
@@ -88,10 +95,9 @@ def test_a_rig_that_comes_later_is_taken_in(lab: FleetLab, stack: ExitStack) -> 
     assert {one.why for one in recorder.recorded.values()} == {""}
 
 
-def test_what_is_lost_beyond_the_cache_is_told_exactly(
+def test_what_is_lost_beyond_the_cache_is_reported_exactly(
     lab: FleetLab, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of each rig by itself: the number on the screen, and as a gap in its file."""
     router = lab.router()
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     monkeypatch.setattr(daemons[0], "_history", History(bytes(16), most_bytes=100 * 87))
@@ -110,13 +116,16 @@ def test_what_is_lost_beyond_the_cache_is_told_exactly(
 
     found = {rig: armrig.load(one.files[0].path) for rig, one in recorder.recorded.items()}
     [missing] = found["1"].gaps
-    assert missing.reason == CUT_OFF
+    assert missing.code == GapCode.RECORDER_CUT_OFF
     assert missing.count == found["1"].missing == 1000 - found["1"].samples.size > 800
     assert (found["2"].missing, found["3"].missing) == (0, 0)
     [line] = [line for line in told if "lost" in line]
-    # 20 states stand in the row, too, one every 50 samples; those of the gap are lost with it.
+    # The row also has 20 states, one every 50 samples; those of the gap are lost with it.
     states = sum(k % 50 == 0 for k in range(missing.k_first, missing.k_first + missing.count))
-    assert line == f"rig 1: {CUT_OFF}: {missing.count + states} messages are lost"
+    assert (
+        line
+        == f"rig 1: {GapCode.RECORDER_CUT_OFF.sentence}: {missing.count + states} messages are lost"
+    )
 
 
 def _last(path: Path) -> int:
@@ -126,7 +135,6 @@ def _last(path: Path) -> int:
 def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
     lab: FleetLab, stack: ExitStack
 ) -> None:
-    """With a line that names it; what came of it until then is kept."""
     stack.enter_context(lab.router())
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     publish(daemons, range(50))
@@ -143,15 +151,14 @@ def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
         "2": 50,
         "3": 100,
     }
-    assert "no message of armrigd's" in recorder.recorded["2"].why
+    assert "not a message of armrigd" in recorder.recorded["2"].why
     assert files["2"].outcome.startswith("the recorder ended: ")
 
 
 def test_a_rig_whose_file_the_disk_refuses_is_an_error_and_is_recorded_when_there_is_room(
     lab: FleetLab, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The other rigs are recorded meanwhile; what the daemon keeps is in the later file."""
-    monkeypatch.setattr(fleet_recorder, "_AGAIN_S", 0.0)
+    monkeypatch.setattr(fleet_recorder, "_DISK_PAUSE_S", 0.0)
     stack.enter_context(lab.router())
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in ("1", "2")]
     publish(daemons, range(50))
@@ -167,8 +174,8 @@ def test_a_rig_whose_file_the_disk_refuses_is_an_error_and_is_recorded_when_ther
         publish(daemons, range(50, 100))
 
     assert errors == [
-        f"rig 2: its recording ended: {gone}/2.mcap: No such file or directory; give a place with "
-        "room by -o"
+        f"rig 2: its recording ended: {gone}/2.mcap: No such file or directory; give a folder with "
+        "free space by -o"
     ]
     for rig in ("1", "2"):
         [file] = recorder.recorded[rig].files
@@ -177,7 +184,7 @@ def test_a_rig_whose_file_the_disk_refuses_is_an_error_and_is_recorded_when_ther
 
 
 def test_a_rig_speaks_for_itself_alone(lab: FleetLab, stack: ExitStack) -> None:
-    """Another rig's certificate publishes, answers and stands alive under rig 1: nobody hears it.
+    """Another rig's certificate publishes and answers under rig 1, and nobody receives it.
 
     The control: under its own id the same is passed on.
     """
@@ -227,7 +234,6 @@ def _opened(lab: FleetLab, who: str) -> zenoh.Session:
 def test_the_rigs_that_are_there_are_listed(
     lab: FleetLab, bench: Bench, stack: ExitStack, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With the state of each; one that does not answer says so, and nobody tells what to do."""
     stack.enter_context(lab.router())
     assert main(["ls", "--live", "--connect", lab.endpoint]) == 0
     nobody = capsys.readouterr()
@@ -249,7 +255,7 @@ def test_the_rigs_that_are_there_are_listed(
     assert nobody.out == ""
     assert "no rig is alive" in nobody.err
     assert "start one with `armrig lab` or `armrigd run`" in nobody.err
-    assert heading.split() == ["rig", "phase", "Ts", "who", "has", "it"]
+    assert heading.split() == ["rig", "phase", "Ts", "owner"]
     assert one.split() == ["1", "safe", "0.01", "s", "nobody"]
     assert two.split() == ["2", "does", "not", "answer"]
     assert [(rig["rig"], rig["status"] and rig["status"]["phase"]) for rig in facts] == [
@@ -273,10 +279,6 @@ with Rig("1", connect=sys.argv[1], certificate=sys.argv[2]) as rig:
 def test_a_voltage_held_through_a_router_that_dies_falls_to_0_v(
     lab: FleetLab, bench: Bench, number: signal.Signals
 ) -> None:
-    """The lease runs out, as when its holder dies; what a frozen one kept back moves nothing.
-
-    The daemon was there before its router was.
-    """
     bench.configure(watchdog_ms=250, more=lab.access("1"))
     bench.emulate()
     bench.serve()
@@ -335,9 +337,12 @@ def _holding(lab: FleetLab, bench: Bench) -> subprocess.Popen[bytes]:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (("--listen", "tcp/127.0.0.1:7447"), "by their certificates: take tls/127.0.0.1:7447"),
-        (("--listen", "tls/192.0.2.1:7447"), "Cannot assign requested address; see that host"),
-        (("--certificate", "alice.pem"), "for another purpose: `armrig pki router` makes"),
+        (("--listen", "tcp/127.0.0.1:7447"), "by their certificates: use tls/127.0.0.1:7447"),
+        (
+            ("--listen", "tls/192.0.2.1:7447"),
+            "Cannot assign requested address; check that the host",
+        ),
+        (("--certificate", "alice.pem"), "has another purpose; `armrig pki router` makes"),
         (("--names", "nothing.toml"), "there is no such file; `armrig pki ca` writes one"),
     ],
 )
@@ -348,7 +353,6 @@ def test_a_router_that_cannot_be_says_so(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In a line."""
     monkeypatch.chdir(lab.made)
 
     assert main([*lab.router_command(), *change]) == 1
@@ -357,7 +361,6 @@ def test_a_router_that_cannot_be_says_so(
 
 
 def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:
-    """By Ctrl-C as a success, which is the way to end it; it says first where it is."""
     command = [sys.executable, "-m", "armrig", *lab.router_command()]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as router:
         assert router.stderr is not None
@@ -366,7 +369,8 @@ def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:
         rest = router.stderr.read()
 
     assert said == (
-        f"armrig: router at {lab.endpoint}: 3 rigs, 2 may drive and 1 may watch; Ctrl-C ends it\n"
+        f"armrig: router at {lab.endpoint}: 3 rigs, 2 may drive and 1 may watch; "
+        "Ctrl-C ends the router\n"
     )
     assert (router.returncode, rest) == (0, "")
 
@@ -374,14 +378,13 @@ def test_a_router_ends_in_order_at_a_signal(lab: FleetLab) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--all", "--rig", "1"], "--all and --rig 1: one of both"),
+        (["--all", "--rig", "1"], "--all with --rig 1: give only one"),
         (["--rig", "1", "--rig", "../x"], "rig id '../x'"),
     ],
 )
 def test_which_rigs_are_recorded_must_be_clear(
     arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In a line."""
     assert main(["record", "--from", "tls/localhost:1", *arguments]) == 1
     assert says in capsys.readouterr().err
 
@@ -389,7 +392,6 @@ def test_which_rigs_are_recorded_must_be_clear(
 def test_one_command_records_the_rigs_that_are_named(
     lab: FleetLab, stack: ExitStack, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each into a file of its own in the folder, with one summary."""
     stack.enter_context(lab.router())
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     publish(daemons, range(100))
@@ -406,10 +408,9 @@ def test_one_command_records_the_rigs_that_are_named(
     assert {recorded_k(Path(f["recording"]))[-1] for f in told["recordings"]} == {99}
 
 
-def test_a_rig_that_is_named_and_not_there_is_told(
+def test_a_rig_that_is_named_and_not_there_is_reported(
     lab: FleetLab, stack: ExitStack, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The others are recorded; the exit code says that not all are."""
     stack.enter_context(lab.router())
     daemon = stack.enter_context(lab.daemon("1"))
     publish([daemon], range(100))
@@ -420,13 +421,12 @@ def test_a_rig_that_is_named_and_not_there_is_told(
     said = capsys.readouterr()
 
     assert "100 samples, 0 missing, complete" in said.out
-    assert "rig 3: no sample came, so nothing of it is recorded" in said.err
+    assert "rig 3: no sample arrived, so it has no recording" in said.err
 
 
 def test_a_recorder_of_named_rigs_ends_where_all_have_ended(
     lab: FleetLab, stack: ExitStack
 ) -> None:
-    """Where nothing can be written there is nothing left to wait for."""
     stack.enter_context(lab.router())
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     publish(daemons, range(100))
@@ -450,7 +450,6 @@ def test_a_recorder_of_named_rigs_ends_where_all_have_ended(
 
 
 def test_the_rig_of_a_session_is_the_client_s(lab: FleetLab, stack: ExitStack) -> None:
-    """What works at a daemon works through its router: here a stream."""
     stack.enter_context(lab.router())
     daemons = [stack.enter_context(lab.daemon(rig)) for rig in RIGS]
     with Publisher(*daemons), Rig("3", connect=lab.endpoint) as rig:

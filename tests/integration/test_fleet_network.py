@@ -1,7 +1,7 @@
-"""A lab's router on its own machine, rigs on theirs, and people on another: real daemons.
+"""A lab's router, rigs and clients on machines of their own, with real daemons.
 
-Who may do what through the router is tried as at a daemon (test_access_matrix.py), and by another
-rig's certificate besides; the control is the same router without its access control.
+The permissions through the router are tried as at a daemon (test_access_matrix.py), and also by
+another rig's certificate. The control is the same router without its access control.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import armrig
-import namespaces
 import pytest
-from fleet_lab import RIGS, WITHIN_S, FleetLab
-from fork_server import ForkServer
-from processes import Bench, wait_for
-from remote_rig import HERE, said, stranger, watching
-from star import Star, star
-from stranger import ALIVE, FORGED, STREAM_KEYS, TOLD_KEYS, command_keys
+
+from tests.integration import namespaces
+from tests.integration.fleet_lab import RIGS, WITHIN_S, FleetLab
+from tests.integration.fork_server import ForkServer
+from tests.integration.processes import Bench, wait_for
+from tests.integration.remote_rig import HERE, said, stranger, watching
+from tests.integration.star import Star, star
+from tests.integration.stranger import ALIVE, FORGED, STREAM_KEYS, TOLD_KEYS, command_keys
 
 pytestmark = pytest.mark.machine
 FEW = 4
@@ -50,12 +51,12 @@ class Lab(NamedTuple):
     benches: dict[str, Bench]
 
     def logs(self) -> str:
-        """Return what the daemons have said."""
+        """Return the daemons' logs."""
         return "".join((bench.folder / "log").read_text() for bench in self.benches.values())
 
 
 class Tried(NamedTuple):
-    """What came of it all."""
+    """Results of all attempts."""
 
     by: dict[str, dict[str, Any]]
     watcher: dict[str, dict[str, int]]
@@ -167,8 +168,9 @@ def _worked(counts: dict[str, int]) -> dict[str, int]:
 @pytest.mark.parametrize(
     ("who", "links"), [("nobody", 0), ("forged", 0), ("wrong", FEW), ("rig-2", FEW)]
 )
-def test_who_may_not_hears_and_does_nothing(guarded: Tried, who: str, links: int) -> None:
-    """Nobody's certificate, one of another authority, one on no list; another rig's on rig 1."""
+def test_a_client_without_permission_hears_and_does_nothing(
+    guarded: Tried, who: str, links: int
+) -> None:
     found = guarded.by[who]
 
     assert found["links"] == links
@@ -177,7 +179,6 @@ def test_who_may_not_hears_and_does_nothing(guarded: Tried, who: str, links: int
 
 
 def test_people_do_what_the_access_list_says(guarded: Tried) -> None:
-    """An observer hears and asks, an operator commands under his own name, and nothing else."""
     allowed = {"bob": ["rig/1/cmd/status/bob"], "alice": command_keys("alice")}
     for who, commands in allowed.items():
         found = guarded.by[who]
@@ -189,14 +190,12 @@ def test_people_do_what_the_access_list_says(guarded: Tried) -> None:
         assert _worked(found["overhear"]) == {}
 
 
-def test_nothing_forged_reaches_who_listens(guarded: Tried) -> None:
-    """No sample, no end of one, no token, no reply; another rig's certificate is no exception."""
+def test_nothing_forged_reaches_a_listener(guarded: Tried) -> None:
     assert guarded.watcher["heard"]["rig/1/sample"] > 100
     assert _worked(guarded.watcher["forged"]) == {}
 
 
 def test_no_command_was_taken_but_an_operator_s(guarded: Tried) -> None:
-    """By the daemons' own logs."""
     taken = [line.split(": by ")[1] for line in guarded.log.splitlines() if ": by " in line]
 
     assert taken
@@ -218,7 +217,6 @@ def test_without_the_guard_everybody_does_everything(unguarded: Tried, who: str)
 
 
 def test_one_recorder_loses_nothing(lab: Lab) -> None:
-    """Of three rigs, while the router is killed and comes again, and the recorder is stalled."""
     folder = lab.files.folder / "files"
     with routed(lab, *GUARDED) as router:
         recorder = _armrig(
@@ -243,7 +241,7 @@ def test_one_recorder_loses_nothing(lab: Lab) -> None:
     assert len(json.loads(text)["recordings"]) == len(RIGS)
     for file in files.values():
         found = armrig.load(file["recording"])
-        # What the daemon itself missed on a busy machine it has told; the way lost nothing.
+        # The daemon has reported its own losses on a busy machine; the network lost nothing.
         assert {gap.reason for gap in found.gaps if "recorder" in gap.reason} == set()
         assert found.missing == sum(gap.count for gap in found.gaps)
         assert found.samples["t_host_ns"][-1] > ended_ns

@@ -1,4 +1,4 @@
-"""Strangers who ask without end: who holds the rig is served, and his run ends when he does."""
+"""Floods from strangers: the holder is served, and the run ends with its holder."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import pytest
 from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError
 from armrig_core import commands
-from processes import Bench, wait_for
-from test_dead_man import DEAD_MAN_S, LATE_S, RUNNER
+
+from tests.integration.processes import Bench, wait_for
+from tests.integration.test_dead_man import DEAD_MAN_S, LATE_S, RUNNER
 
 pytestmark = pytest.mark.timed
 NOT_HELD = "not the lease in force: arm first"
@@ -39,7 +40,7 @@ while True:
 
 @contextmanager
 def _flooded(bench: Bench, name: str, **fields: object) -> Iterator[None]:
-    """Have a stranger ask for something a thousand times a second, or as often as is answered."""
+    """Have a stranger send a request a thousand times a second, or as often as it is answered."""
     endpoint = f"unixsock-stream/{bench.folder}/armrig/1.sock"
     stranger = subprocess.Popen(
         ["nice", sys.executable, "-c", STRANGER, endpoint, name, json.dumps(fields)],
@@ -56,14 +57,13 @@ def _flooded(bench: Bench, name: str, **fields: object) -> Iterator[None]:
 
 
 def _said_to(rig: Rig, name: str, **fields: object) -> str:
-    """Return what a command of anybody is answered with."""
+    """Return the answer to an anonymous command."""
     payload = json.dumps(fields)
     (reply,) = rig._connected().get(f"rig/1/cmd/{name}", payload=payload, timeout=30)
     return "" if reply.err is None else json.loads(reply.err.payload.to_bytes())["error"]
 
 
 def test_a_run_that_is_not_the_holder_s_next_is_not_rehearsed(bench: Bench) -> None:
-    """A stranger's, an old one, one by who drives by hand: none gets as far as the model."""
     bench.configure(more="[limits]\nrevolutions = 1.0")
     bench.emulate()
     bench.serve()
@@ -85,7 +85,6 @@ def test_a_run_that_is_not_the_holder_s_next_is_not_rehearsed(bench: Bench) -> N
 
 
 def test_a_lease_that_is_over_lets_nobody_in(served: Bench) -> None:
-    """After a stop its holder is a stranger, to each of his commands."""
     with served.rig() as rig:
         lease = rig.arm("a test").lease
         rig.stop()
@@ -100,8 +99,7 @@ def test_a_lease_that_is_over_lets_nobody_in(served: Bench) -> None:
         rig.arm("another")
 
 
-def test_strangers_who_ask_for_runs_do_not_keep_the_holder_from_his(served: Bench) -> None:
-    """Neither from the run nor from a stop."""
+def test_strangers_that_request_runs_do_not_prevent_the_holder_s_run(served: Bench) -> None:
     with (
         _flooded(served, "run", lease="0" * 32, n=1, u=[1.0, 2.0] * 10_000),
         served.rig() as rig,
@@ -126,10 +124,10 @@ def test_strangers_who_ask_for_runs_do_not_keep_the_holder_from_his(served: Benc
 def test_a_flood_hides_neither_the_client_nor_its_end(
     served: Bench, name: str, fields: dict[str, object]
 ) -> None:
-    """Its run goes on while it lives, and stops a period after its last sign.
+    """There are three attempts.
 
-    Tried up to three times: on a busy machine such a flood holds the emulator up, and the device's
-    watchdog ends the run before its client does.
+    On a busy machine such a flood delays the emulator, and the device's watchdog ends the run
+    before its client does.
     """
     for _ in range(3):
         took_s, last = _killed_in_a_flood(served, name, fields)
@@ -169,7 +167,6 @@ def _killed_in_a_flood(
 
 
 def test_a_rig_that_somebody_holds_is_not_looked_at_for_another(served: Bench) -> None:
-    """The refusal names the holder, as the core's does."""
     with served.rig() as rig, served.rig() as other:
         rig.arm("a student")
         with pytest.raises(

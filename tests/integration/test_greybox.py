@@ -9,7 +9,8 @@ import sys
 import armrig
 import pytest
 from armrig_core.arm import ArmParameters
-from processes import Bench
+
+from tests.integration.processes import Bench
 
 SECONDS = 6
 
@@ -33,7 +34,7 @@ def _collected(bench: Bench, *arguments: str) -> str:
 
 @pytest.mark.exhaustive
 def test_collected_from_the_chassis_the_inertia_comes_back(bench: Bench) -> None:
-    """Emulator, daemon and `armrig collect` are processes; J_1 is the emulator's in 3 sigma."""
+    """Emulator, daemon and `armrig collect` are processes; J_1 is within 3 sigma."""
     bench.configure(more="arm_removed = true\nseed = 5\n[arm]\nremoved = true")
     bench.emulate()
     bench.serve()

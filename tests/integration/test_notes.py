@@ -10,9 +10,10 @@ import armrig
 import pytest
 from armrig.cli import main
 from armrig_core import commands
-from driving import check_volts
-from processes import Bench, wait_for
-from watching import endpoint
+
+from tests.integration.driving import check_volts
+from tests.integration.processes import Bench, wait_for
+from tests.integration.watching import endpoint
 
 HOSTILE = "#panic() <img src=x onerror=alert(1)> `ls` $(ls) *x* \U0001f916"
 FLOOD = 400
@@ -21,7 +22,7 @@ FLOOD = 400
 def test_notes_are_in_the_recording_and_nothing_to_the_run(
     served: Bench, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """S5, R1: of the command line, with markup, refused ones and a flood; the run plays on."""
+    """S5, R1: notes of the command line, with markup, refused ones and a flood."""
     where = ["--connect", endpoint(served)]
     with served.rig() as rig:
         rig.arm("a test", Ts=0.01)
@@ -65,7 +66,7 @@ _REFUSED: list[dict[str, Any]] = [
 
 
 def _sent(rig: armrig.Rig, **fields: Any) -> str:
-    """Send a note as it is, unchecked; return the answer, "" for a refusal."""
+    """Send a note unchecked; return the answer, "" for a refusal."""
     key = f"rig/{rig.rig}/cmd/note"
     (reply,) = rig._connected().get(key, payload=json.dumps(fields), timeout=30)
     return "" if reply.ok is None else reply.ok.payload.to_bytes().decode()

@@ -1,4 +1,4 @@
-"""What a daemon tells systemd, and how it takes what systemd asks; a test in systemd's place."""
+"""Messages between a daemon and systemd; a test replaces systemd."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from armrig_daemon.config import MEND
-from armrig_daemon.service.service import AGAIN
-from driving import outcome, recorded
-from processes import WITHIN_S, Bench, Process, freeze, wait_for
+from armrig_daemon.config import EX_CONFIG
+from armrig_daemon.service.service import EX_TEMPFAIL
+
+from tests.integration.driving import outcome, recorded
+from tests.integration.processes import WITHIN_S, Bench, Process, freeze, wait_for
 
 
 class Systemd:
-    """The socket at which a service tells how it is."""
+    """Socket on which a service reports its state."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -29,23 +30,23 @@ class Systemd:
 
     @property
     def env(self) -> dict[str, str]:
-        """What systemd sets for a service."""
+        """Variables that systemd sets for a service."""
         return {"NOTIFY_SOCKET": str(self._path)}
 
     def hear(self) -> str:
-        """Return the next that is told."""
+        """Return the next message."""
         self.told.append(self._socket.recv(4096).decode())
         return self.told[-1]
 
     def hear_until(self, line: str) -> list[str]:
-        """Return what is told up to this line."""
+        """Return the messages up to this line."""
         before = len(self.told)
         while self.hear() != line:
             pass
         return self.told[before:]
 
     def heard_within(self, seconds: float) -> list[str]:
-        """Return all that is told in so long."""
+        """Return all messages within a time."""
         before, until = len(self.told), time.monotonic() + seconds
         while (left := until - time.monotonic()) > 0:
             if select.select([self._socket], [], [], left)[0]:
@@ -72,10 +73,9 @@ def daemon(bench: Bench, systemd: Systemd) -> Process:
     return bench.serve(systemd.env)
 
 
-def test_a_service_tells_how_it_is_from_its_start_to_its_end(
+def test_a_service_reports_its_state_from_its_start_to_its_end(
     bench: Bench, systemd: Systemd, daemon: Process
 ) -> None:
-    """Ready once it answers; what `systemctl status` shows; that it ends, before it has ended."""
     systemd.hear_until("READY=1")
     systemd.hear_until("STATUS=safe, nobody has it")
     with bench.rig() as rig:
@@ -89,10 +89,9 @@ def test_a_service_tells_how_it_is_from_its_start_to_its_end(
 
 
 @pytest.mark.exhaustive
-def test_a_loop_that_hangs_is_told_by_silence(
+def test_a_loop_that_hangs_is_reported_by_silence(
     bench: Bench, systemd: Systemd, daemon: Process
 ) -> None:
-    """It comes on once a second; the service, which is well, does not speak for it."""
     for _ in range(3):
         systemd.hear_until("WATCHDOG=1")
     loop = bench.loop_pid(daemon)
@@ -108,7 +107,6 @@ def test_a_loop_that_hangs_is_told_by_silence(
 
 
 def test_a_reload_is_refused_while_somebody_has_the_rig(bench: Bench, daemon: Process) -> None:
-    """The run goes on to its end, and the configuration in force stays."""
     with bench.rig() as rig:
         rig.arm("group 3", Ts=0.01)
         daemon.kill(signal.SIGHUP)
@@ -116,12 +114,11 @@ def test_a_reload_is_refused_while_somebody_has_the_rig(bench: Bench, daemon: Pr
 
     assert outcome(recorded(bench)) == "complete"
     assert path.exists()
-    assert "configuration not read anew: group 3 has the rig; reload when" in daemon.said
+    assert "configuration not reloaded: group 3 has the rig; reload when" in daemon.said
     assert daemon.popen.poll() is None
 
 
 def test_a_reload_that_brings_a_bad_configuration_is_refused(bench: Bench, daemon: Process) -> None:
-    """What is wrong is told, and the rig is served as before."""
     bench.configure(more="[limits]\nu_max_v = 6")
 
     daemon.kill(signal.SIGHUP)
@@ -136,30 +133,31 @@ def test_a_reload_that_opens_half_a_network_is_refused(bench: Bench, daemon: Pro
 
     daemon.kill(signal.SIGHUP)
 
-    wait_for(lambda: "configuration not read anew, the one in force stays: [access]" in daemon.said)
+    wait_for(
+        lambda: "configuration not reloaded, the old configuration stays: [access]" in daemon.said
+    )
     assert bench.settled() == "safe"
 
 
 def test_a_reload_of_a_free_rig_ends_the_daemon_to_be_started_again(
     bench: Bench, daemon: Process
 ) -> None:
-    """By an exit code of its own, at which systemd starts it with the priority of a loop."""
+    """At this exit code systemd starts the daemon again, with the priority of a loop."""
     bench.configure(more="[limits]\nu_max_v = 4")
 
     daemon.kill(signal.SIGHUP)
 
-    assert daemon.popen.wait(WITHIN_S) == AGAIN
+    assert daemon.popen.wait(WITHIN_S) == EX_TEMPFAIL
     bench.serve()
     with bench.rig() as rig:
         assert rig.status().u_max == 4
 
 
 def test_a_service_that_cannot_begin_is_never_ready(bench: Bench, systemd: Systemd) -> None:
-    """Its port is no serial port: systemd is to say that the start failed."""
     bench.use_terminal()
     bench.port.write_text("")
 
     daemon = bench.start(*("armrig_daemon", "run", "--config", str(bench.config)), env=systemd.env)
 
-    assert daemon.popen.wait(WITHIN_S) == MEND
+    assert daemon.popen.wait(WITHIN_S) == EX_CONFIG
     assert "READY=1" not in systemd.heard_within(0.1)

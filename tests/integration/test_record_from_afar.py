@@ -1,4 +1,4 @@
-"""A rig recorded from afar: nothing is lost that its daemon still keeps, and the rest is told."""
+"""A rig recorded from afar: no kept message is lost, and any other loss is reported."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import zenoh
 from armrig.cli import main
 from armrig.recordings.recording import Recording
 from armrig.recordings.verification import verify
-from armrig.rig.remote_recording import CUT_OFF, STARTED_ANEW, RemoteRecording
+from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecording
 from armrig.rig.remote_source import Piece, RemoteSource
 from armrig.rig.session import RigError, open_session
 from armrig_core import protobuf
@@ -29,7 +29,8 @@ from armrig_core.history import ANSWER_LIMIT, encode_past
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.service.history import History
 from armrig_daemon.service.publish import Session
-from processes import Bench
+
+from tests.integration.processes import Bench
 
 TS_NS = 10_000_000
 
@@ -56,7 +57,7 @@ def state(k: int, Ts: float = 0.01) -> bytes:
 
 
 def gap(k_first: int, count: int) -> bytes:
-    """Return a gap that the daemon tells."""
+    """Return a gap record of the daemon."""
     t_ns = 5_000_000_000 + k_first * TS_NS
     message = protobuf.message_class(protobuf.GAP)(
         k_first=k_first,
@@ -80,7 +81,7 @@ class Recorder:
         )
 
     def take(self) -> Piece:
-        """Record all that there is; wait for a daemon that is away."""
+        """Record all messages; wait for a daemon that is away."""
         until = time.monotonic() + 30
         while (piece := self.source.next_piece()) is None:
             assert time.monotonic() < until
@@ -92,7 +93,7 @@ class Recorder:
         return piece
 
     def files(self) -> list[Recording]:
-        """Return what was recorded, complete."""
+        """Return the recorded files, complete."""
         self.recording.finish(COMPLETE)
         return [armrig.load(file.path) for file in self.recording.done]
 
@@ -109,8 +110,7 @@ def recorded_k(recording: Recording) -> list[int]:
     return [int(k) for k in recording.samples["k"]]
 
 
-def test_who_comes_late_gets_what_is_kept(where: str, tmp_path: Path) -> None:
-    """And then all that follows, however seldom he asks: each message once, in order."""
+def test_a_late_recorder_gets_what_is_kept(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
         publish(daemon, range(1000))
         with open_session(where, rig="1") as session:
@@ -141,7 +141,6 @@ def test_who_comes_late_gets_what_is_kept(where: str, tmp_path: Path) -> None:
 def test_what_is_lost_for_good_is_a_gap(
     where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With a reason, and its exact number of samples; a daemon's gap within it stays its own."""
     with Session(where, "1", lambda: None) as daemon:
         monkeypatch.setattr(daemon, "_history", History(bytes(16), most_bytes=100 * 87))
         publish(daemon, range(50))
@@ -155,15 +154,14 @@ def test_what_is_lost_for_good_is_a_gap(
     ks = recorded_k(found)
     assert ks == [*range(50), *range(ks[50], 1000)]
     [missing] = found.gaps
-    assert (missing.k_first, missing.count, missing.reason) == (50, ks[50] - 50, CUT_OFF)
+    assert (missing.k_first, missing.count, missing.code) == (50, ks[50] - 50, "recorder_cut_off")
     assert np.isnan(found.u[50 : ks[50]]).all()
     assert found.missing == missing.count > 800
     assert any("messages are lost" in event.message for event in found.events)
     assert len(recorder.told) == 1
 
 
-def test_a_daemon_that_is_started_anew_begins_a_file(where: str, tmp_path: Path) -> None:
-    """The session finds it again by itself; the first file says why it ended."""
+def test_a_restarted_daemon_begins_a_file(where: str, tmp_path: Path) -> None:
     with Session(where, "1", lambda: None) as daemon:
         publish(daemon, range(30))
         session = open_session(where, rig="1")
@@ -185,7 +183,6 @@ def test_a_daemon_that_is_started_anew_begins_a_file(where: str, tmp_path: Path)
 
 
 def test_another_sampling_time_begins_a_file(where: str, tmp_path: Path) -> None:
-    """A file has one."""
     with Session(where, "1", lambda: None) as daemon, open_session(where, rig="1") as session:
         publish(daemon, range(10))
         daemon.put("state", state(10, Ts=0.002))
@@ -216,32 +213,30 @@ def node(mode: str, where: str) -> zenoh.Session:
         encode_past(bytes(16), 0, 0, [("event", bytes(ANSWER_LIMIT))]),
     ],
 )
-def test_what_answers_and_is_no_daemon_is_told_so(
-    where: str, tmp_path: Path, answer: bytes
-) -> None:
-    """In a line."""
+def test_an_answer_of_no_daemon_is_reported(where: str, tmp_path: Path, answer: bytes) -> None:
     with node("peer", where) as other:
         other.declare_queryable("rig/1/history", lambda query: query.reply(query.key_expr, answer))
         with open_session(where, rig="1") as session:
             recorder = Recorder(session, tmp_path / "a.mcap")
-            with pytest.raises(RigError, match=r"no armrigd|no message of armrigd's"):
+            with pytest.raises(RigError, match=r"not an armrigd|not a message of armrigd"):
                 recorder.take()
 
 
 def test_an_answer_to_what_was_not_asked_is_none_of_a_daemon(where: str) -> None:
-    """The same messages again would be recorded twice."""
+    """The same messages would be recorded twice."""
     answer = encode_past(bytes(16), 0, 0, [("sample", sample(0))])
     with node("peer", where) as other:
         other.declare_queryable("rig/1/history", lambda query: query.reply(query.key_expr, answer))
         with open_session(where, rig="1") as session:
             source = RemoteSource(session, "1")
             assert source.next_piece() is not None
-            with pytest.raises(RigError, match="from 1 on were asked for, and those from 0 on"):
+            with pytest.raises(
+                RigError, match="from number 1 on were requested, but messages from 0 on"
+            ):
                 source.next_piece()
 
 
 def test_of_two_that_answer_the_first_one_s_is_taken(where: str) -> None:
-    """A second daemon of that id, which a router joins, gets nothing into the file."""
     answers = {life: History(life * 16) for life in (b"a", b"b")}
     for history in answers.values():
         history.add("sample", sample(0))
@@ -268,7 +263,7 @@ def test_of_two_that_answer_the_first_one_s_is_taken(where: str) -> None:
 
 @pytest.fixture
 def published(where: str) -> Iterator[Callable[[], int]]:
-    """Publish samples until the end; give a function that says how many there are."""
+    """Publish samples until the end; give a function that returns their number."""
     with Session(where, "1", lambda: None) as daemon:
         stop, k = threading.Event(), 0
 
@@ -296,7 +291,6 @@ def test_the_command_records_until_its_time_is_over(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """And says where; for a person, and for a program."""
     monkeypatch.chdir(tmp_path)
     assert main(["record", "--from", where, "-o", "a.mcap", "--seconds", "1"]) == 0
     told = capsys.readouterr()
@@ -312,7 +306,6 @@ def test_the_command_records_until_its_time_is_over(
 
 
 def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path: Path) -> None:
-    """However soon that is: what one answer does not take is asked for."""
     path = tmp_path / "a.mcap"
     with Session(where, "1", lambda: None) as daemon:
         publish(daemon, range(20_000))
@@ -324,17 +317,20 @@ def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["-o", "a.txt"], "-o a.txt: a recording's name ends in .mcap"),
-        (["-o", "there.mcap"], "there.mcap is there already; give another name"),
+        (["-o", "a.txt"], "-o a.txt: the name of a recording ends in .mcap"),
+        (["-o", "there.mcap"], "there.mcap exists; give another name"),
         (["-o", "none/a.mcap"], "No such file or directory"),
         (["--rig", "9"], "no reply from rig 9"),
         (["--rig", "../x"], "rig id '../x': 1 to 40 of a-z, 0-9 and - are allowed"),
-        (["--rig", "played-1"], "what begins with played- is a recording that `armrig play` plays"),
-        (["--seconds", "nan"], "--seconds nan: a number above 0 is needed"),
-        (["--seconds", "-1"], "--seconds -1: a number above 0 is needed"),
+        (
+            ["--rig", "played-1"],
+            "an id that begins with played- belongs to a recording that `armrig play` plays",
+        ),
+        (["--seconds", "nan"], "--seconds nan: must be more than 0"),
+        (["--seconds", "-1"], "--seconds -1: must be more than 0"),
     ],
 )
-def test_what_cannot_be_recorded_is_told(
+def test_what_cannot_be_recorded_is_reported(
     where: str,
     tmp_path: Path,
     published: Callable[[], int],
@@ -343,7 +339,6 @@ def test_what_cannot_be_recorded_is_told(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In a line, and nothing is left."""
     monkeypatch.chdir(tmp_path)
     Path("there.mcap").touch()
     while published() < 5:
@@ -359,7 +354,6 @@ def test_what_cannot_be_recorded_is_told(
 def test_a_signal_ends_it_with_a_whole_file(
     where: str, tmp_path: Path, published: Callable[[], int], number: int, code: int
 ) -> None:
-    """Up to what was published when it came, whatever the recorder was at."""
     path = tmp_path / "a.mcap"
     command = [sys.executable, "-m", "armrig", "record", "--from", where, "-o", str(path)]
     with subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE) as process:
@@ -380,7 +374,6 @@ def test_a_signal_ends_it_with_a_whole_file(
 def test_what_came_before_an_end_by_force_is_recovered(
     where: str, tmp_path: Path, published: Callable[[], int]
 ) -> None:
-    """Kill -9: a prefix without holes."""
     path = tmp_path / "a.mcap"
     command = [sys.executable, "-m", "armrig", "record", "--from", where, "-o", str(path)]
     with subprocess.Popen(command) as process:
@@ -397,7 +390,7 @@ def test_what_came_before_an_end_by_force_is_recovered(
 
 
 def test_a_disk_that_is_full_ends_it_with_a_whole_prefix(where: str, tmp_path: Path) -> None:
-    """And says so; a limit of the file's size does what a full disk does."""
+    """A limit of the file's size acts as a full disk."""
     path = tmp_path / "a.mcap"
     command = f"ulimit -f 600; exec {sys.executable} -m armrig record --from {where} -o {path}"
     with Session(where, "1", lambda: None) as daemon:
@@ -406,14 +399,13 @@ def test_a_disk_that_is_full_ends_it_with_a_whole_prefix(where: str, tmp_path: P
 
     active = path.with_name("a.mcap.active")
     assert done.returncode == 1
-    assert f"{active}: File too large; what was flushed is kept there" in done.stderr
+    assert f"{active}: File too large; the flushed samples are kept there" in done.stderr
     ks = recorded_k(armrig.load(active))
     assert ks == list(range(len(ks)))
     assert 1000 < len(ks) < 20_000
 
 
 def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
-    """On a real daemon: the samples of its own recording, bit for bit, through a run and beyond."""
     bench.configure()
     bench.emulate()
     bench.serve()
@@ -444,7 +436,6 @@ def test_a_run_is_recorded_here_as_there(bench: Bench, tmp_path: Path) -> None:
 def test_a_recording_that_is_played_at_a_daemon_s_place_reaches_no_motor(
     bench: Bench, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is refused there, and the daemon goes on: for who holds the rig and for who comes anew."""
     bench.configure()
     bench.emulate()
     bench.serve()

@@ -12,15 +12,15 @@ from armrig.cli.replay import replay
 from armrig.rig.replies import RunEndedError
 from armrig_core.errors import FileError
 from armrig_daemon.decisions import setpoints
-from processes import Bench
-from sampling import sampled
+
+from tests.integration.processes import Bench
+from tests.sampling import sampled
 
 
 @pytest.mark.parametrize("pacing", sampled(["scheduled", "exchange"]))
-def test_a_real_run_is_decided_once_more_to_the_last_bit(
+def test_a_real_run_is_decided_again_to_the_last_bit(
     served: Bench, pacing: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every frame and every sample; and a core that decides otherwise is found out."""
     u = armrig.telegraph(400, 0.1, low=0.0, high=5.0, seed=1)
     with served.rig() as rig:
         rig.arm("a test", Ts=0.005)
@@ -34,14 +34,13 @@ def test_a_real_run_is_decided_once_more_to_the_last_bit(
     assert found.frames > (10 if pacing == "scheduled" else found.samples)
     assert found.seconds > 1.9
     if pacing == "scheduled":
-        monkeypatch.setattr(setpoints, "PING_US", 10_000_000)
+        monkeypatch.setattr(setpoints, "PING_INTERVAL_US", 10_000_000)
         assert "now decides nothing" in replay(path).difference
 
 
 def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
     served: Bench, tmp_path: Path
 ) -> None:
-    """Wherever it was cut; and where no step is left, it is told to be cut off."""
     growing = tmp_path / "growing.mcap.active"
 
     def copy(done: int, total: int) -> None:
@@ -66,7 +65,6 @@ def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
 
 
 def test_the_command_says_what_it_replayed(bench: Bench) -> None:
-    """A run that tripped, decided once more with its reason."""
     emulator = bench.emulate()
     bench.serve()
     with bench.rig() as rig:
@@ -84,14 +82,13 @@ def test_the_command_says_what_it_replayed(bench: Bench) -> None:
         [sys.executable, "-m", "armrig", "replay", path], capture_output=True, text=True, check=True
     )
 
-    assert "decided the same, to the last bit" in said.stdout
+    assert "replay made the same decisions, to the last bit" in said.stdout
     assert "stopped at 0 V" in said.stdout
     assert str(stopped.value).split(";")[0].split(": ")[-1] in said.stdout
 
 
-def test_a_recording_without_steps_is_told(tmp_path: object) -> None:
-    """A missing file is the system's error, as of every command; another kind of file is told."""
+def test_a_recording_without_steps_is_reported(tmp_path: object) -> None:
     with pytest.raises(FileNotFoundError, match=r"nowhere\.mcap"):
         replay(f"{tmp_path}/nowhere.mcap")
-    with pytest.raises(FileError, match=r"test_replay\.py: is no MCAP file"):
+    with pytest.raises(FileError, match=r"test_replay\.py: not an MCAP file"):
         replay(__file__)

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from armrig.rig.replies import RefusedError
 from armrig_core.manifest import CONFIG
-from armrig_daemon.config import MEND
+from armrig_daemon.config import EX_CONFIG
 from mcap.reader import make_reader
-from processes import WITHIN_S, Bench, Process, wait_for
+
+from tests.integration.processes import WITHIN_S, Bench, Process, wait_for
 
 SUBSCRIBER = """
 import sys, zenoh
@@ -46,7 +47,6 @@ print(ks[-1] - ks[0] + 1)
 
 
 def test_a_run_comes_back_as_a_recording_that_others_read(served: Bench) -> None:
-    """Arm, run, load: every u at its k; the independent doctor finds nothing wrong."""
     u = armrig.telegraph(300, 0.1, low=0.0, high=5.0, seed=1)
 
     with served.rig() as rig:
@@ -74,7 +74,7 @@ def test_a_run_comes_back_as_a_recording_that_others_read(served: Bench) -> None
 
 
 def test_a_plain_zenoh_subscriber_needs_only_endpoint_and_schema(served: Bench) -> None:
-    """No armrig in that process: the served descriptors decode live samples."""
+    """No armrig in that process."""
     endpoint = f"unixsock-stream/{served.folder}/armrig/1.sock"
 
     result = subprocess.run(
@@ -89,8 +89,7 @@ def test_a_plain_zenoh_subscriber_needs_only_endpoint_and_schema(served: Bench) 
     assert int(result.stdout) >= 100
 
 
-def test_a_command_with_a_wrong_field_is_told_which(served: Bench) -> None:
-    """The refusal crosses the network as a sentence."""
+def test_a_command_with_a_wrong_field_is_refused_with_its_name(served: Bench) -> None:
     with served.rig() as rig:
         with pytest.raises(RefusedError, match=r"scheduled mode: at least 0.000401 s"):
             rig.arm("a test", Ts=0.0003)
@@ -103,7 +102,7 @@ def test_a_command_with_a_wrong_field_is_told_which(served: Bench) -> None:
 
 
 def test_a_client_that_checks_nothing_is_refused_by_the_daemon(served: Bench) -> None:
-    """S1: the service checks by itself; no command of a broken client reaches the motor."""
+    """S1: the service checks by itself."""
     before = len(served.voltage_changes())
     with served.rig() as rig:
         lease = rig.arm("a test").lease
@@ -117,7 +116,6 @@ def test_a_client_that_checks_nothing_is_refused_by_the_daemon(served: Bench) ->
 
 
 def test_the_voltage_follows_the_hand_and_the_stop(served: Bench) -> None:
-    """The witness at the terminals sees what was set, and 0 V after a stop."""
     with served.rig() as rig:
         rig.arm("a test")
         rig.set(2.0)
@@ -149,31 +147,28 @@ def test_the_socket_is_for_the_user_and_the_group_alone(served: Bench) -> None:
 def test_a_bad_configuration_is_refused_in_one_line(
     bench: Bench, more: str, complaint: str
 ) -> None:
-    """File, key, value, what is allowed; exit code not 0."""
     bench.configure(more=more)
 
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
 
-    assert daemon.popen.wait(WITHIN_S) == MEND
+    assert daemon.popen.wait(WITHIN_S) == EX_CONFIG
     assert complaint in daemon.said
     assert daemon.said.count("\n") == 1
 
 
 def test_a_directory_of_sockets_that_others_can_write_to_is_refused(bench: Bench) -> None:
-    """Who can would put a socket of his own there; its clients would refuse it, too."""
     sockets = bench.folder / "armrig"
     sockets.mkdir()
     sockets.chmod(0o777)
 
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
 
-    assert daemon.popen.wait(WITHIN_S) == MEND
+    assert daemon.popen.wait(WITHIN_S) == EX_CONFIG
     assert f"{sockets}: can be written by other users (mode 777, not 700); set XDG" in daemon.said
     assert daemon.said.count("\n") == 1
 
 
-def test_the_thread_whose_end_the_loop_is_told_waits_for_no_processor(served: Bench) -> None:
-    """It has a real-time priority where the loop has; no other thread of the service has."""
+def test_the_thread_of_the_loop_s_parent_death_signal_waits_for_no_processor(served: Bench) -> None:
     daemon = served.processes[-1]
     loop = served.loop_pid(daemon)
     if os.sched_getscheduler(loop) != os.SCHED_FIFO:
@@ -187,29 +182,27 @@ def test_the_thread_whose_end_the_loop_is_told_waits_for_no_processor(served: Be
 
 
 def test_a_file_at_the_place_of_the_socket_is_left_there(bench: Bench) -> None:
-    """Whoever listens there would delete it."""
     place = bench.folder / "armrig" / "1.sock"
     place.parent.mkdir(mode=0o700)
     place.write_text("somebody's notes")
 
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
 
-    assert daemon.popen.wait(WITHIN_S) == MEND
+    assert daemon.popen.wait(WITHIN_S) == EX_CONFIG
     assert place.read_text() == "somebody's notes"
-    assert f"{place}: there is another file where the socket belongs; move it away" in daemon.said
+    assert f"{place}: another file has the name of the socket; move it away" in daemon.said
     assert daemon.said.count("\n") == 1
 
 
 def test_a_port_that_is_not_there_is_waited_for(bench: Bench) -> None:
-    """What it waits for is said once, status says it too; the rig is ready when it is there."""
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
     wait_for(lambda: bench.phase() == "init")
     with bench.rig() as rig:
         wait_for(lambda: rig.status().line)
         assert rig.status().line.startswith(
-            f"{bench.port}: no rig is there, and the daemon waits for it"
+            f"{bench.port}: no rig is connected, and the daemon waits for one"
         )
-        with pytest.raises(RefusedError, match="no rig is there, and the daemon waits for it"):
+        with pytest.raises(RefusedError, match="no rig is connected, and the daemon waits for one"):
             rig.arm("a test")
 
     bench.emulate()
@@ -220,19 +213,17 @@ def test_a_port_that_is_not_there_is_waited_for(bench: Bench) -> None:
 
 
 def test_a_port_that_is_taken_is_said(served: Bench) -> None:
-    """Two daemons on one port: the second gives up, the first goes on."""
     second = served.start("armrig_daemon", "run", "--config", str(served.config), "--rig", "2")
 
-    assert second.popen.wait(WITHIN_S) == MEND
+    assert second.popen.wait(WITHIN_S) == EX_CONFIG
     assert "it is taken by another program" in second.said
     assert served.settled() == "safe"
 
 
 def test_two_daemons_of_one_rig_are_one_too_many(served: Bench) -> None:
-    """The second finds the endpoint taken."""
     second = served.start("armrig_daemon", "run", "--config", str(served.config), "--emulate")
 
-    assert second.popen.wait(WITHIN_S) == MEND
+    assert second.popen.wait(WITHIN_S) == EX_CONFIG
     assert "1.sock" in second.said
     assert "Traceback" not in second.said
     assert served.settled() == "safe"
@@ -242,7 +233,6 @@ def test_two_daemons_of_one_rig_are_one_too_many(served: Bench) -> None:
 def test_an_emulated_rig_has_the_longest_watchdog_unless_one_is_said(
     bench: Bench, said: str, watchdog_ms: int
 ) -> None:
-    """Of `run --emulate`: it bears a busy machine, and nothing breaks when it turns on."""
     bench.config.write_text(f'[device]\n{said}\n[recording]\ndirectory = "{bench.recordings}"\n')
 
     daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config), "--emulate")
@@ -253,7 +243,7 @@ def test_an_emulated_rig_has_the_longest_watchdog_unless_one_is_said(
 
 
 def test_a_rig_that_is_not_emulated_by_us_has_the_watchdog_of_the_wire(bench: Bench) -> None:
-    """100 ms, where the configuration does not say one."""
+    """100 ms."""
     bench.emulate()
     bench.config.write_text(
         f'[device]\nport = "{bench.port}"\nbaud = 1000000\n'
@@ -281,7 +271,6 @@ def _watchdog_of_a_run(bench: Bench, daemon: Process) -> int:
 
 @pytest.mark.parametrize("program", ["run", "emulate"])
 def test_a_configuration_that_is_a_pipe_is_refused(bench: Bench, program: str) -> None:
-    """Nobody writes to it: one line, no waiting."""
     bench.config.unlink()
     os.mkfifo(bench.config)
 
@@ -290,5 +279,5 @@ def test_a_configuration_that_is_a_pipe_is_refused(bench: Bench, program: str) -
         *("--port", str(bench.folder / "other")),
     )
 
-    assert daemon.popen.wait(WITHIN_S) == MEND
+    assert daemon.popen.wait(WITHIN_S) == EX_CONFIG
     assert daemon.said == f"armrigd: {bench.config}: not a regular file\n"

@@ -1,4 +1,4 @@
-"""An emulated rig whose process is stopped: told, and in the recording."""
+"""Stalls of an emulated rig's process: reported, and in the recording."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.jitter import disturbances
-from fork_server import ForkServer
-from processes import Bench, Process, freeze, wait_for
+
+from tests.integration.fork_server import ForkServer
+from tests.integration.processes import Bench, Process, freeze, wait_for
 
 
 @pytest.fixture
@@ -27,7 +28,7 @@ def bench(tmp_path: Path, forks: ForkServer) -> Iterator[Bench]:
 
 
 def _emulated(bench: Bench) -> tuple[Process, int]:
-    """Start the daemon with an emulator of its own; return that one's process id, too."""
+    """Start the daemon with an emulator; return the emulator's process id, too."""
     bench.config.write_text(f'[recording]\ndirectory = "{bench.recordings}"\n')
     daemon = bench.start("armrig_daemon", "run", "--emulate", "--config", str(bench.config))
     wait_for(lambda: bench.phase() == "safe", 30.0)
@@ -47,8 +48,8 @@ def _held_up_ms(said: str) -> list[int]:
     return [int(ms) for ms in re.findall(r"emulator held up (\d+) ms", said)]
 
 
-def test_the_daemon_tells_for_how_long(bench: Bench) -> None:
-    """All of it but 20 ms, which may pass for a wait and for being late."""
+def test_the_daemon_reports_the_length_of_a_stall(bench: Bench) -> None:
+    """20 ms may count as a wait or as lateness."""
     daemon, pid = _emulated(bench)
 
     _stop(pid, 0.4)
@@ -57,8 +58,7 @@ def test_the_daemon_tells_for_how_long(bench: Bench) -> None:
     assert daemon.popen.poll() is None
 
 
-def test_it_stands_in_the_recording(bench: Bench) -> None:
-    """In the recording of a run that goes on."""
+def test_the_stall_is_in_the_recording(bench: Bench) -> None:
     _, pid = _emulated(bench)
     stopper = threading.Timer(0.8, _stop, (pid, 0.1))
 
@@ -73,7 +73,6 @@ def test_it_stands_in_the_recording(bench: Bench) -> None:
 
 
 def test_an_emulator_that_tolerates_nothing_says_nothing(bench: Bench) -> None:
-    """As `armrigd emulate` is, for the bench and the tests: a stall is the rig's."""
     emulator = bench.emulate()
     daemon = bench.serve()
 

@@ -1,10 +1,10 @@
-"""What people read who work at a rig: commands and the daemon's log, word for word.
+"""Output of commands and the daemon's log during work at a rig, word for word.
 
-A file in `stories/` is a script and its stored output. A line that begins with `$` is a command; a
-line that begins with `%` is done to the rig, one that begins with `=` stands in its configuration,
-behind `[emulator]`. The other lines are what was read. Words are compared exactly; numbers, names
-of recordings and folders are not. `make stored` writes the files again: read the difference before
-you commit it.
+A file in `stories/` is a script and its stored output. A line that begins with `$` is a command, a
+line with `%` an event of the rig. A line with `=` belongs to its configuration, after `[emulator]`.
+The other lines are the output. Words are compared exactly; numbers, names of
+recordings and folders are not. `make stored` writes the files again: read the difference before you
+commit it.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from driving import driven, recorded
-from processes import Bench, wait_for
+
+from tests.integration.driving import driven, recorded
+from tests.integration.processes import Bench, wait_for
 
 STORIES = Path(__file__).with_name("stories")
 _OF_A_RUN = re.compile(r"\d{8}T\d{6}|\b[0-9a-f]{8,}\b|\d{4}-\d\d-\d\dT[\d:.+]+")
@@ -31,7 +32,7 @@ _OF_THIS_HOST = re.compile(
 
 
 class Stage:
-    """A rig with its daemon, and what is done to it."""
+    """A rig with its daemon, and the events of a story."""
 
     def __init__(self, bench: Bench, stack: ExitStack, configuration: str = "") -> None:
         self._bench = bench
@@ -43,7 +44,7 @@ class Stage:
         self._stack = stack
 
     def command(self, line: str) -> str:
-        """Return what a command prints, and its exit code unless that is 0."""
+        """Return the output of a command, and its exit code unless that is 0."""
         program, *arguments = shlex.split(line.replace("LAST", self._last()))
         assert program == "armrig", line
         done = self._bench.armrig(*arguments)
@@ -51,7 +52,7 @@ class Stage:
         return done.stdout + done.stderr + ended
 
     def act(self, what: str) -> str:
-        """Do something to the rig; return what the daemon has logged since the last `log`."""
+        """Apply an event to the rig; return the daemon's log since the last `log`."""
         match what:
             case "log":
                 text = self._daemon.said
@@ -95,7 +96,7 @@ def words(text: str, folder: Path) -> list[str]:
 
 
 def told(script: str, stage: Stage) -> str:
-    """Return a story: the lines of a script, and what is read after each of them."""
+    """Return a story: the lines of a script, with the output after each."""
     parts = []
     for line in script.splitlines(keepends=True):
         if line.startswith("$ "):
@@ -108,8 +109,7 @@ def told(script: str, stage: Stage) -> str:
 
 
 @pytest.mark.parametrize("story", sorted(STORIES.glob("*.txt")), ids=lambda path: path.stem)
-def test_a_story_is_told_word_for_word(bench: Bench, story: Path) -> None:
-    """Commands print, and the daemon logs, what the file says."""
+def test_a_story_is_printed_word_for_word(bench: Bench, story: Path) -> None:
     stored = story.read_text()
     configured = [line[2:] for line in stored.splitlines() if line.startswith("= ")]
 

@@ -1,4 +1,4 @@
-"""docs/telemetry.md: its programs run beside a daemon, in an environment without armrig."""
+"""docs/telemetry.md: its programs run next to a daemon, in an environment without armrig."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ import numpy as np
 import pytest
 from armrig_core import protobuf
 from armrig_core.telemetry import Sample, decode_sample
-from driving import samples
 from mcap.reader import make_reader
-from processes import Bench, wait_for
+
+from tests.integration.driving import samples
+from tests.integration.processes import Bench, wait_for
 
 PAGE = Path(__file__).parents[2] / "docs" / "telemetry.md"
 _PROGRAM = re.compile(r"```python\n# (\w+\.py) .*?\n(.*?)```", re.DOTALL)
@@ -29,7 +30,7 @@ _WITHIN_S = 60
 
 
 class Programs(NamedTuple):
-    """The page's programs in a folder, and a Python that has what the page installs alone."""
+    """The page's programs in a folder, and a Python with only the page's packages."""
 
     folder: Path
     python: Path
@@ -44,7 +45,7 @@ class Programs(NamedTuple):
         )
 
     def run(self, name: str, *arguments: str) -> str:
-        """Return what a program prints until its end."""
+        """Return the output of a program until its end."""
         program = self.start(name, *arguments)
         printed, said = program.communicate(timeout=_WITHIN_S)
         assert (program.returncode, said) == (0, "")
@@ -76,7 +77,7 @@ def _rows(printed: str) -> list[list[str]]:
 
 
 def test_the_environment_has_no_armrig(programs: Programs) -> None:
-    """Else the other tests of this page would say nothing."""
+    """Otherwise the other tests of this page would prove nothing."""
     for module in ("armrig", "armrig_core", "numpy"):
         command = [programs.python, "-I", "-c", f"import {module}"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
@@ -84,7 +85,6 @@ def test_the_environment_has_no_armrig(programs: Programs) -> None:
 
 
 def test_the_subscriber_prints_each_sample(served: Bench, programs: Programs) -> None:
-    """As many as it was asked for, with rising k, at 0 V."""
     rows = _rows(programs.run("subscribe.py", _endpoint(served), "50"))
 
     k = np.array([int(row[0]) for row in rows])
@@ -94,13 +94,12 @@ def test_the_subscriber_prints_each_sample(served: Bench, programs: Programs) ->
 
 
 def test_the_recorder_records_what_is_published(served: Bench, programs: Programs) -> None:
-    """Topics, schemas and samples, until Ctrl-C."""
     file = programs.folder / "recorded.mcap"
     program = programs.start("record.py", _endpoint(served), str(file))
     assert program.stdout is not None
     wanted = {f"recording rig/1/{stream}" for stream in ("sample", "state")}
     begun: set[str] = set()
-    while len(begun) < 4 or not wanted <= begun:  # each is told once, the slowest in a second
+    while len(begun) < 4 or not wanted <= begun:  # each is printed once, the slowest after a second
         line = program.stdout.readline()
         assert line, begun
         begun.add(line.strip())
@@ -123,7 +122,6 @@ def test_the_recorder_records_what_is_published(served: Bench, programs: Program
 
 
 def test_the_reader_reads_what_armrig_reads(served: Bench, programs: Programs) -> None:
-    """Each sample of a recording of the daemon's, to the last bit."""
     with served.rig() as rig:
         rig.arm("a test")
         path = rig.run([1.0, 4.0] * 50)
@@ -138,7 +136,6 @@ def test_the_reader_reads_what_armrig_reads(served: Bench, programs: Programs) -
 
 
 def test_the_daemon_is_asked_and_stopped(served: Bench, programs: Programs) -> None:
-    """An answer is JSON, and so is a refusal; a stop needs no lease."""
     status = json.loads(programs.run("ask.py", _endpoint(served), "status"))
     with served.rig() as rig:
         rig.arm("a test")

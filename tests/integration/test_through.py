@@ -97,7 +97,7 @@ def test_the_frequency_response_is_the_plant_s(fits: list[armrig.Fit]) -> None:
 
 
 def test_every_coefficient_is_within_3_sigma(fits: list[armrig.Fit]) -> None:
-    """In at least 9 of 10 seeds each: the reported standard deviations can be believed."""
+    """In at least 9 of 10 seeds each."""
     true, _ = _true()
     names = ("b1", "b2", "b3", "b4", "f1", "f2", "f3", "f4")
     inside = np.zeros(len(names), dtype=int)
@@ -109,7 +109,7 @@ def test_every_coefficient_is_within_3_sigma(fits: list[armrig.Fit]) -> None:
 
 
 def test_the_standard_deviations_are_not_too_large_either(fits: list[armrig.Fit]) -> None:
-    """Over seeds the estimates scatter as reported: no tolerance hides behind a wide sigma."""
+    """Over seeds the estimates scatter as reported."""
     true, _ = _true()
     at = [fits[0].names.index(name) for name in ("b1", "b2", "b3", "b4")]
 

@@ -1,8 +1,8 @@
-"""docs/tutorial.md: its lines are run in their order, and what it shows is what they print.
+"""docs/tutorial.md: its lines run in their order, and print what the page shows.
 
-Those that collect are run once on an emulated rig in real time, with the shorter runs that the
-page's own markers name; those that look at data, on the recordings that its figures are drawn from.
-The installation alone is not run here.
+Lines that collect run once on an emulated rig in real time, with the shorter runs of the page's own
+markers. Lines that read data use the recordings of the page's figures. Only the installation does
+not run here.
 """
 
 from __future__ import annotations
@@ -18,12 +18,13 @@ from typing import Any
 
 import armrig
 import numpy as np
-import pages
 import pytest
 from armrig.cli import main
 from armrig.cli.chosen_recording import recording_path
-from armrig.recordings.doubts import all_doubts
+from armrig.recordings.usability import all_doubts
 from armrig.report.handout import MOST_PAGES
+
+from tests.clients import pages
 
 PAGE = pages.DOCS / "tutorial.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -55,7 +56,7 @@ def recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_every_line_that_needs_no_rig_prints_what_the_page_shows(
     recorded: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In the page's order; what is shown was printed before, its numbers within 5 %."""
+    """In the page's order; the numbers within 5 %."""
     names: dict[str, Any] = {"path": recorded / "1-blackbox-tuesday.mcap"}
     printed: list[str] = []
     commands = compared = 0
@@ -96,7 +97,7 @@ class Lab:
         self._running: subprocess.Popen[str] | None = None
 
     def start(self, line: str) -> None:
-        """End the one that runs, as Ctrl-C does, start the next, and wait until it is ready."""
+        """End the running program by Ctrl-C, start the next, and wait until it is ready."""
         self.end()
         command = [sys.executable, "-m", *shlex.split(line)]
         self._running = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -124,10 +125,6 @@ def lab(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Lab]:
 
 @pytest.mark.timed
 def test_every_line_that_needs_a_rig_is_taken(lab: Lab) -> None:
-    """In the page's order, with `armrig lab` beside them; calibration finds the page's speed.
-
-    What they have recorded has nothing against its standing in one report.
-    """
     names: dict[str, Any] = {}
     done: list[str] = []
     said: list[str] = []
@@ -163,7 +160,7 @@ def test_every_line_that_needs_a_rig_is_taken(lab: Lab) -> None:
 
 
 def _run(line: str) -> str:
-    """Run a command and return what it prints."""
+    """Run a command and return its output."""
     command = [sys.executable, "-m", *shlex.split(line)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, f"{line}: {done.stderr}"

@@ -1,4 +1,4 @@
-"""What a person is told of a rig that is served, and of one that needs nothing."""
+"""Messages about a served rig, and about a command without effect."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-from processes import Bench, freeze, wait_for
-from sampling import sampled
+
+from tests.integration.processes import Bench, freeze, wait_for
+from tests.sampling import sampled
 
 
 def test_both_programs_say_what_they_serve(bench: Bench) -> None:
-    """Port, socket, name and limits, how to ask and how to end: in a line or two."""
     bench.configure(more="[limits]\nu_max_v = 4.5")
     emulator = bench.emulate()
     daemon = bench.serve()
 
     wait_for(lambda: emulator.said and "armrig status" in daemon.said)
     assert emulator.said == (
-        f"armrigd: an emulated rig behind {bench.port}, 1000000 baud, 0 to 5 V; drive it with "
+        f"armrigd: an emulated rig is at {bench.port}, 1000000 baud, 0 to 5 V; drive it with "
         f"`ARMRIG_DEVICE_BAUD=1000000 armrigd run --port {bench.port}`, end it with Ctrl-C\n"
     )
     said = [line for line in daemon.said.splitlines() if "warning" not in line]
@@ -37,7 +37,6 @@ def test_both_programs_say_what_they_serve(bench: Bench) -> None:
 
 
 def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
-    """No failure: the rig is as it was wanted. With a fault latched it says that, too."""
     bench.emulate()
     daemon = bench.serve()
 
@@ -52,7 +51,7 @@ def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
     latched = bench.armrig("reset")
 
     assert (idle.returncode, idle.stderr) == (0, "next: armrig status\n")
-    assert idle.stdout == "rig 1: nothing is latched, so there is nothing to reset\n"
+    assert idle.stdout == "rig 1: no fault is latched\n"
     assert latched.returncode == 0, latched.stderr
     assert "rig 1 was reset" in latched.stdout
     assert bench.settled() == "safe"
@@ -61,11 +60,11 @@ def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("more", "calibration", "arm"),
     [
-        ("", "none: the default figures; `armrig calibrate` measures one", "mounted"),
+        ("", "none: the default values; `armrig calibrate` measures a calibration", "mounted"),
         (
             "[calibration.alpha]\nzero_counts = 5.0\n[arm]\nremoved = true",
             "given in the configuration, not measured",
-            "taken off, says [arm] removed",
+            "removed, according to [arm] removed",
         ),
         ('[calibration]\nfile = "c.toml"', "{folder}/c.toml, made 2026-11-20", "mounted"),
     ],
@@ -73,7 +72,6 @@ def test_a_reset_with_nothing_latched_says_so(bench: Bench) -> None:
 def test_status_names_the_calibration_and_the_arm(
     bench: Bench, more: str, calibration: str, arm: str
 ) -> None:
-    """What angles are made with, and whether the rotating part is there."""
     made = 'date = "2026-11-20"\nrig = "1"\ndevice_uid = "1"\narmrig = "0.1.0"\n'
     Path(bench.folder / "c.toml").write_text(f"[made]\n{made}")
     bench.configure(more=more)
@@ -89,7 +87,7 @@ def test_status_names_the_calibration_and_the_arm(
 
 @contextmanager
 def _deaf(bench: Bench, noise: int) -> Iterator[None]:
-    """Have a device at the bench's port that answers nothing, but says `noise` B/ms at random."""
+    """Have a device at the bench's port without answers, with `noise` B/ms at random."""
     bench.use_terminal()
     master, slave = os.openpty()
     os.set_blocking(master, False)
@@ -120,21 +118,20 @@ def _deaf(bench: Bench, noise: int) -> Iterator[None]:
         [
             (
                 0,
-                r"was asked \d+ times at 1000000 baud, and nothing came back; see that it has",
+                r"\d+ requests at 1000000 baud had no answer; check that the device has power",
             ),
-            (1, r"of the \d+ bytes that came at 1000000 baud none was a frame; .* \[device\] baud"),
+            (1, r"\d+ bytes came at 1000000 baud, but no frame; .* \[device\] baud"),
             (
                 500,
-                r"of the \d+ bytes that came at 1000000 baud none was a frame; .* \[device\] baud",
+                r"\d+ bytes came at 1000000 baud, but no frame; .* \[device\] baud",
             ),
         ],
         2,
     ),
 )
-def test_a_device_that_does_not_answer_is_told_with_what_to_try(
+def test_a_device_that_does_not_answer_is_reported_with_the_way_out(
     bench: Bench, noise: int, said: str
 ) -> None:
-    """Silent, noise of another speed, noise as fast as it comes: in the log, in the status."""
     with _deaf(bench, noise):
         daemon = bench.start("armrig_daemon", "run", "--config", str(bench.config))
         wait_for(lambda: re.search(said, daemon.said))

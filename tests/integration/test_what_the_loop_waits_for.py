@@ -12,9 +12,10 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from driving import driven
-from processes import Bench, wait_for
-from tools import require
+
+from tests.integration.driving import driven
+from tests.integration.processes import Bench, wait_for
+from tests.tools import require
 
 pytestmark = pytest.mark.timed
 WAITS = {"epoll_wait", "epoll_pwait", "clock_nanosleep"}
@@ -22,7 +23,7 @@ WAITS = {"epoll_wait", "epoll_pwait", "clock_nanosleep"}
 NEVER_WAIT = {"timerfd_settime", "rt_sigreturn", "gettimeofday", "clock_gettime", "brk"}
 """Calls that return at once; brk is the allocator's, which moves the end of the heap by pages."""
 TRANSFERS = {"read", "write"}
-"""Calls that do not wait on a descriptor that is told not to."""
+"""Calls that do not wait on a non-blocking descriptor."""
 _CALL = re.compile(r"^(?:\d+ +)?(\w+)\((?:(\d+)[,)])?")
 
 
@@ -41,7 +42,7 @@ def traced(pid: int, log: Path) -> subprocess.Popen[bytes]:
 
 
 def calls(log: Path) -> list[tuple[str, int]]:
-    """Return what was called, and the first argument where it is a number, else -1."""
+    """Return the calls, with the first argument if it is a number, else -1."""
     found = [_CALL.match(line) for line in log.read_text(errors="replace").splitlines()]
     return [(m[1], int(m[2] or -1)) for m in found if m]
 

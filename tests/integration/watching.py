@@ -12,7 +12,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from armrig.dashboard.serving import Settings, dashboard
-from processes import WITHIN_S, Bench
+
+from tests.integration.processes import WITHIN_S, Bench
 
 STEP = {"kind": "step", "seconds": 120.0, "at": 0.1, "low": 1.0, "high": 4.0}
 """An experiment that lasts until it is stopped."""
@@ -22,7 +23,7 @@ _RUN_S = 60.0
 
 
 class Client:
-    """Who has the address that `armrig dashboard` printed."""
+    """Client with the address that `armrig dashboard` printed."""
 
     def __init__(self, url: str) -> None:
         parts = urlsplit(url)
@@ -80,9 +81,9 @@ class Client:
         )
 
     def wait(self, wanted: str, what: Callable[[Any], object], within_s: float = WAIT_S) -> Any:
-        """Return the first event of a name of which `what` is true; else an assertion fails.
+        """Return the first event of a name for which `what` is true; otherwise an assertion fails.
 
-        On one stream: to ask anew is to be sent all of the past each time.
+        All waits share one stream, because each new stream repeats the whole past.
         """
         last_s = time.monotonic() + within_s
         for name, value in self.events():

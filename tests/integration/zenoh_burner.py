@@ -1,4 +1,4 @@
-"""What a flood meets where it does not meet our daemon: another program that takes it in.
+"""Another program that receives a flood, in place of the daemon.
 
 `python zenoh_burner.py ENDPOINT CREDENTIAL`, until it is killed.
 """
@@ -15,7 +15,7 @@ from armrig_core.credential import read_credential
 
 
 def main(endpoint: str, credential: str) -> None:
-    """Refuse all that is asked for the state, and drop what has more than 8 MiB."""
+    """Refuse all queries of the state, and drop messages of more than 8 MiB."""
     config = {
         "mode": "peer",
         "listen": {"endpoints": [endpoint]},

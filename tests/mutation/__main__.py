@@ -1,4 +1,4 @@
-"""`python -m mutation`: plant bugs in every room, and say which of them no test sees.
+"""`python -m tests.mutation`: plant bugs in every room, and say which of them no test sees.
 
 What became of each bug is written to a file at once; the next call goes on after it.
 """
@@ -23,25 +23,25 @@ from math import sqrt
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from mutation import python_sites, text_sites
-from mutation.mutant import Mutant, difference, planted
-from mutation.outcomes import Outcomes
-from mutation.planting import keep, module_of, plant_kept
-from mutation.reach import ROOT, Reach, markers
-from mutation.trial import Outcome, Verdict, tried, tried_in
+from tests.mutation import python_sites, text_sites
+from tests.mutation.mutant import Mutant, difference, planted
+from tests.mutation.outcomes import Outcomes
+from tests.mutation.planting import keep, module_of, plant_kept
+from tests.mutation.reach import ROOT, Reach, markers
+from tests.mutation.trial import Outcome, Verdict, tried, tried_in
 
 TABLE = Path(__file__).with_name("rooms.toml")
 PRELOADED = ("numpy", "scipy.linalg", "scipy.signal", "scipy.optimize", "msgspec", "hypothesis")
 PRELOADED += ("pytest", "control", "typer", "rich.console", "mcap.reader", "google.protobuf")
-"""What no bug is planted in is imported once, and not again in each child."""
+"""Modules without bugs are imported once, and not again in each child."""
 STAGES = (3, 20)
 """Tests that are tried before the rest is even collected: most bugs fall to the first."""
 BUDGET_S = 60.0
-"""Of tests in this process against one bug, and once more of those of processes."""
+"""Time of tests in this process against one bug, and again of tests of processes."""
 COPIED_S = 400.0
 CLOCK_S = 30.0  # in addition to what the tests take without a bug: each may wait for one more
 NOT_OURS = {"vendor", "messages.py"}
-"""Of others, or generated: a test compares it with the generator's."""
+"""Vendored files, and a generated file, which a test compares with the generator's output."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,8 +57,8 @@ class Room:
 
 
 def main() -> int:
-    """Draw, plant, run, report; 1 if fewer are seen than are asked for."""
-    parser = argparse.ArgumentParser(prog="python -m mutation", description=__doc__)
+    """Draw, plant, run, report; return 1 if fewer bugs are seen than required."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
     parser.add_argument("--n", type=int, default=400, help="bugs to draw, over all rooms")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--rooms", nargs="*", default=[], help="draw in these alone")

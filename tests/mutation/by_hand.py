@@ -1,4 +1,4 @@
-"""`python -m mutation.by_hand`: plant the bugs of `planted.toml` again; a test must see each.
+"""`python -m tests.mutation.by_hand`: plant the bugs of `planted.toml` again; a test must see each.
 
 People planted these bugs after a look at the code. No tool had drawn their like.
 """
@@ -14,11 +14,11 @@ from tempfile import TemporaryDirectory
 
 import msgspec
 
-from mutation.__main__ import Room, Trials, preload
-from mutation.mutant import Mutant
-from mutation.planting import keep, module_of, plant_kept
-from mutation.reach import ROOT, Reach
-from mutation.trial import Outcome, Verdict, tried
+from tests.mutation.__main__ import Room, Trials, preload
+from tests.mutation.mutant import Mutant
+from tests.mutation.planting import keep, module_of, plant_kept
+from tests.mutation.reach import ROOT, Reach
+from tests.mutation.trial import Outcome, Verdict, tried
 
 TABLE = Path(__file__).with_name("planted.toml")
 LIMIT_S = 120.0
@@ -46,7 +46,7 @@ def bugs() -> list[Bug]:
 
 
 def judged(bug: Bug, folder: Path) -> Verdict:
-    """Return what its tests say of a bug."""
+    """Return the verdict of its tests on a bug."""
     if not bug.file.endswith(".py"):
         room = Room(name=bug.name, sources=[], tests=bug.tests, build=["true"])
         start = bug.source.index(bug.old)

@@ -1,4 +1,4 @@
-"""What became of bugs, in a file that only grows: a draw goes on where it was left."""
+"""Verdicts on bugs, in a file that only grows, so that a draw can resume."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import json
 from pathlib import Path
 from typing import Any
 
-from mutation.mutant import Mutant
-from mutation.reach import digest
-from mutation.trial import Outcome, Verdict
+from tests.mutation.mutant import Mutant
+from tests.mutation.reach import digest
+from tests.mutation.trial import Outcome, Verdict
 
 
 class Outcomes:
     """A file of one JSON object a line."""
 
     def __init__(self, path: Path) -> None:
-        """Read what is there; a last line that was cut off is passed over."""
+        """Read the present lines; a last line that was cut off is discarded."""
         self._path = path
         self._entries: dict[tuple[Any, ...], dict[str, Any]] = {}
         for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
@@ -27,7 +27,7 @@ class Outcomes:
             self._entries[_key(entry)] = entry
 
     def verdict(self, mutant: Mutant, tests: list[str]) -> Verdict | None:
-        """Return what became of a bug, if its source and the tests concerned are as they were."""
+        """Return the verdict on a bug, if its source and its tests are unchanged."""
         entry = self._entries.get(_key(_entry(mutant)))
         if entry is None or entry["tests"] != _hash(_concerned(entry["by"], tests)):
             return None

@@ -1,7 +1,7 @@
 """A bug takes the place of its module when that is imported; no file of the project is touched.
 
-In this interpreter by `plant`; in those that it starts by two variables of the environment: one
-leads to a file with the bug, the other to a `sitecustomize` that plants it.
+`plant` does so in this interpreter. In the interpreters that it starts two environment variables do
+so: one names a file with the bug, one a folder with a `sitecustomize` that plants it.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Planted:
     def find_spec(
         self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Find the module with the bug, where it is asked for."""
+        """Find the module with the bug."""
         if name != self._module:
             return None
         spec = PathFinder.find_spec(name, path, target)

@@ -1,8 +1,8 @@
 """The bugs that can be planted in Python: mistakes that people make, found by the syntax tree.
 
-What only a person reads is left alone: texts, annotations, docstrings, messages, the look of a
-figure. So is what changes no result: the factor of a rounding margin, `strict=`, and the order of
-what commutes.
+There is no bug in what only a person reads: texts, annotations, docstrings, messages, the look of a
+figure. There is none without an effect on results: the factor of a rounding margin, `strict=`, and
+the order of commuting operands.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from copy import deepcopy
 from itertools import pairwise
 from typing import Any, NamedTuple
 
-from mutation.mutant import Mutant, planted
+from tests.mutation.mutant import Mutant, planted
 
 _ORDER: dict[type[ast.cmpop], dict[type[ast.cmpop], str]] = {
     ast.Lt: {ast.LtE: "boundary", ast.GtE: "condition inverted"},
@@ -246,7 +246,7 @@ def _is_method(value: ast.expr) -> bool:
 
 
 def _is_stale(statement: ast.Assign | ast.AugAssign, function: ast.FunctionDef) -> bool:
-    """Return whether all that a statement assigns has a value before it."""
+    """Return whether every assigned name has a value before the statement."""
     if function.name in ("__init__", "__post_init__", "__enter__"):
         return False
     if isinstance(statement, ast.AugAssign):

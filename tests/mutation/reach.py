@@ -1,4 +1,4 @@
-"""Which tests reach which line, how long each takes, and which markers it has."""
+"""The tests that reach each line, their times and their markers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import coverage
 import pytest
 
-from mutation.trial import QUIET, in_child
+from tests.mutation.trial import QUIET, in_child
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ["armrig", "armrig_core", "armrig_daemon", "armrig_protocol"]
@@ -30,10 +30,10 @@ class Passing(NamedTuple):
 
 
 class Reach:
-    """What the tests do without a bug, kept in a folder: a JSON file for each file of tests."""
+    """Coverage of the tests without a bug, in a folder: a JSON file for each file of tests."""
 
     def __init__(self, folder: Path) -> None:
-        """Keep in `folder` what is measured."""
+        """Keep the measurements in `folder`."""
         self._folder = folder
         self.tests: dict[str, Passing] = {}
         self._lines: defaultdict[str, dict[str, int]] = defaultdict(dict)

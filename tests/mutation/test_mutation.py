@@ -19,14 +19,14 @@ from armrig_daemon.config import Config
 from armrig_daemon.loop.process import Settings
 from armrig_daemon.service import child
 
-from mutation import __main__ as mutation
-from mutation import by_hand, outcomes, python_sites, text_sites
-from mutation.__main__ import ROOT, Room, Trials, drawn, rooms, sources_of
-from mutation.mutant import Mutant, planted
-from mutation.outcomes import Outcomes
-from mutation.planting import Planted, keep, module_of, plant
-from mutation.reach import Passing, Reach
-from mutation.trial import Outcome, Verdict, in_child, tried_in
+from tests.mutation import __main__ as mutation
+from tests.mutation import by_hand, outcomes, python_sites, text_sites
+from tests.mutation.__main__ import ROOT, Room, Trials, drawn, rooms, sources_of
+from tests.mutation.mutant import Mutant, planted
+from tests.mutation.outcomes import Outcomes
+from tests.mutation.planting import Planted, keep, module_of, plant
+from tests.mutation.reach import Passing, Reach
+from tests.mutation.trial import Outcome, Verdict, in_child, tried_in
 
 SOURCE = '''
 """A module."""
@@ -65,7 +65,7 @@ SURVIVED = Verdict(Outcome.SURVIVED, "", 1.5)
 
 
 def _seen(source: str) -> tuple[object, ...]:
-    """Return what a module says."""
+    """Return a module's value."""
     names: dict[str, Any] = {}
     exec(compile(source, "module", "exec"), names)
     clip, kind, angle = names["clip"], names["kind"], names["angle"]
@@ -86,7 +86,6 @@ def _found(line: str) -> set[tuple[str, str]]:
 
 
 def test_each_bug_is_one_and_runs() -> None:
-    """Another program than before; all but x >= 3 in the place of x > 3 do other things."""
     found = python_sites.sites("clients/armrig/a.py", SOURCE)
 
     runs = [bug for bug in found if python_sites.is_bug(SOURCE, bug)]
@@ -114,12 +113,10 @@ def test_each_bug_is_one_and_runs() -> None:
     ],
 )
 def test_the_mistakes_that_people_make(line: str, bug: tuple[str, str]) -> None:
-    """One of each kind; columns count bytes."""
     assert bug in _found(line)
 
 
 def test_a_default_is_another_one() -> None:
-    """Of a parameter, and of a field."""
     source = "def f(x=3): return x\nclass A:\n    y: bool = True\n    z: int | None = None\n"
 
     found = python_sites.sites("clients/armrig/a.py", source)
@@ -132,7 +129,6 @@ def test_a_default_is_another_one() -> None:
 
 
 def test_what_only_a_person_reads_is_left_alone() -> None:
-    """No bug in a docstring, an annotation, an import, a text, or the look of a figure."""
     text = 'import os\n"""Doc 5."""\nx: int\ny = "5"\nmsg = f"{x + 1}"\nassert x > 1\n'
     figure = "axes.plot(linewidth=2)\n"
 
@@ -141,14 +137,12 @@ def test_what_only_a_person_reads_is_left_alone() -> None:
 
 
 def test_what_changes_no_result_is_left_alone() -> None:
-    """No bug in a rounding margin, in `strict=`, or in the order of what commutes."""
     text = "far = margin(1e-9)\npairs = zip(a, strict=True)\nc = np.convolve(a, b)\n"
 
     assert python_sites.sites("a.py", text) == []
 
 
 def test_the_bugs_of_c_and_of_javascript() -> None:
-    """Within a function, and in no comment or text."""
     c = "static int a[] = {1};\nint f(int x)\n{\n    return x < b ? g(x, b) : b; // 1 < 2\n}\n"
     js = 'const a = (x) => x === "1 < 2" ? Math.min(x, 2000) : b;\n'
 
@@ -157,7 +151,6 @@ def test_the_bugs_of_c_and_of_javascript() -> None:
 
 
 def test_bugs_are_drawn_from_every_room_by_its_lines_and_the_same_ones_again() -> None:
-    """By the seed."""
     every = {name: room for name, room in rooms().items() if name in ("wire", "core", "page")}
     lines = {
         name: sum((ROOT / file).read_text().count("\n") for file in files)
@@ -175,7 +168,6 @@ def test_bugs_are_drawn_from_every_room_by_its_lines_and_the_same_ones_again() -
 
 
 def test_every_source_is_in_a_room_and_every_test_is_there() -> None:
-    """What is added to a package is mutated without a word in the table."""
     found = [file for files in sources_of(rooms()).values() for file in files]
     packages = ["clients", "daemon", "firmware_protocol/armrig_protocol"]
     python = {p for package in packages for p in (ROOT / package).rglob("*.py")}
@@ -188,7 +180,7 @@ def test_every_source_is_in_a_room_and_every_test_is_there() -> None:
 
 
 def test_a_bug_that_nobody_would_see_is_not_planted(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its module was imported before."""
+    """The module was imported before."""
     monkeypatch.setitem(sys.modules, "already_there", ModuleType("already_there"))
 
     with pytest.raises(RuntimeError, match="already_there is imported already"):
@@ -223,7 +215,6 @@ def _exit_code_without_a_port() -> int:
 def test_a_bug_is_in_a_program_that_is_started(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """In its module, wherever that is imported."""
     path = "daemon/armrig_core/recording_file/recorder.py"
     program = "from armrig_core.recording_file import recorder as r; print(r.QUEUE)"
     _plant_from_now_on(monkeypatch, tmp_path, path, "QUEUE = 10_000", "QUEUE = 10_001")
@@ -238,7 +229,6 @@ def test_a_bug_is_in_a_program_that_is_started(
 def test_a_bug_is_in_the_module_that_is_run_as_a_program(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """As the loop is, by its service: a child of a child of the test's."""
     path = "daemon/armrig_daemon/loop/process.py"
     assert _exit_code_without_a_port() == 2
     _plant_from_now_on(monkeypatch, tmp_path, path, "NO_PORT = 2", "NO_PORT = 3")
@@ -247,7 +237,7 @@ def test_a_bug_is_in_the_module_that_is_run_as_a_program(
 
 
 def test_the_daemon_takes_the_bug_for_no_setting_of_its_own(tmp_path: Path) -> None:
-    """Else it would not even start: each bug would be seen by whatever starts it."""
+    """Otherwise the daemon would not start, and every test would see every bug."""
     assert config.load([], keep(tmp_path / "mutant", "a", ""), {}) == Config()
 
 
@@ -255,7 +245,7 @@ def test_the_daemon_takes_the_bug_for_no_setting_of_its_own(tmp_path: Path) -> N
 
 
 def _said_by(program: str, folder: Path = ROOT) -> Any:
-    """Return what a program of its own has printed: pytest is not run within pytest."""
+    """Return the output of a separate program, because pytest does not run within pytest."""
     paths = os.pathsep.join(p for p in sys.path if p)
     said = subprocess.run(
         [sys.executable, "-c", program],
@@ -268,8 +258,7 @@ def _said_by(program: str, folder: Path = ROOT) -> Any:
     return literal_eval(said.stdout.splitlines()[-1])
 
 
-def test_what_failed_is_told_though_pytest_itself_fails_behind_it(tmp_path: Path) -> None:
-    """A process that a failed test has left behind is a warning that comes at the very end."""
+def test_a_failed_test_is_reported_though_pytest_itself_fails_afterwards(tmp_path: Path) -> None:
     (tmp_path / "pytest.ini").write_text("[pytest]\nfilterwarnings = error\n")
     path = tmp_path / "test_this.py"
     path.write_text(
@@ -281,14 +270,14 @@ def test_what_failed_is_told_though_pytest_itself_fails_behind_it(tmp_path: Path
         "    assert False\n"
     )
     program = (
-        "from mutation.trial import tried; "
+        "from tests.mutation.trial import tried; "
         f"print(repr(tried([{str(path)!r}], lambda: None, 60.0).by))"
     )
 
     assert _said_by(program).endswith("test_it")
 
 
-def test_what_a_bug_has_left_behind_ends_with_its_child(tmp_path: Path) -> None:
+def test_what_a_bug_has_left_ends_with_its_child(tmp_path: Path) -> None:
     """A daemon without its guards would drive on into the next trial."""
     pid = tmp_path / "pid"
 
@@ -305,7 +294,6 @@ def test_what_a_bug_has_left_behind_ends_with_its_child(tmp_path: Path) -> None:
 
 
 def test_a_trial_in_a_copy_names_the_test_and_asks_those_of_a_marker_alone(tmp_path: Path) -> None:
-    """Each kind of test by itself, as `make test` does."""
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = exhaustive: all\naddopts = -rfE\n")
     (tmp_path / "test_this.py").write_text(
         "import pytest\ndef test_a(): pass\n@pytest.mark.exhaustive\ndef test_b(): assert False\n"
@@ -319,7 +307,6 @@ def test_a_trial_in_a_copy_names_the_test_and_asks_those_of_a_marker_alone(tmp_p
 
 
 def test_tests_are_measured_without_a_bug(tmp_path: Path) -> None:
-    """With their markers; a test that does not pass then is left out."""
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = exhaustive: all\n")
     (tmp_path / "test_this.py").write_text(
         "import pytest\n"
@@ -330,7 +317,7 @@ def test_tests_are_measured_without_a_bug(tmp_path: Path) -> None:
         "def test_c(): pass\n"
     )
     program = (
-        "from mutation import reach; "
+        "from tests.mutation import reach; "
         "reach.markers = lambda: ['exhaustive']; "
         "print(reach.measured(['test_this.py'], ['armrig_core'])['test_this.py'])"
     )
@@ -349,7 +336,7 @@ ROOM = Room(name="a", sources=[], tests=["tests/daemon"], processes=["tests/inte
 
 
 class _Known(Reach):
-    """Reach of tests that nobody runs."""
+    """Reach of invented tests."""
 
     def __init__(self) -> None:
         super().__init__(Path())
@@ -387,7 +374,6 @@ def _judged(
 def test_the_exhaustive_tests_are_asked_last(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, seen_by: str, marker: str
 ) -> None:
-    """Only what no other test sees is theirs."""
     verdict, _ = _judged(monkeypatch, tmp_path, lambda test, bug: bug and test == seen_by)
 
     assert (verdict.outcome, verdict.by, verdict.marker) == (Outcome.CAUGHT, seen_by, marker)
@@ -404,7 +390,6 @@ def test_what_a_process_shows_it_must_show_again_and_not_without_the_bug(
 
 
 def test_a_bug_is_shown_to_the_tests_that_reach_it_first(tmp_path: Path) -> None:
-    """The quickest first; then what else is in their files, whose fixtures may reach it."""
     trials = Trials(tmp_path, _Known(), Counter(), everyday=False)
     mutant = MUTANT._replace(file="daemon/a.py")
 
@@ -414,7 +399,6 @@ def test_a_bug_is_shown_to_the_tests_that_reach_it_first(tmp_path: Path) -> None
 
 
 def test_a_draw_goes_on_where_it_was_left(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Also after a line that was cut off; but what has changed since is tried again."""
     path = tmp_path / "results"
     Outcomes(path).add("a", MUTANT, ["tests/a.py::x"], CAUGHT)
     Outcomes(path).add("a", MUTANT._replace(new="3"), ["tests/a.py::x"], SURVIVED)
@@ -432,7 +416,6 @@ def test_a_draw_goes_on_where_it_was_left(monkeypatch: pytest.MonkeyPatch, tmp_p
 
 
 def test_each_bug_of_the_table_fits_the_code() -> None:
-    """A bug that is found nowhere, or twice, would not be planted again."""
     table = by_hand.bugs()
 
     astray = [bug.name for bug in table if bug.source.count(bug.old) != 1]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from mutation.mutant import Mutant
+from tests.mutation.mutant import Mutant
 
 _SWAPS = {
     "<": {"<=": "boundary", ">=": "condition inverted"},

@@ -28,7 +28,7 @@ QUIET += ["-W", "ignore::pytest.PytestAssertRewriteWarning"]  # plugins are impo
 
 
 class Outcome(StrEnum):
-    """What became of a bug."""
+    """Outcome of a bug."""
 
     CAUGHT = "caught"
     TIMED_OUT = "timed out"
@@ -42,10 +42,10 @@ class Verdict(NamedTuple):
 
     outcome: Outcome
     by: str
-    """The test that failed, or what else went wrong."""
+    """Test that failed, or another reason."""
     took_s: float
     marker: str = ""
-    """Of the test: empty where `make test` runs it."""
+    """Marker of the test; empty if `make test` runs it."""
 
 
 class _First:
@@ -84,7 +84,7 @@ def tried(
     def run(told: Path) -> None:
         plant()
         first, code = _First(), -1
-        # A test that failed may have left behind what pytest fails by itself for, at its end.
+        # What a failed test has left may make pytest itself fail at its end.
         with contextlib.suppress(Exception):
             code = int(pytest.main([*QUIET, *tests], plugins=[first]))
         told.write_text(json.dumps([code, first.failed]))
@@ -146,16 +146,16 @@ def tried_in(copy: Path, tests: list[str], markers: str, clock_s: float) -> Verd
 def in_child(
     run: Callable[[Path], None], limit_s: float, clock_s: float | None = None
 ) -> tuple[int | None, Any]:
-    """Return the child's exit status, None where it took too long, and what it told.
+    """Return the child's exit status, None after a timeout, and its result.
 
-    What it has started and left behind ends with it.
+    Processes that it has started end with it.
 
     Parameters
     ----------
     limit_s : float
-        Of the processor's time.
+        Limit of the processor's time.
     clock_s : float, optional
-        Of the clock's.
+        Limit of the clock's time.
     """
     with tempfile.TemporaryDirectory() as folder:
         told = Path(folder) / "told"
@@ -180,7 +180,7 @@ def in_child(
 
 
 def _waited_for(pid: int, clock_s: float) -> int | None:
-    """Return the exit status of a child; None, and it is killed, where it does not end in time."""
+    """Return the exit status of a child; kill it after a timeout, and return None."""
     deadline = time.monotonic() + clock_s
     while time.monotonic() < deadline:
         done, status = os.waitpid(pid, os.WNOHANG)
@@ -193,7 +193,7 @@ def _waited_for(pid: int, clock_s: float) -> int | None:
 
 
 def _be_modest(folder: Path, limit_s: float) -> None:
-    """Keep a child's words and files to itself, and bound what it takes."""
+    """Redirect a child's output and files, and bound its resources."""
     resource.setrlimit(resource.RLIMIT_CPU, (ceil(limit_s), ceil(limit_s) + 5))
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(folder)

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from armrig_protocol import cobs
 from armrig_protocol.crc import CHECK, crc32
-from armrig_protocol.decoder import LONGEST, Received, feed
+from armrig_protocol.decoder import MAX_STUFFED, Received, feed
 from armrig_protocol.frame import Spoilt, Unknown, encode, wire_length
 from armrig_protocol.messages import ARRAYS, LAYOUTS, MESSAGES, Exchange, Message, Sample, Setpoints
 from hypothesis import given
@@ -55,7 +55,6 @@ def _event(vector: dict[str, Any]) -> Received:
 
 @pytest.mark.parametrize("vector", VECTORS, ids=[v["doc"] for v in VECTORS])
 def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
-    """The wire gives the events, and a message alone gives the wire."""
     wire = bytes.fromhex(vector["wire"])
     expected = [_event(dict(event)) for event in vector["events"]]
 
@@ -69,14 +68,12 @@ def test_the_golden_vectors_are_met(vector: dict[str, Any]) -> None:
 
 
 def test_every_message_has_a_vector() -> None:
-    """A message that is added needs a vector."""
     named = {event["event"] for vector in VECTORS for event in vector["events"]}
 
     assert {message.__name__ for message in MESSAGES.values()} <= named
 
 
-def test_the_worked_frame_stands_in_the_protocol() -> None:
-    """PROTOCOL.md section 8 shows what the code sends."""
+def test_the_worked_frame_is_in_the_protocol() -> None:
     text = (Path(__file__).parents[2] / "firmware_protocol/PROTOCOL.md").read_text()
 
     wire = encode(Exchange(0, 2, 256, 32768))
@@ -91,13 +88,11 @@ def test_the_crc_is_that_of_the_catalogue() -> None:
 
 @given(messages())
 def test_decoding_undoes_encoding(message: Message) -> None:
-    """decode(encode(m)) == m for every message and value."""
     assert feed(b"", encode(message)) == (b"", [message])
 
 
-@given(st.binary(max_size=cobs.LONGEST))
+@given(st.binary(max_size=cobs.MAX_TEXT))
 def test_unstuffing_undoes_stuffing(text: bytes) -> None:
-    """No 00 is left, one byte is added, and the text comes back."""
     stuffed = cobs.stuff(text)
 
     assert 0 not in stuffed
@@ -108,7 +103,7 @@ def test_unstuffing_undoes_stuffing(text: bytes) -> None:
 def test_a_text_too_long_to_stuff_is_refused() -> None:
     """From 254 bytes on a group code would be needed."""
     with pytest.raises(ValueError, match="254 bytes are too many"):
-        cobs.stuff(bytes(cobs.LONGEST + 1))
+        cobs.stuff(bytes(cobs.MAX_TEXT + 1))
 
 
 @given(
@@ -118,7 +113,6 @@ def test_a_text_too_long_to_stuff_is_refused() -> None:
 def test_the_same_bytes_give_the_same_events_however_they_are_cut(
     parts: list[bytes], cuts: list[int]
 ) -> None:
-    """A decoder does not see where a read ended."""
     wire = b"".join(parts)
     at = [0, *sorted(c for c in cuts if c < len(wire)), len(wire)]
 
@@ -130,7 +124,6 @@ def test_the_same_bytes_give_the_same_events_however_they_are_cut(
 
 @given(messages(), st.integers(0, 10_000))
 def test_one_flipped_bit_never_gives_another_message(message: Message, where: int) -> None:
-    """Any single bit error is told as spoilt, and the frame after it arrives."""
     wire = bytearray(encode(message))
     bit = where % (8 * (len(wire) - 1))
     wire[bit // 8] ^= 1 << bit % 8
@@ -145,19 +138,17 @@ def test_one_flipped_bit_never_gives_another_message(message: Message, where: in
 
 @given(st.lists(st.binary(max_size=300), max_size=20))
 def test_what_is_left_over_is_bounded(pieces: list[bytes]) -> None:
-    """A line without any 00 does not fill the memory."""
     pending = b""
     for piece in pieces:
         pending, _ = feed(pending, piece.replace(b"\0", b"\x01"))
 
-        assert len(pending) <= LONGEST + 1
+        assert len(pending) <= MAX_STUFFED + 1
 
 
 def test_no_frame_is_cut_out_of_one_that_is_too_long() -> None:
-    """Also where its first bytes are a sound frame, and the line has not brought its end yet."""
-    text = b"\xff\x00\x01\x00".ljust(LONGEST - 5, b"x")
+    text = b"\xff\x00\x01\x00".ljust(MAX_STUFFED - 5, b"x")
     longest = cobs.stuff(text + crc32(text).to_bytes(4, "little"))
-    assert len(longest) == LONGEST
+    assert len(longest) == MAX_STUFFED
 
     assert _feed_in_pieces([longest, b"\0"]) == [Unknown(0, 1, 0xFF)]
     assert _feed_in_pieces([longest + b"x", b"\0"]) == [Spoilt("length")]

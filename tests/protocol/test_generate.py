@@ -1,4 +1,4 @@
-"""What is generated is what the schema says, in Python and in C."""
+"""The generated files agree with the schema, in Python and in C."""
 
 from __future__ import annotations
 
@@ -27,13 +27,11 @@ def _generated_python(root: Path) -> str:
 
 
 def test_the_files_are_what_the_schema_says(capsys: pytest.CaptureFixture[str]) -> None:
-    """The check mode finds nothing in a sound checkout."""
     assert main(["--check"]) == 0
     assert capsys.readouterr().out == ""
 
 
 def test_words_do_not_change_the_hash_and_fields_do(tmp_path: Path) -> None:
-    """Two ends with another wording still talk; with another field they do not."""
     root = _copy(tmp_path)
     schema = (root / "schema.toml").read_text()
     ours = f"SCHEMA_HASH = 0x{SCHEMA_HASH:08X}"
@@ -48,7 +46,6 @@ def test_words_do_not_change_the_hash_and_fields_do(tmp_path: Path) -> None:
 
 
 def test_a_field_that_is_added_renews_the_vectors_of_its_message_alone(tmp_path: Path) -> None:
-    """Those by hand and those of the other messages stay, to the byte; the bits before it, too."""
     root = _copy(tmp_path)
     vectors = root / "vectors" / "frames.json"
     before = vectors.read_text().splitlines()
@@ -70,13 +67,11 @@ def test_a_field_that_is_added_renews_the_vectors_of_its_message_alone(tmp_path:
 
 
 def test_an_argument_that_is_not_known_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    """The message says what came and what is allowed."""
     assert main(["--chekc"]) == 2
     assert "--chekc: only --check is allowed" in capsys.readouterr().err
 
 
 def test_the_header_compiles_and_its_sizes_hold(tmp_path: Path) -> None:
-    """A C compiler takes the header without a warning; its static asserts hold the sizes."""
     source = tmp_path / "header.c"
     main_c = f"int main(void) {{ return RIG_VERSION - {VERSION}; }}"
     source.write_text(f'#include "rig_protocol.h"\n{main_c}\n')

@@ -1,8 +1,8 @@
-"""`python -m shake`: run the suite under disturbance; print what failed, and the seed.
+"""`python -m tests.shake`: run the suite under disturbance; print what failed, and the seed.
 
-A seed stands for one condition. Without options: four seeds, each of another condition, here.
+A seed selects one condition. Without options: four seeds, each of another condition, here.
 `--proof` runs the plan of a release, each run in a fresh clone of HEAD, and appends each result to
-a file. If it is interrupted, the next call does what is missing. A change to code or tests voids
+a file. After an interruption the next call runs the missing seeds. A change to code or tests voids
 the results; a change to documents does not.
 """
 
@@ -23,8 +23,8 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
-from shake.conditions import CONDITIONS, PROOF, of_seed
-from shake.run import TIMED_OUT, Result, run
+from tests.shake.conditions import CONDITIONS, PROOF, of_seed
+from tests.shake.run import TIMED_OUT, Result, run
 
 ROOT: Final = Path(__file__).parents[2]
 COMMAND: Final = ["make", "test"]
@@ -34,8 +34,8 @@ NO_CODE: Final = ("docs", "examples")
 
 
 def main() -> int:
-    """Run what is missing; return 1 if a run failed."""
-    parser = argparse.ArgumentParser(prog="python -m shake", description=__doc__)
+    """Run the missing seeds; return 1 if a run failed."""
+    parser = argparse.ArgumentParser(prog="python -m tests.shake", description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3, 4])
     parser.add_argument("--condition", choices=CONDITIONS, help="for all seeds")
     parser.add_argument("--proof", action="store_true", help="the runs that a release needs")
@@ -103,7 +103,6 @@ def _tree(in_clone: bool, venv: Path | None) -> Iterator[tuple[Path, dict[str, s
     """Give a folder to run in, and an environment with a temporary folder of its own."""
     temporary = short_folder(Path(tempfile.gettempdir()))
     environ = {**os.environ, "TMPDIR": str(temporary)}
-    environ.pop("PYTHONPATH", None)  # it led to this program
     folder = ROOT
     try:
         if in_clone:
@@ -142,7 +141,7 @@ def _print(name: str, seed: int, result: Result, log: Path) -> None:
     for test in result.failed:
         print(f"  failed: {test}")
     if result.exit_code:
-        print(f"  again: PYTHONPATH=tests python -m shake --condition {name} --seeds {seed}")
+        print(f"  again: python -m tests.shake --condition {name} --seeds {seed}")
 
 
 def _git(*arguments: str) -> str:

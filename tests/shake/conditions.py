@@ -8,7 +8,7 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """What disturbs a run."""
+    """Disturbance of a run."""
 
     burners: int = 0
     """Busy processes, each in a session of its own."""
@@ -29,11 +29,11 @@ CONDITIONS: Final = {
     "shuffled": Condition(shuffled=True),
 }
 DRAWN: Final = ("busy", "one-core", "stopped", "shuffled")
-"""Conditions of `make shake`: a seed stands for one of them."""
+"""Conditions of `make shake`: each seed selects one."""
 PROOF: Final = {"quiet": 6, "busy": 6, "one-core": 3, "stopped-200": 5}
-"""How many runs must pass under each condition before a release."""
+"""Runs that must pass under each condition before a release."""
 
 
 def of_seed(seed: int) -> str:
-    """Return the name of the condition that a seed stands for."""
+    """Return the name of the condition of a seed."""
     return DRAWN[(seed - 1) % len(DRAWN)]

@@ -13,28 +13,27 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from stalls.host import STOPS
-
-from shake import suite
-from shake.conditions import Condition
-from shake.stopping import WALL, stopped
+from tests.shake import suite
+from tests.shake.conditions import Condition
+from tests.shake.stopping import WALL, stopped
+from tests.stalls.host import STOPS
 
 PAUSE_S: Final = 2.0
 """Mean time from one stop to the next; drawn from an exponential distribution."""
 SUMMARY_S: Final = 30.0
-"""How long pytest may take for its summary after the limit."""
+"""Time for pytest's summary after the limit, in s."""
 TIMED_OUT: Final = 124
 _BURNER: Final = "while True: pass"
 _LOOK_S: Final = 0.1
 
 
 class Result(NamedTuple):
-    """What became of a run."""
+    """Outcome of a run."""
 
     exit_code: int
     wall_s: float
     cpu_s: float
-    """Processor time of the command and of what it waited for, user and system."""
+    """Processor time of the command and its children, user and system."""
     stops: int
     left_over: int
     """Processes that were still there after the command."""

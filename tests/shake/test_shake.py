@@ -1,4 +1,4 @@
-"""What `make shake` does to a run, and what it keeps of it."""
+"""Disturbances of `make shake`, and the results that it keeps."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from shake import suite
-from shake.__main__ import code_hash, kept, short_folder
-from shake.conditions import CONDITIONS, DRAWN, of_seed
-from shake.run import TIMED_OUT, Result, interrupted, named, run
-from shake.stopping import stopped
+from tests.shake import suite
+from tests.shake.__main__ import code_hash, kept, short_folder
+from tests.shake.conditions import CONDITIONS, DRAWN, of_seed
+from tests.shake.run import TIMED_OUT, Result, interrupted, named, run
+from tests.shake.stopping import stopped
 
 ECHO = "import sys\nfor line in sys.stdin: print(line, end='', flush=True)"
 
@@ -39,7 +39,6 @@ def state_of(pid: int) -> str:
 
 
 def test_a_stopped_process_does_nothing_until_it_is_continued() -> None:
-    """It is stopped in the block, and answers after it."""
     with subprocess.Popen(
         [sys.executable, "-c", ECHO], stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0
     ) as program:
@@ -56,7 +55,6 @@ def test_a_stopped_process_does_nothing_until_it_is_continued() -> None:
 
 
 def test_a_run_says_how_it_ended_and_what_failed(tmp_path: Path) -> None:
-    """The exit code, the processor's time, and the tests that pytest's summary names."""
     program = "print('FAILED tests/a.py::test_b[x y] - no'); sum(range(10**6)); exit(3)"
 
     result = ran(tmp_path, "quiet", program)
@@ -67,14 +65,12 @@ def test_a_run_says_how_it_ended_and_what_failed(tmp_path: Path) -> None:
 
 
 def test_a_run_that_does_not_end_is_killed(tmp_path: Path) -> None:
-    """After the limit, with its own exit code."""
     result = ran(tmp_path, "quiet", "import time; time.sleep(60)", limit_s=0.0)
 
     assert result.exit_code == TIMED_OUT
 
 
 def test_a_run_is_interrupted_before_it_is_killed() -> None:
-    """So it can show what failed up to there."""
     program = """if 1:
         try:
             print("ready", flush=True)
@@ -98,7 +94,6 @@ def test_a_run_is_interrupted_before_it_is_killed() -> None:
 
 
 def test_all_that_a_run_has_started_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also a process in a session of its own."""
     monkeypatch.setenv(suite.MARK, "a run")
     program = [sys.executable, "-c", "print(flush=True); input()"]
     ends = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
@@ -111,20 +106,17 @@ def test_all_that_a_run_has_started_is_killed(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_one_core_is_what_the_suite_gets(tmp_path: Path) -> None:
-    """The seed draws which."""
     result = ran(tmp_path, "one-core", "import os; exit(len(os.sched_getaffinity(0)))")
 
     assert result.exit_code == 1
 
 
-def test_seeds_stand_for_all_conditions() -> None:
-    """Four in a row have each."""
+def test_seeds_select_all_conditions() -> None:
     assert [of_seed(seed) for seed in (1, 2, 3, 4)] == list(DRAWN)
     assert of_seed(5) == of_seed(1)
 
 
 def test_what_failed_and_what_was_repeated_is_read_from_the_summary() -> None:
-    """Once each, without the reason; a progress line is none."""
     text = "FAILED tests/a.py::b - x\nERROR tests/c.py::d\nFAILED tests/a.py::b - x\n"
     text += "REPEATED tests/e.py::f - the host stalled\ntests/a.py FAILED\n"
 
@@ -136,7 +128,6 @@ def test_what_failed_and_what_was_repeated_is_read_from_the_summary() -> None:
     ("name", "voids"), [("tests", True), ("Makefile", True), ("docs", False), ("README.md", False)]
 )
 def test_a_change_of_code_or_tests_voids_results(name: str, voids: bool) -> None:
-    """A change of a document does not."""
     names = ("Makefile", "README.md", "docs", "tests")
     before = "\n".join(f"040000 tree 1111\t{each}" for each in names)
 
@@ -146,12 +137,11 @@ def test_a_change_of_code_or_tests_voids_results(name: str, voids: bool) -> None
 
 
 def test_each_run_has_a_temporary_folder_with_a_short_name(tmp_path: Path) -> None:
-    """Sockets lie in it, whose paths are short."""
+    """The path of a socket in the folder must be short."""
     assert [short_folder(tmp_path).name for _ in range(2)] == ["s0", "s1"]
 
 
 def test_results_are_known_for_the_same_code(tmp_path: Path) -> None:
-    """Those of other code are not."""
     path = tmp_path / "results"
     lines = [
         {"code": "a", "condition": "busy", "seed": 1, "exit_code": 0},

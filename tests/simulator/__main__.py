@@ -1,4 +1,4 @@
-"""`python -m simulator`: run schedules, or one again, and say what they came to."""
+"""`python -m tests.simulator`: run schedules, or one again, and print the results."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from simulator import campaign, story
-from simulator.options import Options, draw
+from tests.simulator import campaign, story
+from tests.simulator.options import Options, draw
 
 _MOST_STORIES = 10
 _STALLS = {"tolerated": True, "suffered": False}
@@ -15,7 +15,7 @@ _STALLS = {"tolerated": True, "suffered": False}
 
 def main() -> int:
     """Return 0 where every invariant held and that means something."""
-    parser = argparse.ArgumentParser(prog="python -m simulator", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.simulator", description=__doc__)
     parser.add_argument("--seeds", type=int, default=1000, help="how many schedules")
     parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--seed", type=int, help="run this one again, and write its story")

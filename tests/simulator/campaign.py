@@ -12,17 +12,16 @@ from math import ceil
 from multiprocessing import get_context
 from time import perf_counter, process_time
 
-from firmware.uno_host import harness
-
-from simulator.checks import COMMANDER_GONE, LINK_GONE
-from simulator.options import END_NS, KINDS, MS, draw
-from simulator.rig import Outcome, simulate
-from simulator.watched import build
+from tests.firmware.uno_host import harness
+from tests.simulator.checks import COMMANDER_GONE, LINK_GONE
+from tests.simulator.options import END_NS, KINDS, MS, draw
+from tests.simulator.rig import Outcome, simulate
+from tests.simulator.watched import build
 
 LEAST_DRIVING = 0.4
-"""Share of the sampling times at which a motor must have been off rest, else nothing was tried."""
+"""Least share of sampling times with the motor off rest, for a meaningful schedule."""
 LEAST_FAULTS = 100
-"""How often each fault must have struck in a thousand schedules or more."""
+"""Least strikes of each fault in a thousand schedules or more."""
 TRIPS = (
     "no answer from the device",
     "the lease ran out",
@@ -38,22 +37,23 @@ TRIPS = (
     "the device has heard frame",
     "the service is frozen",
 )
-"""How the causes of trips begin that must be among those of a campaign.
+"""Beginnings of the causes of trips that a campaign must contain.
 
-Not "the device applied code": no fault here makes a device apply another one. What tripped so were
-old samples, which are none of ours now; tests/daemon/decisions/test_sampling.py holds the trip.
+"The device applied code" is not among them, because no fault here makes a device apply another
+code. Only old samples, which are now refused, caused that trip;
+tests/daemon/decisions/test_sampling.py tests it.
 """
 LEAST_TRIPS = 5
-"""How often each must have tripped in a thousand schedules or more."""
+"""Least trips of each cause in a thousand schedules or more."""
 DEFAULT = "watchdog 100 ms, Ts 5 ms: "
 BOUNDS_NS = {DEFAULT + COMMANDER_GONE: 210 * MS, DEFAULT + LINK_GONE: 110 * MS}
-"""The longest times to 0 V as they are told: 100 + 100 + 2 · 5 ms, and 100 + 2 · 5 ms."""
+"""Documented longest times to 0 V: 100 + 100 + 2 · 5 ms, and 100 + 2 · 5 ms."""
 _CHUNK = 8
 
 
 @dataclass(slots=True, kw_only=True)
 class Campaign:
-    """What schedules came to, added up."""
+    """Sums over schedules."""
 
     schedules: int = 0
     violations: list[tuple[int, str, int, str]] = field(default_factory=list)
@@ -83,7 +83,7 @@ class Campaign:
                 self.worst[kind] = (ns, outcome.seed)
 
     def lateness(self) -> list[str]:
-        """Return which time to 0 V is longer than told; each was within its own bound (S2, S3)."""
+        """Return the time to 0 V above its documented bound; each kept its own bound (S2, S3)."""
         return [
             f"{kind}: {ns / MS:.1f} ms to 0 V, {BOUNDS_NS[kind] / MS:.0f} ms are told (seed {seed})"
             for kind, (ns, seed) in self.worst.items()
@@ -161,9 +161,9 @@ def run(
     Parameters
     ----------
     only : sequence of str
-        Faults that are drawn from.
+        Faults to draw from.
     stalls : bool, optional
-        The emulator is stalled besides, and tolerates it or does not.
+        The emulator is also stalled, and tolerates it or does not.
     c_core : bool
         The device's firmware is the C core.
     uno : bool
@@ -171,7 +171,7 @@ def run(
     workers : int, optional
         Processes; one for each core unless given; 0 runs all in this one.
     enough : callable
-        Ends the campaign as soon as it says so.
+        Ends the campaign as soon as it returns True.
     """
     campaign = Campaign()
     began = perf_counter()

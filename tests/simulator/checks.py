@@ -1,11 +1,12 @@
 """The invariants of docs/safety.md, judged from outside.
 
-Judged is what the emulated motor gets, at each latch, each frame and each change of the device.
-The reference is kept here, apart from core and firmware: which frames the host sent and when,
-which of them the device may take in, and which commands the holder of the lease gave.
+The checks judge the voltage of the emulated motor, at each latch, each frame and each change of the
+device. The reference is kept here, independent of core and firmware. It consists of the frames of
+the host with their times, the frames that the device may accept, and the commands of the lease's
+holder.
 
-Times are those that the device is given, which is the host's time but for stalls of an emulator
-that tolerates them; only the age of the round trip (S4) is by the host's clock.
+Times are the device's given times: the host's time without the stalls that an emulator tolerates.
+Only the age of the round trip (S4) is by the host's clock.
 """
 
 from __future__ import annotations
@@ -14,11 +15,11 @@ from collections import Counter
 
 from armrig_core.telemetry import Sample
 from armrig_daemon import pipe
-from armrig_daemon.decisions.gaps import MOST_ABSENT
-from armrig_daemon.decisions.requests import MOST_BEATS
+from armrig_daemon.decisions.gaps import MAX_MISSING_PIECES
+from armrig_daemon.decisions.requests import MAX_REMEMBERED_FRAMES
 from armrig_daemon.decisions.state import Link
 from armrig_daemon.decisions.state import State as CoreState
-from armrig_daemon.loop.outbox import MOST_WAITING
+from armrig_daemon.loop.outbox import MAX_WAITING_RECORDS
 from armrig_daemon.pipe import (
     Answer,
     Calibrate,
@@ -31,7 +32,7 @@ from armrig_daemon.pipe import (
     RunStarted,
 )
 from armrig_daemon.pipe import State as StateRecord
-from armrig_protocol.decoder import LONGEST
+from armrig_protocol.decoder import MAX_STUFFED
 from armrig_protocol.messages import (
     CODE_FULL_SCALE,
     MAX_UNECHOED,
@@ -47,14 +48,14 @@ from armrig_protocol.messages import (
 )
 from armrig_protocol.messages import State as DeviceState
 
-from simulator.frames import Frame, ask_the_same, may_exchange, may_fill
-from simulator.options import MS, Options
-from simulator.violation import Violation
+from tests.simulator.frames import Frame, ask_the_same, may_exchange, may_fill
+from tests.simulator.options import MS, Options
+from tests.simulator.violation import Violation
 
 HELLO, STOP, CLEAR = TYPES[Hello], TYPES[Stop], TYPES[ClearFault]
 CONFIG, EXCHANGE = TYPES[Config], TYPES[Exchange]
 _LEADS = {DeviceState.ARMED: TYPES[Arm], DeviceState.RUN: TYPES[Start]}
-"""Which frame alone leads where the motor may turn."""
+"""The only frame that leads to each state in which the motor may turn."""
 FULL_SCALE_V = 5.0
 LINK_GONE, COMMANDER_GONE = "link gone", "commander gone"
 _MOST_MORE = 100
@@ -64,7 +65,7 @@ PLAYED = "played again from an earlier session: "
 
 
 class Checks:
-    """All that has to hold, and what was seen on the way."""
+    """The invariants, and the counts on the way."""
 
     def __init__(self, options: Options) -> None:
         """Begin with a host and a device that have not met."""
@@ -72,7 +73,7 @@ class Checks:
         self.seen: Counter[str] = Counter()
         """Trips by their cause, and how often each check had something to judge."""
         self.worst_ns: dict[str, int] = {}
-        """Longest time to 0 V, by what was the matter."""
+        """Longest time to 0 V, by its cause."""
         bits = options.pwm_bits
         self._half_step = FULL_SCALE_V / (1 << bits + 1) if bits else 0.0
         self.volts = 0.0
@@ -80,7 +81,7 @@ class Checks:
         self.latches = self.driving_latches = 0
         self.phase, self.reason = "init", ""
         self.said: StateRecord | None = None
-        """What the core has said of itself last."""
+        """Last report of the core."""
         self.latched = False
         self.grant = 0
         self.taken: Violation | None = None
@@ -89,7 +90,7 @@ class Checks:
         self.offered: pipe.Run | None = None
         """An experiment that has not been answered; the device may have begun with it."""
         self.cut_off: pipe.Run | None = None
-        """One that was refused behind its START, which the device may hear: until it is stopped."""
+        """Run that was refused after its START, which may reach the device: until it is stopped."""
         self.k_first = -1
         self.command_ns = 0
         self.last_sample_ns = 0
@@ -110,10 +111,10 @@ class Checks:
     # -- the host --------------------------------------------------------------------------------
 
     def begin_host(self, now_ns: int) -> None:
-        """Forget what the process knew that is gone."""
+        """Forget what the ended process knew."""
         self.link_up()
         self.fresh_ns = self.newest_ns = self.step_ns = now_ns
-        """Of the newest frame that has come back, or come to the device; of the core's step."""
+        """Time of the newest frame that came back, or reached the device, by the core's step."""
         self.must_stop = self.stop_sent = False
         self.latched = False
         self._next_k: int | None = None
@@ -126,7 +127,7 @@ class Checks:
         self.ended_ns: int | None = None
 
     def link_up(self) -> None:
-        """Note that seq begins anew: what was sent before is of an earlier session."""
+        """Note that seq begins again: earlier frames belong to an earlier session."""
         self._seq = 0
         self._session += 1
         self._own: dict[int, Frame] = {}
@@ -154,11 +155,11 @@ class Checks:
         return self.lease is not None and order.lease == self.lease and order.n > self._n
 
     def is_arming(self) -> bool:
-        """Return whether somebody has asked for the rig and has no answer yet."""
+        """Return whether an arming waits for its answer."""
         return any(isinstance(order, pipe.Arm) for _, order in self._given.values())
 
     def told(self, now_ns: int, record: Record) -> None:
-        """Judge what the core tells."""
+        """Judge a record of the core."""
         if isinstance(record, Answer):
             self._answered(now_ns, record)
         elif isinstance(record, StateRecord):
@@ -203,7 +204,7 @@ class Checks:
             self._n, self.command_ns = order.n, given_ns
 
     def _wrongly(self, now_ns: int, text: str) -> None:
-        """Note an order that should have been refused; what the motor does of it comes first."""
+        """Note an order that should have been refused; its effect on the motor comes first."""
         if self.taken is None:
             self.taken = Violation("A1", now_ns, text)
 
@@ -228,7 +229,7 @@ class Checks:
         self.stop_sent = False
 
     def end_tick(self, now_ns: int) -> None:
-        """Judge what the core did at a stale tick (S4)."""
+        """Judge the core's actions at a stale tick (S4)."""
         if self.must_stop:
             self.seen["S4"] += 1
             if not self.stop_sent:
@@ -271,7 +272,7 @@ class Checks:
         self.newest_ns = max(self.newest_ns, own.host_ns)
 
     def came_back(self, heard_ns: int) -> None:
-        """Note an answer that came whole, made when the device had heard what was sent then."""
+        """Note a whole answer, made after the device had received the frames of that time."""
         if heard_ns > self.fresh_ns:
             self.fresh_ns = heard_ns
 
@@ -280,15 +281,17 @@ class Checks:
         self.last_sample_ns = now_ns
 
     def bounded(self, now_ns: int, state: CoreState, waiting: int) -> None:
-        """Judge the size of what the loop keeps (R1)."""
+        """Judge the size of the loop's memory (R1)."""
         link = state.link or Link()
-        kept = len(link.pending) <= LONGEST + 1 and len(link.sent) <= MAX_UNECHOED
-        told = len(state.absent) <= MOST_ABSENT and waiting <= MOST_WAITING + _MOST_MORE
-        if not (kept and told and len(link.beats) <= MOST_BEATS):
+        kept = len(link.pending) <= MAX_STUFFED + 1 and len(link.sent) <= MAX_UNECHOED
+        told = (
+            len(state.absent) <= MAX_MISSING_PIECES and waiting <= MAX_WAITING_RECORDS + _MOST_MORE
+        )
+        if not (kept and told and len(link.beats) <= MAX_REMEMBERED_FRAMES):
             raise Violation("R1", now_ns, f"more is kept than may be: {state}"[:600])
 
     def published(self, now_ns: int, sample: Sample) -> None:
-        """Judge a sample that goes to the service (L2, S5)."""
+        """Judge a sample for the service (L2, S5)."""
         self._expect(now_ns, sample.k, 1, "a sample")
         code = self._latched_codes.get(sample.k)
         if code is None:
@@ -313,18 +316,18 @@ class Checks:
 
     def _boot(self) -> None:
         self._taken: dict[int, Frame] = {}
-        """What it has taken in, by seq."""
+        """Accepted frames, by seq."""
         self._newest = self._k = self._old_echo = -1
         self._u = 0
         self._part = b""
         self.fed_ns = 0
-        """When a frame that feeds the watchdog was taken in, whosever."""
+        """Time at which a frame that feeds the watchdog was accepted, from any sender."""
         self._old_ns = -self._limit
-        """When one of an earlier session was."""
+        """Time at which a frame of an earlier session was accepted."""
         self._heard_ns = 0
-        """When one of this session came, taken in or not."""
+        """Time at which a frame of this session came, accepted or not."""
         self._held_ns = 0
-        """When it was last driven on by old frames alone."""
+        """Time at which old frames alone last kept the motor driven."""
         self._configured_ns = 0
 
     def booted(self) -> None:
@@ -332,7 +335,7 @@ class Checks:
         self._boot()
 
     def arrives(self, t_ns: int, piece: bytes, *, bound: bool) -> Frame | None:
-        """Note bytes that the device takes off the line; `bound` says it is in ARMED or RUN."""
+        """Note bytes that the device takes off the line; `bound`: it is in ARMED or RUN."""
         self.zero_in_time(t_ns)
         if self._part:
             piece, self._part = self._part + piece, b""
@@ -407,14 +410,13 @@ class Checks:
             raise Violation("S2", t_ns, "driven on long after a stop")
 
     def _is_over(self, t_ns: int, since_ns: int) -> bool:
-        """Return whether what was said at `since_ns` may drive no more: the time of S2 and S5.
+        """Return whether a command of `since_ns` may no longer drive: the time of S2 and S5.
 
-        It has no allowance for a delay of the line, though a device cannot know a frame's age: a
-        line that falls behind at once lets the watchdog bite, which is in the time, and with one
-        that falls behind slowly the host sees the age, and its STOP is on the way in time.
-        One thing is left out, and counted: where nothing of the host comes through for a whole
-        watchdog, old frames that are played again hold RUN (PROTOCOL.md, section 7). The time
-        begins anew when the host is heard again: first come the frames that it sent before STOP.
+        There is no allowance for a delay of the line, though a device cannot know a frame's age. If
+        the line is delayed suddenly, the watchdog stops the motor in time. If it is delayed slowly,
+        the host sees the age and sends STOP in time. One case is excepted, and counted: if no frame
+        of the host arrives for a whole watchdog, replayed frames hold RUN (PROTOCOL.md, section 7).
+        The time begins again when the host's frames arrive again, first those before STOP.
         """
         if t_ns - max(since_ns, self._held_ns) <= self._s2_ns:
             return False
@@ -483,14 +485,14 @@ class Checks:
             raise Violation("S5", t_ns, f"code {code} of a command {age_ms:.0f} ms ago")
 
     def latch_done(self, t_ns: int, asked: int, k: int, got: int, *, scheduled: bool) -> None:
-        """Judge what the motor really got for a code, and remember it (S5)."""
+        """Judge the motor's voltage for a code, and remember it (S5)."""
         wanted = FULL_SCALE_V * asked / CODE_FULL_SCALE
         if abs(self.volts - wanted) > self._half_step + 1e-9:
             raise Violation("S5", t_ns, f"{self.volts} V for code {asked}, which is {wanted} V")
         self.remember(k, got, scheduled=scheduled)
 
     def remember(self, k: int, got: int, *, scheduled: bool) -> None:
-        """Remember the code of what the motor got for a sample."""
+        """Remember the code of the motor's voltage for a sample."""
         codes = self._latched_codes
         codes[self.k_first + k if scheduled else k] = got
         if len(codes) > 2_000:
@@ -498,7 +500,7 @@ class Checks:
                 del codes[old]
 
     def gets(self, t_ns: int, volts: float, state: int, cause: int) -> None:
-        """Judge what the motor has from now on (S1), and whether it came to 0 V in time."""
+        """Judge the motor's new voltage (S1), and the time to 0 V."""
         top = FULL_SCALE_V * self.options.u_max / CODE_FULL_SCALE
         if not 0.0 <= volts <= min(FULL_SCALE_V, top + self._half_step + 1e-9):
             raise Violation("S1", t_ns, f"{volts} V at the motor")
@@ -527,7 +529,7 @@ class Checks:
 
 
 def _of(run: pipe.Run | None, k: int) -> int:
-    """Return the code of a scheduled run at sample `k`; -1 where there is none."""
+    """Return the code of a scheduled run at sample `k`; -1 without one."""
     if run is None or not run.scheduled or 2 * k >= len(run.codes):
         return -1
     return run.codes[2 * k] | run.codes[2 * k + 1] << 8

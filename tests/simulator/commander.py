@@ -1,4 +1,4 @@
-"""Who commands: one that does what it may, and those that do what they may not."""
+"""Commanders: one with the lease, and intruders."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from armrig_daemon.pipe import (
 )
 from armrig_daemon.pipe import State as StateRecord
 
-from simulator.options import Options
+from tests.simulator.options import Options
 
 _OTHER = Calibration(theta_1=Potentiometer(rad_per_count=-0.1), driver=Driver(gain=10.0))
 _PATIENCE = 20
@@ -48,11 +48,11 @@ class Commander:
 
     @property
     def lease(self) -> str:
-        """What it last armed with."""
+        """Lease of its last arming."""
         return self._lease
 
     def hears(self, record: Record) -> None:
-        """Take note of what the daemon tells."""
+        """Read a record of the daemon."""
         if isinstance(record, StateRecord):
             self._phase = record.phase
             if record.phase not in ("armed", "active"):
@@ -67,11 +67,11 @@ class Commander:
                 self._held = True
 
     def forget(self) -> None:
-        """Begin anew with another daemon."""
+        """Begin again with another daemon."""
         self._phase, self._held, self._playing, self._awaited = "init", False, False, -1
 
     def act(self) -> Order | None:
-        """Return what it orders now."""
+        """Return its present orders."""
         if self._awaited >= 0 and self._waits < _PATIENCE:
             self._waits += 1
             return None
@@ -123,7 +123,7 @@ class Commander:
         return Set(order=self._other(), lease=self._lease, n=self._n, code=self._rng.choice(codes))
 
     def intruded(self) -> Order:
-        """Return what a second commander tries while another holds the rig."""
+        """Return the attempts of a second commander while another holds the rig."""
         what = self._rng.randrange(12)
         if what == 0:
             return Stop(order=self._other())
@@ -179,7 +179,7 @@ class Commander:
         return self._number
 
     def _other(self) -> int:
-        """Return the number of an order that is not its own."""
+        """Return the number of another commander's order."""
         self._number += 1
         return -self._number
 

@@ -1,4 +1,4 @@
-"""Frames of the host as the checks know them, and what may come of one that is played again."""
+"""Frames of the host as the checks know them, and the effects of a replayed frame."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
     seq: int
     t_ns: int
     session: int
-    """Counted at each start of the host and each coming of the link: there seq begins anew."""
+    """Number of the session: seq begins again at each start of the host and each link."""
     grant: int
     """Under which lease; 0 is none."""
     code: int
-    """Held by hand then; -1 where an experiment says it."""
+    """Code held by hand at that time; -1 in an experiment."""
     command_ns: int
-    """When its command was given."""
+    """Time at which its command was given."""
     stale: bool
     """Sent when the round trip was too old to drive on."""
     reset: bool
-    """A person had asked for a reset since the last trip."""
+    """A person had requested a reset since the last trip."""
     data: bytes
     host_ns: int
-    """When it was sent, by the host's clock; `t_ns` and `command_ns` are given times."""
+    """Time of sending, by the host's clock; `t_ns` and `command_ns` are given times."""
 
 
 def ask_the_same(a: Frame, b: Frame) -> bool:

@@ -1,4 +1,4 @@
-"""One way of the line, and what it does to the frames that go in."""
+"""One direction of the line, with its effect on the frames."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from random import Random
 
 from armrig_protocol.messages import TYPES, Arm, Config, Hello, Start
 
-from simulator.options import MS, Episode
+from tests.simulator.options import MS, Episode
 
 HELLO, CONFIG, ARM, START = (TYPES[kind] for kind in (Hello, Config, Arm, Start))
 _CONTROLS = (HELLO, CONFIG, ARM, START)
 
 _MOST_KEPT = 400
 Piece = tuple[int, bytes]
-"""When the bytes come out, and what they are."""
+"""Time at which the bytes come out, and the bytes."""
 
 
 class Line:
@@ -36,7 +36,7 @@ class Line:
         """Nothing gets through before this."""
 
     def carry(self, t_ns: int, data: bytes) -> Sequence[Piece]:
-        """Return what comes out of the line for the frame that goes in at `t_ns`."""
+        """Return the output of the line for the frame that goes in at `t_ns`."""
         self._kept.append(data)
         kind = data[1] if len(data) > 1 and data[0] else HELLO
         if kind in _CONTROLS:
@@ -50,7 +50,7 @@ class Line:
         return self._spoil(t_ns, data)
 
     def played_again(self) -> list[bytes]:
-        """Return what would lead a device without nonces to RUN, and what was sent last."""
+        """Return frames that lead a device without nonces to RUN, and the last sent frames."""
         ways = [HELLO, CONFIG, ARM, START]
         return [self.controls[w] for w in ways if w in self.controls] + list(self._kept)[-80:]
 

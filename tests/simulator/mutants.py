@@ -1,8 +1,8 @@
 """Bugs to be planted: each takes one guard out of core, codec or device, in memory.
 
-What a schedule finds with a bug in shows that the checks can see it. Some guards stand behind
-others; such a bug is planted together with `without`, the layers that would mask it, and must be
-seen with it and not with those layers out alone.
+A schedule that fails with a bug shows that the checks can see it. Some guards are covered by
+others: such a bug is planted without the layers that would mask it (`without`). It must be seen,
+and the removal of those layers alone must not be.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from armrig_protocol.frame import Spoilt, Unknown
 from armrig_protocol.messages import ARRAYS, MESSAGES, Cause
 from msgspec.structs import replace
 
-from simulator.options import KINDS
+from tests.simulator.options import KINDS
 
 Patch = Callable[[ExitStack], None]
 AGES = 1 << 60
@@ -85,19 +85,19 @@ def _all(*patches: Patch) -> Patch:
 # -- the bugs ------------------------------------------------------------------------------------
 
 _handle_reply, _arm, _leased = replies.handle, orders._arm, orders._leased
-_tell_missing, _trip, _end_run = gaps.tell_missing, stopping.trip, stopping.end_run
+_report_missing, _trip, _end_run = gaps.report_missing, stopping.trip, stopping.end_run
 _say_allows = Rules.allows
 
 
 def _fresh_by_arrival(state: Any, now_ns: int, message: Any) -> Any:
     after, done = _handle_reply(state, now_ns, message)
-    if after.link and state.link and after.link.fresh_ns != state.link.fresh_ns:
-        after = core_requests.linked(after, fresh_ns=now_ns)
+    if after.link and state.link and after.link.last_round_trip_ns != state.link.last_round_trip_ns:
+        after = core_requests.linked(after, last_round_trip_ns=now_ns)
     return after, done
 
 
 def _as_known(kind: Any, *names: str) -> Patch:
-    """Return what lets the device find its own values in these fields of a request."""
+    """Return a request in which the device finds its own values in these fields."""
 
     def plant(stack: ExitStack) -> None:
         handler = requests._HANDLERS[kind]
@@ -146,7 +146,7 @@ def _any_owner(state: Any, now_ns: int, order: Any) -> Any:
 
 
 def _no_gaps(*args: Any, **kwargs: Any) -> Any:
-    state, _ = _tell_missing(*args, **kwargs)
+    state, _ = _report_missing(*args, **kwargs)
     return state, []
 
 
@@ -204,7 +204,7 @@ def _out_of_fault_in_the_table(stack: ExitStack) -> None:
 
 
 def _all_beats(state: Any, now_ns: int, data: bytes, *exchange: Any) -> Any:
-    with patch.object(core_requests, "MOST_BEATS", 1 << 20):
+    with patch.object(core_requests, "MAX_REMEMBERED_FRAMES", 1 << 20):
         return _send(state, now_ns, data, *exchange)
 
 
@@ -234,13 +234,15 @@ def _said_once(state: Any, now_ns: int, asked: Any, fault: Any) -> Any:
 _latch = transitions._latch
 NO_AGE = _put(Rules, "age_ns", lambda *_, **__: AGES)
 NO_RANGE = _all(
-    _put(orders, "_out_of_range", lambda *_: ""), _put(Rules, "allows", lambda *_: True)
+    _put(orders, "_out_of_range", lambda *_: []), _put(Rules, "allows", lambda *_: True)
 )
 
 DESIGN = 13
-"""So many, the first ones, are those that the simulator was designed to catch: freshness by arrival
-time, no boot nonce, no CRC, NaN let through, no lease, any owner, no staleness, no firmware
-timeout, replay accepted, silent gap, wrong scale, no pause detection, no firmware clamp.
+"""Number of bugs that the simulator was designed to catch; they are the first ones.
+
+These are: freshness by arrival time, no boot nonce, no CRC; NaN let through, no lease, any owner,
+no staleness. Also no firmware timeout, replay accepted, silent gap, wrong scale, no pause
+detection, and no firmware clamp.
 """
 
 MUTANTS = (
@@ -296,7 +298,9 @@ MUTANTS = (
         breaks=frozenset({"S2", "S3", "S5", "S6"}),
         faults=("replay to_device",),
     ),
-    Mutant(name="silent gap", plant=_put(gaps, "tell_missing", _no_gaps), breaks=frozenset({"L2"})),
+    Mutant(
+        name="silent gap", plant=_put(gaps, "report_missing", _no_gaps), breaks=frozenset({"L2"})
+    ),
     Mutant(
         name="wrong scale in the host",
         plant=_put(ActiveRun, "code", _half),

@@ -1,4 +1,4 @@
-"""What a seed draws: the rig, its commanders, and the faults that they meet."""
+"""Drawn options of a seed: the rig, its commanders, and its faults."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Final, NamedTuple
 MS: Final = 1_000_000
 _FIRST_NS: Final = 250 * MS
 CLEAR_NS: Final = 3_400 * MS
-"""From here on there is no fault: what comes back, has to come back by itself (T1)."""
+"""From here on there is no fault: the rig has to recover by itself (T1)."""
 END_NS: Final = CLEAR_NS + 700 * MS
-"""When it must be back: boards that boot in 50 ms have a third of what T1 allows.
+"""Time at which sampling must be back, in ns: boards that boot in 50 ms have a third of T1.
 
-Short, so that faults meet each other (docs/decisions/0021).
+It is short, so that faults meet each other (docs/decisions/0021).
 """
 
 WAYS: Final = ("to_device", "from_device")
@@ -39,7 +39,7 @@ ELSEWHERE: Final = (
     "full_pipe",
 )
 KINDS: Final = (*(f"{kind} {way}" for way in WAYS for kind in LINE), *ELSEWHERE)
-"""Every fault, each way of the line by itself."""
+"""Every fault, with each direction of the line by itself."""
 
 
 _WEIGHTS: Final = {
@@ -60,15 +60,15 @@ _WEIGHTS: Final = {
     "replay to_device": 1.4,
     "flip to_device": 1.4,
 }
-"""How much more often than others a fault is drawn."""
+"""Relative frequencies of the faults."""
 
 
 _TS_US: Final = {2_000: 2, 5_000: 50, 10_000: 25, 20_000: 23}
-"""How often a sampling time is drawn, in a hundred: a short one costs as many ticks more."""
+"""Frequencies of the sampling times, in a hundred: a short time costs as many more ticks."""
 
 
 _UNO: Final = {"boot_ms": 58.0, "pwm_bits": 10, "queue": 256, "clock_ppm": 0.0, "clock_start_us": 0}
-"""What an Uno is; it boots in so long until it has told so."""
+"""Properties of an Uno; its boot takes this time up to its report."""
 
 
 class Episode(NamedTuple):
@@ -82,7 +82,7 @@ class Episode(NamedTuple):
 
     @property
     def end_ns(self) -> int:
-        """When it is over."""
+        """End of the episode."""
         return self.t_ns + self.for_ns
 
 
@@ -107,24 +107,24 @@ class Options:
     adc_noise_v: float
     clock_ppm: float
     clock_start_us: int
-    """What the device's clock shows at its reset: some begin shortly before their wrap."""
+    """Time of the device's clock at its reset: some begin shortly before the wrap."""
     usb_ns: int
-    """What a USB bridge keeps the answers waiting."""
+    """Delay of the answers by a USB bridge, in ns."""
     client_ns: int
-    """How often the commander acts."""
+    """Period of the commander's actions, in ns."""
     modes: tuple[str, ...]
-    """What the commander does with the rig, one grant after the other."""
+    """Modes of the commander, one grant after the other."""
     goes_on: bool
-    """The commander goes on when the faults are over; else it says nothing more."""
+    """The commander goes on after the faults; otherwise it is silent."""
     real_outbox: bool
-    """The pipe to the service is the real one; else only its reader's part of it."""
+    """The pipe to the service is the real one; otherwise only its reader's part."""
     episodes: tuple[Episode, ...]
     stalls: tuple[Episode, ...] = ()
-    """Of the process that emulates the device; from a size of 0.5 on of the whole machine."""
+    """Stalls of the emulating process; from a size of 0.5 on of the whole machine."""
     tolerates_stalls: bool = False
     """The device's clock stops meanwhile."""
     c_core: bool = False
-    """The device's firmware is the C core, not the Python one; all else is as without it."""
+    """The device's firmware is the C core, not the Python one; nothing else changes."""
     uno: bool = False
     """The device is an Uno in simavr: its converter, PWM, queue, clock and boot are its own."""
 
@@ -151,14 +151,14 @@ def draw(
     Parameters
     ----------
     only : sequence of str
-        Faults that are drawn from.
+        Faults to draw from.
     stalls : bool, optional
-        The emulator is stalled besides, by 20 to 500 ms, and tolerates it or does not; no other
-        option hangs on it. Left out, it is not.
+        The emulator is also stalled, by 20 to 500 ms, and tolerates it or does not; no other
+        option depends on this. By default it is not stalled.
     c_core : bool
-        The device's firmware is the C core; no other option hangs on it.
+        The device's firmware is the C core; no other option depends on this.
     uno : bool
-        The device is an Uno; what it is by itself is not drawn.
+        The device is an Uno, whose own properties are not drawn.
     """
     rng = Random(seed)
     ts_us = rng.choices(list(_TS_US), list(_TS_US.values()))[0]

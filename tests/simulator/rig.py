@@ -13,7 +13,7 @@ from traceback import extract_tb
 from typing import Any, NamedTuple
 
 from armrig_core.calibration import Calibration
-from armrig_daemon.decisions.requests import say_state
+from armrig_daemon.decisions.requests import report_state
 from armrig_daemon.decisions.state import (
     Emit,
     Event,
@@ -32,30 +32,30 @@ from armrig_daemon.pipe import Alive, Gap, Log, Order, Quit, Record
 from armrig_protocol.messages import State as DeviceState
 from msgspec.structs import replace
 
-from simulator.checks import Checks
-from simulator.commander import Commander
-from simulator.line import Line
-from simulator.options import CLEAR_NS, END_NS, MS, Episode, Options
-from simulator.telling import FullPipe, Silent, Teller, read
-from simulator.violation import Violation
-from simulator.watched import Watched, WatchedCore
-from simulator.watched_uno import WatchedUno
+from tests.simulator.checks import Checks
+from tests.simulator.commander import Commander
+from tests.simulator.line import Line
+from tests.simulator.options import CLEAR_NS, END_NS, MS, Episode, Options
+from tests.simulator.telling import FullPipe, Silent, Teller, read
+from tests.simulator.violation import Violation
+from tests.simulator.watched import Watched, WatchedCore
+from tests.simulator.watched_uno import WatchedUno
 
 NEVER = 1 << 62
 _DRIVING, _RUN = (Phase.ACTIVE, Phase.ARMED), DeviceState.RUN
 _MARK = Struct("<qc")
 _PIPE_NS = 50_000
 Story = Callable[[int, str, Any], None]
-"""Is told the time, what kind of thing happened, and the thing."""
+"""Function of the time, the kind of the event, and the event."""
 
 
 class Outcome(NamedTuple):
-    """What came of one schedule."""
+    """Outcome of one schedule."""
 
     seed: int
     violation: tuple[str, int, str] | None
     digest: str
-    """Of all bytes on the line, either way, with their times."""
+    """Digest of all bytes on the line, both ways, with their times."""
     faults: dict[str, int]
     seen: dict[str, int]
     worst_ns: dict[str, int]
@@ -70,7 +70,7 @@ class Killed(Exception):  # noqa: N818 - it is no error
 
 
 class WatchedLoop(Loop):
-    """The loop, with somebody who looks at each step of its core."""
+    """The loop, with an observer of each step of its core."""
 
     def __init__(self, rules: Rules, rig: Rig) -> None:
         super().__init__(rules, rig)
@@ -92,7 +92,7 @@ class WatchedLoop(Loop):
             super()._step(now_ns, [event])
 
     def _judged(self, now_ns: int, ticks: list[Event]) -> None:
-        """Do a tick, with a look at the round trip before it and at what is kept after it."""
+        """Do a tick, with checks of the round trip before it and of the memory after it."""
         state, checks = self.state, self._rig.checks
         checks.begin_tick(
             now_ns,
@@ -239,7 +239,7 @@ class Rig:
         heappush(self._inbox, (t_ns, self._n, event, heard_ns))
 
     def _pass(self, to_ns: int) -> None:
-        """Let the world go on, whatever comes for the loop."""
+        """Let the world go on."""
         world, advance = self._world, self.device.advance_to_frame
         while True:
             t_ns = world[0][0]
@@ -307,7 +307,7 @@ class Rig:
     # -- orders ----------------------------------------------------------------------------------
 
     def delivered(self, now_ns: int, order: Order) -> None:
-        """Tell the checks of an order that the core is about to take."""
+        """Report an order to the checks before the core takes it."""
         given = self.device.given_ns
         at_ns = self._orders.pop(id(order), now_ns)
         self.checks.ordered(given(now_ns), given(at_ns), order)
@@ -430,7 +430,7 @@ class Rig:
         raise Killed
 
     def _played_again(self, e: Episode) -> None:
-        """End the process, and send what would lead the device to where it was, reset or not."""
+        """End the process, and replay frames that lead the device to its state, reset or not."""
         if self.loop is None:
             return
         self._told("played_again", e)
@@ -447,7 +447,7 @@ class Rig:
         raise Killed
 
     def _old_frames(self, e: Episode) -> None:
-        """End the process, and play what it sent into the session of the next one."""
+        """End the process, and replay its frames into the next session."""
         if self.loop is None:
             return
         self._told("old_frames", e)
@@ -469,7 +469,7 @@ class Rig:
             self.order(Quit(order=-9, reason="the end"))
 
     def _reset(self, e: Episode) -> None:
-        """Reset the device; what it says of it is lost in one half."""
+        """Reset the device; half of the times its report is lost."""
         self._told("reset", e)
         self.device.reset(self.now)
         if e.size < 0.5:
@@ -550,7 +550,7 @@ class Rig:
     # -- the end ---------------------------------------------------------------------------------
 
     def _judge_recovery(self, _: None) -> None:
-        """Judge what is there some time after the last fault (T1)."""
+        """Judge the state some time after the last fault (T1)."""
         checks, options = self.checks, self.options
         recent_ns = max(100 * MS, 10 * options.ts_us * 1000)
         age_ns = self.now - checks.last_sample_ns
@@ -574,11 +574,11 @@ class Rig:
             raise Violation("T1", self.now, text)
 
     def _judge_what_is_said(self) -> None:
-        """Judge whether who asks for the state is told what the core knows (T1)."""
+        """Judge whether the reported state is what the core knows (T1)."""
         state = self.loop.state if self.loop is not None else None
         if state is None or state.asked is not None:
             return
-        now, said = say_state(state, self.now), self.checks.said
+        now, said = report_state(state, self.now), self.checks.said
         assert isinstance(now, Emit)
         if said is None or replace(said, t_host_ns=self.now) != now.record:
             raise Violation("T1", self.now, f"said last was {said}, where {now.record} is")

@@ -1,4 +1,4 @@
-"""A schedule told in words, tick by tick, for a person."""
+"""Story of a schedule, tick by tick, for a person."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from armrig_daemon.decisions.state import Ordered, Received
 from armrig_daemon.pipe import Run, Tagged
 from armrig_protocol.decoder import feed
 
-from simulator.options import MS, Options
-from simulator.rig import Outcome, simulate
+from tests.simulator.options import MS, Options
+from tests.simulator.rig import Outcome, simulate
 
 _LAST = 400
 """Lines before the end that are kept in full."""
@@ -28,9 +28,9 @@ def tell(options: Options, trace: Path | None = None) -> tuple[Outcome, list[str
 
 
 def write(options: Options, path: Path) -> Outcome:
-    """Write the story of a schedule to `path`: what was drawn, and its end in full.
+    """Write the story of a schedule to `path`: its options, and its end in full.
 
-    Beside it, where the device is an Uno, what its pins did, as VCD.
+    If the device is an Uno, also write a VCD of its pins.
     """
     outcome, lines = tell(options, path.with_suffix(".vcd") if options.uno else None)
     verdict = "no violation"

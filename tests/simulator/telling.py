@@ -9,11 +9,11 @@ from armrig_daemon.loop.outbox import Outbox
 from armrig_daemon.pipe import Record, take_records
 
 if TYPE_CHECKING:
-    from simulator.rig import Rig
+    from tests.simulator.rig import Rig
 
 
 class Silent:
-    """A meter that measures nothing: what the timing was decides nothing."""
+    """A meter that measures nothing, because no decision depends on the timing."""
 
     def _nothing(self, *_: object) -> None:
         return None
@@ -25,12 +25,12 @@ class Teller:
     """A pipe that always has room, read at once."""
 
     def __init__(self, rig: Rig) -> None:
-        """Begin with nothing told."""
+        """Begin without any record."""
         self._rig = rig
 
     @property
     def waiting(self) -> int:
-        """How many records wait for room."""
+        """Number of records that wait for room."""
         return 0
 
     def put(self, record: Record) -> None:
@@ -57,11 +57,11 @@ class FullPipe(Teller):
 
     @property
     def waiting(self) -> int:
-        """How many records wait for room."""
+        """Number of records that wait for room."""
         return len(self._outbox._waiting)
 
     def put(self, record: Record) -> None:
-        """Hand over a record; what the core decided is judged before it waits."""
+        """Hand over a record; a decision of the core is judged before it waits."""
         self._rig.checks.told(self._rig.given_ns, record)
         self._outbox.put(record)
 

@@ -1,11 +1,11 @@
-"""What the checks let an old frame do, and no more."""
+"""Effects of an old frame that the checks permit."""
 
 from __future__ import annotations
 
 from armrig_protocol.frame import encode
 from armrig_protocol.messages import Exchange, Message, Setpoints
 
-from simulator.frames import Frame, may_exchange, may_fill
+from tests.simulator.frames import Frame, may_exchange, may_fill
 
 
 def _frame(message: Message, *, grant: int = 1, stale: bool = False) -> Frame:
@@ -17,7 +17,6 @@ def _latched(frame: Frame, code: int = 500, k: int = 9, last_k: int = 8, slew: i
 
 
 def test_an_old_exchange_is_latched_where_its_k_is_ahead_and_within_slew() -> None:
-    """And where it was a command in its own time, byte for byte."""
     frame = _frame(Exchange(0, 7, 9, 500))
 
     assert not _latched(frame)
@@ -33,7 +32,6 @@ def test_an_old_exchange_is_latched_where_its_k_is_ahead_and_within_slew() -> No
 
 
 def test_old_setpoints_fill_the_samples_that_they_carry() -> None:
-    """The n codes from k0 on, not the padding."""
     frame = _frame(Setpoints(0, 7, 24, 2, 0, (500, 600) + 22 * (0,)))
 
     assert not may_fill(frame, 500, 24)

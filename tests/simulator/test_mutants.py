@@ -1,4 +1,4 @@
-"""Planted bugs: each turns a schedule red, else the checks would be blind to it."""
+"""Planted bugs: each must turn a schedule red, or the checks would be blind to it."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from simulator.mutants import DESIGN, MUTANTS, Mutant, planted
-from simulator.options import draw
-from simulator.rig import simulate
+from tests.simulator.mutants import DESIGN, MUTANTS, Mutant, planted
+from tests.simulator.options import draw
+from tests.simulator.rig import simulate
 
 MOST = 40
 
@@ -28,7 +28,6 @@ def _broken(mutant: Mutant, seed: int) -> str:
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda m: m.name)
 def test_a_planted_bug_is_seen(mutant: Mutant) -> None:
-    """By the invariant that it breaks; without it, the same schedule breaks none of those."""
     with planted(mutant.plant, *mutant.without):
         seeds = range(mutant.first, mutant.first + MOST)
         seed = next((s for s in seeds if _broken(mutant, s) in mutant.breaks), None)
@@ -39,8 +38,7 @@ def test_a_planted_bug_is_seen(mutant: Mutant) -> None:
 
 
 @pytest.mark.parametrize("mutant", [m for m in MUTANTS if m.without], ids=lambda m: m.name)
-def test_a_bug_behind_another_guard_is_masked_by_it(mutant: Mutant) -> None:
-    """That is why it is tried with that guard out."""
+def test_a_bug_that_another_guard_covers_is_masked_by_it(mutant: Mutant) -> None:
     with planted(mutant.plant):
         broken = {_broken(mutant, seed) for seed in range(mutant.first, mutant.first + 2)}
 
@@ -48,7 +46,7 @@ def test_a_bug_behind_another_guard_is_masked_by_it(mutant: Mutant) -> None:
 
 
 def test_the_bugs_of_the_design_come_first() -> None:
-    """All thirteen, in its order: none is dropped without being seen to be."""
+    """All thirteen, in its order."""
     assert [m.name for m in MUTANTS[:DESIGN]] == [
         "freshness by the time of arrival",
         "no boot nonce",

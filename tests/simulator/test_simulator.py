@@ -11,17 +11,17 @@ from pathlib import Path
 import pytest
 from armrig_protocol.messages import Ping
 
-from simulator import campaign, story
-from simulator.options import KINDS, draw
-from simulator.rig import simulate
+from tests.simulator import campaign, story
+from tests.simulator.options import KINDS, draw
+from tests.simulator.rig import simulate
 
 # `.ci/run` tries 10 000; test_mutants.py shows that each planted bug is seen in 40.
 SEEDS = int(os.environ.get("ARMRIG_SIMULATE_SEEDS", "50"))
-_HASH = "from simulator.options import draw; from simulator.rig import simulate\n"
+_HASH = "from tests.simulator.options import draw; from tests.simulator.rig import simulate\n"
 
 
 def test_every_invariant_holds_under_faults() -> None:
-    """S1 ... S6, A1, L2, R1 and T1; `make simulate SEED=...` shows one that does not."""
+    """S1 to S6, A1, L2, R1 and T1; `make simulate SEED=...` shows a failing schedule."""
     done = campaign.run(range(SEEDS))
 
     assert not done.violations, [f"make simulate SEED={v[0]}: {v[1:]}" for v in done.violations]
@@ -30,7 +30,7 @@ def test_every_invariant_holds_under_faults() -> None:
 
 
 def test_an_end_that_was_asked_for_reports_no_fault() -> None:
-    """The seed of the 2500 tried in which frames behind the last STOP came together."""
+    """In one seed of the 2500 tried, several frames after the last STOP came together."""
     assert simulate(draw(2327)).violation is None
 
 
@@ -38,7 +38,7 @@ def test_an_end_that_was_asked_for_reports_no_fault() -> None:
 def test_every_invariant_holds_while_the_emulator_is_stalled(tolerates: bool) -> None:
     """Alone and with its machine, for 20 to 500 ms; its clock stops meanwhile, or does not.
 
-    Times to 0 V are by the device's clock: no watchdog and no lease is longer by it.
+    Times to 0 V are by the device's clock, so no watchdog and no lease is longer.
     """
     done = campaign.run(range(SEEDS // 5), stalls=tolerates)
 
@@ -48,12 +48,10 @@ def test_every_invariant_holds_while_the_emulator_is_stalled(tolerates: bool) ->
 
 
 def test_stalls_change_nothing_else_of_a_schedule() -> None:
-    """The same faults come at the same times."""
     assert replace(draw(7, stalls=True), stalls=(), tolerates_stalls=False) == draw(7)
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
-    """Time, faults and commanders follow from the seed alone."""
     first, second = simulate(draw(7)), simulate(draw(7))
 
     assert first == second
@@ -61,10 +59,8 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
 
 
 def test_another_process_gives_the_same_bytes() -> None:
-    """Nothing hangs on the process: no hash of a string, no address, no clock."""
-    tests = Path(__file__).parents[1]
     code = f"{_HASH}print(simulate(draw(7)).digest)"
-    path = os.pathsep.join([str(tests), *sys.path])
+    path = os.pathsep.join(sys.path)
 
     other = subprocess.run(
         [sys.executable, "-c", code],
@@ -78,7 +74,6 @@ def test_another_process_gives_the_same_bytes() -> None:
 
 
 def test_a_story_changes_nothing(tmp_path: Path) -> None:
-    """Looking on costs no byte and no time; the story has each option and each frame's name."""
     outcome = story.write(draw(7), tmp_path / "7.txt")
 
     text = (tmp_path / "7.txt").read_text(encoding="utf-8")
@@ -88,14 +83,12 @@ def test_a_story_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_campaign_in_which_little_happens_says_so() -> None:
-    """No violation in ten schedules without the line's faults means nothing."""
     done = campaign.run(range(2), only=("stuck",), workers=0)
 
     assert any("loss to_device struck 0 times" in line for line in done.emptiness())
 
 
 def test_a_campaign_needs_each_cause_of_a_trip() -> None:
-    """A thousand schedules that never tripped by one of them say so; so do times never seen."""
     done = campaign.Campaign(schedules=1000, ticks=1, driving=1)
 
     said = done.emptiness()
@@ -104,7 +97,7 @@ def test_a_campaign_needs_each_cause_of_a_trip() -> None:
     assert all(any(kind in line for line in said) for kind in campaign.BOUNDS_NS)
 
 
-def test_a_longer_time_to_0_v_than_is_told_is_said() -> None:
+def test_a_time_to_0_v_above_the_documented_bound_is_reported() -> None:
     """210 ms after the commander is gone, 110 ms after the link is, at 100 ms and Ts 5 ms."""
     worst = {kind: (ns, 7) for kind, ns in campaign.BOUNDS_NS.items()}
     assert not campaign.Campaign(worst=worst).lateness()
@@ -115,5 +108,4 @@ def test_a_longer_time_to_0_v_than_is_told_is_said() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_fault_can_be_drawn_alone(kind: str) -> None:
-    """And strikes: what cannot happen tries nothing."""
     assert any(simulate(draw(seed, only=(kind,))).faults.get(kind) for seed in range(4))

@@ -1,7 +1,7 @@
-"""The emulated device with somebody who looks at each frame, latch and transition.
+"""The emulated device under observation of each frame, latch and transition.
 
-And with the process that emulates it, which may be stalled: the device is called with the host's
-time, and given its own. Of what it does `Checks` are told in given time.
+Its process may be stalled: the device is called with the host's time, and is given its own.
+`Checks` receive its acts in given time.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from armrig_daemon.emulator.firmware import MOTOR_MAY_TURN, Hardware
 from armrig_daemon.emulator.host_time import STALL_NS, HostTime
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_protocol.messages import Cause, State
-from firmware.core_device import CoreDevice
-from firmware.library import library
 
-from simulator.checks import Checks
-from simulator.frames import Frame
+from tests.firmware.core_device import CoreDevice
+from tests.firmware.library import library
+from tests.simulator.checks import Checks
+from tests.simulator.frames import Frame
 
 _BOOT, _RUN = State.BOOT, State.RUN
 
 
 class Watching:
-    """What makes of a device one whose every act is judged by `Checks`."""
+    """Device whose every act `Checks` judges."""
 
     def __init__(self, settings: EmulatorSettings, checks: Checks, clock_start_us: int) -> None:
         """Switch it on at time 0, its clock showing `clock_start_us`."""
@@ -36,7 +36,7 @@ class Watching:
         self._time = HostTime(0, tolerates_stalls=settings.tolerates_stalls)
         self._tolerates = settings.tolerates_stalls
         self._standstills: list[tuple[int, int]] = []
-        """When the device's clock stood still: host times, the last one's end perhaps to come."""
+        """Host times without the device's clock; the last end may be in the future."""
         self.is_stalled = False
         self._due_ns = self._acted_ns = 0
         self._waiting: list[bytes] = []
@@ -102,7 +102,7 @@ class Watching:
             super().receive(now_ns - self._time.held_up_ns, data)
 
     def reset(self, now_ns: int) -> None:
-        """Reset the device, or have it reset when the process goes on."""
+        """Reset the device, at once or when the process goes on."""
         if self.is_stalled:
             self._is_opened = True
         else:
@@ -168,17 +168,17 @@ class Watched(Watching, Device):
 
 
 class WatchedCore(Watching, CoreDevice):
-    """A device with the C core: what is judged are its calls of the board layer."""
+    """A device with the C core, whose calls of the board layer are judged."""
 
     is_watched = True
     build = "librig-fast.so"
     _frame: Frame | None = None
 
     def arrives(self, t_ns: int, data: Any, n: int) -> None:
-        """Look at bytes that C is about to take in."""
+        """Judge bytes that C is about to take in."""
         bound = self._fw.state in MOTOR_MAY_TURN
         self._frame = self.checks.arrives(t_ns, string_at(data, n), bound=bound)
 
     def changed(self, t_ns: int, before: int) -> None:
-        """Look at what came of them."""
+        """Judge the effects."""
         self.checks.changed(t_ns, before, self._fw.state, self._frame)

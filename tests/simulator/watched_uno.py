@@ -1,8 +1,8 @@
 """The Uno's binary in simavr as the device of a schedule, judged at its pin.
 
-What the program does inside nobody sees. The voltage is the pin's, in each period of its PWM. When
-bytes arrive is known from the line, and when theta_1 is held from the converter. The rest it
-tells: SAMPLE which code it has latched from which frame, EVENT which state it has left.
+The inside of the program is not visible. The voltage is the pin's, in each period of its PWM. The
+line gives the arrival of bytes, the converter the hold of theta_1. The program reports the rest:
+SAMPLE the latched code and its frame, EVENT the state that it left.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ from armrig_protocol.messages import (
     Start,
     State,
 )
-from firmware.uno_host import HEX, harness
 
-from simulator.checks import Checks
-from simulator.frames import Frame
-from simulator.violation import Violation
+from tests.firmware.uno_host import HEX, harness
+from tests.simulator.checks import Checks
+from tests.simulator.frames import Frame
+from tests.simulator.violation import Violation
 
 _PWM_BITS = 10
 _ACTS_NS = 64_000 + 16_000
@@ -63,9 +63,9 @@ class WatchedUno(Uno):
         self._coming: deque[tuple[int, bytes]] = deque()
         """Pieces on the line to the device, with when the last byte of each has arrived."""
         self._holds: deque[int] = deque(maxlen=32)
-        """When theta_1 was held."""
+        """Times at which theta_1 was held."""
         self._behind_ns: int | None = None
-        """From what the device's clock shows at a trigger to the time of its hold."""
+        """Time from the device's clock at a trigger to the hold."""
         self._acked: Frame | None = None
         self._may_run = False
         self._low_ns = 0
@@ -82,7 +82,9 @@ class WatchedUno(Uno):
     def reset(self, now_ns: int) -> None:
         """Reset it by its pin."""
         super().reset(now_ns)
-        self.checks.gets(now_ns, 0.0, State.RUN, Cause.NONE)  # else the next period tells otherwise
+        self.checks.gets(
+            now_ns, 0.0, State.RUN, Cause.NONE
+        )  # unless the next period shows another duty
         self._begin(now_ns)
 
     def receive(self, now_ns: int, data: bytes) -> None:
@@ -91,7 +93,7 @@ class WatchedUno(Uno):
         super().receive(now_ns, data)
 
     def advance_to_frame(self, now_ns: int) -> list[tuple[int, bytes]]:
-        """Do what is due until `now_ns` or the next frame, whatever is first."""
+        """Do everything due until `now_ns` or the next frame, whichever is first."""
         while True:
             limit_ns = min(now_ns, self._coming[0][0]) if self._coming else now_ns
             _, frames = self.advance_until(limit_ns)
@@ -134,7 +136,7 @@ class WatchedUno(Uno):
     def _duty_at(self, t_ns: int) -> int:
         return next((d.high for d in reversed(self.duties) if self.ns(d.cycle) <= t_ns), 0)
 
-    # -- what it tells ---------------------------------------------------------------------------
+    # -- its reports -----------------------------------------------------------------------------
 
     def _take_frame(self, t_ns: int) -> None:
         super()._take_frame(t_ns)
@@ -150,7 +152,7 @@ class WatchedUno(Uno):
             self._latched(t_ns, m)
 
     def _left(self, t_ns: int, m: Event) -> None:
-        """Judge a transition that it tells."""
+        """Judge a reported transition."""
         if m.was != State.BOOT:
             self.checks.changed(t_ns, m.was, m.state, self._acked)
         if m.state == State.RUN:
@@ -162,7 +164,7 @@ class WatchedUno(Uno):
             self.checks.stopped(self._low_ns, m.cause)
 
     def _latched(self, t_ns: int, m: Sample) -> None:
-        """Judge a code that it tells to have latched, and what the pin had then (S5)."""
+        """Judge a reported latch, and the pin at that time (S5)."""
         hold_ns = self._hold_of(t_ns, m)
         frame = self.checks.taken_in(m.u_seq) if m.u_seq else None
         said = decode(frame.data[:-1]) if frame is not None else None
@@ -191,7 +193,7 @@ class WatchedUno(Uno):
 
 
 def _code_of(said: object, m: Sample) -> int:
-    """Return the code that a frame says for a sample; START says u_rest."""
+    """Return the code of a frame for a sample; START means u_rest."""
     if isinstance(said, Exchange):
         return said.u
     if isinstance(said, Setpoints) and 0 <= m.k - said.k0 < said.n:

@@ -1,4 +1,4 @@
-"""The stalls of the host, as the tests ask for them."""
+"""The stalls of the host."""
 
 from __future__ import annotations
 

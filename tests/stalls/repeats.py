@@ -15,7 +15,7 @@ from typing import Final
 import pytest
 from _pytest.runner import runtestprotocol
 
-from stalls.host import Host
+from tests.stalls.host import Host
 
 STALL_NS: Final = 40_000_000
 """Shortest stall for which a test is repeated: with a tick of 10 ms it exceeds the limit of S4."""
@@ -85,7 +85,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def allowed(tests: int) -> int:
-    """Return how many of so many tests may be repeated: one at least, even in a short run."""
+    """Return the number of tests that may be repeated: one at least, even in a short run."""
     return max(1, int(tests * MAX_REPEATED_SHARE))
 
 

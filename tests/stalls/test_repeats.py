@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from stalls.host import STOPS, Host, stops_of
-from stalls.repeats import MAX_REPEATS, STALL_NS, allowed
+from tests.stalls.host import STOPS, Host, stops_of
+from tests.stalls.repeats import MAX_REPEATS, STALL_NS, allowed
 
 pytest_plugins = ["pytester"]
 
@@ -56,13 +56,12 @@ def stops(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def ran(pytester: pytest.Pytester, *, failures: int, marker: str = "real_time") -> pytest.RunResult:
     """Run a test that fails so often and then passes."""
     pytester.makepyfile(TEST.format(marker=marker, failures=failures))
-    return pytester.runpytest_inprocess("-p", "stalls.repeats", "-p", "no:cacheprovider")
+    return pytester.runpytest_inprocess("-p", "tests.stalls.repeats", "-p", "no:cacheprovider")
 
 
 def test_a_test_in_real_time_is_repeated_if_the_host_stalled(
     pytester: pytest.Pytester, stops: Path
 ) -> None:
-    """The last attempt counts, each attempt has fresh fixtures, and the summary names the test."""
     result = ran(pytester, failures=MAX_REPEATS)
 
     assert result.ret == 0
@@ -74,7 +73,6 @@ def test_a_test_in_real_time_is_repeated_if_the_host_stalled(
 
 
 def test_a_test_is_repeated_twice_at_most(pytester: pytest.Pytester, stops: Path) -> None:
-    """The third failure counts."""
     result = ran(pytester, failures=MAX_REPEATS + 1)
 
     assert result.ret == pytest.ExitCode.TESTS_FAILED
@@ -85,7 +83,6 @@ def test_a_test_is_repeated_twice_at_most(pytester: pytest.Pytester, stops: Path
 def test_nothing_else_is_repeated(
     stopped: bool, pytester: pytest.Pytester, stops: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A failure is no stall, and a stall matters to no test but those in real time."""
     monkeypatch.setattr(Host, "_ask", lambda _: None)  # a busy host stalls during this test, too
     if not stopped:
         stops.write_text(f"0 {10**18} 1\n")  # another process
@@ -101,7 +98,6 @@ def test_nothing_else_is_repeated(
 def test_more_than_one_percent_of_repeated_tests_fails_the_run(
     pytester: pytest.Pytester, stops: Path
 ) -> None:
-    """One test may be repeated in a short run, two may not."""
     pytester.makepyfile(test_other=TEST.format(marker="real_time", failures=3))
 
     result = ran(pytester, failures=1)
@@ -113,7 +109,6 @@ def test_more_than_one_percent_of_repeated_tests_fails_the_run(
 
 
 def test_the_monitor_measures_a_stall(host: Host) -> None:
-    """The stall is as long as the monitor could not run, but for its own period."""
     pid = host._monitor.pid
     os.kill(pid, signal.SIGSTOP)
     os.waitpid(pid, os.WUNTRACED)
@@ -128,7 +123,6 @@ def test_the_monitor_measures_a_stall(host: Host) -> None:
 
 
 def test_a_stop_counts_for_the_tests_whose_process_was_stopped(tmp_path: Path) -> None:
-    """A line contains the stopped process with its ancestors."""
     path = tmp_path / "stops"
     path.write_text("10 20 7 5 1\n30 50 8 6 1\n")
 

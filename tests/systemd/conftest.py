@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from machine import Machine, missing, wait_for
-from served_rig import Rig
+
+from tests.systemd.machine import Machine, missing, wait_for
+from tests.systemd.served_rig import Rig
 
 _RIG = """[Unit]
 Description=An emulated rig, in place of a board

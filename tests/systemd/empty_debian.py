@@ -7,21 +7,21 @@ import shutil
 import subprocess
 from pathlib import Path
 
-from machine import CHECKOUT, FETCHED_S
+from tests.systemd.machine import CHECKOUT, FETCHED_S
 
 SUITE = "bookworm"
 _AUTHORITIES = Path("usr/local/share/ca-certificates")
-"""Of this host's network, where it has its own: read as Debian's packages are installed."""
+"""Certificates of this host's network, if it has its own, for the packages of Debian."""
 _NOT_SOURCES = (".git", ".venv", ".mypy_cache", ".ruff_cache", ".pytest_cache", "node_modules")
 
 
 def missing() -> str:
-    """Return why there can be no such root here, or nothing."""
+    """Return the reason why there can be no such root here, or nothing."""
     return "" if shutil.which("debootstrap") else "debootstrap is not installed"
 
 
 def make(root: Path, *needed: str) -> None:
-    """Make a root of Debian's smallest variant, and of packages that a test needs beside it."""
+    """Make a root of Debian's smallest variant, with the packages that a test needs."""
     packages = ",".join(needed)
     _run("debootstrap", "--variant=minbase", f"--include={packages}", SUITE, str(root))
     if ("/" / _AUTHORITIES).is_dir():
@@ -29,7 +29,7 @@ def make(root: Path, *needed: str) -> None:
 
 
 def lay_checkout(folder: Path) -> None:
-    """Copy the sources, as they are unpacked from what a person has downloaded."""
+    """Copy the sources, as a person unpacks them."""
     shutil.copytree(CHECKOUT, folder, ignore=shutil.ignore_patterns(*_NOT_SOURCES))
 
 

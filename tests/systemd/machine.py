@@ -1,8 +1,8 @@
 """A machine with systemd as its PID 1, in namespaces of its own; the host is not touched.
 
-Its root is the host's with a layer of memory over it, so that nothing has to be downloaded; /etc
-has none of the host's units, and /opt/armrig is an installation of this checkout. Or it is another
-system's, as it is there.
+Its root is the host's under a layer of memory, so that nothing is downloaded. Its /etc has none of
+the host's units, and /opt/armrig is an installation of this checkout. Alternatively the root is
+another system's, unchanged.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ sys.exit(main())
 
 
 def missing() -> str:
-    """Return why there can be no such machine here, or nothing."""
+    """Return the reason why there can be no such machine here, or nothing."""
     if os.geteuid() != 0:
         return "a machine of its own needs root (namespaces)"
     for program in ("unshare", "nsenter", "setpriv", "systemctl", "systemd-analyze"):
@@ -104,7 +104,7 @@ class Machine:
     ) -> subprocess.CompletedProcess[str]:
         """Run a command in the machine, as root or as another of its users.
 
-        What is to be online has the host's network for once, and time to fetch packages.
+        An online command has the host's network, and time to fetch packages.
         """
         enter = ["nsenter", "-t", str(self._pid), "-m", "-u", "-i", "-p", "-C"]
         enter += ["--"] if online else ["-n", "--"]
@@ -137,7 +137,7 @@ class Machine:
 
     @property
     def may_raise_limits(self) -> bool:
-        """Whether its systemd can give LimitRTPRIO=, which that of a container may not."""
+        """Return whether its systemd can give LimitRTPRIO=, which a container may prevent."""
         status = Path(f"/proc/{self._pid}/status").read_text()
         return bool(int(status.split("CapEff:")[1].split()[0], 16) >> _CAP_SYS_RESOURCE & 1)
 
@@ -151,13 +151,13 @@ class Machine:
         return dict(line.split("=", 1) for line in text.splitlines())
 
     def journal(self, unit: str) -> list[dict[str, Any]]:
-        """Return what a unit has said itself, the oldest first."""
+        """Return a unit's own lines of the journal, the oldest first."""
         self.run("journalctl", "--sync")
         said = self.run("journalctl", "--no-pager", "-o", "json", f"_SYSTEMD_UNIT={unit}").stdout
         return [json.loads(line) for line in said.splitlines()]
 
     def end(self) -> None:
-        """End the machine and all that runs in it."""
+        """End the machine and all its processes."""
         self._unshare.kill()  # its child is killed with it, and a machine with its PID 1
         self._unshare.wait()
         wait_for(lambda: "populated 0" in (self._cgroup / "cgroup.events").read_text())

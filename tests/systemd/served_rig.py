@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from machine import Machine, wait_for
+from tests.systemd.machine import Machine, wait_for
 
 _RUNNER = """
 import sys, time
@@ -23,7 +23,7 @@ with armrig.Rig(sys.argv[1], connect=sys.argv[2]) as rig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rig:
-    """One rig of the machine: an emulator behind a port, and the unit that serves it."""
+    """One rig of the machine: an emulator at a port, and the unit that serves it."""
 
     machine: Machine
     id: str
@@ -35,11 +35,11 @@ class Rig:
 
     @property
     def endpoint(self) -> str:
-        """Where the daemon listens."""
+        """Return the endpoint of the daemon."""
         return f"unixsock-stream//run/armrig/{self.id}/{self.id}.sock"
 
     def armrig(self, *command: str, user: str = "", check: bool = True) -> tuple[int, str, str]:
-        """Run a command of `armrig` on this rig; return its exit code and what it says."""
+        """Run a command of `armrig` on this rig; return its exit code and output."""
         where = ("--rig", self.id, "--connect", self.endpoint)
         done = self.machine.run("armrig", *command, *where, user=user, check=check)
         return done.returncode, done.stdout, done.stderr
@@ -51,11 +51,11 @@ class Rig:
         return [float(volts) for t, volts, *_ in fields if t.isdigit()]
 
     def is_active(self) -> bool:
-        """Tell whether the unit serves."""
+        """Return whether the unit serves."""
         return self.machine.shown(self.unit, "ActiveState")["ActiveState"] == "active"
 
     def status(self) -> str:
-        """Return how the daemon tells systemd that its rig is; nothing where none runs."""
+        """Return the state that the daemon reports to systemd; empty without a daemon."""
         return self.machine.shown(self.unit, "StatusText")["StatusText"]
 
     def phase(self) -> str:
@@ -79,12 +79,12 @@ class Rig:
         assert len(self.volts()) > enough, self.status()
 
     def said(self) -> list[tuple[str, str]]:
-        """Return what the daemon has put into the journal: priority and line."""
+        """Return the daemon's lines of the journal: priority and text."""
         journal = self.machine.journal(self.unit)
         return [(line["PRIORITY"], line["MESSAGE"]) for line in journal]
 
     def start(self) -> None:
-        """Have the unit serve, with the rig at 0 V and nobody at it."""
+        """Have the unit serve, with the rig at 0 V and without a holder."""
         self.machine.systemctl("reset-failed", self.unit, check=False)
         self.machine.systemctl("start", self.unit)
         wait_for(lambda: self.phase() not in ("", "init"))

@@ -1,12 +1,13 @@
-"""The rules for boards' names, as udev itself reads them; what a board would tell is made up."""
+"""The rules for boards' names, as udev reads them; the boards' properties are invented."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from machine import Machine
-from tools import needs
+
+from tests.systemd.machine import Machine
+from tests.tools import needs
 
 pytestmark = [
     pytest.mark.machine,
@@ -40,7 +41,6 @@ def _properties(machine: Machine, board: str) -> list[str]:
     ],
 )
 def test_a_board_has_one_name_that_stays(machine: Machine, board: str, name: str) -> None:
-    """By its serial number or, where it has none, by its USB port; no modem is looked for in it."""
     properties = _properties(machine, board)
 
     assert f"DEVLINKS={name}" in properties
@@ -51,5 +51,4 @@ def test_a_board_has_one_name_that_stays(machine: Machine, board: str, name: str
     "other", [f'{USB}, ENV{{ID_VENDOR_ID}}="1199"', 'ENV{ID_VENDOR_ID}="2341"']
 )
 def test_what_is_no_board_is_left_alone(machine: Machine, other: str) -> None:
-    """A modem, and a terminal that is not at a USB port."""
     assert not [line for line in _properties(machine, other) if "armrig" in line or "MM" in line]

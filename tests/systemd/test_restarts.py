@@ -1,4 +1,4 @@
-"""The service is restarted and killed in runs with five clients connected; each client is told.
+"""The service is restarted and killed during runs of five clients; each client is notified.
 
 `ARMRIG_RESTARTS=20 pytest -s tests/systemd/test_restarts.py` repeats each and prints the counts.
 """
@@ -13,8 +13,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from machine import Machine, wait_for
-from served_rig import Rig
+
+from tests.systemd.machine import Machine, wait_for
+from tests.systemd.served_rig import Rig
 
 pytestmark = pytest.mark.machine
 RESTARTS = int(os.environ.get("ARMRIG_RESTARTS", "1"))
@@ -44,7 +45,7 @@ class Client:
         )
 
     def written(self, stream: str) -> str:
-        """Return what it has written so far."""
+        """Return its output so far."""
         path = self._machine.path(FOLDER / f"{self.name}.{stream}")
         return path.read_text() if path.exists() else ""
 
@@ -55,7 +56,7 @@ class Client:
 
 @pytest.fixture(scope="module")
 def clients(first: Rig) -> Iterator[list[Client]]:
-    """Give five clients of rig 1, which has nothing else to do."""
+    """Give five clients of rig 1, which is otherwise idle."""
     first.machine.run("mkdir", "-p", str(FOLDER))
     first.start()
     clients = [Client(first.machine, name) for name in CLIENTS]
@@ -67,7 +68,7 @@ def clients(first: Rig) -> Iterator[list[Client]]:
 
 
 def _errors(machine: Machine) -> list[str]:
-    """Return what the journal of the machine has at the priority of an error, or above it."""
+    """Return the journal's entries of the machine at the priority of an error, or above it."""
     machine.run("journalctl", "--sync")
     found = machine.run("journalctl", "--no-pager", "-p", "err", "-o", "json").stdout
     lines = [json.loads(line) for line in found.splitlines()]
@@ -83,10 +84,9 @@ def _kill(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("end", [_restart, _kill])
-def test_five_clients_are_told_that_the_service_has_stopped(
+def test_five_clients_are_notified_that_the_service_has_stopped(
     rig: Rig, clients: list[Client], end: Callable[[Rig], None]
 ) -> None:
-    """In a run; the journal has no error for a restart that was asked for."""
     told: Counter[str] = Counter()
     before = _errors(rig.machine)
 
@@ -106,7 +106,7 @@ def test_five_clients_are_told_that_the_service_has_stopped(
 
 
 def _wait_until_connected(rig: Rig, clients: list[Client]) -> None:
-    """Wait until the motor turns, and each client has heard of the daemon that there is now."""
+    """Wait until the motor turns, and each client has heard of the present daemon."""
     heard = {c.name: len(c.written("Output")) for c in clients}
     wait_for(lambda: rig.phase() == "active" and rig.volts()[-1] > 0.0, CONNECTED_S)
     for client in clients:
@@ -118,11 +118,11 @@ def _wait_until_connected(rig: Rig, clients: list[Client]) -> None:
 
 def _records(said: str) -> bool:
     """Return whether the recorder has heard of the rig since it began to wait for it."""
-    return said.rfind("waiting for it") <= said.rfind("started anew")
+    return said.rfind("waiting for it") <= said.rfind("restarted")
 
 
 def _told(clients: list[Client], heard: dict[str, int]) -> list[str]:
-    """Return the clients that were told within `TOLD_S`."""
+    """Return the clients that were notified within `TOLD_S`."""
     until_s = time.monotonic() + TOLD_S
     while True:
         told = [c.name for c in clients if STOPPED in c.written("Error")[heard[c.name] :]]

@@ -1,4 +1,4 @@
-"""The service under a real systemd: from its start to its end, and what it does with bad input."""
+"""The service under a real systemd: from its start to its end, and with bad input."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from typing import Any
 
 import pytest
 from armrig_daemon.decisions.faults import Id
-from machine import Machine, wait_for
-from served_rig import Rig
+
+from tests.systemd.machine import Machine, wait_for
+from tests.systemd.served_rig import Rig
 
 pytestmark = pytest.mark.machine
 PRIORITY = 80  # [timing] priority
 RESTARTED_S = 30.0
-"""Tells a restart from none; what it took is in docs/service.md."""
+"""Threshold between a restart and none; docs/service.md has the measured time."""
 
 
 @pytest.fixture
 def rig(first: Rig) -> Rig:
-    """Give rig 1 at 0 V with nobody at it; its service is one for all tests that do not end it."""
+    """Give rig 1 at 0 V without a holder; all tests that do not end the service share it."""
     first.start()
     return first
 
@@ -38,12 +39,11 @@ def _errors(rig: Rig, since: int) -> list[str]:
 
 
 def test_the_loop_has_its_priority_and_knows_it(rig: Rig) -> None:
-    """By systemd, for its sandbox refuses to ask for it; of the service one thread keeps it.
+    """The priority comes from systemd, because its sandbox prevents a request for it.
 
-    That one only waits, and the kernel tells the loop of its end.
-
-    Its own priority it may choose inside the sandbox, from 1 up or, where limits cannot be raised,
-    from above down.
+    One thread of the service keeps it: that thread only waits for the end of the loop. Inside the
+    sandbox the service may choose its own priority from 1 up or, if limits cannot be raised,
+    downwards.
     """
     machine = rig.machine
     rows = machine.run("ps", "-Lo", "lwp=,cls=", "-p", rig.main_pid()).stdout.splitlines()
@@ -60,7 +60,6 @@ def test_the_loop_has_its_priority_and_knows_it(rig: Rig) -> None:
 
 
 def test_the_service_says_how_it_is(rig: Rig) -> None:
-    """To `systemctl status`, and in the journal with priorities."""
     assert rig.status() == "safe, nobody has it"
     said = rig.said()
     assert ("6", "rig 1 at unixsock-stream//run/armrig/1/1.sock") in said
@@ -68,7 +67,6 @@ def test_the_service_says_how_it_is(rig: Rig) -> None:
 
 
 def test_a_member_of_the_group_operates_the_rig_and_nobody_else(rig: Rig) -> None:
-    """The recording is the group's to read."""
     machine = rig.machine
     for user in ("student", "stranger"):
         machine.run("useradd", "--no-create-home", *(["-G", "armrig"] * (user == "student")), user)
@@ -94,7 +92,6 @@ def _about(machine: Machine, **fields: str) -> list[dict[str, Any]]:
 
 
 def test_the_journal_can_be_asked_what_a_line_is_about(rig: Rig) -> None:
-    """Who armed, ran and stopped, in which run, and why it ended; of this unit, with priorities."""
     machine = rig.machine
     rig.drive()
     rig.armrig("stop", "--owner", "the next")
@@ -115,7 +112,6 @@ def test_the_journal_can_be_asked_what_a_line_is_about(rig: Rig) -> None:
 
 
 def test_a_trip_is_in_the_journal_with_its_cause(rig: Rig) -> None:
-    """By the id that does not change from release to release."""
     machine = rig.machine
     rig.drive()
 
@@ -133,7 +129,6 @@ def test_a_trip_is_in_the_journal_with_its_cause(rig: Rig) -> None:
 
 
 def test_a_stop_in_a_run_ends_at_0_v_with_the_file_finished(rig: Rig, second: Rig) -> None:
-    """As an upgrade does, which stops and starts; no ESTOP follows, and other rigs go on."""
     second.start()
     rig.drive()
     before = len(rig.said())
@@ -158,7 +153,6 @@ STOPPED = (
 
 @pytest.mark.parametrize("user", ["", "learner"])
 def test_a_service_that_was_stopped_in_a_run_is_named(rig: Rig, user: str) -> None:
-    """To root and to who operates the rig; in the journal nothing has an error's priority."""
     machine = rig.machine
     machine.run("useradd", "--no-create-home", "-G", "armrig", "learner", check=False)
     rig.drive()
@@ -172,8 +166,7 @@ def test_a_service_that_was_stopped_in_a_run_is_named(rig: Rig, user: str) -> No
 
 
 @pytest.mark.parametrize("user", ["", "learner"])
-def test_the_doctor_judges_the_service_whoever_calls(rig: Rig, user: str) -> None:
-    """Root may have any priority, and an operator is to be in no group that opens the port."""
+def test_the_doctor_judges_the_service_for_any_caller(rig: Rig, user: str) -> None:
     rig.machine.run("useradd", "--no-create-home", "-G", "armrig", "learner", check=False)
 
     said = rig.machine.run("armrig", "doctor", user=user, check=False).stdout
@@ -186,7 +179,6 @@ def test_the_doctor_judges_the_service_whoever_calls(rig: Rig, user: str) -> Non
 
 @pytest.mark.parametrize("whose", ["main_pid", "loop_pid"])
 def test_a_process_that_is_killed_is_replaced(rig: Rig, whose: str) -> None:
-    """In a run: 0 V, ESTOP to the device, and sampling again, disarmed."""
     rig.drive()
     pid, restarts, before = rig.main_pid(), _restarts(rig), len(rig.said())
 
@@ -202,7 +194,6 @@ def test_a_process_that_is_killed_is_replaced(rig: Rig, whose: str) -> None:
 
 
 def test_what_hangs_is_replaced_by_the_watchdog(rig: Rig, second: Rig) -> None:
-    """The service of one rig and the loop of the other: both stand still in a run."""
     second.start()
     rigs = (rig, second)
     for each in rigs:
@@ -224,7 +215,6 @@ def test_what_hangs_is_replaced_by_the_watchdog(rig: Rig, second: Rig) -> None:
 
 
 def test_a_reload_brings_the_new_configuration_and_keeps_the_priority(rig: Rig) -> None:
-    """While nobody has the rig; while somebody has it, it is refused with who."""
     machine, path = rig.machine, Path("/etc/armrig/1.toml")
     before = machine.path(path).read_text()
     machine.write(path, before + "[limits]\nu_max_v = 4.5\n")
@@ -248,7 +238,7 @@ def test_a_reload_brings_the_new_configuration_and_keeps_the_priority(rig: Rig) 
 
 
 def test_a_service_that_dies_again_and_again_is_given_up(rig: Rig) -> None:
-    """Five starts in a minute; the motor is at 0 V."""
+    """Five starts in a minute."""
     state = ""
     for _ in range(6):
         wait_for(lambda: rig.is_active() or state_of(rig) == "failed")
@@ -264,7 +254,7 @@ def test_a_service_that_dies_again_and_again_is_given_up(rig: Rig) -> None:
 
 
 def state_of(rig: Rig) -> str:
-    """Return what systemd says of the unit."""
+    """Return systemd's state of the unit."""
     return rig.machine.shown(rig.unit, "ActiveState")["ActiveState"]
 
 
@@ -281,13 +271,12 @@ GIVEN_UP = {"ActiveState": "failed", "NRestarts": "0", "ExecMainStatus": "78"}
 
 
 def test_a_rig_without_a_configuration_is_refused_once(machine: Machine) -> None:
-    """The name has a typing error: no other rig's port is taken."""
     lines, left = _refused(machine, "l")
 
     assert left == GIVEN_UP
     assert lines == [
-        "3 /etc/armrig/l.toml: there is no such file; write one, `armrigd config --example` prints "
-        "all keys; at least [device] port"
+        "3 /etc/armrig/l.toml: there is no such file; write it with at least [device] port; "
+        "`armrigd config --example` prints all keys"
     ]
 
 
@@ -309,10 +298,9 @@ def test_a_rig_without_a_configuration_is_refused_once(machine: Machine) -> None
         ),
     ],
 )
-def test_what_must_be_mended_is_said_in_one_line_and_not_tried_again(
+def test_what_must_be_corrected_is_reported_in_one_line_and_not_tried_again(
     machine: Machine, text: str, mode: int, line: str
 ) -> None:
-    """A wrong value, a file that the service may not read, a port that is none or another's."""
     machine.write(Path("/etc/armrig/3.toml"), text, mode)
 
     lines, left = _refused(machine, "3")
@@ -324,7 +312,6 @@ def test_what_must_be_mended_is_said_in_one_line_and_not_tried_again(
 
 
 def test_two_units_on_one_port_leave_the_first_in_its_run(rig: Rig) -> None:
-    """The second is given up; it sends no ESTOP into the run of the first."""
     machine = rig.machine
     machine.write(Path("/etc/armrig/4.toml"), machine.path("/etc/armrig/1.toml").read_text())
     rig.drive()
@@ -341,10 +328,9 @@ def test_two_units_on_one_port_leave_the_first_in_its_run(rig: Rig) -> None:
 
 
 def test_a_port_that_is_not_there_is_waited_for(machine: Machine) -> None:
-    """The unit serves; what it waits for is said once, and `systemctl status` says it too."""
     machine.write(Path("/etc/armrig/5.toml"), '[device]\nport = "/dev/armrig-none"\n')
     machine.systemctl("start", "armrigd@5")
-    wait_for(lambda: "no rig is there" in _status_of(machine, "5"))
+    wait_for(lambda: "no rig is connected" in _status_of(machine, "5"))
 
     told = [line["MESSAGE"] for line in machine.journal("armrigd@5.service")]
 
@@ -357,7 +343,6 @@ def _status_of(machine: Machine, rig: str) -> str:
 
 
 def test_a_full_disk_ends_the_run_and_not_the_service(rig: Rig) -> None:
-    """0 V, one line that says which, and a service that goes on."""
     machine, before = rig.machine, len(rig.said())
     machine.systemctl("stop", rig.unit)
     machine.run("mount", "-t", "tmpfs", "-o", "size=5m,mode=0750", "tmpfs", "/var/lib/armrig")
@@ -372,15 +357,15 @@ def test_a_full_disk_ends_the_run_and_not_the_service(rig: Rig) -> None:
         assert _restarts(rig) == 0
         (error,) = _errors(rig, before)
         assert error.endswith(
-            "No space left on device; the recording ends there, whole up to then: free the disk"
+            "No space left on device; the recording ended early and is complete "
+            "up to its end: free disk space"
         )
     finally:
         machine.systemctl("stop", rig.unit)
         machine.run("umount", "/var/lib/armrig")
 
 
-def test_a_folder_that_cannot_be_written_is_told_at_the_start(rig: Rig) -> None:
-    """As root makes one: who gives it to the daemon is told how, before the first run."""
+def test_a_folder_that_cannot_be_written_is_reported_at_the_start(rig: Rig) -> None:
     machine = rig.machine
     folder = "/srv/recordings"
     machine.run("mkdir", "-p", folder)
@@ -398,12 +383,11 @@ def test_a_folder_that_cannot_be_written_is_told_at_the_start(rig: Rig) -> None:
 
     assert (
         f"nothing can be recorded: {folder}: not writable; `install -d -o armrig {folder}` and "
-        "start the daemon anew, or set [recording] directory"
+        "restart the daemon, or set [recording] directory"
     ) in told
 
 
-def test_what_is_installed_is_told(rig: Rig) -> None:
-    """To install once more writes nothing, and disturbs no rig."""
+def test_what_is_installed_is_reported(rig: Rig) -> None:
     machine, pid = rig.machine, rig.main_pid()
 
     again = machine.run("armrig", "service", "install", "--yes").stdout
@@ -417,7 +401,6 @@ def test_what_is_installed_is_told(rig: Rig) -> None:
 
 
 def test_to_take_the_service_away_stops_the_rig_and_leaves_what_is_ours(rig: Rig) -> None:
-    """0 V, no unit; the configuration and the recordings stay. Installed again, it serves again."""
     machine = rig.machine
     rig.drive()
     machine.systemctl("enable", rig.unit)

@@ -1,4 +1,4 @@
-"""The units as they are installed, before systemd's own judges."""
+"""The installed units, judged by systemd's own checks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from tools import needs
+
+from tests.tools import needs
 
 ROOT = Path(__file__).parents[2]
 UNITS = sorted((ROOT / "deploy" / "systemd").glob("*.service"))
@@ -19,7 +20,7 @@ WITHOUT_NETWORK = (
 )
 FOR_A_LAB = "IPAddressDeny=any\nIPAddressAllow=localhost 192.0.2.0/24\n"
 MOST_EXPOSED = 1.0
-"""Of 10, by `systemd-analyze security`."""
+"""Exposure of 10, by `systemd-analyze security`."""
 
 pytestmark = needs("systemd-analyze")
 
@@ -59,14 +60,12 @@ def _score(unit: Path, *, more: str = "") -> float:
 
 
 def test_systemd_finds_no_fault_in_the_unit(unit: Path) -> None:
-    """No unknown key, no value that it does not take, nothing that is missing."""
     verified = _analyze("verify", "--man=no", str(unit.with_name(unit.name.replace("@", "@1"))))
 
     assert (verified.returncode, verified.stdout) == (0, "")
 
 
 def test_the_unit_is_exposed_to_little(unit: Path) -> None:
-    """No more than the gate; a unit that needs the network is held to it without the network."""
     more = WITHOUT_NETWORK if unit.name in OVER_NETWORK else ""
 
     assert _score(unit, more=more) <= MOST_EXPOSED
@@ -74,17 +73,16 @@ def test_the_unit_is_exposed_to_little(unit: Path) -> None:
 
 @pytest.mark.parametrize("name", OVER_NETWORK)
 def test_a_unit_with_network_is_exposed_as_the_page_says(name: str, tmp_path: Path) -> None:
-    """As it is installed, and with the addresses of the lab alone."""
     unit = _with_our_program(ROOT / "deploy" / "systemd" / name, tmp_path)
 
     as_installed, for_a_lab = _score(unit), _score(unit, more=FOR_A_LAB)
 
-    assert f"gives {as_installed} for the router and for the recorder" in SERVICE
-    assert f"`IPAddressAllow=` reduces that to {for_a_lab}" in SERVICE
+    assert f"is {as_installed} for the router and for the recorder" in SERVICE
+    assert f"`IPAddressAllow=` reduces the score to {for_a_lab}" in SERVICE
 
 
 def test_a_unit_starts_nothing_that_a_small_system_has_not() -> None:
-    """Our programs and the shell: an empty Debian has no kill, which is part of procps."""
+    """An empty Debian has no kill, which is part of procps."""
     text = "".join(unit.read_text(encoding="utf-8") for unit in UNITS)
     started = re.findall(r"^Exec\w+=[-@:+!]*(\S+)", text, re.MULTILINE)
 

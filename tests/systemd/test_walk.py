@@ -15,11 +15,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import empty_debian
 import pytest
-from machine import CHECKOUT, Machine, missing, wait_for
-from stalls.host import Host
-from stalls.repeats import MAX_REPEATS, STALL_NS
+
+from tests.stalls.host import Host
+from tests.stalls.repeats import MAX_REPEATS, STALL_NS
+from tests.systemd import empty_debian
+from tests.systemd.machine import CHECKOUT, Machine, missing, wait_for
 
 pytestmark = pytest.mark.machine
 
@@ -54,7 +55,7 @@ STATUS_OF_UNO = "armrig status --connect unixsock-stream//run/of-uno/1.sock 2>&1
 
 
 class Lab:
-    """The rig's machine, its users, and beside it the network of an operator's."""
+    """The rig's machine, its users, and an operator's network."""
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
@@ -91,7 +92,7 @@ class Lab:
         return self.machine.run(*AT_LAPTOP, *shell).stdout
 
     def said(self, unit: str) -> str:
-        """Return what the journal has of a unit, systemd's own lines among them."""
+        """Return the journal of a unit, systemd's own lines included."""
         return self.script(f"journalctl --sync; journalctl --no-pager -u {unit}")
 
 
@@ -147,12 +148,11 @@ def _serves(lab: Lab, rig: str = "1") -> bool:
 
 
 def _with_yes(text: str) -> str:
-    """Return lines in which nobody is there to agree."""
+    """Return lines that need no answer of a person."""
     return re.sub(r"(?m)^(armrig service install.*)$", r"\1 --yes", text)
 
 
 def test_from_nothing_to_a_recording_over_the_network(lab: Lab) -> None:
-    """Each line of both pages that a lab engineer types, in their order."""
     machine = lab.machine
 
     # The service, with an emulated rig in place of a board.
@@ -194,7 +194,6 @@ def test_from_nothing_to_a_recording_over_the_network(lab: Lab) -> None:
 
 
 def test_the_network_is_open_to_the_lab_alone_and_costs_what_the_page_says(lab: Lab) -> None:
-    """By the kernel's filter, where systemd can set it; the score is that of `systemd-analyze`."""
     machine = lab.machine
     score = _score(lab, "armrigd@1")
 
@@ -207,11 +206,10 @@ def test_the_network_is_open_to_the_lab_alone_and_costs_what_the_page_says(lab: 
     if "firewall" in journal:
         pytest.skip("systemd can set no filter of addresses here")
     outside = "tls/198.51.100.10:7447"
-    assert "no firewall stands between" in _refused(lab, f"armrig status --connect {outside}")
+    assert "no firewall blocks" in _refused(lab, f"armrig status --connect {outside}")
 
 
-def test_who_is_revoked_is_out_after_a_reload(lab: Lab) -> None:
-    """As the page says: his name is given to nobody again, and the list is read anew."""
+def test_a_revoked_client_is_out_after_a_reload(lab: Lab) -> None:
     lab.alice(CHANGE)
     lab.script("cp /home/alice/pki/rig-1.pem /home/alice/pki/access.toml .\n" + PUT)
     lab.alice("armrig status")
@@ -226,7 +224,6 @@ def test_who_is_revoked_is_out_after_a_reload(lab: Lab) -> None:
 
 
 def test_a_second_rig_is_reached_through_the_lab_s_router(lab: Lab) -> None:
-    """A file that the router cannot read is named."""
     machine = lab.machine
     lab.script("systemctl stop armrigd@1")  # which has the router's port here
     lab.alice(MAKE_ROUTER)
@@ -257,7 +254,6 @@ def test_a_second_rig_is_reached_through_the_lab_s_router(lab: Lab) -> None:
 
 
 def test_a_recorder_records_all_rigs_and_what_a_kill_left_is_completed(lab: Lab) -> None:
-    """Who is in the group reads its files."""
     lab.alice(NAME_RECORDER)
     lab.script("cp /home/alice/pki/recorder.pem /home/alice/pki/access.toml .")
     lab.script("\n".join(line for line in ROUTE.splitlines() if "access.toml" in line))
@@ -288,7 +284,6 @@ def test_a_recorder_records_all_rigs_and_what_a_kill_left_is_completed(lab: Lab)
 
 
 def test_router_and_recorder_are_kept_to_the_lab_s_network(lab: Lab) -> None:
-    """Their scores are those of the page, and they work on."""
     units = ("armrig-router", "armrig-recorder")
     before = {_score(lab, unit) for unit in units}
     for unit in units:
@@ -299,15 +294,14 @@ def test_router_and_recorder_are_kept_to_the_lab_s_network(lab: Lab) -> None:
 
     (score,), (after,) = before, {_score(lab, unit) for unit in units}
 
-    assert f"gives {score} for the router and for the recorder" in SERVICE
-    assert f"`IPAddressAllow=` reduces that to {after}" in SERVICE
+    assert f"is {score} for the router and for the recorder" in SERVICE
+    assert f"`IPAddressAllow=` reduces the score to {after}" in SERVICE
     # The daemon comes back to a router by itself, some seconds after it.
     wait_for(lambda: "safe" in lab.alice(f"({AS_ALICE_2 + LOOK}) 2>&1 || :"))
     wait_for(lambda: lab.said("armrig-recorder").count("recording rig 2") > begun, 60)
 
 
 def test_a_stranger_reaches_nothing_and_a_student_no_key(lab: Lab) -> None:
-    """A user who is not in the group, and somebody with an authority of her own."""
     keys = [f"/etc/armrig/{name}.pem" for name in ("router", "recorder")]
     theirs = ["/var/lib/armrig/recordings", "/var/lib/armrig-recorder"]
     for user, paths in (("student", keys), ("eve", [*keys, *theirs])):
@@ -366,7 +360,7 @@ def test_without_the_service_a_class_has_a_daemon_of_its_own(lab: Lab) -> None:
 
 @pytest.mark.parametrize("lab", [_empty], indirect=True)  # the sources are there alone
 def test_the_firmware_is_built_and_runs_without_a_board(lab: Lab) -> None:
-    """docs/firmware.md: the same bytes as those that are committed, and every rule is held."""
+    """docs/firmware.md: the same bytes as those that are committed, and every rule holds."""
     image = "firmware_protocol/firmware/armrig-uno.hex"
     packages = " ".join(sorted(set(re.findall(r"gcc-avr|avr-libc|libsimavr-dev", FIRMWARE))))
     lab.script(f"apt-get install --yes make gcc libc6-dev {packages}", online=True)
@@ -402,12 +396,12 @@ def _score(lab: Lab, unit: str) -> str:
 
 
 def _fails(typed: Callable[[str], str], text: str, code: int) -> str:
-    """Type a line that must end with an exit code; return all that it says."""
+    """Type a line that must end with an exit code; return its output."""
     return typed(f"({text.strip()}) 2>&1 && exit 99 || test $? = {code}")
 
 
 def _refused(lab: Lab, command: str) -> str:
-    """Return what a command of alice's is refused with."""
+    """Return the refusal of a command of alice."""
     return _fails(lab.alice, command, 1)
 
 

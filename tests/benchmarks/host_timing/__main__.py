@@ -10,10 +10,11 @@ import msgspec
 import typer
 from armrig.cli.figures import check_figure, check_output
 from armrig_core.errors import ArmrigError
-from benchmarks.host_timing.machine import machine
-from benchmarks.host_timing.results import Result, lines, write_figure
-from benchmarks.host_timing.rounds import Plan, measure
 from rich.console import Console
+
+from tests.benchmarks.host_timing.machine import machine
+from tests.benchmarks.host_timing.results import Result, lines, write_figure
+from tests.benchmarks.host_timing.rounds import Plan, measure
 
 
 def main(
@@ -63,7 +64,7 @@ def _rates(text: str) -> tuple[int, ...]:
 
 
 def run(arguments: list[str]) -> int:
-    """Measure, or say in a line why not, and return the exit code."""
+    """Measure, or print the reason why not, and return the exit code."""
     app = typer.Typer(add_completion=False)
     app.command()(main)
     try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from benchmarks.host_timing.kernel import end_with_parent
+from tests.benchmarks.host_timing.kernel import end_with_parent
 
 
 def main() -> None:

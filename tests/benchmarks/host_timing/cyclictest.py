@@ -14,7 +14,7 @@ from armrig_core.errors import OperationError
 from numpy.typing import NDArray
 
 MOST_US = 20_000
-"""Where its histogram ends; what is later counts as this much, in its favour."""
+"""End of its histogram, in µs; a later wakeup counts as this, in cyclictest's favour."""
 _LINE = re.compile(r"^(\d+)\s+(\d+)\s*$", re.MULTILINE)
 _OVERFLOWS = re.compile(r"^# Histogram Overflows:\s*(\d+)", re.MULTILINE)
 _GREATEST = re.compile(r"^# Max Latencies:\s*(\d+)", re.MULTILINE)

@@ -1,7 +1,7 @@
 """A program: a pseudo-terminal that answers each request of fixed length with a fixed answer.
 
-It stands in the emulator's place for the bare loop: the same lengths on the same kind of line, at
-the same priority, and nothing worked out.
+It replaces the emulator for the bare loop: the same lengths on the same kind of line, at the same
+priority, without any computation.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import tty
 
 from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Sample
-from benchmarks.host_timing.kernel import be_punctual, end_with_parent
+
+from tests.benchmarks.host_timing.kernel import be_punctual, end_with_parent
 
 REQUEST_LENGTH, ANSWER_LENGTH = wire_length(Exchange), wire_length(Sample)
 PRIORITY = 20  # the emulator's

@@ -1,4 +1,4 @@
-"""What a measuring program asks of the kernel: the same that the daemon's loop asks for."""
+"""Settings that a measuring program requests from the kernel, as the daemon's loop does."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def be_punctual(priority: int, *, lock: bool = False) -> bool:
-    """Ask for SCHED_FIFO (not at priority 0) and the rest; return whether FIFO was granted."""
+    """Request SCHED_FIFO (not at priority 0) and the rest; return whether FIFO was granted."""
     _libc.prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     fifo = set_fifo(priority)
     if lock:

@@ -1,6 +1,6 @@
-"""A program: become another one that ends with our parent, however that ends.
+"""A program that becomes another program, which ends with this parent in any case.
 
-For programs that are not ours, and would outlive a benchmark that was killed.
+Other projects' programs would outlive a benchmark that was killed.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 
-from benchmarks.host_timing.kernel import end_with_parent
+from tests.benchmarks.host_timing.kernel import end_with_parent
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""What the machine is: figures of timing must name it."""
+"""Description of the machine, which figures of timing must name."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from armrig.lab.host import cpuinfo, governors, granted, load, preemption, text,
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Machine:
-    """One host, as figures of timing must name it."""
+    """One host, which numbers of timing must name."""
 
     kernel: str
     preemption: str
-    """Kernel's preemption model; "unknown" where nothing tells it."""
+    """Preemption model of the kernel; "unknown" if the kernel does not report it."""
     cpus: int
     """Processors that this process may use."""
     processor: str

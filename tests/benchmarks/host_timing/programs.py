@@ -1,4 +1,4 @@
-"""The contestants' programs: started for one turn, ended whatever happens."""
+"""Programs of the contestants: started for one turn, and always ended."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ import numpy as np
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.endpoint import endpoint
-from benchmarks.host_timing.kernel import PARENT
 from numpy.typing import NDArray
+
+from tests.benchmarks.host_timing.kernel import PARENT
 
 RIG = "bench"
 BAUD = 1_000_000
 SUBSCRIBERS = 4
-OURS = {"PYTHONPATH": str(Path(__file__).parents[2])}
+OURS = {"PYTHONPATH": str(Path(__file__).parents[3])}
 """Environment in which the programs are found."""
 _START_S, _STOP_S = 30.0, 5.0
 _CONFIG = f"""\
-# The benchmark's: an emulated rig behind a pseudo-terminal, its wire modelled.
+# The benchmark's: an emulated rig at a pseudo-terminal, its wire modelled.
 [rig]
 id = "{RIG}"
 
@@ -42,7 +43,7 @@ directory = "{{directory}}"
 @contextmanager
 def program(*arguments: str, module: bool = True) -> Iterator[subprocess.Popen[bytes]]:
     """Run one of our modules with pipes to and from it, and end it."""
-    leash = [] if module else ["benchmarks.host_timing.leashed"]
+    leash = [] if module else ["tests.benchmarks.host_timing.leashed"]
     command = [sys.executable, "-m", *leash, *arguments]
     with ExitStack() as stack:
         with _uninterrupted():
@@ -61,7 +62,7 @@ def program(*arguments: str, module: bool = True) -> Iterator[subprocess.Popen[b
 
 @contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Delay Ctrl-C to the end of the block: a program that runs already would be left behind."""
+    """Delay Ctrl-C to the end of the block, so that no running program remains."""
     received: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _: received.append(number))
     try:
@@ -136,7 +137,7 @@ class Daemon:
         """Start it and wait until it samples."""
         config = self._directory / "armrig.toml"
         config.write_text(_CONFIG.format(directory=self._directory), encoding="utf-8")
-        leash = [sys.executable, "-m", "benchmarks.host_timing.leashed"]
+        leash = [sys.executable, "-m", "tests.benchmarks.host_timing.leashed"]
         command = [*leash, sys.executable, "-m", "armrig_daemon", "run", "--config", str(config)]
         with self.log.open("wb") as log:
             self._process = subprocess.Popen(
@@ -164,7 +165,7 @@ class Daemon:
         return Rig(RIG, connect=self.endpoint)
 
     def loop_pid(self) -> int | None:
-        """Return the process of the loop, or None where the kernel does not tell."""
+        """Return the process of the loop, or None if the kernel does not report it."""
         if self._process is None:
             return None
         for stat in Path("/proc").glob("[0-9]*/stat"):
@@ -176,7 +177,7 @@ class Daemon:
         return None
 
     def stop(self) -> None:
-        """Have it end by itself, which brings the motor to 0 V, or else end it."""
+        """End it in order, which brings the motor to 0 V, or else by force."""
         if self._process is not None:
             _end(self._process)
 
@@ -203,7 +204,7 @@ def subscribers(where: str) -> Iterator[Subscribers]:
     with ExitStack() as stack:
         yield Subscribers(
             [
-                stack.enter_context(program("benchmarks.host_timing.subscriber", where, RIG))
+                stack.enter_context(program("tests.benchmarks.host_timing.subscriber", where, RIG))
                 for _ in range(SUBSCRIBERS)
             ]
         )
@@ -217,12 +218,12 @@ def _environment(directory: Path) -> dict[str, str]:
 
 
 def _name(process: subprocess.Popen[bytes]) -> str:
-    """Return what a person calls the program: our module's name, or that of another program."""
+    """Return a readable name of the program: the module's name, or that of another program."""
     arguments = process.args if isinstance(process.args, list) else [process.args]
     named = [
         str(a)
         for a in arguments
-        if a not in (sys.executable, "-m", "benchmarks.host_timing.leashed")
+        if a not in (sys.executable, "-m", "tests.benchmarks.host_timing.leashed")
     ]
     return Path(named[0]).name
 

@@ -14,11 +14,12 @@ from collections.abc import Iterator
 import zenoh
 from armrig_core.telemetry import SAMPLE_LENGTH, Sample, encode_sample
 from armrig_core.topics import stream_key
-from benchmarks.host_timing.kernel import PARENT, end_with_parent
+
+from tests.benchmarks.host_timing.kernel import PARENT, end_with_parent
 
 
 def session_config(endpoint: str) -> zenoh.Config:
-    """Return the service's settings: listening at one Unix socket, found by nobody."""
+    """Return the service's settings: listening at one Unix socket, without discovery."""
     return zenoh.Config.from_json5(
         json.dumps(
             {
@@ -60,10 +61,10 @@ def timed(period_ns: int, count: int) -> Iterator[bytes]:
 
 
 def main() -> None:
-    """Listen at the endpoint; then for each line `period_ns count` put so many.
+    """Listen at the endpoint; then for each line `period_ns count` put `count` samples.
 
-    With `piped` as the third argument another process makes the samples, and here they are read
-    from a pipe: what a loop in a process of its own costs at least.
+    With `piped` as the third argument another process makes the samples, and this process reads
+    them from a pipe. That is the least cost of a loop in a process of its own.
     """
     end_with_parent()
     endpoint, rig, *way = sys.argv[1:]

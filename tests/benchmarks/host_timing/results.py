@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from benchmarks.host_timing import targets
-from benchmarks.host_timing.machine import Machine
-from benchmarks.host_timing.rounds import ROUNDS, Plan
-from benchmarks.host_timing.targets import Rate, Target
+
+from tests.benchmarks.host_timing import targets
+from tests.benchmarks.host_timing.machine import Machine
+from tests.benchmarks.host_timing.rounds import ROUNDS, Plan
+from tests.benchmarks.host_timing.targets import Rate, Target
 
 _ABOVE_ONE = ("p50", "p99", "p99.9", "max")
 
@@ -25,7 +26,7 @@ class Result:
     rates: Sequence[Rate]
 
     def targets(self) -> list[Target]:
-        """Return all figures that have a target."""
+        """Return all numbers that have a target."""
         seconds = self.plan.seconds
         return [t for rate in self.rates for t in targets.against_targets(rate, seconds)]
 

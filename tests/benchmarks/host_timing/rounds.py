@@ -1,7 +1,7 @@
-"""The contestants take turns, in short rounds of one run, and what they measure is pooled.
+"""Turns of the contestants, in short rounds of one run, and their pooled measurements.
 
-The daemon is started for its turns only, so that nothing of it disturbs the others; they follow
-each other closely, so that what else runs on the machine meets all of them alike.
+The daemon runs in its turns only, so that it does not disturb the others. The turns follow each
+other closely, so that other load of the machine meets all contestants alike.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from armrig.rig.replies import RunEndedError
 from armrig.rig.session import RigError
 from armrig_core.endpoint import endpoint
 from armrig_core.errors import InputError
-from benchmarks.host_timing import cyclictest, targets
-from benchmarks.host_timing.machine import Machine
-from benchmarks.host_timing.programs import (
+from numpy.typing import NDArray
+
+from tests.benchmarks.host_timing import cyclictest, targets
+from tests.benchmarks.host_timing.machine import Machine
+from tests.benchmarks.host_timing.programs import (
     RIG,
     Daemon,
     daemon,
@@ -36,15 +38,14 @@ from benchmarks.host_timing.programs import (
     subscribers,
     tell,
 )
-from benchmarks.host_timing.sleeper import Done, Task
-from benchmarks.host_timing.targets import Rate
-from numpy.typing import NDArray
+from tests.benchmarks.host_timing.sleeper import Done, Task
+from tests.benchmarks.host_timing.targets import Rate
 
 ROUNDS = 4
 EXCHANGE_MOST_HZ = 1000
 """Above it exchange mode is not carried at 1 Mbaud; the device's own timer goes further."""
 SPIN_NS = 120_000
-"""How long the daemon's loop spins before each deadline, and so the bare loop."""
+"""Spin of the daemon's loop before each deadline, and so of the bare loop, in ns."""
 LEAST_TICKS = 10
 MOST_S = 600
 """Beyond it one run has more samples than one command should carry, and the memory holds."""
@@ -57,16 +58,16 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """What is measured."""
+    """Settings of a measurement."""
 
     rates_hz: tuple[int, ...]
     seconds: float
     """Time of each contestant at each rate, over all rounds, in s."""
     burners: int = 0
-    """Processes that do nothing but use a processor, beside everybody."""
+    """Processes that only use a processor, next to every contestant."""
 
     def __post_init__(self) -> None:
-        """Refuse what the daemon cannot sample."""
+        """Refuse a rate that the daemon cannot sample."""
         for rate in self.rates_hz:
             if not 1 <= rate <= 2000 or 1_000_000 % rate:
                 raise InputError(
@@ -108,10 +109,10 @@ def measure(plan: Plan, host: Machine, say: Say = lambda text: None) -> list[Rat
 
 @contextmanager
 def burning(count: int) -> Iterator[None]:
-    """Use up so many processors meanwhile."""
+    """Use up so many processors during the block."""
     with ExitStack() as stack:
         for _ in range(count):
-            stack.enter_context(program("benchmarks.host_timing.burner"))
+            stack.enter_context(program("tests.benchmarks.host_timing.burner"))
         yield
 
 
@@ -134,7 +135,7 @@ def _reference(rate: Rate, ticks: int, host: Machine) -> None:
 
 
 def _cyclictest(rate: Rate, ticks: int, host: Machine, priority: int) -> list[str] | None:
-    """Return the call of cyclictest, or None where it is not installed or not allowed."""
+    """Return the call of cyclictest, or None if it is not installed or not permitted."""
     found = cyclictest.find()
     if found is None or not host.fifo:
         return None
@@ -146,7 +147,7 @@ def _cyclictest(rate: Rate, ticks: int, host: Machine, priority: int) -> list[st
 
 @contextmanager
 def _beside(rate: Rate, ticks: int, host: Machine) -> Iterator[None]:
-    """Have cyclictest measure what the kernel gives meanwhile, just below the loop's priority."""
+    """Have cyclictest measure the kernel during the block, just below the loop's priority."""
     command = _cyclictest(rate, ticks, host, PRIORITY - 1)
     if command is None:
         yield
@@ -159,7 +160,7 @@ def _beside(rate: Rate, ticks: int, host: Machine) -> Iterator[None]:
 
 def _bare(rate: Rate, ticks: int, host: Machine) -> None:
     """Take the bare loop's turn."""
-    with program("benchmarks.host_timing.echo") as echo:
+    with program("tests.benchmarks.host_timing.echo") as echo:
         task = Task(
             period_ns=1_000_000_000 // rate.rate_hz,
             count=ticks,
@@ -175,15 +176,15 @@ def _bare(rate: Rate, ticks: int, host: Machine) -> None:
 
 def _slept(task: Task, within_s: float) -> Done:
     argument = msgspec.json.encode(task).decode()
-    with program("benchmarks.host_timing.sleeper", argument) as process:
+    with program("tests.benchmarks.host_timing.sleeper", argument) as process:
         return msgspec.json.decode(output(process, within_s), type=Done)
 
 
 def _put(rate: Rate, ticks: int, name: str, *way: str) -> None:
-    """Take the turn of the bare zenoh put, by itself or behind a pipe."""
+    """Measure the bare zenoh put, by itself or after a pipe."""
     with tempfile.TemporaryDirectory(prefix="armrig-bench-") as directory:
         where = endpoint(RIG, PurePosixPath(directory))
-        with program("benchmarks.host_timing.publisher", where, RIG, *way) as publisher:
+        with program("tests.benchmarks.host_timing.publisher", where, RIG, *way) as publisher:
             line(publisher)
             with subscribers(where) as listening:
                 time.sleep(_SETTLE_S)  # until the publisher knows of its subscribers
@@ -211,7 +212,7 @@ def _loaded(rate: Rate, ticks: int, running: Daemon, host: Machine, seed: int) -
 
 
 def _exchanged(rate: Rate, recording: Recording, readings: list[tuple[int, int]]) -> None:
-    gaps = [(gap.k_first, gap.count, gap.reason) for gap in recording.gaps]
+    gaps = [(gap.k_first, gap.count, gap.code) for gap in recording.gaps]
     samples = recording.samples
     rate.add(targets.DAEMON, targets.wake_lateness_us(samples, gaps, recording.Ts))
     ticks_ns = samples["t_host_ns"].astype(np.int64)
@@ -241,7 +242,7 @@ def _played(
     readings: list[tuple[int, int]] = []
 
     def read(done: int, total: int) -> None:
-        with suppress(OSError):  # the loop may have ended, or the kernel not tell
+        with suppress(OSError):  # the loop may have ended, or the kernel does not report it
             cpu = int(Path(f"/proc/{loop}/schedstat").read_text().split()[0])
             readings.append((time.monotonic_ns(), cpu))
 

@@ -1,7 +1,7 @@
 """A program: wake at each deadline, and with a port write a request and read the answer.
 
-Without a port and spin it is the stand-in for cyclictest; with both it is the bare loop. What it
-does beside is nothing, so what the daemon's loop needs more is the daemon's own work.
+Without a port and spin it replaces cyclictest; with both it is the bare loop. It does nothing else,
+so any further time of the daemon's loop is the daemon's own work.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ import time
 
 import msgspec
 from armrig_core.waiting import TERMINAL_BYTES, Waiter, sleep_until
-from benchmarks.host_timing.echo import ANSWER_LENGTH, REQUEST_LENGTH
-from benchmarks.host_timing.kernel import be_punctual, end_with_parent
+
+from tests.benchmarks.host_timing.echo import ANSWER_LENGTH, REQUEST_LENGTH
+from tests.benchmarks.host_timing.kernel import be_punctual, end_with_parent
 
 ANSWER_NS = 1_000_000_000
-"""How long the answer may take before the program gives up, in ns."""
+"""Longest wait for an answer, in ns."""
 MARGIN_NS = 90_000
-"""How long before the spin the daemon's loop ends its first wait, in ns."""
+"""Time between the end of the loop's first wait and the spin, in ns."""
 WARM_UP = 2
 """Ticks before those that count: the first call of each function takes longer."""
 WINDOW_NS = 100_000_000
@@ -26,7 +27,7 @@ WINDOW_NS = 100_000_000
 
 
 class Task(msgspec.Struct, frozen=True, kw_only=True):
-    """What to do."""
+    """Task of the program."""
 
     period_ns: int
     count: int
@@ -34,11 +35,11 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
     """SCHED_FIFO priority; 0 is the ordinary policy."""
     spin_ns: int = 0
     port: str = ""
-    """Where to write and read at each tick; empty is nowhere."""
+    """Port for a request and an answer at each tick; empty for none."""
 
 
 class Done(msgspec.Struct, frozen=True, kw_only=True):
-    """What came of it."""
+    """Result of the task."""
 
     fifo: bool
     late_ns: list[int]
@@ -50,7 +51,7 @@ class Done(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def play(task: Task, *, fifo: bool) -> Done:
-    """Tick as often as asked."""
+    """Tick as often as the task requires."""
     line = Line(task.port) if task.port else None
     late: list[int] = []
     trips: list[int] = []
@@ -105,7 +106,7 @@ class Line:
 
 
 def main() -> None:
-    """Do the task in the first argument and print what came of it."""
+    """Do the task in the first argument and print the result."""
     end_with_parent()
     task = msgspec.json.decode(sys.argv[1], type=Task)
     fifo = be_punctual(task.priority, lock=True)

@@ -10,11 +10,12 @@ import zenoh
 from armrig.rig.session import open_session
 from armrig_core.telemetry import decode_sample
 from armrig_core.topics import stream_key
-from benchmarks.host_timing.kernel import end_with_parent
+
+from tests.benchmarks.host_timing.kernel import end_with_parent
 
 
 def main() -> None:
-    """Listen until standard input ends, then write all that was heard as int64 triples."""
+    """Listen until standard input ends, then write all received times as int64 triples."""
     end_with_parent()
     endpoint, rig = sys.argv[1:]
     heard = array("q")

@@ -1,4 +1,4 @@
-"""What is made of the measured times: percentiles, ratios, and whether the targets are met."""
+"""Evaluation of the measured times: percentiles, ratios, and verdicts on the targets."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from armrig_core.codes import GapCode
 from armrig_core.volts import applied_code, code_of, volts_of
 from numpy.typing import ArrayLike, NDArray
 
@@ -52,14 +53,11 @@ DEFINITIONS = {
     "in another process: decode, core, pipe, service and zenoh; exchange mode cannot be compared, "
     "there t_host_ns is when the sample was asked for",
 }
-"""What each time covers, by its name."""
+"""Definition of each time, by its name."""
 
 WAKE_RATE_HZ, LOSSLESS_RATE_HZ, LOSSLESS_S = 1000, 2000, 60.0
 WAKE_P99, WAKE_P999, LATENCY = 0.1, 1.0, 1.3
 OWN_WORK_US = 60.0
-
-HOST_LATE = "the host was late"
-"""Reason of a gap that the daemon gives for ticks over which its loop slept."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +65,7 @@ class Tail:
     """Percentiles of a time, in µs."""
 
     n: int
-    """How many there were."""
+    """Number of times."""
     p50: float
     p99: float
     p999: float
@@ -76,15 +74,15 @@ class Tail:
 
 @dataclass(slots=True, kw_only=True)
 class Rate:
-    """All that was measured at one rate, pooled over the rounds."""
+    """Measurements at one rate, pooled over the rounds."""
 
     rate_hz: int
     times_us: dict[str, list[Vector]] = field(default_factory=dict)
     """Times by name, one array each round, in µs."""
     counts: dict[str, int] = field(default_factory=dict)
-    """Samples asked for, lost and misplaced, by mode."""
+    """Samples requested, lost and misplaced, by mode."""
     remarks: list[str] = field(default_factory=list)
-    """What went wrong."""
+    """Errors of the measurement."""
 
     def add(self, name: str, times_us: ArrayLike) -> None:
         """Pool some times."""
@@ -95,7 +93,7 @@ class Rate:
         self.counts[name] = self.counts.get(name, 0) + n
 
     def pooled(self, name: str) -> Vector:
-        """Return all times of a name, (0,) where there are none."""
+        """Return all times of a name, (0,) if there are none."""
         return np.concatenate(self.times_us.get(name, [np.zeros(0)]))
 
     def tails(self) -> dict[str, Tail]:
@@ -106,7 +104,7 @@ class Rate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """A figure beside its target."""
+    """A measured number with its target."""
 
     rate_hz: int
     what: str
@@ -128,18 +126,17 @@ def tail(x_us: Vector) -> Tail:
 def wake_lateness_us(
     samples: NDArray[np.void], gaps: Sequence[tuple[int, int, str]], Ts: float
 ) -> Vector:
-    """Return how late the loop woke for each sample, in µs.
+    """Return the lateness of the loop for each sample, in µs.
 
     Parameters
     ----------
     samples : structured array
         With `k`, `t_sched_ns` and `t_host_ns`.
-    gaps : sequence of (k_first, count, reason)
-        A sample behind ticks that the host slept over is late by these, too: skipping them must
-        not hide the stall.
+    gaps : sequence of (k_first, count, code)
+        A sample after skipped ticks is late by these, too, so that skipping hides no stall.
     """
     late = (samples["t_host_ns"] - samples["t_sched_ns"]) / 1e3
-    missed = {first + count: count for first, count, reason in gaps if reason == HOST_LATE}
+    missed = {first + count: count for first, count, code in gaps if code == GapCode.HOST_LATE}
     more = np.array([missed.get(int(k), 0) for k in samples["k"]], np.float64)
     return np.asarray(late + more * Ts * 1e6)
 
@@ -185,7 +182,7 @@ def cpu_per_tick_us(
 
 
 def against_targets(rate: Rate, seconds: float) -> list[Target]:
-    """Return the figures that have a target, as far as their parts were measured."""
+    """Return the numbers that have a target, as far as their parts were measured."""
     tails = rate.tails()
     return [
         *_wake(rate, tails),

@@ -1,4 +1,4 @@
-"""`armrig calibrate`, and what is read with what it writes."""
+"""`armrig calibrate`, and recordings read with its file."""
 
 from __future__ import annotations
 
@@ -23,11 +23,12 @@ from armrig_core.calibration import Calibration, Driver, Potentiometer
 from armrig_core.calibration_file import raw_path, read_calibration, toml_of
 from armrig_core.codes import RefusalCode
 from armrig_core.errors import FileError
-from calibration_rig import recording_of
-from fake_daemon import FakeDaemon
-from made_recordings import recorded, sample, written
-from made_turns import D, made_turns, still
 from msgspec.structs import replace
+
+from tests.clients.calibration_rig import recording_of
+from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.made_recordings import recorded, sample, written
+from tests.clients.made_turns import D, made_turns, still
 
 TURNED = made_turns(noise=32.0, direction=-1)
 
@@ -52,7 +53,6 @@ def _files(folder: Path) -> tuple[str, ...]:
 def test_recordings_made_before_are_calibrated_without_a_rig_or_a_question(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Values, deviations, where it came from, and the samples beside it."""
     output = tmp_path / "new" / "c.toml"
 
     code = main(["calibrate", *_files(tmp_path), "--meter", "65535=4.9", "--save", str(output)])
@@ -75,7 +75,7 @@ def test_recordings_made_before_are_calibrated_without_a_rig_or_a_question(
 
 
 class _Daemon(FakeDaemon):
-    """Says which calibration file its configuration names."""
+    """Reports the calibration file of its configuration."""
 
     named = ""
 
@@ -93,9 +93,9 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
 @pytest.mark.parametrize(
     ("options", "typed", "is_used", "said"),
     [
-        ((), "\n", True, "Use it now? The running daemon takes it [Y/n]"),
+        ((), "\n", True, "Load the calibration into the running daemon now? [Y/n]"),
         ((), "n\n", False, "armrig: not in use"),
-        ((), None, False, "not in use: --use has the running daemon take it"),
+        ((), None, False, "not in use: --use loads it into the running daemon"),
         (
             ("--use",),
             None,
@@ -121,7 +121,6 @@ def test_the_running_daemon_takes_it_where_that_is_wanted(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """The calibration of the file, with its samples; asked at a terminal only."""
     monkeypatch.setattr(sys, "stdin", _Terminal(typed) if typed else io.StringIO())
     output = tmp_path / "c.toml"
     given = [*_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint, *options]
@@ -136,10 +135,9 @@ def test_the_running_daemon_takes_it_where_that_is_wanted(
     assert [r.raw for r in sent] == [raw_path(output).read_bytes()] * is_used
 
 
-def test_what_the_configuration_names_is_told_with_the_copy_that_replaces_it(
+def test_what_the_configuration_names_is_reported_with_the_copy_that_replaces_it(
     daemon: _Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Both files; and nothing is to be done where it is that very one."""
     output = tmp_path / "c.toml"
     given = ["calibrate", *_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint]
 
@@ -153,29 +151,29 @@ def test_what_the_configuration_names_is_told_with_the_copy_that_replaces_it(
     copies = f"cp {output} '/etc/armrig/it is here.toml'"
     copies += f" && cp {tmp_path}/c.csv.gz '/etc/armrig/it is here.csv.gz'\n"
     assert copies in other
-    assert "reads this very file at its next start, too" in capsys.readouterr().err
+    assert "reads this file at its next start, too" in capsys.readouterr().err
 
 
 def test_a_daemon_that_refuses_leaves_the_file_and_an_exit_code(
     daemon: _Daemon, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its reason is told, with the whole command that helps."""
     output = tmp_path / "c.toml"
     given = ["calibrate", *_files(tmp_path), "--save", str(output), "--connect", daemon.endpoint]
     daemon.refusals["calibrate"] = commands.refused(
-        RefusalCode.IN_FAULT, "in fault (link lost): mend it, then reset", reason="link lost"
+        RefusalCode.IN_FAULT,
+        "in fault (link lost): correct the cause, then reset",
+        reason="link lost",
     )
 
     assert main([*given, "--use"]) == 1
 
     said = capsys.readouterr().err.replace("\n", " ")
-    assert f"{output} is written, but not in use: in fault (link lost): mend it, then" in said
+    assert f"{output} is written, but not in use: in fault (link lost): repair it, then" in said
     assert f"`armrig reset --connect {daemon.endpoint}`" in said
     assert read_calibration(output).made is not None
 
 
 def test_its_figure_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Track and edges, and the motor's line."""
     figure = tmp_path / "f.svg"
 
     given = [*_files(tmp_path), "--save", str(tmp_path / "c.toml"), "-o", str(figure)]
@@ -186,7 +184,7 @@ def test_its_figure_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_a_meter_is_held_against_what_the_device_made_of_the_code(tmp_path: Path) -> None:
-    """1000 is 76.3 mV, but the nearest of 1024 duties is 16 of them, 78.1 mV."""
+    """Code 1000 is 76.3 mV; the nearest of the 1024 duties is 16/1024, 78.1 mV."""
     output = tmp_path / "c.toml"
 
     assert (
@@ -200,7 +198,6 @@ def test_a_meter_is_held_against_what_the_device_made_of_the_code(tmp_path: Path
 def test_the_person_is_led_through_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two things to do, one meter reading for each voltage, and runs at the device's pace."""
     _files(tmp_path)
     plans: list[Plan] = []
 
@@ -227,17 +224,16 @@ def test_the_person_is_led_through_it(
     for text in (
         "let the arm hang still",
         "turn at 1 V, 2 V, 12 s each",
-        "did the meter show for 2 V",
+        "of the meter at 2 V",
     ):
         assert text in said
-    assert said.index("Is a meter at the motor's terminals?") < said.index("will turn at")
+    assert said.index("Is a voltmeter at the motor's terminals?") < said.index("will turn at")
     assert read_calibration(output).driver.gain == pytest.approx(0.97, rel=2e-3)
 
 
 def test_without_a_meter_none_is_asked_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Enter is no, and the driver's gain is left as it was."""
     files = _files(tmp_path)
     played = Collected(Path(files[3]), 0, 0.01, None, "", None)
     monkeypatch.setattr(collection, "collect", lambda *_, **__: played)
@@ -246,7 +242,7 @@ def test_without_a_meter_none_is_asked_for(
 
     assert main(["calibrate", *files[:2], "--save", str(output)]) == 0
 
-    assert "did the meter show" not in capsys.readouterr().err
+    assert "of the meter at" not in capsys.readouterr().err
     assert read_calibration(output).driver.gain == 1.0
 
 
@@ -259,14 +255,13 @@ class _Terminal(io.StringIO):
 def test_without_a_terminal_nothing_is_asked_and_nothing_done(
     given: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """--yes is the way out where anything is left to record."""
     files = _files(tmp_path)
     paths = dict(zip(files[::2], files[1::2], strict=True))
     options = [text for name in given for text in (name, *filter(None, [paths.get(name)]))]
 
     assert main(["calibrate", *options, "--save", str(tmp_path / "c.toml")]) == 1
 
-    assert "there is no terminal to ask at: give --yes" in capsys.readouterr().err
+    assert "there is no terminal for questions: give --yes" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -279,17 +274,16 @@ def test_without_a_terminal_nothing_is_asked_and_nothing_done(
         (["--volts", "5.1"], "--volts 5.1: must be more than 0 and at most 5 V"),
         (["--level-seconds", "3"], "--level-seconds 3: must be more than 3 s"),
         (["--save", "c.json"], "a calibration is a TOML"),
-        (["-o", "c.toml"], "-o c.toml: a figure goes there; the calibration's file is --save"),
-        (["-o", "f.png", "--by-hand"], "the figure shows turns, and --by-hand makes none"),
+        (["-o", "c.toml"], "-o c.toml: -o writes a figure; --save"),
+        (["-o", "f.png", "--by-hand"], "the figure shows turns, but --by-hand makes none"),
         (["-o", "f.xyz"], "f.xyz"),
-        (["--save", "{}/other.toml"], "is there already, and no calibration"),
+        (["--save", "{}/other.toml"], "exists and is not a calibration"),
         (["--rest-seconds", "nan"], "--seconds nan: must be a number of seconds"),
     ],
 )
 def test_what_cannot_be_used_is_refused_before_a_rig_is_asked(
     arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nothing is overwritten but a calibration."""
     (tmp_path / "other.toml").write_text("[device]\n")
     given = [a.format(tmp_path) for a in arguments]
 
@@ -307,7 +301,6 @@ OTHER = Calibration(
 
 
 def test_a_recording_is_read_with_another_calibration(tmp_path: Path) -> None:
-    """Angles and voltage from the raw counts and codes; 0 V is off, whatever the offset."""
     samples = [sample(k, u_applied_v=float(k), theta_1_counts=32768 + 100 * k) for k in range(3)]
     path = written(tmp_path, recorded(samples))
     file = tmp_path / "c.toml"
@@ -324,10 +317,9 @@ def test_a_recording_is_read_with_another_calibration(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [["info"], ["info", "--json"]])
-def test_info_tells_a_rig_that_was_not_calibrated(
+def test_info_reports_a_rig_that_was_not_calibrated(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And a stale calibration, and says nothing against a good one."""
     path = str(written(tmp_path, recorded([sample(k) for k in range(3)])))
     output = tmp_path / "c.toml"
     assert main(["calibrate", *_files(tmp_path), "--save", str(output)]) == 0
@@ -350,7 +342,6 @@ def test_info_tells_a_rig_that_was_not_calibrated(
 
 
 def test_a_person_is_asked_to_deflect_the_arm_before_that_is_recorded() -> None:
-    """First the rest at the mark, then the arm, held by hand for as long."""
     done: list[str] = []
     ask: Any = SimpleNamespace(ready=done.append)
     play: Any = SimpleNamespace(rest=lambda experiment, _: done.append(experiment))

@@ -11,7 +11,8 @@ from armrig.cli import main
 from armrig.recordings import recording_summary
 from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import Outcome
-from made_recordings import manifest, recorded, sample, written
+
+from tests.clients.made_recordings import manifest, recorded, sample, written
 
 BEGUN = {
     "step": ("13:00:00", "0000000a", {}),
@@ -82,14 +83,12 @@ def read(name: str, capsys: pytest.CaptureFixture[str]) -> str:
 def test_a_recording_has_names(
     folder: Path, name: str, run_id: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its own, its experiment's, its run's; a validation those of what it validates."""
     assert read(name, capsys) == run_id
 
 
 def test_the_last_is_the_newest_that_is_whole(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the time in its name, whatever is cut off or being written beside it."""
     written(folder, b"\x89MCAP0\r\nrest", "1-step-20261120T150000-00000010.mcap")
     old = folder / "1-step-20261120T130000-0000000a.mcap"
     old.touch()  # the newest to the file system
@@ -97,8 +96,9 @@ def test_the_last_is_the_newest_that_is_whole(
     assert read("@last", capsys) == "0000000e"
 
 
-def test_what_a_name_stands_for_is_told(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Beside the answer, so that nobody reads another recording's."""
+def test_the_recording_of_a_name_is_printed(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["info", "@monday", "--json"]) == 0
 
     told = capsys.readouterr().err
@@ -108,7 +108,6 @@ def test_what_a_name_stands_for_is_told(folder: Path, capsys: pytest.CaptureFixt
 def test_of_one_name_a_complete_run_is_meant(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One that ended early was repeated by the same command; alone it is meant all the same."""
     for run_id, experiment in (("aaaaaaa1", "blackbox-monday"), ("aaaaaaa2", "step-cut")):
         data = of_run(experiment, run_id, "12:01:00", {}, outcome="stopped by A")
         written(folder, data, f"1-{experiment}-20261120T120100-{run_id}.mcap")
@@ -122,7 +121,6 @@ def test_of_one_name_a_complete_run_is_meant(
 def test_an_ambiguous_name_is_refused_with_the_list(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each with an id that means it alone, the newest first."""
     for n in range(1, 6):
         put(folder, "blackbox-monday", at=f"12:0{n}:00", run_id=f"aaaaaaa{n}")
 
@@ -145,7 +143,6 @@ def test_an_ambiguous_name_is_refused_with_the_list(
 def test_a_name_of_no_recording_is_refused(
     folder: Path, name: str, expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In a line, with the command that lists them."""
     assert main(["info", name]) == 1
 
     told = capsys.readouterr().err
@@ -155,16 +152,14 @@ def test_a_name_of_no_recording_is_refused(
 def test_a_name_with_a_typing_error_is_asked_about(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The nearest of the names that persons gave."""
     assert main(["info", "@mondy"]) == 1
 
     assert capsys.readouterr().err.endswith("lists them: did you mean @monday?\n")
 
 
-def test_without_a_recording_the_way_to_one_is_told(
+def test_without_a_recording_the_way_to_one_is_shown(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The folder need not be there."""
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path / "none"))
 
     assert main(["info", "@last"]) == 1
@@ -197,7 +192,6 @@ def test_without_a_recording_the_way_to_one_is_told(
 def test_every_command_that_takes_a_recording_takes_a_name(
     folder: Path, arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And refuses one that there is not in the same words."""
     assert main(arguments) == 1
 
     assert "@x: no whole recording in" in capsys.readouterr().err
@@ -206,7 +200,6 @@ def test_every_command_that_takes_a_recording_takes_a_name(
 def test_a_name_reads_only_what_may_be_meant(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of thousands of recordings the others are passed over by their names."""
     opened: list[str] = []
     whole = recording_summary.read_metadata
 
@@ -229,7 +222,6 @@ def test_the_folder_is_that_of_the_configuration(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """What the daemon reads says where it records, and so where we look."""
     monkeypatch.delenv("ARMRIG_RECORDING_DIRECTORY")
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     (tmp_path / "config" / "armrig").mkdir(parents=True)
@@ -244,7 +236,6 @@ def test_the_folder_is_that_of_the_configuration(
 
 
 def test_ls_lists_the_newest_first(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With the name that means each alone, and what validates what."""
     assert main(["ls"]) == 0
 
     out, err = capsys.readouterr()
@@ -254,11 +245,10 @@ def test_ls_lists_the_newest_first(folder: Path, capsys: pytest.CaptureFixture[s
     assert [line.split()[0] for line in lines[1:]] == names
     assert lines[3].endswith("blackbox  0.1 s   0.01 s  2        2026-11-20 13:20")
     assert max(map(len, lines)) <= 80
-    assert "1 being written, or left by a daemon that died" in err
+    assert "1 being written, or left by a dead daemon" in err
 
 
 def test_ls_says_what_is_not_listed(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What is older than the newest asked for, and what is not whole."""
     written(folder, b"\x89MCAP0\r\nrest", "cut.mcap")
 
     assert main(["ls", "--count", "2"]) == 0
@@ -267,15 +257,14 @@ def test_ls_says_what_is_not_listed(folder: Path, capsys: pytest.CaptureFixture[
     every = capsys.readouterr()
 
     assert len(few.out.splitlines()) == 3
-    assert "older ones: --all" in few.err
+    assert "older recordings: --all" in few.err
     assert len(every.out.splitlines()) == 6
-    assert "not whole: cut.mcap; `armrig info FILE` says why" in every.err
+    assert "damaged: cut.mcap; `armrig info FILE` shows the damage" in every.err
 
 
 def test_ls_of_all_reads_each_recording_once(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """However many there are; and they have the names that the short list has."""
     assert main(["ls"]) == 0
     few = capsys.readouterr().out
     seen: list[Path] = []
@@ -292,7 +281,6 @@ def test_ls_of_all_reads_each_recording_once(
 
 
 def test_ls_is_read_by_programs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With whole paths, lengths as numbers, and what is not listed."""
     cut = written(folder, b"\x89MCAP0\r\nrest", "cut.mcap")
     assert main(["ls", "--json"]) == 0
 
@@ -311,8 +299,8 @@ def test_ls_is_read_by_programs(folder: Path, capsys: pytest.CaptureFixture[str]
 @pytest.mark.parametrize(
     ("kind", "outcome", "said"),
     [
-        ("step", "complete", "@first is a complete recording already, and a name means one; give"),
-        ("blackbox", "complete", "a name means one; give another, such as --name first-3"),
+        ("step", "complete", "@first is already a complete recording; give another name"),
+        ("blackbox", "complete", "give another name, such as --name first-3"),
         ("step", "stopped", "no reply from rig 1"),
     ],
 )
@@ -324,7 +312,6 @@ def test_the_name_of_a_complete_recording_is_refused_before_a_rig_is_asked_for(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Two of one name are refused wherever it is typed; a run that ended early is repeated."""
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path))
     for run_id, name in (("0000000a", "first"), ("0000000b", "first-2")):
         about = manifest(experiment=f"{kind}-{name}", run_id=run_id)
@@ -344,7 +331,6 @@ def test_the_name_of_a_complete_recording_is_refused_before_a_rig_is_asked_for(
 def test_a_name_that_would_mean_another_recording_cannot_be_given(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`@last` is the newest, and what is called a validation is one."""
     assert main(["collect", "step", "--name", name, "--connect", "nowhere"]) == 1
 
     assert f"--name {name}: " in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The command line: what a person and a script meet, good input or bad."""
+"""The command line for a person and a script, with good input and bad."""
 
 from __future__ import annotations
 
@@ -20,59 +20,56 @@ from armrig.cli.options import folded, tell
 from armrig.rig import live_rigs
 from armrig.rig.status_rows import scheduling_sentences
 from armrig_core import commands, telemetry
-from fake_daemon import FakeDaemon
-from made_recordings import sample, written
-from running import running
-from told import told
+
+from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.made_recordings import sample, written
+from tests.clients.running import running
+from tests.clients.told import told
 
 READERS = (["info"], ["identify", "--structure", "arx"], ["compare"], ["report"])
 HEAVY = ("numpy", "scipy", "zenoh", "mcap", "matplotlib", "typst", "control", "rich.console")
 
 
 @pytest.mark.parametrize("command", [["info"], ["compare"], ["report"]], ids=lambda c: c[0])
-def test_a_file_that_is_no_recording_is_told_in_a_line(
+def test_a_file_that_is_no_recording_is_reported_in_one_line(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 1: what came, and what is read."""
     path = str(written(tmp_path, b"t;u;y\n0;1;2\n", "data.bin"))
     files = [path, path] if command == ["compare"] else [path]
 
     assert main([*command, *files]) == 1
 
-    assert told(capsys).startswith(f"armrig: {path}: not an MCAP file; a recording")
+    assert told(capsys).startswith(f"armrig: {path}: not an MCAP file; give a recording")
 
 
 @pytest.mark.parametrize("command", READERS, ids=lambda c: c[0])
-def test_a_file_that_is_not_there_is_told_in_a_line(
+def test_a_file_that_is_not_there_is_reported_in_one_line(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 1, naming the file."""
     path = str(tmp_path / "nothing.mcap")
     files = [path, path] if command == ["compare"] else [path]
 
     assert main([*command, *files]) == 1
 
     assert told(capsys) == (
-        f"armrig: {path}: No such file or directory; `armrig ls` lists the recordings, each taken "
-        "as @NAME\n"
+        f"armrig: {path}: No such file or directory; `armrig ls` lists the recordings, each with "
+        "its @NAME\n"
     )
 
 
 @pytest.mark.parametrize("command", [["info"], ["check", "--Ts", "1"], ["check"]])
-def test_a_directory_is_told_in_a_line(
+def test_a_directory_is_reported_in_one_line(
     command: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is no file to read, by each way in which one is read."""
     assert main([*command, str(tmp_path)]) == 1
 
-    assert told(capsys) == f"armrig: {tmp_path}: Is a directory; give a file in it\n"
+    assert told(capsys) == f"armrig: {tmp_path}: Is a directory; give a file in the folder\n"
 
 
 @pytest.mark.parametrize("command", [["status"], ["watch"], ["stop"], ["collect", "blackbox"]])
-def test_no_daemon_is_told_with_what_to_do(
+def test_a_missing_daemon_is_reported_with_the_way_out(
     command: list[str], where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 1: where it was looked for, and how to start it."""
     assert main([*command, "--connect", where]) == 1
 
     said = told(capsys)
@@ -96,10 +93,9 @@ def test_no_daemon_is_told_with_what_to_do(
     ],
     ids=" ".join,
 )
-def test_a_wrong_use_is_told_in_a_line_with_exit_code_2(
+def test_a_wrong_use_is_reported_in_one_line_with_exit_code_2(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It points to the help of that very command."""
     assert main(arguments) == 2
 
     said = told(capsys)
@@ -107,10 +103,9 @@ def test_a_wrong_use_is_told_in_a_line_with_exit_code_2(
     assert f"see `armrig{' ' + arguments[0] if arguments[0] != 'identfy' else ''} --help`" in said
 
 
-def test_status_tells_what_the_daemon_says_of_scheduling(
+def test_status_reports_what_the_daemon_says_of_scheduling(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """For a person in words, for a program as it came."""
     assert main(["status", "--connect", where]) == 0
     text = capsys.readouterr().out
     assert main(["status", "--connect", where, "--json"]) == 0
@@ -133,7 +128,6 @@ def test_a_note_says_whether_a_recording_has_it(
     is_recorded: bool,
     told: str,
 ) -> None:
-    """For a person, and for a program."""
     monkeypatch.setattr(daemon, "_carry_out", lambda _: commands.Done(done=is_recorded))
 
     assert main(["note", "the arm was touched", "--connect", where, "--owner", "Ada"]) == 0
@@ -148,25 +142,22 @@ def test_a_note_says_whether_a_recording_has_it(
 def test_a_note_that_is_too_long_is_refused_in_a_line(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Nothing is sent, and the line does not repeat all of it."""
     assert main(["note", "x" * 10_000, "--connect", where]) == 1
 
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "characters)': allowed are 1 to 500 characters" in said
+    assert "characters)': allowed are 1 to 500 printable characters" in said
     assert daemon.asked == []
 
 
 @pytest.mark.parametrize("command", ["stop", "reset"])
 def test_stop_and_reset_need_nobodys_leave(command: str, daemon: FakeDaemon, where: str) -> None:
-    """They are sent at once, without arming."""
     assert main([command, "--connect", where]) == 0
 
     assert daemon.names() == [command]
 
 
 def test_watch_gives_each_sample_as_a_line_of_json(daemon: FakeDaemon, where: str) -> None:
-    """Until as many as asked for have come."""
     arguments = ["watch", "--connect", where, "--json", "--count", "3"]
     program = [sys.executable, "-m", "armrig", *arguments]
     with (
@@ -188,16 +179,14 @@ def test_watch_gives_each_sample_as_a_line_of_json(daemon: FakeDaemon, where: st
 
 
 def test_where_the_host_allows_all_nothing_is_complained_of() -> None:
-    """One line with the priority."""
     assert scheduling_sentences({"fifo": 80, "refused": []}) == [
         "real-time scheduling at priority 80"
     ]
-    assert scheduling_sentences({}) == ["nothing known yet"]
+    assert scheduling_sentences({}) == ["not known yet"]
 
 
 @pytest.mark.parametrize("program", ["import armrig", "import armrig.cli"])
 def test_nothing_heavy_is_imported_before_it_is_needed(program: str) -> None:
-    """`import armrig` and `armrig --help` answer at once."""
     checked = f"import sys; {program}; print(sorted(set({HEAVY!r}) & set(sys.modules)))"
 
     done = subprocess.run([sys.executable, "-c", checked], capture_output=True, check=True)
@@ -206,7 +195,6 @@ def test_nothing_heavy_is_imported_before_it_is_needed(program: str) -> None:
 
 
 def test_every_public_name_is_there() -> None:
-    """And nothing else is pretended."""
     assert all(getattr(armrig, name) is not None for name in armrig.__all__)
     assert armrig.__version__ == "0.1.0"
     assert set(armrig.__all__) < set(dir(armrig))
@@ -214,7 +202,6 @@ def test_every_public_name_is_there() -> None:
 
 
 def test_the_module_is_the_command() -> None:
-    """`python -m armrig` has the command's exit code."""
     done = subprocess.run([sys.executable, "-m", "armrig", "info", "/nothing"], capture_output=True)
 
     assert done.returncode == 1
@@ -222,10 +209,10 @@ def test_the_module_is_the_command() -> None:
 
 
 @pytest.mark.parametrize(("module", "name"), [("armrig", "armrig"), ("armrig_daemon", "armrigd")])
-def test_ctrl_c_while_the_command_is_loaded_is_told_in_a_line(
+def test_ctrl_c_while_the_command_is_loaded_is_reported_in_one_line(
     module: str, name: str, tmp_path: Path
 ) -> None:
-    """On a busy machine that takes seconds. A module that is loaded first is pressed on here."""
+    """Loading takes seconds on a busy machine."""
     pressed = "import signal\ntry:\n    signal.raise_signal(2)\nexcept BaseException as err:\n"
     (tmp_path / "typer.py").write_text(pressed + "    raise RuntimeError from err\n")
     beside = {**os.environ, "PYTHONPATH": str(tmp_path)}
@@ -258,7 +245,7 @@ def test_ctrl_c_before_a_recorder_records_is_not_lost(
 
 @pytest.mark.parametrize("program", ["raise KeyboardInterrupt", "raise E from KeyboardInterrupt()"])
 def test_ctrl_c_while_a_command_is_loaded_is_no_error(program: str, tmp_path: Path) -> None:
-    """Python 3.11 makes a RuntimeError of it in a class; in a text, it ends itself by SIGINT."""
+    """Python 3.11 raises RuntimeError instead of KeyboardInterrupt in a class body."""
     pressed = f"exec({program!r}, {{'E': RuntimeError}})\n"
     (tmp_path / "mcap").mkdir()
     (tmp_path / "mcap" / "__init__.py").write_text(pressed)
@@ -274,17 +261,13 @@ def test_ctrl_c_while_a_command_is_loaded_is_no_error(program: str, tmp_path: Pa
 def test_a_signal_while_the_options_are_made_ends_the_command_in_order(
     number: signal.Signals, code: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The exit code says which signal it was."""
     monkeypatch.setattr("armrig.cli._command_line", lambda: signal.raise_signal(number))
 
     assert main(["ls"]) == code
 
 
-def test_what_is_no_file_is_told_and_not_waited_for(tmp_path: Path) -> None:
-    """A pipe that nobody writes to, by each way in which a file is read.
-
-    In a process of its own: where one is waited for, that goes on for ever.
-    """
+def test_what_is_no_file_is_reported_and_not_waited_for(tmp_path: Path) -> None:
+    """The test runs in another process, because a wrong reader waits for ever."""
     os.mkfifo(tmp_path / "pipe")
     commands = (
         "info pipe",
@@ -311,7 +294,6 @@ def test_what_is_no_file_is_told_and_not_waited_for(tmp_path: Path) -> None:
 def test_watch_into_a_pipe_gives_a_line_for_each_sample(
     pipe: str, daemon: FakeDaemon, where: str
 ) -> None:
-    """At once, and a reader that goes is nothing to complain of."""
     count = ["--count", "3"] if pipe == "cat" else []
     program = [sys.executable, "-m", "armrig", "watch", "--connect", where, *count]
     with (
@@ -339,8 +321,7 @@ def test_watch_into_a_pipe_gives_a_line_for_each_sample(
     assert watching.returncode == (0 if pipe == "cat" else 128 + signal.SIGPIPE)
 
 
-def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
-    """As other programs do."""
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
 
     assert capsys.readouterr().out == "armrig 0.1.0\n"
@@ -349,7 +330,6 @@ def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
 def test_without_a_command_there_is_help_and_exit_code_2(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """As `armrigd` does; `--help` is what was asked for."""
     assert main([]) == 2
     alone = capsys.readouterr().out
     assert main(["--help"]) == 0
@@ -359,7 +339,6 @@ def test_without_a_command_there_is_help_and_exit_code_2(
 
 
 def test_long_lines_are_broken_between_words_on_a_terminal_only() -> None:
-    """A path or a command in one piece can be taken from there; a program gets the line."""
     text = "- one two three /a/long/path/that-is-longer-than-the-line four\n\n  five"
 
     assert folded(text, 0) == text
@@ -370,10 +349,9 @@ def test_long_lines_are_broken_between_words_on_a_terminal_only() -> None:
     assert folded("name  one two three four", 16, indent=6) == "name  one two\n      three four"
 
 
-def test_a_demonstration_into_a_file_is_told_what_to_do(
+def test_a_demonstration_into_a_file_is_refused_with_the_way_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before anything is started."""
     path = written(tmp_path, b"", "file")
 
     assert main(["demo", "--directory", str(path)]) == 1
@@ -384,7 +362,6 @@ def test_a_demonstration_into_a_file_is_told_what_to_do(
 def test_an_error_has_its_priority_in_the_journal(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Write the prefix only if the journal reads standard error; a plain line has none."""
     stderr = os.fstat(2)
     monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino}")
 

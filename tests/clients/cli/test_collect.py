@@ -1,4 +1,4 @@
-"""`armrig collect`: what is played, what is refused first, how it ends."""
+"""`armrig collect`: its inputs, its refusals and its ends."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from armrig.cli import main
 from armrig.rig.collection import Collected, Plan
 from armrig_core import commands, telemetry
 from armrig_core.rehearsal import Rehearsal
-from fake_daemon import FakeDaemon
-from made_recordings import gap, of_the_arm, sample, timing, written
-from running import running
-from told import told
+
+from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.made_recordings import gap, of_the_arm, sample, timing, written
+from tests.clients.running import running
+from tests.clients.told import told
 
 
 @pytest.mark.parametrize(
@@ -39,7 +40,6 @@ def test_a_voltage_outside_the_rigs_range_is_refused_before_a_rig_is_asked(
     where: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It would be destroyed; nothing is sent."""
     assert main(["collect", *arguments, "--connect", where]) == 1
 
     assert told(capsys) == f"armrig: {said}\n"
@@ -49,7 +49,6 @@ def test_a_voltage_outside_the_rigs_range_is_refused_before_a_rig_is_asked(
 def test_collect_plays_the_telegraph_that_was_asked_for(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """At the daemon's sampling time, with everything that makes it again."""
     arguments = ["collect", "blackbox", "--seconds", "2", "--seed", "7", "--connect", where]
 
     assert main(arguments) == 0
@@ -75,7 +74,6 @@ def test_collect_plays_the_telegraph_that_was_asked_for(
 def test_every_option_of_a_collection_reaches_its_plan(
     arguments: list[str], kinds: int, own: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """None of them has its default; each experiment passes the shared ones by itself."""
     made: list[tuple[Plan, str, str | None]] = []
 
     def collected(plan: Plan, *, rig: str, connect: str | None, tell: object) -> Collected:
@@ -109,7 +107,6 @@ def test_every_option_of_a_collection_reaches_its_plan(
 
 
 def test_collect_step_steps_when_it_was_asked_to(daemon: FakeDaemon, where: str) -> None:
-    """Seconds become samples by the sampling time in force."""
     arguments = ["collect", "step", "--seconds", "1", "--at", "0.4", "--Ts", "0.02", "--json"]
 
     assert main([*arguments, "--connect", where]) == 0
@@ -119,7 +116,6 @@ def test_collect_step_steps_when_it_was_asked_to(daemon: FakeDaemon, where: str)
 
 
 def test_collect_greybox_plays_what_a_black_box_does(daemon: FakeDaemon, where: str) -> None:
-    """To a rig whose daemon was told that the rotating part is off."""
     daemon.arm_removed = True
 
     assert main(["collect", "greybox", "--seconds", "2", "--connect", where]) == 0
@@ -132,13 +128,12 @@ def test_collect_greybox_plays_what_a_black_box_does(daemon: FakeDaemon, where: 
 def test_collect_greybox_refuses_a_rig_with_its_arm_on(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Before anything is armed or played; it says what to do. A black box is for the whole rig."""
     assert main(["collect", "greybox", "--seconds", "2", "--connect", where]) == 1
     asked, said = daemon.names(), told(capsys)
     assert main(["collect", "blackbox", "--seconds", "2", "--connect", where]) == 0
 
     assert asked == []
-    assert "rig 1 has its arm on: take the rotating part off (handout, figure 6)" in said
+    assert "rig 1 has its arm on: remove the rotating part (handout, figure 6)" in said
     assert "[arm] removed = true" in said
 
 
@@ -146,7 +141,6 @@ def test_collect_greybox_refuses_a_rig_with_its_arm_on(
 def test_collect_blackbox_says_where_the_arm_is_off(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str], *, arm_removed: bool
 ) -> None:
-    """It may be meant; who forgot to put it back on learns it before the hour is over."""
     daemon.arm_removed = arm_removed
 
     assert main(["collect", "blackbox", "--seconds", "2", "--connect", where]) == 0
@@ -156,7 +150,6 @@ def test_collect_blackbox_says_where_the_arm_is_off(
 
 
 def test_collect_staircase_goes_up_and_down_again(daemon: FakeDaemon, where: str) -> None:
-    """Friction shows as the difference."""
     arguments = ["collect", "staircase", "--levels", "3", "--seconds", "1", "--connect", where]
 
     assert main(arguments) == 0
@@ -169,7 +162,6 @@ def test_collect_staircase_goes_up_and_down_again(daemon: FakeDaemon, where: str
 def test_collect_bla_plays_periods_with_other_phases(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One recording a realisation, of the same power, so that they can be compared."""
     arguments = ["--period", "0.5", "--periods", "3", "--realisations", "2", "--connect", where]
 
     assert main(["collect", "bla", *arguments]) == 0
@@ -187,7 +179,6 @@ def test_collect_bla_plays_periods_with_other_phases(
 def test_collect_bla_takes_the_length_of_a_recording(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As the other kinds do, in place of a period's; not both."""
     arguments = ["collect", "bla", "--seconds", "1.5", "--periods", "3", "--realisations", "1"]
     arguments += ["--connect", where]
 
@@ -205,7 +196,6 @@ def test_collect_bla_takes_the_length_of_a_recording(
 def test_collect_validation_plays_the_next_seed_too(
     name: str, daemon: FakeDaemon, where: str
 ) -> None:
-    """Two recordings with one command; the second says in its name what it is for."""
     arguments = ["collect", "blackbox", "--input", name, "--seed", "7", "--seconds", "1"]
     arguments += ["--validation", "--name", "monday", "--connect", where]
 
@@ -222,7 +212,6 @@ def test_collect_validation_plays_the_next_seed_too(
 
 
 def test_collect_plays_a_file_of_ones_own(daemon: FakeDaemon, where: str, tmp_path: Path) -> None:
-    """As long as it is, at the times that it says."""
     file = tmp_path / "mine.csv"
     file.write_text("t,u\n" + "".join(f"{k / 100},{k % 5}\n" for k in range(40)))
 
@@ -236,12 +225,12 @@ def test_collect_plays_a_file_of_ones_own(daemon: FakeDaemon, where: str, tmp_pa
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--input", "csv"], "a file is played with --file CSV"),
-        (["--input", "prbs", "--file", "FILE"], "no other --input than csv"),
+        (["--input", "csv"], "--file CSV plays a file"),
+        (["--input", "prbs", "--file", "FILE"], "or give --input csv"),
         (["--file", "FILE", "--seconds", "3"], "--seconds 3: a file has its own length"),
-        (["--file", "FILE", "--validation"], "--validation: csv would be the same again"),
-        (["--input", "chirp", "--validation"], "--validation: chirp would be the same again"),
-        (["--file", "FILE", "--Ts", "0.02"], "t=0.01 s where Ts=0.02 s gives 0.02 s"),
+        (["--file", "FILE", "--validation"], "--validation: csv would repeat the same input"),
+        (["--input", "chirp", "--validation"], "--validation: chirp would repeat the same input"),
+        (["--file", "FILE", "--Ts", "0.02"], "t=0.01 s, but Ts=0.02 s gives 0.02 s"),
         (["--file", "/nowhere.csv"], "/nowhere.csv: No such file or directory"),
         (["--input", "prbs", "--a", "0"], "a=0.0: a prbs switches with a probability of more"),
         (["--name", "My run"], "--name My run: at most 31 of a-z, 0-9 and -"),
@@ -249,7 +238,7 @@ def test_collect_plays_a_file_of_ones_own(daemon: FakeDaemon, where: str, tmp_pa
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",
 )
-def test_an_input_that_cannot_be_played_is_told_before_a_rig_is_asked_for(
+def test_an_input_that_cannot_be_played_is_reported_before_a_rig_is_asked_for(
     arguments: list[str],
     said: str,
     daemon: FakeDaemon,
@@ -257,7 +246,6 @@ def test_an_input_that_cannot_be_played_is_told_before_a_rig_is_asked_for(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """With the way out."""
     file = tmp_path / "mine.csv"
     file.write_text("t,u\n0,1\n0.01,2\n0.02,3\n")
     given = [str(file) if x == "FILE" else x for x in arguments]
@@ -271,7 +259,6 @@ def test_an_input_that_cannot_be_played_is_told_before_a_rig_is_asked_for(
 def test_collect_judges_the_data(
     daemon: FakeDaemon, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In words beside the path, whole in the JSON; data with a fault are no failure."""
     daemon.recording = str(written(tmp_path, of_the_arm(armrig.telegraph(500, 0.05, 2.45, 2.55))))
 
     assert main(["collect", "blackbox", "--connect", where]) == 0
@@ -283,7 +270,7 @@ def test_collect_judges_the_data(
     assert said.out == f"{daemon.recording}\n"
     assert "3000 samples are on the disk; the data can be used, with care" in said.err
     assert facts["synced"] == facts["samples"] == 3000
-    assert "too quiet" in said.err
+    assert "use levels with a larger difference" in said.err
     assert verdict["usable"] is True
     assert {f["about"]: f["level"] for f in verdict["findings"]}["signal"] == "warning"
 
@@ -291,7 +278,6 @@ def test_collect_judges_the_data(
 def test_data_that_cannot_be_used_are_a_failure_and_end_the_collection(
     daemon: FakeDaemon, where: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The recording is told all the same; there is no second one."""
     daemon.recording = str(written(tmp_path, of_the_arm(np.full(500, 2.0))))
 
     assert main(["collect", "blackbox", "--validation", "--connect", where]) == 1
@@ -305,7 +291,6 @@ def test_data_that_cannot_be_used_are_a_failure_and_end_the_collection(
 def test_the_bar_says_how_the_timing_is(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of the run alone, and in the words of `info`: lateness, missing samples; and the queue."""
     report = timing(0)
     report.wake_lateness_us.p99 = 123.0  # of the loop, which is not what `info` calls lateness
     report.queue_depth.p50, report.queue_depth.n = 17, 100
@@ -335,7 +320,6 @@ def test_the_bar_says_how_the_timing_is(
 def test_collect_says_what_the_rehearsal_was(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Beside the path; with --json in it."""
     daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
 
     assert main(["collect", "step", "--connect", where]) == 0
@@ -350,10 +334,10 @@ def test_collect_says_what_the_rehearsal_was(
 
 
 @pytest.mark.parametrize(("given", "dead_man"), [([], 1.0), (["3"], 3.0), (["0"], None)])
-def test_a_collection_dies_with_its_program_unless_told_otherwise(
+def test_a_collection_ends_with_its_program_by_default(
     given: list[str], dead_man: float | None, daemon: FakeDaemon, where: str
 ) -> None:
-    """Who closes the terminal expects that the motor stops."""
+    """A user who closes the terminal expects the motor to stop."""
     option = ["--dead-man", *given] if given else []
 
     assert main(["collect", "step", *option, "--connect", where]) == 0
@@ -364,10 +348,9 @@ def test_a_collection_dies_with_its_program_unless_told_otherwise(
 
 
 @pytest.mark.parametrize("text", ["0.1", "61", "-1", "nan"])
-def test_a_dead_man_that_cannot_be_is_told_before_a_rig_is_asked_for(
+def test_a_dead_man_that_cannot_be_is_reported_before_a_rig_is_asked_for(
     text: str, daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With what is allowed."""
     assert main(["collect", "step", "--dead-man", text, "--connect", where]) == 1
 
     assert "must be 0.5 to 60 s, or 0 for none" in capsys.readouterr().err
@@ -377,7 +360,6 @@ def test_a_dead_man_that_cannot_be_is_told_before_a_rig_is_asked_for(
 def test_a_run_that_ends_early_is_a_failure(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 1, with the reason and the recording."""
     daemon.outcome = "the host paused for 68 ms"
 
     assert main(["collect", "step", "--connect", where]) == 1
@@ -385,14 +367,13 @@ def test_a_run_that_ends_early_is_a_failure(
     said = capsys.readouterr()
     assert said.out == ""
     assert "the host paused for 68 ms; recorded in /nowhere/run.mcap" in said.err
-    assert "nothing is latched: repeat the command" in said.err
+    assert "no fault is latched: repeat the command" in said.err
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_ends_a_collection_stops_the_rig(
     number: signal.Signals, daemon: FakeDaemon, where: str
 ) -> None:
-    """A closed terminal or a shutdown: the motor does not go on alone, and the code says why."""
     daemon.polls_per_run = 10_000
     polled = threading.Event()
     daemon.during_run = polled.set
@@ -419,10 +400,9 @@ def test_what_nohup_ignores_stays_ignored() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
-def test_a_program_is_told_in_json_what_was_done(
+def test_a_program_gets_the_result_of_a_stop_in_json(
     where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Stopped; and whether a fault was latched."""
     with FakeDaemon(where):
         assert main(["stop", "--connect", where, "--json"]) == 0
         assert main(["reset", "--connect", where, "--json"]) == 0
@@ -440,14 +420,14 @@ def test_a_program_is_told_in_json_what_was_done(
     [
         (["blackbox", "--seconds", "inf"], "--seconds inf: must be a number of seconds"),
         (["blackbox", "--seconds", "nan"], "--seconds nan: must be a number of seconds"),
-        (["blackbox", "--seconds", "1e9"], "--seconds 1e+09: at most 4000000 samples"),
-        (["blackbox", "--seconds", "5e4", "--Ts", "0.01"], "that is 40000 s at Ts = 0.01 s"),
-        (["blackbox", "--seconds", "0.2", "--Ts", "1"], "too short for one sample of 1 s"),
+        (["blackbox", "--seconds", "1e9"], "--seconds 1e+09: must be at most 4e+06 s"),
+        (["blackbox", "--seconds", "5e4", "--Ts", "0.01"], "at most 40000 s at Ts = 0.01 s"),
+        (["blackbox", "--seconds", "0.2", "--Ts", "1"], "too short for a sample of 1 s"),
         (["blackbox", "--Ts", "nan"], "--Ts nan: must be a number of seconds"),
         (["blackbox", "--Ts", "inf"], "--Ts inf: must be a number of seconds"),
-        (["blackbox", "--Ts", "2"], "--Ts 2: at most 1, in seconds"),
-        (["blackbox", "--owner", ""], "--owner has 0 characters: 1 to 80 are allowed"),
-        (["step", "--seconds", "0.5"], "--at 1 s is after the end, 0.5 s"),
+        (["blackbox", "--Ts", "2"], "--Ts 2: must be at most 1, in seconds"),
+        (["blackbox", "--owner", ""], "--owner of 0 characters: must have 1 to 80"),
+        (["step", "--seconds", "0.5"], "--at 1 s: after the end, 0.5 s"),
         (["step", "--at", "nan"], "--at nan: must be a number of seconds"),
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else "",
@@ -459,7 +439,6 @@ def test_a_length_that_cannot_be_played_is_refused_before_a_rig_is_asked(
     where: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """What came, and what is allowed."""
     assert main(["collect", *arguments, "--connect", where]) == 1
 
     assert said in told(capsys)
@@ -469,17 +448,15 @@ def test_a_length_that_cannot_be_played_is_refused_before_a_rig_is_asked(
 def test_a_length_too_great_for_the_daemons_sampling_time_gives_the_rig_back(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is known only once the rig is ours."""
     assert main(["collect", "blackbox", "--seconds", "80000", "--connect", where]) == 1
 
-    assert "at most 4000000 samples, that is 40000 s at Ts = 0.01 s" in told(capsys)
+    assert "at most 40000 s at Ts = 0.01 s (4000000 samples)" in told(capsys)
     assert daemon.names() == ["arm", "disarm"]
 
 
-def test_a_length_between_two_samples_is_rounded_and_told(
+def test_a_length_between_two_samples_is_rounded_and_reported(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is really played."""
     arguments = ["collect", "blackbox", "--seconds", "1", "--Ts", "0.6", "--connect", where]
 
     assert main(arguments) == 0
@@ -489,10 +466,9 @@ def test_a_length_between_two_samples_is_rounded_and_told(
 
 
 @pytest.mark.parametrize("refused", ["arm", "run"])
-def test_a_trip_is_told_with_its_reason(
+def test_a_trip_is_reported_with_its_reason(
     refused: str, daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Not as the lease that went with it."""
     daemon.fault, daemon.remedy = "the link is silent", "see to the cable"
     daemon.refusals = {refused: "not the lease in force: arm first"}
 
@@ -505,10 +481,9 @@ def test_a_trip_is_told_with_its_reason(
     assert "lease" not in said
 
 
-def test_ctrl_c_tells_how_the_rig_was_left_and_where_the_recording_lies(
+def test_ctrl_c_reports_the_state_of_the_rig_and_the_recording(
     daemon: FakeDaemon, where: str
 ) -> None:
-    """Exit code 130."""
     daemon.polls_per_run = 10_000
     polled = threading.Event()
     daemon.during_run = polled.set
@@ -520,6 +495,6 @@ def test_ctrl_c_tells_how_the_rig_was_left_and_where_the_recording_lies(
 
     assert collecting.returncode == 130
     assert out == b""
-    assert b"armrig: interrupted: rig 1 was told to stop (0 V)" in said
+    assert b"armrig: interrupted: a stop (0 V) was sent to rig 1" in said
     assert b"/nowhere/run.mcap" in said
     assert b"Traceback" not in said

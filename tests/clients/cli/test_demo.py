@@ -1,4 +1,4 @@
-"""The demonstration goes on where a busy machine ends its runs, in virtual time at last."""
+"""If a busy machine ends its runs, the demonstration goes on, finally in virtual time."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from armrig.rig.client import Rig
 from armrig.rig.replies import RefusedError
 from armrig.rig.session import RigError
 from armrig_core import commands
-from fake_daemon import FakeDaemon
 from rich.console import Console
-from sampling import sampled
+
+from tests.clients.fake_daemon import FakeDaemon
+from tests.sampling import sampled
 
 LATE = "the host woke up to 264 ms late in the last second: try again"
 
@@ -50,11 +51,10 @@ class StallingDaemon(FakeDaemon):
         return super()._carry_out(request)
 
 
-def test_what_a_stalling_machine_costs_is_done_once_more(
+def test_what_a_stalling_machine_costs_is_repeated(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run that it ended, and a refusal to arm that would pass a second later."""
-    monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
+    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     out = StringIO()
     daemon = StallingDaemon(where, refusals=[LATE, LATE], ends=["WATCHDOG (load 3)"])
 
@@ -62,7 +62,7 @@ def test_what_a_stalling_machine_costs_is_done_once_more(
         path = _recorded(rig, out)
 
     assert str(path) == daemon.recording
-    said = [line for line in out.getvalue().splitlines() if line.startswith("  step once more: ")]
+    said = [line for line in out.getvalue().splitlines() if line.startswith("  step again: ")]
     assert [line.endswith("264 ms late in the last second") for line in said] == [True, True, False]
     assert "WATCHDOG (load 3)" in said[2]
 
@@ -70,8 +70,7 @@ def test_what_a_stalling_machine_costs_is_done_once_more(
 def test_a_machine_that_ends_three_runs_is_given_up(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """With the reason of the third; what was only refused for the moment does not count."""
-    monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
+    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     out = StringIO()
     daemon = StallingDaemon(where, refusals=[LATE] * 4, ends=["first", "second", "third", "x"])
 
@@ -82,15 +81,15 @@ def test_a_machine_that_ends_three_runs_is_given_up(
     ):
         _recorded(rig, out)
 
-    assert out.getvalue().count("once more") == 6
+    assert out.getvalue().count("again: ") == 6
 
 
 def test_a_machine_that_refuses_for_good_is_given_up_in_time(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where what is left would not be done 150 s after the beginning."""
-    monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
-    monkeypatch.setattr(demo_rig, "LATEST_S", -1.0)
+    """The limit is 150 s after the beginning."""
+    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
+    monkeypatch.setattr(demo_rig, "MAX_REAL_TIME_S", -1.0)
     daemon = StallingDaemon(where, refusals=[LATE] * 2, ends=[])
 
     with (
@@ -101,8 +100,7 @@ def test_a_machine_that_refuses_for_good_is_given_up_in_time(
         _recorded(rig, StringIO())
 
 
-def test_a_refusal_that_does_not_pass_is_told_at_once(where: str) -> None:
-    """Once more would not help."""
+def test_a_refusal_that_does_not_pass_is_reported_at_once(where: str) -> None:
     out, held = (
         StringIO(),
         "a student has the rig: wait until it is free, or end it with `armrig stop`",
@@ -119,8 +117,8 @@ def test_a_refusal_that_does_not_pass_is_told_at_once(where: str) -> None:
     assert out.getvalue() == ""
 
 
-def test_a_rig_that_tripped_before_its_run_is_armed_once_more(where: str) -> None:
-    """The watchdog runs from arming on: what is refused then is refused for the fault."""
+def test_a_rig_that_tripped_before_its_run_is_armed_again(where: str) -> None:
+    """The watchdog runs from the arming on, so a refusal after it is due to the fault."""
     out = StringIO()
     daemon = TrippingDaemon(where, demo_plan.RIG)
 
@@ -129,14 +127,13 @@ def test_a_rig_that_tripped_before_its_run_is_armed_once_more(where: str) -> Non
 
     assert str(path) == daemon.recording
     assert daemon.names() == ["arm", "run", "reset", "arm", "run"]
-    assert "once more" in out.getvalue()
+    assert "again: " in out.getvalue()
 
 
-def test_a_rig_that_trips_behind_a_refusal_is_reset(
+def test_a_rig_that_trips_after_a_refusal_is_reset(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It was safe when the refusal was looked at, and would be in its fault for ever."""
-    monkeypatch.setattr(rig_module, "_SETTLE_S", 0.0)
+    monkeypatch.setattr(rig_module, "_REPEAT_S", 0.0)
     daemon = LateTrippingDaemon(where, refusals=[LATE], ends=[])
 
     with daemon, Rig(demo_plan.RIG, connect=where) as rig:
@@ -149,8 +146,7 @@ def test_a_rig_that_trips_behind_a_refusal_is_reset(
 def test_a_rig_that_stays_in_its_fault_is_named_with_it(
     where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A reset that changes nothing is not repeated for ever."""
-    monkeypatch.setattr(demo_rig, "_SAFE_S", 0.0)
+    monkeypatch.setattr(demo_rig, "_SAFE_TIMEOUT_S", 0.0)
     daemon = FakeDaemon(where, demo_plan.RIG)
     daemon.fault = "the device stopped by itself: WATCHDOG"
 
@@ -188,7 +184,6 @@ class TrippingDaemon(FakeDaemon):
 def test_what_cannot_be_done_in_real_time_is_done_in_virtual_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, runtime: str
 ) -> None:
-    """Here the daemon has no place for its socket; everything is there all the same."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", runtime)
     out, folder = StringIO(), tmp_path / "demo"
 
@@ -200,10 +195,10 @@ def test_what_cannot_be_done_in_real_time_is_done_in_virtual_time(
     assert (folder / "report.pdf").read_bytes().startswith(b"%PDF")
 
 
-def test_an_interrupted_demonstration_leaves_no_player_behind(
+def test_an_interrupted_demonstration_leaves_no_player(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It would write into a folder that is being removed."""
+    """The player would write into a folder that is being removed."""
     players = []
 
     class Player(subprocess.Popen[bytes]):
@@ -226,12 +221,11 @@ def test_an_interrupted_demonstration_leaves_no_player_behind(
 
 
 def test_the_report_says_what_was_made_in_virtual_time_and_why() -> None:
-    """Nothing of it where all was made in real time."""
     assert "virtual" not in " ".join(demo._remarks(3, 3, ""))
     assert "All recordings were made in virtual time" in demo._remarks(3, 0, "")[-1]
     remark = demo._remarks(3, 1, "too busy")[-1]
     assert remark.startswith("The last 2 of the recordings were made in virtual time")
-    assert remark.endswith("not let the rig be emulated in real time: too busy.")
+    assert remark.endswith("could not emulate the rig in real time: too busy.")
 
 
 def _recorded(rig: Rig, out: StringIO) -> Path:

@@ -1,4 +1,4 @@
-"""Reports and figures: what is written where, and what is never replaced."""
+"""Reports and figures: paths of the written files, and files that are never replaced."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from armrig.cli import main
 from armrig.cli.figures import name_runs, write_plot
 from armrig.plots.captions import sign
 from armrig.report.answers import read_answers
-from made_recordings import manifest, recorded, sample, written
 from matplotlib.figure import Figure
 from matplotlib.image import imread
-from told import told
+
+from tests.clients.made_recordings import manifest, recorded, sample, written
+from tests.clients.told import told
 
 
 def test_report_writes_a_pdf_and_says_where(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The path on standard output, nothing else."""
     pdf = tmp_path / "r.pdf"
 
     assert main(["report", *map(str, three_recordings), "-o", str(pdf)]) == 0
@@ -53,7 +53,6 @@ def test_a_figure_of_a_saved_model_has_the_run_that_its_data_validate(tmp_path: 
 def test_the_source_of_a_report_is_to_be_typeset_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Under a name that no file has."""
     monkeypatch.chdir(tmp_path)
 
     assert main(["report", "--handout", "--source", "my source"]) == 0
@@ -63,20 +62,16 @@ def test_the_source_of_a_report_is_to_be_typeset_again(
     assert main(shlex.split(last)[2:]) == 0
 
 
-def test_report_tells_a_program_what_it_was_made_from(
+def test_report_gives_a_program_its_recordings(
     three_recordings: tuple[Path, ...],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """The path, and the hash of each recording in the order given.
-
-    A model judged on its own data is told so here, too: it flatters every model.
-    """
     pdf = tmp_path / "r.pdf"
     step, recording, _ = three_recordings
     files = (recording, recording, step)
-    # What is told needs no figures and no typesetting, which take most of the time.
+    # The messages need no figures and no typesetting, which take most of the time.
     monkeypatch.setattr("armrig.report.document.write_figures", lambda *_: {})
     monkeypatch.setattr("armrig.report.typesetting.compiled", lambda _: (b"%PDF-", []))
 
@@ -85,13 +80,12 @@ def test_report_tells_a_program_what_it_was_made_from(
     hashes = [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
     said = capsys.readouterr()
     assert json.loads(said.out) == {"report": str(pdf), "recordings": hashes}
-    assert "judged on the very data that they were estimated from" in said.err
+    assert "judged on their own estimation data" in said.err
 
 
-def test_a_report_that_cannot_be_written_is_told_in_a_line(
+def test_a_report_that_cannot_be_written_is_reported_in_one_line(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 1, naming the place."""
     pdf = tmp_path / "no" / "r.pdf"
 
     assert main(["report", *map(str, three_recordings), "-o", str(pdf)]) == 1
@@ -107,7 +101,7 @@ def test_a_report_never_replaces_what_is_no_report(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A recording cannot be made again; said before any work."""
+    """A recording cannot be made again."""
     for path in three_recordings:
         (tmp_path / path.name).write_bytes(path.read_bytes())
     for other in ("other.mcap", "other.pdf"):
@@ -125,7 +119,6 @@ def test_a_report_never_replaces_what_is_no_report(
 def test_a_folder_takes_a_figure_for_each_subject(
     there: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of an existing folder the slash at the end may be left out; each file is named and said."""
     folder = tmp_path / "figures"
     if there:
         folder.mkdir()
@@ -140,7 +133,6 @@ def test_a_folder_takes_a_figure_for_each_subject(
 def test_figures_that_are_replaced_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of a folder those that were there; one line makes them again."""
     (tmp_path / "step.png").touch()
 
     assert main(["model", "-o", f"{tmp_path}/"]) == 0
@@ -155,8 +147,8 @@ def test_figures_that_are_replaced_are_named(
 @pytest.mark.parametrize(
     ("path", "refusal"),
     [
-        ("nowhere/figures/", "nowhere/figures: there is no directory nowhere; make it first"),
-        ("a.txt/", "a.txt/: is a file; give a folder, or leave the / out"),
+        ("nowhere/figures/", "nowhere/figures: there is no directory nowhere; create it first"),
+        ("a.txt/", "a.txt/: is a file; give a folder, or leave out the /"),
     ],
 )
 def test_a_folder_that_cannot_be_made_is_refused(
@@ -166,7 +158,6 @@ def test_a_folder_that_cannot_be_made_is_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Before any work."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "a.txt").touch()
 
@@ -188,7 +179,6 @@ def test_one_figure_stays_on_a_screen(n: int, height: float, tmp_path: Path) -> 
 
 
 def test_a_figure_in_a_folder_never_replaces_a_recording(tmp_path: Path) -> None:
-    """Whatever its name; no other figure is written either."""
     path = tmp_path / "b.png"
     path.write_bytes(b"\x89MCAP0\r\n")
     drawn: dict[str, Any] = {name: lambda ax: ax.plot(0, 0) for name in "ab"}
@@ -202,13 +192,12 @@ def test_a_figure_in_a_folder_never_replaces_a_recording(tmp_path: Path) -> None
 def test_a_figure_never_replaces_a_recording(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As with a report."""
     path = three_recordings[0]
     before = path.read_bytes()
 
     assert main(["info", str(path), "--plot", str(path)]) == 1
 
-    assert "is one of the files to read, which would be lost" in told(capsys)
+    assert "is an input file, which would be lost" in told(capsys)
     assert path.read_bytes() == before
 
 
@@ -216,7 +205,6 @@ def test_a_figure_never_replaces_a_recording(
 def test_an_input_is_known_by_another_name(
     link: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A table of somebody's own has no mark of a recording, and is as much lost."""
     data, other = tmp_path / "data.csv", tmp_path / "other.csv"
     data.write_text("u,y\n" + "1.0,2.0\n" * 50)
     getattr(other, link)(data)
@@ -224,14 +212,13 @@ def test_an_input_is_known_by_another_name(
 
     assert main(["identify", str(data), "--structure", "arx", "--save", str(other)]) == 1
 
-    assert f"{other}: is one of the files to read, which would be lost" in told(capsys)
+    assert f"{other}: is an input file, which would be lost" in told(capsys)
     assert data.read_bytes() == before
 
 
 def test_a_report_with_names_and_reasons_is_typeset_again_from_its_source(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Questions, answers, source, and the source again: each command from the one before."""
     monkeypatch.chdir(tmp_path)
     report = ["report", "--handout"]
 
@@ -249,7 +236,6 @@ def test_a_report_with_names_and_reasons_is_typeset_again_from_its_source(
 def test_questions_are_text_whatever_the_name_of_their_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A line break in it would be no comment, and its bytes need be no text."""
     monkeypatch.chdir(tmp_path)
     names = ["a\nb.toml", os.fsdecode(b"a\xff.toml")]
 
@@ -262,14 +248,17 @@ def test_questions_are_text_whatever_the_name_of_their_file(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--handout", "--questions", "mine.toml"], "--questions mine.toml: is there already, and"),
+        (["--handout", "--questions", "mine.toml"], "--questions mine.toml: exists and"),
         (
             ["--from", "."],
-            r"--from .: has 0 files \*.typ: give a folder that `armrig report --sour",
+            r"--from .: has 0 files \*.typ; give a folder that `armrig report --sour",
         ),
-        (["--from", ".", "--handout"], "--from .: takes no recordings and no option but -o and"),
-        (["x.mcap", "--answers", "a.toml"], "--answers is for the handout's report: add --handout"),
-        (["x.mcap", "--set", "J_1=0.002"], "--set is for the handout's report: add --handout"),
+        (["--from", ".", "--handout"], "--from .: give no recordings, and no option but -o and"),
+        (
+            ["x.mcap", "--answers", "a.toml"],
+            "--answers applies to the handout's report: add --handout",
+        ),
+        (["x.mcap", "--set", "J_1=0.002"], "--set applies to the handout's report: add --handout"),
         (["--handout", "--answers", "mine.toml"], 'mine.toml: unknown key "mine"; known are stude'),
     ],
 )
@@ -280,7 +269,6 @@ def test_options_of_the_report_that_do_not_go_together_are_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """In a line, before any work; a file that is there stays as it is."""
     monkeypatch.chdir(tmp_path)
     Path("mine.toml").write_text("mine = 1\n")
 

@@ -13,19 +13,20 @@ from armrig.cli import main
 from armrig.excitation import step, telegraph
 from armrig.numerics.quantities import with_std
 from armrig.recordings.overview import overview
-from made_recordings import gap, manifest, of_the_arm, recorded, turning, written
+
+from tests.clients.made_recordings import gap, manifest, of_the_arm, recorded, turning, written
 
 PNG = b"\x89PNG"
 
 
 def facts(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
-    """Return what the command prints as JSON."""
+    """Return the command's JSON output."""
     assert main([*arguments, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Return what the command tells a person."""
+    """Return the command's output for a person."""
     assert main(arguments) == 0
     return capsys.readouterr().out
 
@@ -33,7 +34,6 @@ def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
 def test_model_says_what_the_handout_asks_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A, B, poles, zeros, steady speed and slope; by physics and by a simulated step; a figure."""
     figure = tmp_path / "step.png"
 
     text = said(["model", "-o", str(figure)], capsys)
@@ -51,7 +51,7 @@ def test_model_says_what_the_handout_asks_for(
 
 
 def test_model_says_in_its_sentence_what_its_table_says(capsys: pytest.CaptureFixture[str]) -> None:
-    """The slope was 78.9 rad/s² beside 78.96; and which changes the first rise is of."""
+    """The slope was 78.9 rad/s² in the sentence and 78.96 in the table."""
     slower = said(["model", "--set", "R_m=4"], capsys)
     both = said(["model", "--set", "J_1=0.0034", "--set", "K_lin=2.38"], capsys)
 
@@ -63,7 +63,7 @@ def test_model_says_in_its_sentence_what_its_table_says(capsys: pytest.CaptureFi
 def test_model_holds_changed_parameters_against_the_handouts(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Each change alone, and both; neither J_1 nor J_2 moves the steady speed (2.3)."""
+    """Neither J_1 nor J_2 changes the steady speed (assignment 2.3)."""
     arguments = ["model", "--set", "J_1=0.0034", "--set", "J_2=0.005"]
 
     text = said(arguments, capsys)
@@ -97,7 +97,6 @@ def test_model_holds_changed_parameters_against_the_handouts(
 def test_model_refuses_parameters_that_no_rig_has(
     given: str, expected: str, code: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In a line, with what is allowed."""
     assert main(["model", "--set", given]) == code
 
     assert expected in capsys.readouterr().err
@@ -106,7 +105,6 @@ def test_model_refuses_parameters_that_no_rig_has(
 def test_plot_draws_a_recording_and_says_what_is_wrong(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Signals, missing samples, outliers, drift; this one lacks five samples."""
     figure = tmp_path / "all.png"
     arguments = ["plot", str(three_recordings[2]), "-o", str(figure)]
 
@@ -125,7 +123,6 @@ def test_plot_draws_a_recording_and_says_what_is_wrong(
 
 
 def test_plot_of_no_samples_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As of a run that was stopped at once."""
     path = written(tmp_path, recorded([]))
 
     assert main(["plot", str(path), "-o", str(tmp_path / "x.png")]) == 1
@@ -134,7 +131,6 @@ def test_plot_of_no_samples_says_so(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_a_part_of_a_recording_is_drawn_at_its_times(tmp_path: Path) -> None:
-    """From its first sample to its last, and what is missing where it is missing."""
     samples = turning([30_000 + 100 * k for k in range(200)])
     messages = [*samples[:150], gap(150, 10, 2.5), *samples[160:]]
     about = manifest(k_first=0, samples=200)
@@ -151,9 +147,8 @@ def test_a_part_of_a_recording_is_drawn_at_its_times(tmp_path: Path) -> None:
 def test_plot_finds_an_outlier_where_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In s, and in the default figure of this folder."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("made_recordings._reading", _with_outlier(at=400))
+    monkeypatch.setattr("tests.clients.made_recordings._reading", _with_outlier(at=400))
     path = written(tmp_path, of_the_arm(telegraph(800, 0.05, seed=3)))
 
     found = facts(["plot", str(path)], capsys)
@@ -164,7 +159,7 @@ def test_plot_finds_an_outlier_where_it_is(
 
 def _with_outlier(at: int) -> Any:
     """Return a converter that reads alpha wrongly once."""
-    import made_recordings
+    from tests.clients import made_recordings
 
     right, calls = made_recordings._reading, iter(range(10**6))
 
@@ -178,7 +173,6 @@ def _with_outlier(at: int) -> Any:
 def test_plot_of_a_chassis_says_that_alpha_rests(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It has no outliers that mean anything, and none are sought."""
     data = recorded(
         turning([30000 + 40 * (k % 50) for k in range(200)]), manifest=manifest(samples=200)
     )
@@ -187,13 +181,13 @@ def test_plot_of_a_chassis_says_that_alpha_rests(
     found = facts(["plot", str(path), "-o", str(tmp_path / "x.png")], capsys)
 
     assert "alpha" not in found["outliers"]
-    assert found["not_looked_at"]["alpha"].startswith("it rests")
+    assert found["not_looked_at"]["alpha"].startswith("alpha is constant")
 
 
 def test_plot_says_how_fast_the_chassis_turned_and_no_noise_of_the_converter(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A reading that jumps by a step of the converter, at 2 ms, is no rate of ± 3 rad/s."""
+    """One step of the converter in 2 ms would look like 3 rad/s."""
     counts = [32768 + 64 * (k % 2) for k in range(200)]
     data = recorded(turning(counts), manifest=manifest(samples=200, Ts=0.002))
 
@@ -207,14 +201,16 @@ def test_plot_says_how_fast_the_chassis_turned_and_no_noise_of_the_converter(
 def test_plot_of_a_step_takes_no_swing_for_outliers_or_an_integrator(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One change teaches no model to judge by, nor a drift of the rate; springs hold alpha."""
+    """A single change of u determines no model to judge the samples by."""
     path = written(tmp_path, of_the_arm(step(600, at=100)))
 
     found = facts(["plot", str(path), "-o", str(tmp_path / "x.png")], capsys)
 
     assert found["outliers"] == {}
-    assert found["not_looked_at"]["outliers"].startswith("u changes 1 time; fewer than 20 teach")
-    assert "looks like a drift" in found["not_looked_at"]["velocity"]
+    assert found["not_looked_at"]["outliers"].startswith(
+        "u changes 1 time; with fewer than 20 changes"
+    )
+    assert "look like a drift" in found["not_looked_at"]["velocity"]
     assert set(found["drift"]) == {"alpha"}
     assert abs(found["drift"]["alpha"]["rate"]) < 3 * found["drift"]["alpha"]["std"]
 
@@ -222,7 +218,6 @@ def test_plot_of_a_step_takes_no_swing_for_outliers_or_an_integrator(
 def test_sampling_recommends_a_time_with_its_method(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From a step by the 63 % time, from a telegraph by the impulse response; a figure of it."""
     path = written(tmp_path, of_the_arm(step(600, at=100)))
     other = written(tmp_path, of_the_arm(telegraph(1500, 0.05, seed=1)), "telegraph.mcap")
     figure = tmp_path / "sampling.png"
@@ -260,7 +255,7 @@ def test_hints_motivate_the_structure_of_the_arm(
     assert figure.read_bytes().startswith(PNG)
 
 
-def test_simulate_and_compare_keep_the_handouts_beside_what_was_changed(
+def test_simulate_and_compare_show_the_handouts_with_the_changed_parameters(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The rig has the handout's parameters here: they fit better than a heavier arm's (2.3)."""

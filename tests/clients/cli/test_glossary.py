@@ -14,7 +14,6 @@ PAGE = (Path(__file__).parents[3] / "docs" / "glossary.md").read_text(encoding="
 
 
 def test_each_entry_of_the_page_is_a_term_of_one_sentence() -> None:
-    """At least forty, each found by its name, once."""
     terms = read_terms(PAGE)
 
     assert len(terms) == PAGE.count("\n- ") >= 40
@@ -26,7 +25,6 @@ def test_each_entry_of_the_page_is_a_term_of_one_sentence() -> None:
     "typed", ["velocity fit", "Velocity-Fit", "velocity_fit", " VELOCITY  FIT"]
 )
 def test_a_term_is_found_in_any_spelling(typed: str, capsys: pytest.CaptureFixture[str]) -> None:
-    """Case, hyphens, underscores and blanks do not matter."""
     assert main(["glossary", typed]) == 0
 
     assert capsys.readouterr().out.startswith("velocity fit: The fit computed")
@@ -43,7 +41,6 @@ def test_a_term_is_found_in_any_spelling(typed: str, capsys: pytest.CaptureFixtu
 def test_an_unknown_term_is_refused_with_the_nearest(
     typed: str, offered: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A beginning, too; without a near term the list is named."""
     assert main(["glossary", typed]) == 1
 
     shown = capsys.readouterr()
@@ -52,7 +49,6 @@ def test_an_unknown_term_is_refused_with_the_nearest(
 
 
 def test_without_a_term_all_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    """A line each; as JSON with their sentences."""
     assert main(["glossary"]) == 0
     listed = capsys.readouterr().out.splitlines()
     assert main(["glossary", "--json"]) == 0

@@ -1,4 +1,4 @@
-"""What a person finds who asks for help, or mistypes."""
+"""Help, and answers to mistyped commands."""
 
 from __future__ import annotations
 
@@ -45,7 +45,6 @@ COLLECTS = [f"collect {kind}" for kind in ("blackbox", "greybox", "step", "stair
 def test_every_command_has_h_and_an_example(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The example is of that command."""
     assert main([*command.split(), "-h"]) == 0
 
     assert f"Example: armrig {command}" in re.sub(r"\s+", " ", capsys.readouterr().out)
@@ -55,7 +54,6 @@ def test_every_command_has_h_and_an_example(
 def test_what_has_commands_below_it_lists_them_in_lines(
     command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As -h does; the exit code is that of what lacks a command."""
     assert main([command, "-h"]) == 0
     listed = capsys.readouterr().out
     assert main([command]) == 2
@@ -69,7 +67,6 @@ def test_what_has_commands_below_it_lists_them_in_lines(
 def test_a_mistyped_command_is_never_answered_with_one_that_acts(
     typed: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Neither stop nor any other that moves a motor or stops it."""
     assert main([typed]) == 2
 
     said = capsys.readouterr().err.replace(f"'{typed}'", "")
@@ -79,7 +76,6 @@ def test_a_mistyped_command_is_never_answered_with_one_that_acts(
 def test_a_mistyped_command_is_answered_with_one_that_reads(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Without those that act."""
     assert main(["stats"]) == 2
 
     assert "did you mean status?" in capsys.readouterr().err

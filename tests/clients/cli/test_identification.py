@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.model_output import advice_lines, doubted, to_act_on
-from armrig.cli.next_model import CHECK, options_after, options_of
+from armrig.cli.next_step import CHECK, options_after, options_of
 from armrig.data.finding import warning
 from armrig.estimation.oe import oe
 from armrig.estimation.request import Request
@@ -53,7 +53,6 @@ def test_identify_has_every_structure_with_its_equation(
     three_recordings: tuple[Path, ...],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """As the model itself says it."""
     assert main(["identify", str(three_recordings[1]), "--structure", *arguments]) == 0
 
     text = capsys.readouterr().out
@@ -65,7 +64,6 @@ def test_identify_has_every_structure_with_its_equation(
 def test_a_saved_model_is_the_estimated_one(
     three_recordings: tuple[Path, ...], model: Path
 ) -> None:
-    """To the last digit."""
     data = armrig.load(three_recordings[1]).dataset("theta_1")
 
     fit = armrig.load_fit(model)
@@ -78,7 +76,6 @@ def test_a_saved_model_is_the_estimated_one(
 def test_a_recording_is_not_overwritten_by_a_model(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It would be lost."""
     path = str(three_recordings[1])
     before = three_recordings[1].read_bytes()
 
@@ -94,7 +91,6 @@ def test_validate_judges_a_model_from_a_file(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Simulated, predicted so many samples ahead, and its residuals tested; in a figure too."""
     arguments = ["validate", str(three_recordings[2]), "--model", str(model)]
     figure = tmp_path / "v.png"
 
@@ -111,21 +107,19 @@ def test_validate_judges_a_model_from_a_file(
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
-def test_validating_on_the_estimation_data_is_told(
+def test_validating_on_the_estimation_data_is_reported(
     three_recordings: tuple[Path, ...], model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It flatters the model."""
     assert main(["validate", str(three_recordings[1]), "--model", str(model)]) == 0
 
     said = capsys.readouterr()
-    assert "the very data that they were estimated from" in said.err
+    assert "judged on their own estimation data" in said.err
     assert "(estimation data)" in said.out
 
 
-def test_compare_takes_models_from_files_beside_its_own(
+def test_compare_takes_models_from_files_in_addition_to_its_own(
     three_recordings: tuple[Path, ...], model: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One that is estimated there anyway once; the files' alone, where one recording is given."""
     one, two = (str(path) for path in three_recordings[1:])
 
     assert main(["compare", one, two, "--model", str(model), "--json"]) == 0
@@ -159,7 +153,6 @@ def test_a_search_says_what_it_chose_and_why(
 def test_what_speaks_against_a_model_is_said_once_and_with_one_name(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The column is called σ robust, and so it is in every sentence."""
     two, three = (str(path) for path in three_recordings[1:])
     arguments = ["identify", two, "--search", "--structure", "oe", "--max-order", "2"]
 
@@ -171,10 +164,9 @@ def test_what_speaks_against_a_model_is_said_once_and_with_one_name(
     assert text.count("warning: the residuals") == 0
 
 
-def test_a_file_that_is_no_model_is_told_in_a_line(
+def test_a_file_that_is_no_model_is_reported_in_one_line(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With what writes one."""
     path = tmp_path / "x.json"
     path.write_text("{}")
 
@@ -188,7 +180,6 @@ def test_a_file_that_is_no_model_is_told_in_a_line(
 def test_identify_says_roots_and_advice(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Poles and zeros with standard deviations, and what to act on; in full with -v."""
     arguments = ["identify", str(three_recordings[1]), "--structure", "oe", "--integrator"]
 
     assert main(arguments) == 0
@@ -214,9 +205,8 @@ def test_identify_says_roots_and_advice(
 def test_the_figure_of_a_search_has_a_point_for_each_model(
     three_recordings: tuple[Path, ...], tmp_path: Path
 ) -> None:
-    """Its error over its number of parameters, the chosen one ringed."""
+    from armrig.validation.figures import plot_search
     from armrig.validation.model_search import search
-    from armrig.validation.search_figure import plot_search
 
     first, second = (armrig.load(path).dataset() for path in three_recordings[1:])
     found = search(first, second, families=("arx", "oe"), orders=range(1, 5), nk=1)
@@ -235,7 +225,6 @@ def test_the_figure_of_a_search_has_a_point_for_each_model(
 def test_a_short_answer_has_each_coefficient_with_the_deviation_to_trust(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A line for each polynomial; the robust deviation where the residuals are coloured."""
     recording = str(three_recordings[1])
 
     assert main(["identify", recording, "--structure", "arx", "--na", "2", "--nb", "2"]) == 0
@@ -264,7 +253,6 @@ def same(fit: armrig.Fit) -> Request:
 
 
 def test_what_an_estimate_found_decides_by_its_code_and_not_by_its_words() -> None:
-    """Whether the data are doubted, what is said twice, and what the next line asks for."""
     u = np.random.default_rng(4).choice([-1.0, 1.0], 400)
     fit = oe(armrig.Dataset(u=u, y=lfilter([0, 1.0], [1, -0.5], u), Ts=0.1), nb=1, nf=1)
     wrong = replace(fit, findings=(warning("outliers", "of other words"),))
@@ -282,7 +270,6 @@ def test_what_an_estimate_found_decides_by_its_code_and_not_by_its_words() -> No
 
 
 def test_the_next_line_lowers_what_the_advice_says_to_lower() -> None:
-    """As often as poles and zeros cancel: the line after it repeats its own model."""
     rng = np.random.default_rng(3)
     u = rng.choice([-1.0, 1.0], 3000)
     y = lfilter([0, 1, 0.5], [1, -1.5, 0.7], u) + 0.1 * rng.standard_normal(u.size)
@@ -298,7 +285,6 @@ def test_the_next_line_lowers_what_the_advice_says_to_lower() -> None:
 
 
 def test_the_next_line_searches_where_residuals_are_coloured_and_nothing_says_why() -> None:
-    """Once: after a search the model is kept."""
     rng = np.random.default_rng(3)
     u = rng.choice([-1.0, 1.0], 2000)
     y = lfilter([0, 1, 0.5], [1, -1.5, 0.7], u) + lfilter([1], [1, -0.8], rng.standard_normal(2000))
@@ -320,7 +306,6 @@ def test_the_next_line_searches_where_residuals_are_coloured_and_nothing_says_wh
     ],
 )
 def test_the_next_line_does_what_is_said_of_the_data(about: str, options: str) -> None:
-    """Each way out is an option, or another command."""
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], 300)
     y = lfilter([0, 1, 0.5], [1, -1.5, 0.7], u) + lfilter(
@@ -332,7 +317,7 @@ def test_the_next_line_does_what_is_said_of_the_data(about: str, options: str) -
 
 
 def test_the_next_line_estimates_a_level_along_before_it_fixes_a_pole() -> None:
-    """A level that u does not make looks like an integrator; once estimated it is an order."""
+    """A level of y that u does not cause looks like an integrator until it is estimated."""
     rng = np.random.default_rng(1)
     u = rng.choice([1.0, 2.0], 1000)
     y = 20 + lfilter([0, 0.2], [1, -0.95], u) + 0.05 * rng.standard_normal(1000)
@@ -350,7 +335,6 @@ def test_the_next_line_estimates_a_level_along_before_it_fixes_a_pole() -> None:
 def test_the_next_line_does_what_the_advice_says(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The angle integrates: the model to keep has its pole fixed."""
     assert main(["identify", str(three_recordings[1]), "--structure", "oe"]) == 0
     said = capsys.readouterr()
 

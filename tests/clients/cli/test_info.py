@@ -1,4 +1,4 @@
-"""`armrig info`: what a recording holds, and what is missing of it."""
+"""`armrig info`: content of a recording, and its missing samples."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import pytest
 from armrig.cli import main
 from armrig.cli.recording_info import _replay_verdict
 from armrig.cli.replay import Replay
-from made_recordings import manifest, note, recorded, sample, written
-from told import told
+
+from tests.clients.made_recordings import manifest, note, recorded, sample, written
+from tests.clients.told import told
 
 
-def test_a_truncated_recording_is_used_and_the_loss_is_told(
+def test_a_truncated_recording_is_used_and_the_loss_is_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Standard output stays JSON."""
     whole = recorded([sample(k) for k in range(40)], flush_every=10)
     path = written(tmp_path, whole[: len(whole) // 2])
 
@@ -31,7 +31,6 @@ def test_a_truncated_recording_is_used_and_the_loss_is_told(
 def test_notes_are_listed_with_their_times_and_authors(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The first ten of them; --verbose lists all."""
     notes = [note(k, f"touched #{k}") for k in range(12)]
     path = str(written(tmp_path, recorded([*(sample(k) for k in range(40)), *notes])))
 
@@ -45,10 +44,9 @@ def test_notes_are_listed_with_their_times_and_authors(
     assert re.search(r"^note +at 0\.11 s, Ada: touched #11$", full, re.M)
 
 
-def test_damage_is_told_wherever_a_recording_is_used(
+def test_damage_is_reported_wherever_a_recording_is_used(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On standard error, in a line: a model of half a recording is not taken for one of it all."""
     whole = three_recordings[1].read_bytes()
     path = written(tmp_path, whole[: len(whole) * 3 // 4])
 
@@ -64,7 +62,6 @@ def test_damage_is_told_wherever_a_recording_is_used(
 def test_info_says_what_a_recording_holds(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """For a person, and for a program."""
     path = str(three_recordings[2])
 
     assert main(["info", path]) == 0
@@ -85,8 +82,10 @@ def test_info_says_what_a_recording_holds(
 def test_info_says_lateness_as_the_bar_does(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And what it is of: an arrival where the device paced, a request where the host did."""
-    for pacing, of in (("scheduled", "samples' arrival"), ("exchange", "request for each sample")):
+    for pacing, of in (
+        ("scheduled", "arrival of the samples"),
+        ("exchange", "request for each sample"),
+    ):
         data = recorded([sample(k) for k in range(10)], manifest=manifest(pacing=pacing))
 
         assert main(["info", "--verbose", str(written(tmp_path, data))]) == 0
@@ -96,13 +95,12 @@ def test_info_says_lateness_as_the_bar_does(
         [jitter] = [x for x in lines if x.startswith("jitter")]
         assert "p50 3.0, p99 3.0, max 3 µs" in line
         assert of in line
-        assert jitter.endswith(" µs; of the sampling interval, by the device's clock")
+        assert jitter.endswith(" µs; spread of the sampling interval, by the device's clock")
 
 
 def test_info_of_a_recording_cut_off_at_once_says_what_is_not_known(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Words in place of nan."""
     whole = recorded([sample(k) for k in range(40)], flush_every=10)
     cut = written(tmp_path, whole[: len(whole) // 4], "cut.mcap")
     short = written(tmp_path, recorded([sample(0)]), "short.mcap")
@@ -112,14 +110,15 @@ def test_info_of_a_recording_cut_off_at_once_says_what_is_not_known(
     assert main(["info", str(short)]) == 0
     of_short = capsys.readouterr().out
 
-    assert "not known: the file is cut off before it says" in of_cut
+    assert "not known: the file is cut off before the outcome" in of_cut
     assert re.search(r"; up to 0(\.\d+)? s of 0\.1 s\n", of_cut)
     assert "too few samples" in of_short
     assert "nan" not in of_cut + of_short
 
 
-def test_info_says_who_ran_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """As he called himself and, where the daemon checked it, by his certificate."""
+def test_info_names_the_owner_of_the_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     owner = "group 3\x1b[2J (certificate alice)"
     path = written(tmp_path, recorded([sample(0)], manifest=manifest(owner=owner)))
 
@@ -132,7 +131,6 @@ def test_info_says_who_ran_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_info_of_a_cut_file_does_not_call_the_run_cut_short(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The run was complete, the file is not; one that the daemon left may still be growing."""
     run = {"manifest": manifest(samples=40, k_first=0), "flush_every": 10}
     whole = recorded([sample(k) for k in range(40)], **run, outcome_first=True)
     left = recorded([sample(k) for k in range(40)], **run, outcome=None)
@@ -145,11 +143,10 @@ def test_info_of_a_cut_file_does_not_call_the_run_cut_short(
     assert "of the run: complete; but the file is cut off" in of_whole
     assert re.search(r"samples +\d+ at 0.01 s, 0 missing", of_whole)
     assert "s of 0.4 s" in of_whole
-    assert "the file is cut off before it says, or is still being written" in of_left
+    assert "the file is cut off before the outcome, or is still being written" in of_left
 
 
-def test_what_is_missing_is_told_with_what_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    """And where it comes from."""
+def test_a_missing_option_is_reported_with_its_source(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["validate", "F.mcap"]) == 2
     option = told(capsys)
     assert main(["validate"]) == 2
@@ -157,7 +154,7 @@ def test_what_is_missing_is_told_with_what_it_is(capsys: pytest.CaptureFixture[s
     assert main(["compare", "F.mcap"]) == 2
     either = told(capsys)
 
-    assert "--model JSON is missing: model that identify --save has written" in option
+    assert "--model JSON is missing: model file written by identify --save" in option
     assert "F is missing: recording (*.mcap, @last or @NAME)" in argument
     assert "--model FILE (from `armrig identify --save FILE`)" in either
 
@@ -165,15 +162,18 @@ def test_what_is_missing_is_told_with_what_it_is(capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize(
     ("difference", "until", "verdict"),
     [
-        ("", "", "decided the same, to the last bit"),
-        ("", "cut off", "decided the same, to the last bit, as far as both go: cut off"),
+        ("", "", "replay made the same decisions, to the last bit"),
+        (
+            "",
+            "cut off",
+            "replay made the same decisions, to the last bit, up to the end of the file: cut off",
+        ),
         ("frame 7", "cut off", "DIFFERS: frame 7"),
     ],
 )
 def test_a_replay_of_a_part_is_not_one_of_the_whole(
     difference: str, until: str, verdict: str
 ) -> None:
-    """Its verdict says where the recording ends."""
     found = Replay(
         steps=9, frames=9, samples=9, seconds=0.1, difference=difference, until=until, said=()
     )

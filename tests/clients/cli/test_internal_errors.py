@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.rig.client import Rig
-from fake_daemon import FakeDaemon
+
+from tests.clients.fake_daemon import FakeDaemon
 
 
 @pytest.fixture(autouse=True)
@@ -31,7 +32,6 @@ def test_an_error_of_numpy_is_an_internal_one(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """One line says so and names the file of the traceback, which `--debug` prints as well."""
     monkeypatch.setattr("armrig.recordings.catalogue.catalogue", _faulty)
 
     code = main([*options, "ls", str(tmp_path)])
@@ -51,7 +51,6 @@ def test_an_error_of_numpy_is_an_internal_one(
 def test_a_wrong_option_is_a_users_mistake(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The line says what came and what is allowed, and no file is written."""
     code = main(["ls", "--live", str(tmp_path)])
 
     assert code == 1
@@ -62,7 +61,6 @@ def test_a_wrong_option_is_a_users_mistake(
 def test_an_internal_error_stops_the_rig_that_the_command_holds(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The error passes through the client, which stops the run first."""
     monkeypatch.setattr(Rig, "_finished", _faulty)
     where = f"unixsock-stream/{tmp_path / 'rig.sock'}"
 

@@ -1,4 +1,4 @@
-"""A rig with one command: `armrig lab` starts it, and leaves nothing behind however it ends."""
+"""A rig with one command: `armrig lab` starts it, and no process remains after any end."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from armrig.cli.lab import _page
 from armrig.dashboard import serving
 from armrig.rig.client import Rig
 from armrig.rig.session import NoReplyError
-from sampling import sampled
+
+from tests.sampling import sampled
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 _PATIENCE_S = 60.0
@@ -42,7 +43,7 @@ def folders(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFa
 
 @contextmanager
 def started(said: Path, until: str, *arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Give a lab that has said this."""
+    """Give a lab after this line of its output."""
     with said.open("w") as out:
         program = [sys.executable, "-c", _LAB, *arguments]
         process = subprocess.Popen(program, stdout=out, stderr=out, text=True)
@@ -81,8 +82,7 @@ def of_this_test() -> list[str]:
 
 @pytest.mark.real_time
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM, signal.SIGHUP]))
-def test_a_lab_leaves_nothing_behind(number: signal.Signals, lab: subprocess.Popen[str]) -> None:
-    """Not while a run turns the motor either: it is stopped, and recorded up to then."""
+def test_a_lab_leaves_nothing(number: signal.Signals, lab: subprocess.Popen[str]) -> None:
     with Rig() as rig:  # as any command in a second terminal, by default
         rig.arm("a student")
         with rig.arrivals("sample") as samples:
@@ -99,8 +99,7 @@ def test_a_lab_leaves_nothing_behind(number: signal.Signals, lab: subprocess.Pop
         pass
 
 
-def test_a_second_lab_is_told_of_the_first(lab: subprocess.Popen[str]) -> None:
-    """In a line, and the first goes on."""
+def test_a_second_lab_is_refused_with_the_first(lab: subprocess.Popen[str]) -> None:
     second = subprocess.run(
         [sys.executable, "-m", "armrig", "lab"], capture_output=True, text=True, check=False
     )
@@ -113,12 +112,11 @@ def test_a_second_lab_is_told_of_the_first(lab: subprocess.Popen[str]) -> None:
         assert rig.status().phase == "safe"
 
 
-def test_a_port_that_is_not_there_is_told_with_the_way_out(tmp_path: Path) -> None:
-    """At once; Ctrl-C ends the waiting, and nothing is left."""
+def test_a_port_that_is_not_there_is_reported_with_the_way_out(tmp_path: Path) -> None:
     said = tmp_path / "said"
-    with started(said, "Ctrl-C ends it", "--port", "/dev/nowhere") as lab:
+    with started(said, "Ctrl-C ends the lab", "--port", "/dev/nowhere") as lab:
         assert (
-            "not ready: /dev/nowhere: no rig is there, and the daemon waits for it: see that "
+            "not ready: /dev/nowhere: no rig is connected, and the daemon waits for one: check "
             in (said.read_text())
         )
         lab.send_signal(signal.SIGINT)
@@ -129,7 +127,6 @@ def test_a_port_that_is_not_there_is_told_with_the_way_out(tmp_path: Path) -> No
 
 @pytest.mark.real_time
 def test_a_program_hears_of_each_change_in_json(tmp_path: Path) -> None:
-    """As `armrig status --json` prints it; ready is "safe"."""
     said = tmp_path / "said"
     with started(said, '"phase":"safe"', "--json"), Rig() as rig:
         rig.arm("a student")
@@ -149,7 +146,6 @@ def test_a_program_hears_of_each_change_in_json(tmp_path: Path) -> None:
 def test_a_browser_is_opened_from_a_terminal_on_a_screen(
     screen: str, terminal: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Without a screen, as through ssh, a browser of text would take the terminal."""
     served, opened = serving.Served(url="http://page", browser_url="http://token"), list[str]()
     monkeypatch.setattr(serving, "dashboard", lambda _: nullcontext(served))
     monkeypatch.setattr(webbrowser, "open", opened.append)

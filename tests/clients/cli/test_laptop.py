@@ -13,7 +13,8 @@ from pathlib import Path
 
 import armrig
 import pytest
-from made_recordings import of_the_arm, written
+
+from tests.clients.made_recordings import of_the_arm, written
 
 _HIDDEN = """
 import importlib.abc, os, signal, sys
@@ -78,7 +79,6 @@ def on_a_laptop(program: str, *arguments: object) -> subprocess.CompletedProcess
 
 
 def test_python_loads_and_identifies(run: Path) -> None:
-    """`import armrig` needs nothing that is not there."""
     done = on_a_laptop(_HIDDEN + _TYPED, run)
 
     assert done.returncode == 0, done.stderr
@@ -87,7 +87,6 @@ def test_python_loads_and_identifies(run: Path) -> None:
 
 @pytest.mark.exhaustive
 def test_the_commands_of_a_student_work(run: Path) -> None:
-    """One after the other in one process, from the recording to the report."""
     folder = run.parent
     model, table, matrices = folder / "modèle 1.json", folder / "données.csv", folder / "run.mat"
     orders = ("--structure", "arx", "--na", "4", "--nb", "4")
@@ -109,7 +108,6 @@ def test_the_commands_of_a_student_work(run: Path) -> None:
 
 
 def test_verify_says_its_verdict(run: Path) -> None:
-    """By its exit code: the one attached input is missing here, and nothing failed."""
     done = on_a_laptop(_COMMAND, "verify", run)
 
     assert done.returncode == 0, done.stderr
@@ -117,7 +115,6 @@ def test_verify_says_its_verdict(run: Path) -> None:
 
 
 def test_a_table_of_a_spreadsheet_is_read(run: Path) -> None:
-    """`;` between the columns, `,` in the numbers, CRLF."""
     table = run.with_name("Messung März.csv")
     rows = [f"{k / 100:.2f};{k % 7};{(k * k) % 11 / 2}".replace(".", ",") for k in range(200)]
     table.write_bytes("\r\n".join(["t;u;y", *rows, ""]).encode())
@@ -130,7 +127,6 @@ def test_a_table_of_a_spreadsheet_is_read(run: Path) -> None:
 
 @pytest.mark.parametrize("command", [("doctor",), ("status",)])
 def test_what_needs_linux_says_so_in_a_line(command: tuple[str, ...], tmp_path: Path) -> None:
-    """No traceback, and what to do instead."""
     done = subprocess.run(
         [sys.executable, "-c", _COMMAND, *command],
         capture_output=True,
@@ -146,7 +142,6 @@ def test_what_needs_linux_says_so_in_a_line(command: tuple[str, ...], tmp_path: 
 
 
 def test_what_a_daemon_left_is_recovered(run: Path) -> None:
-    """A copy of it, where files have no locks."""
     left = run.with_name("kopie.mcap.active")
     left.write_bytes(run.read_bytes()[:-1000])
 

@@ -47,7 +47,7 @@ def _words(line: str) -> list[str]:
 
 
 def refused(line: str) -> str:
-    """Return what click says against a line, without running it; "" where it is taken."""
+    """Return click's refusal of a line, without running it; "" if the line is accepted."""
     program, *words = _words(line)
     command = _command(program)
     while words and hasattr(command, "commands") and not words[0].startswith("-"):
@@ -63,21 +63,19 @@ def refused(line: str) -> str:
     except typer.BadParameter.__base__ as err:  # click's UsageError
         named = type(err).__name__ == "BadOptionUsage" and line.split()[-1].startswith("--")
         return "" if named else err.format_message()  # a sentence names an option without its value
-    return f"too much: {' '.join(rest)}" if rest else ""
+    return f"superfluous: {' '.join(rest)}" if rest else ""
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_every_command_line_of_a_page_is_taken(page: Path) -> None:
-    """By the parser: the command is there, and so is each of its options."""
     said = {line: refused(line) for line in _lines(page)}
 
     assert {line: why for line, why in said.items() if why} == {}
 
 
 def test_the_lines_of_the_pages_are_found_and_a_wrong_one_is_refused() -> None:
-    """More than a hundred; a wrong command, option or word is seen."""
     assert sum(len(list(_lines(page))) for page in PAGES) > 100
     assert refused("armrig validate a.csv --model m.json -o f.png") == ""
     assert "there is no plto" in refused("armrig plto @last")
     assert "--figure" in refused("armrig plot @last --figure f.png")
-    assert "too much" in refused("armrig plot @last another")
+    assert "superfluous" in refused("armrig plot @last another")

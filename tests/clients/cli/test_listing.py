@@ -1,4 +1,4 @@
-"""What `armrig ls` shows of any folder, whatever lies there and is written there."""
+"""The table of `armrig ls`, for any folder and any file in it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ from pathlib import Path
 
 import pytest
 from armrig.cli import main
+from armrig.rig import live_rigs
+from armrig.rig.live_rigs import LiveRig
+from armrig_core.commands import StatusReport
 from armrig_core.manifest import Outcome
-from made_recordings import manifest, recorded, sample, written
+
+from tests.clients.made_recordings import manifest, recorded, sample, written
 
 
 def recording(**changes: object) -> bytes:
@@ -18,10 +22,33 @@ def recording(**changes: object) -> bytes:
     return recorded([sample(k) for k in range(3)], manifest=manifest(**changes))
 
 
+@pytest.mark.parametrize(
+    ("why", "shown"),
+    [
+        ({"phase": "fault", "reason": "the port is gone"}, "the port is gone"),
+        ({"phase": "init", "line": "no rig is connected"}, "no rig is connected"),
+    ],
+)
+def test_a_rig_is_listed_with_the_reason_of_its_fault_or_its_silence(
+    why: dict[str, str],
+    shown: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    fields = dict.fromkeys(("reason", "owner", "version", "endpoint", "recordings"), "")
+    fields |= {"u_min": 0.0, "u_max": 5.0, "device": {}, "host": {}, "last_run": None} | why
+    rig = LiveRig(rig="7", endpoint="unix:x", status=StatusReport(rig="7", Ts=0.01, **fields))
+    monkeypatch.setattr(live_rigs, "live_rigs", lambda _: ("unix:x", [rig]))
+
+    assert main(["ls", "--live"]) == 0
+
+    assert capsys.readouterr().out.splitlines()[1].split("  ")[-1].strip() == shown
+
+
 def test_a_folder_that_is_named_is_listed_by_its_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As one synced from another machine: @NAME is looked up in one's own folder alone."""
+    """@NAME searches only the user's own folder."""
     synced = tmp_path / "from the lab"
     synced.mkdir()
     path = written(synced, recording(experiment="blackbox-monday"))
@@ -43,10 +70,9 @@ def test_a_folder_that_is_named_is_listed_by_its_files(
 @pytest.mark.parametrize(
     ("name", "why"), [("none", "No such file or directory"), ("file", "Not a directory")]
 )
-def test_what_is_no_folder_is_told(
+def test_what_is_no_folder_is_reported(
     tmp_path: Path, name: str, why: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Of one's own folder it only means that nothing was recorded yet."""
     (tmp_path / "file").touch()
 
     assert main(["ls", str(tmp_path / name)]) == 1
@@ -55,7 +81,6 @@ def test_what_is_no_folder_is_told(
 
 
 def test_each_recording_has_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Whatever its name and its experiment are, and no row makes the others wide."""
     for name in ("a\nb.mcap", f"{'x' * 200}.mcap", "plain.mcap"):
         written(tmp_path, recording(experiment="y" * 3000), name)
 
@@ -71,7 +96,6 @@ def test_each_recording_has_one_line(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_an_outcome_has_a_column_of_its_own(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Where a run ended early; a table of complete runs is without it."""
     written(tmp_path, recording(), "whole.mcap")
 
     assert main(["ls", str(tmp_path)]) == 0
@@ -88,10 +112,9 @@ def test_an_outcome_has_a_column_of_its_own(
 
 @pytest.mark.skipif(sys.platform == "win32", reason="names are text there")
 @pytest.mark.parametrize("command", ["verify", "info", "ls"])
-def test_a_name_that_is_no_text_is_told_to_programs(
+def test_a_name_that_is_no_text_is_reported_to_programs(
     tmp_path: Path, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its bytes escaped."""
     path = os.fsdecode(bytes(tmp_path) + b"/a\xff.mcap")
     Path(path).write_bytes(recording())
 
@@ -103,19 +126,19 @@ def test_a_name_that_is_no_text_is_told_to_programs(
 
 
 def test_what_is_not_whole_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Three of them, and how many more there are."""
     for i in range(5):
         written(tmp_path, recording()[:5000], f"{i}.mcap")
 
     assert main(["ls", str(tmp_path)]) == 0
 
-    assert "and 2 more; `armrig info FILE` says why" in " ".join(capsys.readouterr().err.split())
+    assert "and 2 more; `armrig info FILE` shows the damage" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 def test_info_shows_no_more_of_a_text_than_a_person_reads(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A program gets all of it."""
     path = written(tmp_path, recording(details={"why": "z" * 5000}))
 
     assert main(["info", str(path)]) == 0
@@ -127,10 +150,9 @@ def test_info_shows_no_more_of_a_text_than_a_person_reads(
     assert "z" * 5000 in capsys.readouterr().out
 
 
-def test_a_recording_whose_name_begins_as_a_name_of_ours_is_read(
+def test_a_recording_whose_name_begins_with_an_at_sign_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By its path."""
     written(tmp_path, recording(), "@last.mcap")
     monkeypatch.chdir(tmp_path)
 

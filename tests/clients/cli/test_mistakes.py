@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.excitation import step, telegraph
-from fake_daemon import FakeDaemon
-from made_recordings import of_the_arm, written
+
+from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.made_recordings import of_the_arm, written
 
 TS, N = 0.01, 400
 
 
 def _table(path: Path, names: str, *columns: object, sep: str = ",", decimal: str = ".") -> None:
-    """Write columns below their names; without names there is no such line."""
+    """Write columns below their names; without names that line is missing."""
     rows = zip(*columns, strict=True)  # type: ignore[call-overload]
     lines = [sep.join(f"{x:.6g}".replace(".", decimal) for x in row) for row in rows]
     head = [names.replace(",", sep)] if names else []
@@ -59,7 +60,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def folder(made: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Work in that folder, with no daemon, and with recordings of nobody."""
+    """Work in that folder, with no daemon and no recordings."""
     monkeypatch.chdir(made)
     for name, value in (("XDG_RUNTIME_DIR", "run"), ("XDG_DATA_HOME", "share")):
         monkeypatch.setenv(name, str(made / value))
@@ -75,26 +76,29 @@ REFUSED = [
     ("identify last --structure arx", "did you mean @last?"),
     ("info @lst", "`armrig ls` lists them"),
     ("info @last", "make one with `armrig collect`"),
-    ("info none.mcap", "`armrig ls` lists the recordings, each taken as @NAME"),
-    ("info folder", "give a file in it"),
-    ("info report.pdf", "a recording of armrigd's (*.mcap) is wanted"),
+    ("info none.mcap", "`armrig ls` lists the recordings, each with its @NAME"),
+    ("info folder", "give a file in the folder"),
+    ("info report.pdf", "give a recording of armrigd (*.mcap)"),
     (
         "greybox data.csv",
-        "are read by sampling, hints, identify, validate and check, such as `armr",
+        "can be read by sampling, hints, identify, validate and check, such as `armr",
     ),
     ("info empty.mcap", "is empty, 0 B: nothing was recorded; record again"),
-    ("identify run.mcap.active --structure arx", "is still being recorded, or the daemon was kill"),
+    ("identify run.mcap.active --structure arx", "still being recorded, or the daemon was kill"),
     ("validate est.mcap --model est.mcap", "a model is what `armrig identify --save`"),
     ("validate est.mcap --model none.json", "--save MODEL.json` writes a model"),
     ("simulate est.mcap --model data.csv", "`armrig identify --save`"),
     # Arguments that are missing, too many, or in another order.
     ("identify", "F is missing: recording (*.mcap, @last or @NAME)"),
     ("identify est.mcap", "give --structure, such as --structure oe --integrator, or --search"),
-    ("identify est.mcap step.mcap", "step.mcap: too much; `armrig identify` takes F and options"),
-    ("identify est.mcap --structure oe --nb 4 4", "4: too much; `armrig identify` takes F"),
+    (
+        "identify est.mcap step.mcap",
+        "step.mcap: superfluous; `armrig identify` takes F and options",
+    ),
+    ("identify est.mcap --structure oe --nb 4 4", "4: superfluous; `armrig identify` takes F"),
     ("model est.mcap", "`armrig model` takes no file"),
-    ("stop 1", "1: too much; `armrig stop` takes no file, options only"),
-    ("validate model.json", "--model JSON is missing: model that identify --save has written"),
+    ("stop 1", "1: superfluous; `armrig stop` takes no file, options only"),
+    ("validate model.json", "--model JSON is missing: model file written by identify --save"),
     ("compare est.mcap", "give a second recording to validate with"),
     ("identify est.mcap --validate", "--validate is given without a value; see `armrig identify"),
     ("model --set", "--set is given without a value; see `armrig model --help`"),
@@ -103,11 +107,11 @@ REFUSED = [
     ("stpo", "no such command 'stpo'; see `armrig --help`"),
     ("idntify est.mcap", "did you mean identify?"),
     ("help", "`armrig --help` lists the commands"),
-    ("version", "`armrig --version` says it"),
+    ("version", "`armrig --version` shows it"),
     ("arx est.mcap", "`armrig identify F --structure arx` estimates one"),
-    ("est.mcap", "the command stands before the file, armrig info est.mcap"),
+    ("est.mcap", "the command precedes the file, armrig info est.mcap"),
     ("collect black", "did you mean blackbox"),
-    ("--verbose identify est.mcap", "options stand behind the command, armrig COMMAND --verbose"),
+    ("--verbose identify est.mcap", "options follow the command, armrig COMMAND --verbose"),
     ("identify est.mcap -nb 4", "a name of several letters has two dashes, --nb"),
     ("identify est.mcap --nb4", "did you mean --nb"),
     ("plot est.mcap --out f.png", "no such option: --out: did you mean -o FIGURE?; see"),
@@ -120,31 +124,34 @@ REFUSED = [
     ("identify est.mcap --structure ssest", "'bj', 'iv4', 'n4sid'"),
     ("identify est.mcap --structure oe --nb=-1", "nb=-1 must be an integer >= 1"),
     ("identify est.mcap --structure oe --nf 400", "lower nb or nf, or record longer"),
-    ("identify est.mcap --structure arx --nk 0,1", "--nk 0,1: must be an integer; several are"),
+    ("identify est.mcap --structure arx --nk 0,1", "--nk 0,1: must be an integer; --search"),
     ("identify est.mcap --structure oe --na 4", "an OE model has nb, nf and nk"),
     ("identify est.mcap --structure arx --integrator", "goes with --structure armax or oe"),
     ("identify est.mcap --search --nb 4", "tries orders up to --max-order"),
     # Tables.
     ("identify data.csv --structure arx --Ts 0,01", "decimals have a point: 0.01"),
-    ("identify est.mcap --structure arx --Ts 0.01", "goes with other data"),
-    ("identify decimal.csv --structure arx", "where decimals have a comma, part the cells by semi"),
-    ("identify text.csv --structure arx", "line 3, column y: 'off' is no number"),
+    ("identify est.mcap --structure arx --Ts 0.01", "applies to other data"),
+    (
+        "identify decimal.csv --structure arx",
+        "if decimals have a comma, separate the cells by semi",
+    ),
+    ("identify text.csv --structure arx", "line 3, column y: 'off' is not a number"),
     (
         "identify noheader.csv --structure arx",
         "give --input and --signal and --time a number from 1 to 3",
     ),
-    ("identify one.csv --structure arx", "one column, and an input and an output are wanted"),
+    ("identify one.csv --structure arx", "one column, but an input and an output are needed"),
     ("identify noTs.csv --structure arx", "give it in s (--Ts)"),
     ("identify other.csv --structure arx", "1 tid, 2 spenning, 3 vinkel"),
     ("identify backwards.csv --structure arx", "give Ts in s (--Ts) if the times are wrong"),
-    ("identify same.csv --structure arx", "y has the very numbers of u: give the column of the"),
-    ("identify constant.csv --structure arx", "u is 2.5 throughout"),
+    ("identify same.csv --structure arx", "y equals u: give the column of the"),
+    ("identify constant.csv --structure arx", "u is always 2.5"),
     ("identify data.csv --structure arx --signal u", "input and signal are both column 2"),
     # Where to write.
-    ("identify est.mcap --structure arx -o no/f.png", "there is no directory no; make it first"),
+    ("identify est.mcap --structure arx -o no/f.png", "there is no directory no; create it first"),
     ("identify est.mcap --structure arx --save est.mcap", "would be lost; give another name"),
     ("identify est.mcap --structure arx --save m.png", "a name that ends in .json"),
-    ("identify est.mcap --structure arx -o f.xyz", "a figure's name ends in one of"),
+    ("identify est.mcap --structure arx -o f.xyz", "the name of a figure ends in one of"),
     ("report", "give recordings to report on"),
     ("report est.mcap -o report.docx", "give a name that ends in .pdf"),
     ("report est.mcap -o report.pdf", "--force overwrites it, or give another name"),
@@ -152,23 +159,23 @@ REFUSED = [
     ("stop", "no reply from rig 1"),
     ("stop --rig 2", "no reply from rig 2"),
     ("collect blackbox", "or give its endpoint with --connect"),
-    ("collect blackbox --connect localhost", "is no zenoh endpoint, such as"),
+    ("collect blackbox --connect localhost", "not a zenoh endpoint, such as"),
     ("collect blackbox --rig 1/2", "1 to 40 of a-z, 0-9 and - are allowed"),
     ("collect blackbox --seconds 30s", "must be a number without its unit, such as 30"),
     ("collect blackbox --seconds 0", "more than 0"),
-    ("collect blackbox --low 4.5 --high 0.5", "low=4.5 V must lie below high=0.5 V"),
+    ("collect blackbox --low 4.5 --high 0.5", "low=4.5 V must be below high=0.5 V"),
     ("collect blackbox --high 6", "high=6.0 V is outside the rig's 0 to 5 V"),
-    ("collect blackbox --Ts 10", "in seconds; of 10 ms it is --Ts 0.01"),
+    ("collect blackbox --Ts 10", "in seconds; 10 ms are 0.01"),
     ("collect blackbox --input sine", "'telegraph', 'prbs', 'white', 'multisine', 'chirp'"),
     ('collect blackbox --name "My run"', "a-z, 0-9 and - are allowed"),
-    ("collect step --at 10", "give an earlier --at or more --seconds"),
+    ("collect step --at 10", "step earlier or record longer"),
     # The physics.
     ("model --set J2=0.005", "names are J_1, J_2, N, K_lin, R_m, K_m, b_1"),
     ("model --set J_2=0,005", "give NAME=VALUE, such as J_1=0.0017"),
     ("model --set J_2=6e-3kgm2", "give the number alone, in kg m², such as --set J_2=0.0048"),
     ("model --set J_1=-1", "J_1=-1.0 must be finite and > 0"),
     ("greybox est.mcap --free J1", "is none of J_1, J_2, N"),
-    ("greybox est.mcap --free J_1,K_m", "give several one by one"),
+    ("greybox est.mcap --free J_1,K_m", "give several names as a sequence"),
     ("split est.mcap --parts 1000", "record longer, or cut into fewer parts"),
     ("integrate --method rk4", "is none of forward_euler, ab2, trapezoidal, heun, midpoint"),
     ("integrate --h 10ms", "must be a number without its unit, such as 0.01"),
@@ -180,7 +187,6 @@ REFUSED = [
 def test_a_mistake_is_refused_with_the_way_out(
     line: str, way_out: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two lines at most, nothing that looks like an answer, and an exit code that is not 0."""
     code = main(shlex.split(line))
 
     said = capsys.readouterr()
@@ -192,15 +198,15 @@ def test_a_mistake_is_refused_with_the_way_out(
 
 
 DOUBTED = [
-    ("identify swapped.csv --structure arx", "as if they were swapped"),
+    ("identify swapped.csv --structure arx", "the columns may be swapped"),
     ("identify data.csv --structure arx --Ts 10", "although the times are 0.01 s apart"),
     ("identify step.mcap --structure arx", "identify from a telegraph"),
     ("identify est.mcap --structure arx --validate step.mcap", "validate on another telegraph"),
     (
         "identify est.mcap --structure arx --validate est.mcap",
-        "validate on data that they have not seen",
+        "validate on other data",
     ),
-    ("model --set J_1=1e9", "times the handout's 0.0017; is it in SI units?"),
+    ("model --set J_1=1e9", "times the value of the handout, 0.0017; is it in SI units?"),
 ]
 
 
@@ -209,7 +215,6 @@ DOUBTED = [
 def test_what_may_be_a_mistake_is_doubted_before_any_number(
     line: str, doubt: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is no error: it is answered, and the doubt stands in front."""
     monkeypatch.setattr(sys, "stderr", sys.stdout)  # in the order in which they are written
 
     code = main(shlex.split(line))
@@ -224,7 +229,6 @@ def test_what_may_be_a_mistake_is_doubted_before_any_number(
 def test_an_input_of_ones_own_beyond_5_v_is_not_played(
     folder: Path, where: str, daemon: FakeDaemon, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No run is sent, and it is said which value is outside."""
     code = main(["collect", "blackbox", "--file", "high.csv", "--connect", where])
 
     assert code == 1

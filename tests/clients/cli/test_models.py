@@ -1,4 +1,4 @@
-"""`armrig identify` and `armrig compare`: what is said of a model."""
+"""`armrig identify` and `armrig compare`: their statements about a model."""
 
 from __future__ import annotations
 
@@ -17,21 +17,24 @@ from armrig.cli.model_output import tests_sentence as sentence
 from armrig.cli.spinner import estimating
 from armrig.models.structure_table import users
 from armrig.numerics.whiteness import Whiteness
-from made_recordings import recorded, sample, written
-from told import told
+
+from tests.clients.made_recordings import recorded, sample, written
+from tests.clients.told import told
 
 
 @pytest.mark.parametrize(
     ("samples", "said"),
     [
-        (5, "5 samples are too few for a model: record longer, 180 at least for na=9, nb=9"),
+        (
+            5,
+            "5 samples are too few for a model: record longer, at least 180 samples for na=9, nb=9",
+        ),
         (50, "na=9, nb=9: 18 parameters from 50 samples; at most 5"),
     ],
 )
-def test_orders_too_high_for_the_data_are_told_in_a_line(
+def test_orders_too_high_for_the_data_are_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], samples: int, said: str
 ) -> None:
-    """What came and what is needed."""
     path = written(tmp_path, recorded([sample(k) for k in range(samples)]))
 
     assert main(["identify", str(path), "--structure", "arx", "--na", "9", "--nb", "9"]) == 1
@@ -42,7 +45,6 @@ def test_orders_too_high_for_the_data_are_told_in_a_line(
 def test_identify_gives_the_model_and_its_uncertainty(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With the validation beside it."""
     arguments = ["identify", str(three_recordings[1]), "--structure", "oe", "--integrator"]
     arguments += ["--validate", str(three_recordings[2])]
 
@@ -62,7 +64,6 @@ def test_identify_gives_the_model_and_its_uncertainty(
 def test_compare_puts_the_models_and_the_physics_side_by_side(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Same numbers for a person and for a program."""
     files = [str(path) for path in three_recordings[1:]]
 
     assert main(["compare", *files]) == 0
@@ -78,7 +79,6 @@ def test_compare_puts_the_models_and_the_physics_side_by_side(
 def test_a_model_that_is_estimated_here_anyway_is_shown_once(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Two identical columns tell nothing; another order has its own."""
     _, estimation, validation = map(str, three_recordings)
     saved = []
     for n in ("4", "3"):
@@ -91,13 +91,12 @@ def test_a_model_that_is_estimated_here_anyway_is_shown_once(
 
     said = capsys.readouterr()
     assert [m["model"] for m in json.loads(said.out)["models"]] == ["ARX", "OE", "physics", "of-3"]
-    assert "the model of-4 is the OE that is estimated here: it is shown once" in said.err
+    assert "the model of-4 equals the OE model estimated here; it is shown once" in said.err
 
 
 def test_the_coefficients_are_a_table_with_both_standard_deviations(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The loss has its unit, and each p value its hypothesis."""
     arguments = ["identify", str(three_recordings[1]), "--structure", "arx"]
 
     assert main([*arguments, "--validate", str(three_recordings[2]), "--verbose"]) == 0
@@ -109,7 +108,7 @@ def test_the_coefficients_are_a_table_with_both_standard_deviations(
     assert "residuals coloured (p < 0.001, " in text
     assert " test): trust σ robust, not σ" in text
     assert "no dynamics missing: p" in text
-    assert "no feedback seen in them: p" in text
+    assert "no feedback seen: p" in text
 
 
 @pytest.mark.parametrize(
@@ -134,7 +133,6 @@ def test_the_coefficients_are_a_table_with_both_standard_deviations(
 def test_an_option_that_does_not_apply_is_refused(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It would be without effect, which nobody would see."""
     assert main(["identify", "f.mcap", "--structure", *arguments]) == 2
 
     assert said in told(capsys)
@@ -144,18 +142,16 @@ def test_an_option_that_does_not_apply_is_refused(
 def test_orders_absurd_for_the_data_are_refused_with_what_is_allowed(
     command: list[str], three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A parameter wants ten samples."""
+    """Each parameter needs ten samples."""
     files = [str(path) for path in three_recordings[1 : 2 if command[0] == "identify" else 3]]
 
     assert main([*command, *files, "--nb", "100", "--nf", "100"]) == 1
 
     said = told(capsys)
-    assert "from 1459 samples; at most 145, one for each 10 samples" in said
+    assert "from 1459 samples; at most 145 parameters, one for each 10 samples" in said
 
 
-def test_numerics_that_give_up_are_told_as_orders_too_high() -> None:
-    """Without a line of numpy's source."""
-
+def test_numerics_that_give_up_are_reported_as_orders_too_high() -> None:
     def give_up() -> None:
         with estimating("nb and nf"):
             np.sqrt(np.array([-1.0]))
@@ -181,19 +177,17 @@ def test_an_integrator_is_hinted_at_where_it_belongs(
     assert "--integrator: velocity does not integrate" in velocity
 
 
-def test_a_model_judged_on_its_own_data_is_told_so(
+def test_a_model_judged_on_its_own_data_is_reported(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It flatters every model."""
     path = str(three_recordings[1])
 
     assert main(["compare", path, path]) == 0
 
-    assert "judged on the very data that they were estimated from" in capsys.readouterr().err
+    assert "judged on their own estimation data" in capsys.readouterr().err
 
 
 def test_an_estimate_has_two_digits_of_its_standard_deviation() -> None:
-    """Of the smaller one, where the robust one is another."""
     u = np.random.default_rng(1).standard_normal(100)
     fit = armrig.arx(armrig.Dataset(u=u, y=np.append(0.0, u[:-1]) + 0.1 * u, Ts=1.0), na=1, nb=1)
     fit = replace(fit, covariance=np.eye(2) * 0.03**2, covariance_robust=np.eye(2) * 0.2**2)
@@ -212,14 +206,12 @@ def test_compare_says_how_and_on_which_recording_it_validates(
     horizon: list[str],
     how: str,
 ) -> None:
-    """A step is not identified from: the other one is halved."""
     assert main(["compare", str(three_recordings[1]), str(three_recordings[0]), *horizon]) == 0
 
     assert f"\n{how} on {three_recordings[1]}, its second half" in capsys.readouterr().out
 
 
 def test_lags_outside_the_band_are_explained_where_the_joint_test_accepts() -> None:
-    """A lag counts only if its own test accepts: the one at -1 belongs to feedback."""
     tests: Any = SimpleNamespace(
         whiteness=0.5,
         autocorrelation=np.array([1.0, 0.2, 0.0]),
@@ -257,14 +249,13 @@ def test_lags_outside_the_band_are_explained_where_the_joint_test_accepts() -> N
             "do not pass: dynamics are missing (p = 0.001): look at the orders",
         ),
         (0.5, 0.5, 0.001, "", "do not pass: there is feedback (p = 0.001): look at the experi"),
-        (0.5, 0.5, 0.5, "u is constant", "its residuals tell nothing: u is constant"),
+        (0.5, 0.5, 0.5, "u is constant", "the tests of its residuals have no power: u is constant"),
         (0.5, np.nan, 0.5, "", "residuals white (p = 0.500); too few samples"),
     ],
 )
 def test_a_sentence_says_which_test_the_residuals_fail(
     white: float, dynamics: float, feedback: float, powerless: str, said: str
 ) -> None:
-    """With what to look at; missing dynamics look like feedback, and are named alone."""
     tests: Any = SimpleNamespace(
         white=Whiteness(p_value=white, test=""),
         missing_dynamics=dynamics,

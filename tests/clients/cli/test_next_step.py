@@ -1,4 +1,4 @@
-"""The line after each command: what is typed next, as the command line takes it."""
+"""The next line after each command, which the command line accepts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from armrig.cli import app, main
 from armrig.cli.next_step import AFTER, next_line
 from armrig.rig.collection import Collected
 from armrig_core.manifest import Outcome
-from made_recordings import manifest, of_the_arm, recorded, sample, written
+
+from tests.clients.made_recordings import manifest, of_the_arm, recorded, sample, written
 
 VALUES: dict[str, Any] = {
     "answers": " --answers reasons.toml",
@@ -45,7 +46,7 @@ def _command_line() -> Any:
 
 @pytest.fixture
 def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any) -> Path:
-    """Give a folder with a telegraph's recording, and the one that validates what it gives."""
+    """Give a folder with a telegraph's recording and its validation."""
     folder = tmp_path / "recordings"
     folder.mkdir()
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(folder))
@@ -62,7 +63,6 @@ def pair(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, three_recordings: Any)
 
 @pytest.mark.parametrize("after", sorted(AFTER.keys() - {"report"}))
 def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
-    """Command, options and their values."""
     words = shlex.split(AFTER[after].format(**VALUES))
     command = _command_line()
 
@@ -85,7 +85,6 @@ def test_the_line_is_one_that_the_command_line_takes(after: str) -> None:
 def test_a_command_ends_with_what_comes_next(
     pair: Path, arguments: str, expected: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In the last line beside the answer, by the short name of the recording."""
     assert main(arguments.split()) == 0
 
     last = capsys.readouterr().err.splitlines()[-1]
@@ -95,7 +94,6 @@ def test_a_command_ends_with_what_comes_next(
 def test_the_report_is_of_the_newest_step_pair_and_chassis(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By the names that were given; of what there is not, nothing."""
     for run_id, experiment in (("0000000c", "step-first"), ("0000000d", "greybox-chassis")):
         data = recorded(
             [sample(k) for k in range(10)], manifest=manifest(experiment=experiment, run_id=run_id)
@@ -129,7 +127,6 @@ def test_the_path_leads_over_the_chassis_alone(
     expected: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Assignments 3.5 and 3.6: to its recording, or to the rig that makes one."""
     if recorded_before:
         about = manifest(experiment=recorded_before, run_id="0000000d")
         data = recorded([sample(k) for k in range(10)], manifest=about)
@@ -139,13 +136,12 @@ def test_the_path_leads_over_the_chassis_alone(
 
     lines = capsys.readouterr().err.splitlines()
     assert lines[-1] == f"next: {expected}"
-    assert any("take the arm off" in line for line in lines) == (recorded_before is None)
+    assert any("remove the arm" in line for line in lines) == (recorded_before is None)
 
 
 def test_the_report_is_of_complete_recordings_that_belong_together(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No step that was cut short, no pair of two sampling times; named before newer ones."""
     made = [
         ("00000010", "step-first", "complete", {}),
         ("00000011", "step-again", "complete", {}),
@@ -175,7 +171,6 @@ def test_the_report_is_of_complete_recordings_that_belong_together(
 def test_the_report_is_of_one_calibration_and_has_the_answers(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A later step of another calibration does not compare with the pair and the chassis."""
     made = [
         ("00000020", "step-first", ""),
         ("00000021", "step-again", "ab" * 32),
@@ -197,7 +192,6 @@ def test_the_report_is_of_one_calibration_and_has_the_answers(
 def test_a_step_whose_rise_is_hidden_is_made_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Later, when the chassis has turned on, under a name that no other has."""
     import numpy as np
 
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path))
@@ -235,7 +229,6 @@ def test_a_step_whose_rise_is_hidden_is_made_again(
 def test_no_line_records_a_second_one_of_a_name(
     pair: Path, after: str, experiment: str, goes_on: str
 ) -> None:
-    """Where it is there, what comes after it; a run that ended early is repeated by its name."""
     collects = next_line(after, rig="")
     samples = [sample(k) for k in range(10)]
     for run_id, outcome in (("0000000e", "stopped"), ("0000000f", "complete")):
@@ -250,7 +243,6 @@ def test_no_line_records_a_second_one_of_a_name(
 
 
 def test_a_step_that_was_made_again_replaces_the_first(pair: Path) -> None:
-    """The hidden one is complete, too."""
     for run_id, experiment in (("0000000e", "step-first"), ("0000000f", "step-first-again")):
         about = manifest(experiment=experiment, run_id=run_id)
         data = recorded([sample(k) for k in range(10)], manifest=about)
@@ -259,8 +251,7 @@ def test_a_step_that_was_made_again_replaces_the_first(pair: Path) -> None:
     assert next_line("calibrate", rig="") == "next: armrig sampling @first-again -o sampling.png"
 
 
-def test_a_program_is_told_nothing_of_it(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """With --json the answer is all."""
+def test_a_program_gets_no_next_line(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for arguments in ("model", "ls", "info @0000000a", "integrate"):
         assert main([*arguments.split(), "--json"]) == 0
 
@@ -273,7 +264,6 @@ def test_the_way_from_a_structure_to_its_validation(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """hints, identify, validate and compare: each line is typed as it stands."""
     monkeypatch.chdir(tmp_path)
     estimation, validation = map(str, three_recordings[1:])
     typed = ["hints", estimation]
@@ -294,7 +284,6 @@ def test_the_way_from_a_structure_to_its_validation(
 def test_a_recording_elsewhere_is_named_by_its_path(
     pair: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As a shell takes it."""
     import numpy as np
 
     path = written(tmp_path, of_the_arm(np.full(50, 1.0)), "my run.mcap")
@@ -309,7 +298,6 @@ def test_a_recording_elsewhere_is_named_by_its_path(
 def test_the_report_has_the_sinusoid_that_was_solved(
     pair: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Only where it is not the report's own."""
     assert main(["integrate", "--omega", "5", "--amplitude", "2"]) == 0
 
     assert " --omega 5 --amplitude 2 -o report.pdf" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""The answer of a command fits a screen of 80 columns and 24 lines; --verbose says the rest."""
+"""The answer of a command fits a screen of 80 columns and 24 lines; --verbose prints the rest."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ COMMANDS = {
         "no dynamics missing: p",
     ),
     "compare": ("compare {1} {2}", "physics is closest", "poles [1/s]"),
-    "check": ("check {1} --level 0.001", "open loop (handout 3.7): no feedback found", "Asked:"),
+    "check": ("check {1} --level 0.001", "open loop (handout 3.7): no feedback found", "Question:"),
     "greybox": ("greybox {1}", "J_1 = ", "robust"),
     "split": ("split {1} --parts 1,2", "From 1 to 2 parts", "Each sample adds its share"),
 }
@@ -46,7 +46,6 @@ def test_an_answer_comes_first_and_fits_a_screen(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """What else there is to say stands behind --verbose; `next: …` is one line of the 24."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(options, "_columns", lambda stream: COLUMNS)
     if command == "validate":

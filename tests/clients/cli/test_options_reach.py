@@ -24,8 +24,9 @@ from armrig.report.batch.tasks import Identify, Report, Validate, Verify
 from armrig.report.study import Orders
 from armrig.rig.live_gaps import LiveGap
 from armrig_core.arm import ArmParameters
-from made_recordings import of_the_arm, sample, written
-from told import told
+
+from tests.clients.made_recordings import of_the_arm, sample, written
+from tests.clients.told import told
 
 FAR = "tcp/far:7447"
 
@@ -44,7 +45,7 @@ def _taken(calls: list[Any]) -> Any:
 
 @pytest.fixture
 def given(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Give what came of the arguments where the work would begin."""
+    """Give the arguments with which the work would begin."""
     calls: list[Any] = []
     work = _taken(calls)
     for name in (
@@ -62,7 +63,6 @@ def given(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 def test_a_dashboard_is_of_its_rig_at_its_port(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Shared, open in the browser, and with the streams of the same rig for Foxglove."""
     made: list[Any] = []
     served = SimpleNamespace(url="U", browser_url="B", shared_url="S", fingerprint="F")
     monkeypatch.setattr(
@@ -93,7 +93,6 @@ def test_a_dashboard_is_of_its_rig_at_its_port(
 def test_a_demo_is_as_long_and_as_random_as_it_was_asked_to_be(
     way: str, virtual: bool, given: list[Any], tmp_path: Path
 ) -> None:
-    """The firmware runs in virtual time; standard output has the JSON alone."""
     wanted = ["--directory", str(tmp_path / "a"), "--seconds", "7", "--seed", "5", "--json"]
 
     assert main(["demo", *wanted, *([way] if way else [])]) == 1
@@ -106,7 +105,6 @@ def test_a_demo_is_as_long_and_as_random_as_it_was_asked_to_be(
 
 
 def test_a_lab_starts_the_daemon_of_its_rig(given: list[Any], tmp_path: Path) -> None:
-    """Of a port it is no emulated one."""
     config = ["--config", str(tmp_path / "a.toml")]
 
     assert main(["lab", "--rig", "7", *config, "--json"]) == 1
@@ -120,7 +118,6 @@ def test_a_lab_starts_the_daemon_of_its_rig(given: list[Any], tmp_path: Path) ->
 
 
 def test_a_router_a_recorder_and_a_conformance_take_what_they_are_given(given: list[Any]) -> None:
-    """Each by its own options."""
     assert main(["router", "--listen", FAR, "--certificate", "c.pem", "--names", "n.toml"]) == 1
     many = ["--rig", "7", "--rig", "8", "-o", "folder", "--seconds", "3", "--json"]
     assert main(["record", "--from", FAR, *many]) == 1
@@ -139,7 +136,6 @@ def test_a_router_a_recorder_and_a_conformance_take_what_they_are_given(given: l
 
 
 def test_a_line_of_watch_has_its_units() -> None:
-    """Angles in degrees, lateness in µs, each under its heading; a gap says what is missing."""
     from armrig.cli.rig import _WATCH_HEADING
 
     one = sample(42)._replace(
@@ -159,6 +155,7 @@ def test_a_line_of_watch_has_its_units() -> None:
         u_held_v=0.0,
         reason="link silent",
         published=True,
+        code="unknown",
     )
 
     line = _sample_line(one)
@@ -171,7 +168,6 @@ def test_a_line_of_watch_has_its_units() -> None:
 def test_a_batch_does_its_task_for_the_recordings_that_were_chosen(
     given: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each of the four with the orders, the choice and the workers of its own."""
     monkeypatch.setattr("armrig.report.batch.batch.batch", _taken(given))
     monkeypatch.chdir(tmp_path)
     armrig.arx(_data(), na=1, nb=2).save("m.json")
@@ -218,13 +214,12 @@ def _data() -> Dataset:
 
 
 @pytest.mark.parametrize("handout", [True, False])
-def test_the_chassis_may_stand_beside_the_whole_rig_in_a_handout_alone(
+def test_the_chassis_may_accompany_the_whole_rig_in_a_handout_alone(
     handout: bool,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """It has sections for both; any other report is of one plant."""
     calls: list[Any] = []
     work = _taken(calls)
     monkeypatch.setattr("armrig.report.handout_study.handout_study", work)
@@ -248,17 +243,16 @@ def test_the_chassis_may_stand_beside_the_whole_rig_in_a_handout_alone(
 def test_a_board_is_asked_what_it_runs_at_the_speed_that_was_given(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Where it does not answer, that speed is named."""
     asked: list[Any] = []
     flash = "armrig.lab.flash"
     monkeypatch.setattr(f"{flash}.avrdude.find", lambda: "avrdude")
     monkeypatch.setattr(f"{flash}.avrdude.loader", lambda program, port: "4.4")
     monkeypatch.setattr(f"{flash}.avrdude.write", lambda *call: asked.append(call[0]))
-    monkeypatch.setattr(f"{flash}.boards.plugged_in", lambda: [])
+    monkeypatch.setattr(f"{flash}.avrdude.plugged_in", lambda: [])
     board = SimpleNamespace(port="/dev/ttyACM3", name="Uno")
-    monkeypatch.setattr(f"{flash}.boards.chosen", lambda port, _: asked.append(port) or board)
-    monkeypatch.setattr(f"{flash}.boards.held", lambda _: nullcontext())
-    monkeypatch.setattr(f"{flash}.boards.greeting", lambda *of: asked.append(of))
+    monkeypatch.setattr(f"{flash}.avrdude.chosen", lambda port, _: asked.append(port) or board)
+    monkeypatch.setattr(f"{flash}.avrdude.held", lambda _: nullcontext())
+    monkeypatch.setattr(f"{flash}.avrdude.greeting", lambda *of: asked.append(of))
 
     assert main(["flash", "--port", "/dev/ttyACM3", "--baud", "115200", "--yes"]) == 1
 

@@ -14,7 +14,7 @@ from armrig.cli.recorded_data import between
 from armrig.data.dataset import Dataset
 
 WHOLE = {"report", "calibrate"}
-"""A report tells of whole runs, and a calibration is of one."""
+"""Commands of whole runs: a report and a calibration use no part."""
 
 
 def _commands() -> dict[str, set[str]]:
@@ -28,7 +28,6 @@ def _commands() -> dict[str, set[str]]:
 
 
 def test_every_command_that_reads_a_recording_takes_a_part_of_it() -> None:
-    """By the same two options."""
     found = _commands()
 
     assert len(found) > 8
@@ -44,7 +43,6 @@ def test_every_command_that_reads_a_recording_takes_a_part_of_it() -> None:
 def test_the_part_is_what_is_used(
     line: str, three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The numbers are of the part; one beyond the end is refused in a line."""
     arguments = [word.format(*map(str, three_recordings)) for word in line.split()]
 
     found = []
@@ -60,7 +58,7 @@ def test_the_part_is_what_is_used(
 
 @pytest.mark.parametrize(("t", "k"), [(0.07, 7), (0.57, 57), (0.065, 7), (0.071, 8)])
 def test_a_part_begins_and_ends_at_the_sample_that_is_due_then(t: float, k: int) -> None:
-    """0.07 s over 0.01 s is 7 and a rounding error."""
+    """0.07 / 0.01 is 7 plus a rounding error."""
     data = Dataset(u=np.arange(100.0), y=np.zeros(100), Ts=0.01)
 
     assert between(data, t, None).u[0] == k

@@ -11,19 +11,18 @@ from armrig.cli import main
 
 
 def facts(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> Any:
-    """Return what the command prints as JSON."""
+    """Return the command's JSON output."""
     assert main([*arguments, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
 def said(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
-    """Return what the command tells a person."""
+    """Return the command's output for a person."""
     assert main(arguments) == 0
     return capsys.readouterr().out
 
 
 def test_the_matrices_say_of_which_parameters_they_are(capsys: pytest.CaptureFixture[str]) -> None:
-    """Of several sets those of all changes together."""
     assert said(["model"], capsys).startswith("A and B with the parameters of the handout:\n")
     changed = said(["model", "--set", "J_1=0.0034", "--set", "K_lin=2.38"], capsys)
     assert changed.startswith("A and B with J_1=0.0034, K_lin=2.38:\n")
@@ -34,7 +33,7 @@ def test_the_matrices_say_of_which_parameters_they_are(capsys: pytest.CaptureFix
 def test_check_finds_no_feedback_and_no_delay(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In words, as JSON and as a figure; at 0.1 %, for this recording's p is 0.009."""
+    """The level is 0.1 %, because p is 0.009 for this recording."""
     recording, figure = str(three_recordings[1]), tmp_path / "check.png"
     arguments = ["check", recording, "--level", "0.001"]
 
@@ -45,7 +44,7 @@ def test_check_finds_no_feedback_and_no_delay(
     assert found["open_loop"]["p_value"] >= 0.001
     assert (found["delay"]["nk"], found["delay"]["delay"]) == (1, 0)
     assert found["delay"]["integrator"] is True
-    assert "nothing speaks against open loop" in text
+    assert "the data do not contradict open loop" in text
     assert "no input delay" in text
     assert figure.read_bytes().startswith(b"\x89PNG")
 
@@ -54,7 +53,7 @@ def test_greybox_gives_the_parameters_of_the_arm(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Within three deviations of the handout's."""
-    arguments = ["greybox", str(three_recordings[1]), "--free", "J_1"]  # alpha tells the model
+    arguments = ["greybox", str(three_recordings[1]), "--free", "J_1"]  # alpha selects the model
     arguments += ["--free", "J_2"]
 
     text = said(arguments, capsys)
@@ -84,7 +83,6 @@ def test_split_gives_each_part_and_the_law(
 def test_simulate_holds_the_physics_against_a_recording(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A wrong spring simulates worse."""
     recording = str(three_recordings[1])
 
     right = facts(["simulate", recording], capsys)["models"]
@@ -99,7 +97,6 @@ def test_simulate_holds_the_physics_against_a_recording(
 def test_simulate_takes_saved_models_too(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Under the name of their file, the physics last."""
     import armrig
 
     data = armrig.load(three_recordings[1]).dataset()
@@ -114,14 +111,13 @@ def test_simulate_takes_saved_models_too(
 
 
 def test_simulate_without_a_recording_answers_a_step(capsys: pytest.CaptureFixture[str]) -> None:
-    """With the handout's figures, or those of other parameters."""
     assert facts(["simulate"], capsys)["steady_speed"] == pytest.approx(1.8623, abs=1e-4)
     other = facts(["simulate", "--set", "N=32"], capsys)["steady_speed"]
     assert other == pytest.approx(2 * 1.8623, abs=2e-4)
     assert "Initial slope 98.40" in said(["simulate"], capsys)
 
 
-def test_integrate_tells_stable_from_unstable(
+def test_integrate_separates_stable_from_unstable(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A step on either side of AB(2)'s limit; the trapezoidal rule has none."""
@@ -140,7 +136,6 @@ def test_integrate_tells_stable_from_unstable(
 
 
 def test_integrate_recommends_a_step_for_each_method(capsys: pytest.CaptureFixture[str]) -> None:
-    """With the error asked for."""
     found = facts(["integrate", "--tolerance", "0.01", "--span", "1"], capsys)
 
     assert len(found["rows"]) == 5
@@ -148,15 +143,17 @@ def test_integrate_recommends_a_step_for_each_method(capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.parametrize(("volts", "told"), [("2.5", False), ("20", True), ("-2.6", True)])
-def test_an_amplitude_that_no_rig_takes_is_told_as_simulated(
+def test_an_amplitude_that_no_rig_takes_is_reported_as_simulated(
     volts: str, told: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is allowed: part 4 integrates a model, and nothing is played."""
+    """The amplitude is allowed: assignment 4 integrates a model and plays nothing."""
     step = ["--h", "0.02", "--method", "ab2"]
 
     assert main(["integrate", "--amplitude", volts, *step]) == 0
 
-    said = f"--amplitude {volts}: the sinusoid is simulated, never played; the rig takes 0 to 5 V"
+    said = (
+        f"--amplitude {volts}: the sinusoid is only simulated, never played; the rig takes 0 to 5 V"
+    )
     assert (said in capsys.readouterr().err) == told
 
 
@@ -165,15 +162,15 @@ def test_an_amplitude_that_no_rig_takes_is_told_as_simulated(
     [
         (["check", "F", "--level", "2"], "level=2.0 must lie between 0 and 1", 1),
         (["check", "nothing.mcap"], "nothing.mcap: No such file", 1),
-        (["check", "F", "--plot", "F"], "one of the files to read", 1),
-        (["check", "F", "--plot", "a.xyz"], "a.xyz: a figure's name ends in one of", 1),
-        (["greybox", "F", "--plot", "F"], "one of the files to read", 1),
-        (["split", "F", "--plot", "F"], "one of the files to read", 1),
-        (["simulate", "F", "--plot", "F"], "one of the files to read", 1),
+        (["check", "F", "--plot", "F"], "is an input file", 1),
+        (["check", "F", "--plot", "a.xyz"], "a.xyz: the name of a figure ends in one of", 1),
+        (["greybox", "F", "--plot", "F"], "is an input file", 1),
+        (["split", "F", "--plot", "F"], "is an input file", 1),
+        (["simulate", "F", "--plot", "F"], "is an input file", 1),
         (["greybox", "F", "--free", "J_9"], "free='J_9' is none of J_1", 1),
         (["greybox", "F", "--model", "chassis"], "alpha moves: the arm was on", 1),
         (["greybox", "F", "--set", "J_1"], "--set J_1: give NAME=VALUE", 2),
-        (["split", "F", "--parts", "1,x"], "--parts '1,x': whole numbers", 2),
+        (["split", "F", "--parts", "1,x"], "--parts '1,x': give whole numbers", 2),
         (["split", "F", "--parts", "0"], "parts=0 must be an integer >= 1", 1),
         (["simulate", "--set", "J_2=-1"], "J_2=-1.0 must be finite and > 0", 1),
         (["simulate", "--model", "m.json"], "--model needs a recording", 2),
@@ -184,14 +181,13 @@ def test_an_amplitude_that_no_rig_takes_is_told_as_simulated(
     ],
     ids=lambda x: " ".join(x) if isinstance(x, list) else None,
 )
-def test_what_cannot_be_done_is_told_in_a_line(
+def test_what_cannot_be_done_is_reported_in_one_line(
     arguments: list[str],
     message: str,
     code: int,
     three_recordings: tuple[Path, ...],
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """No traceback, nothing on standard output, and the recording is as it was."""
     recording = three_recordings[1]
     before = recording.read_bytes()
 

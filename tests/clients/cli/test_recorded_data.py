@@ -1,4 +1,4 @@
-"""What commands say of recordings before they use them."""
+"""Remarks of commands about recordings before their use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from armrig.cli import main
 from armrig.cli.recorded_data import loaded
 from armrig_core.calibration import Calibration, Driver
 from armrig_core.manifest import Outcome
-from made_recordings import manifest, recorded, turning, written
+
+from tests.clients.made_recordings import manifest, recorded, turning, written
 
 TURNING = turning([30_000 + 40 * (k % 50) for k in range(300)])
 
@@ -25,7 +26,6 @@ TURNING = turning([30_000 + 40 * (k % 50) for k in range(300)])
 def test_a_run_that_ended_early_is_named_before_it_is_used(
     asked: int, outcome: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A recording of no certain length has no end that is too early."""
     ended = Outcome(outcome=outcome, samples=300, missing=0)
     data = recorded(TURNING, manifest=manifest(samples=asked), outcome=ended)
     path = written(tmp_path, data)
@@ -41,7 +41,6 @@ def test_a_run_that_ended_early_is_named_before_it_is_used(
 def test_a_report_names_recordings_of_different_calibrations(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On the terminal, too; a step is no pair of another recording, and has angles all the same."""
     monkeypatch.setattr("armrig.report.handout_study.handout_study", lambda *_, **__: None)
     monkeypatch.setattr("armrig.report.handout.handout_report", lambda *_, **__: None)
     other = Calibration(driver=Driver(gain=1.1))

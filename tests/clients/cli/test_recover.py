@@ -1,4 +1,4 @@
-"""`armrig recover`: files and folders, what is said, and the exit code."""
+"""`armrig recover`: files and folders, its messages, and the exit code."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import armrig
 import pytest
 from armrig.cli import main
 from armrig_core.recording_file.file_lock import lock
-from made_recordings import manifest, recorded, sample, written
+
+from tests.clients.made_recordings import manifest, recorded, sample, written
 
 N = 30
 DATA = recorded(
@@ -23,7 +24,6 @@ DATA = recorded(
 def test_a_folder_is_recovered_but_for_what_is_being_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A line for each; that a daemon lives is no failure."""
     for name in "ab":
         written(tmp_path, DATA, f"1-{name}.mcap.active")
     with written(tmp_path, DATA, "1-c.mcap.active").open("rb") as file:
@@ -33,7 +33,7 @@ def test_a_folder_is_recovered_but_for_what_is_being_written(
 
     out, err = capsys.readouterr()
     assert out.count(f"recovered, {N} samples, 0.3 s of 0.6 s") == 2
-    assert "1-c.mcap.active: is being written; wait for its end" in err
+    assert "1-c.mcap.active: the file is being written; wait for its end" in err
     assert [p.name for p in sorted(tmp_path.iterdir())] == [
         *("1-a.mcap", "1-b.mcap", "1-c.mcap.active")
     ]
@@ -46,7 +46,6 @@ def test_a_folder_is_recovered_but_for_what_is_being_written(
 def test_one_that_cannot_be_recovered_is_named_and_the_rest_is_done(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Exit code 1, one line, and the file is as it was."""
     bad, good = written(tmp_path, b"", "1-a.mcap.active"), written(tmp_path, DATA, "x.mcap.active")
 
     assert main(["recover", str(bad), str(good)]) == 1
@@ -58,7 +57,6 @@ def test_one_that_cannot_be_recovered_is_named_and_the_rest_is_done(
 
 
 def test_json_says_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """What was recovered, and what was left, each with what a program needs."""
     written(tmp_path, b"", "1-a.mcap.active")
     written(tmp_path, DATA, "1-b.mcap.active")
 
@@ -74,11 +72,10 @@ def test_json_says_both(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
 def test_without_a_path_it_is_the_folder_of_the_recordings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As `armrig ls` has it, which names the command."""
     monkeypatch.setenv("ARMRIG_RECORDING_DIRECTORY", str(tmp_path))
     written(tmp_path, DATA, "1-a.mcap.active")
     assert main(["ls"]) == 0
-    assert "left by a daemon that died: `armrig recover`" in capsys.readouterr().err
+    assert "left by a dead daemon: `armrig recover`" in capsys.readouterr().err
 
     assert main(["recover"]) == 0
     assert armrig.load(tmp_path / "1-a.mcap").samples.size == N
@@ -91,7 +88,6 @@ def test_without_a_path_it_is_the_folder_of_the_recordings(
 def test_a_file_that_is_named_and_not_there_fails(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In one line."""
     assert main(["recover", str(tmp_path / "1-a.mcap.active")]) == 1
 
     assert "there is no such file" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`armrig replay` finds what differs between a recording and what the core decides now."""
+"""`armrig replay` finds differences between a recording and the core's present decisions."""
 
 from __future__ import annotations
 
@@ -63,7 +63,6 @@ def replayed(run: Path, path: Path, change: Change, volts: bytes = b"") -> Repla
 
 
 def test_a_copy_is_decided_as_the_run_was(run: Path, tmp_path: Path) -> None:
-    """All of its frames and samples, over the time of the run."""
     found = replayed(run, tmp_path / "a.mcap", lambda _, __, data: data)
 
     assert found.difference == found.until == ""
@@ -75,8 +74,6 @@ def test_a_copy_is_decided_as_the_run_was(run: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("n", [0, 57, 299])
 def test_a_sample_that_was_changed_is_found(run: Path, tmp_path: Path, n: int) -> None:
-    """By one count; those before it are the same."""
-
     def change(stream: str, i: int, data: bytes) -> bytes:
         if (stream, i) != ("sample", n):
             return data
@@ -93,7 +90,6 @@ def test_a_sample_that_was_changed_is_found(run: Path, tmp_path: Path, n: int) -
 def test_an_input_that_was_changed_is_found_in_the_frame_that_has_it(
     run: Path, tmp_path: Path
 ) -> None:
-    """The difference names the frame sent and the one decided now; then the replay ends."""
     found = replayed(run, tmp_path / "a.mcap", lambda _, __, data: data, volts=b"0.75")
 
     sent, now = found.difference.partition(": ")[2].split(", now decides ")
@@ -110,8 +106,6 @@ def test_an_input_that_was_changed_is_found_in_the_frame_that_has_it(
 def test_steps_that_are_missing_are_counted(
     run: Path, tmp_path: Path, gone: set[int], said: str
 ) -> None:
-    """They are numbered, so that those after a hole tell of it; the replay ends before it."""
-
     def change(stream: str, n: int, data: bytes) -> bytes | None:
         return None if stream == "trace" and n in gone else data
 

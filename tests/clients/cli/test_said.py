@@ -1,7 +1,7 @@
-"""What every command says, word for word: it is in `said/`, a file for each.
+"""Output of every command, word for word: a file for each in `said/`.
 
-A new case is a line `$ armrig …` in one of the files. `make stored` writes the files
-again, with what the commands say now; `git diff` shows what has changed, which a person reads.
+A new case is a line `$ armrig …` in one of the files. `make stored` writes the files again, with
+the present output; read the difference by `git diff`.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ from armrig_daemon.command_line import app as armrigd_app
 from armrig_daemon.config import ArmSettings, Config
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
-from calibration_rig import recording_of
-from fake_daemon import FakeDaemon
-from made_recordings import manifest, of_the_arm, recorded, turning, written
-from made_turns import made_turns, still
 from mcap.writer import CompressionType
-from odd_recording import FORWARD, ODD, odd_recording, odd_turns
-from said import said_again
 from typer.main import get_command
+
+from tests.clients.calibration_rig import recording_of
+from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.made_recordings import manifest, of_the_arm, recorded, turning, written
+from tests.clients.made_turns import made_turns, still
+from tests.clients.odd_recording import FORWARD, ODD, odd_recording, odd_turns
+from tests.clients.said import said_again
 
 SAID = Path(__file__).parent / "said"
 OF_A_HOST = {"lab", "doctor"}
@@ -91,7 +92,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _odd_table() -> str:
     """Return 300 rows from 5 s on, 0.1 s apart: y(t) = 0.8 y(t-1) - 3 u(t-2) about a level of -40.
 
-    The columns stand in another order; three values of y are wrong, and four are not there.
+    The columns have another order; three values of y are wrong, and four are missing.
     """
     rng = np.random.default_rng(11)
     u, y, shown = rng.choice([-1.0, 0.5, 2.0], 300), np.zeros(300), list[str]()
@@ -114,7 +115,7 @@ def _recorded(
 
 @pytest.fixture
 def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """Give a copy of it, in which we are; nothing of this machine's is looked at."""
+    """Change into a copy of the folder, without files of this machine."""
     here = tmp_path / "here"
     shutil.copytree(made, here)
     (here / ".home").mkdir()
@@ -142,7 +143,7 @@ def folder(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Itera
 
 
 def _write_words(figure: Any, path: Any, **_: Any) -> None:
-    """Write the words of a figure in place of a picture: quick to make, and to be read."""
+    """Write the words of a figure instead of a picture, which is quick to make and to read."""
     lines = []
     for ax in figure.axes:
         legend = ax.get_legend()
@@ -158,7 +159,7 @@ def _write_words(figure: Any, path: Any, **_: Any) -> None:
 
 
 class _Compiler:
-    """Gives what a report says in place of the PDF that typst makes of it."""
+    """Gives the text of a report instead of typst's PDF."""
 
     def __init__(self, template: str, *, root: str, **_: Any) -> None:
         self.values = Path(root) / "data.json"
@@ -183,7 +184,6 @@ def rig(folder: Path) -> Iterator[None]:
 def test_a_command_says_what_it_said(
     file: Path, folder: Path, request: pytest.FixtureRequest
 ) -> None:
-    """The words exactly, and the numbers but for their last digits."""
     stored = file.read_text(encoding="utf-8")
     if file.stem == "rig":
         request.getfixturevalue("rig")
@@ -201,7 +201,6 @@ def test_a_command_says_what_it_said(
 
 
 def test_every_command_is_in_a_file() -> None:
-    """But for those of which a host and its rig make the words."""
     text = "".join(file.read_text(encoding="utf-8") for file in FILES)
 
     for program, app in (("armrig", armrig_app), ("armrigd", armrigd_app)):

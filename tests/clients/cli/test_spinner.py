@@ -1,4 +1,4 @@
-"""What is shown while something takes long."""
+"""Spinners and bars during long work."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from armrig.cli.figures import write_plot
-from armrig.cli.spinner import AFTER_S, estimating, remaining, spinner
+from armrig.cli.spinner import MIN_WAIT_S, estimating, remaining, spinner
 from rich.console import Console
 
 
 def test_a_long_estimation_shows_that_it_lives() -> None:
-    """On a terminal, after a while; what is quick says nothing."""
     out = StringIO()
     terminal = Console(file=out, force_terminal=True)
 
@@ -29,8 +28,7 @@ def test_a_long_estimation_shows_that_it_lives() -> None:
     assert "estimating …" in out.getvalue()
 
 
-def test_a_wait_that_is_counted_tells_what_it_does_and_what_remains() -> None:
-    """A bar from the first count on, gone at the end; nothing where there is no terminal."""
+def test_a_counted_wait_shows_its_task_and_the_time_left() -> None:
     out, nowhere = StringIO(), StringIO()
 
     for console in (Console(file=out, force_terminal=True, width=100), Console(file=nowhere)):
@@ -54,7 +52,6 @@ def test_a_wait_that_is_counted_tells_what_it_does_and_what_remains() -> None:
     ],
 )
 def test_the_time_left_is_that_of_what_was_done(done: int, elapsed_s: float, told: str) -> None:
-    """None before the first is done, nor after the last."""
     assert remaining(done, 40, elapsed_s) == told
 
 
@@ -62,16 +59,14 @@ def test_the_time_left_is_that_of_what_was_done(done: int, elapsed_s: float, tol
 def test_a_figure_that_takes_long_shows_that_it_is_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """On a terminal, as an estimation does."""
     monkeypatch.setenv("FORCE_COLOR", "1")
 
-    write_plot(tmp_path / "slow.png", slow=lambda **_: time.sleep(AFTER_S + 0.3))
+    write_plot(tmp_path / "slow.png", slow=lambda **_: time.sleep(MIN_WAIT_S + 0.3))
 
     assert "drawing …" in capsys.readouterr().err
 
 
 def test_an_estimation_prints_no_warning_of_a_library_and_names_its_orders() -> None:
-    """Overflows on the way are the search's own; other warnings are not held back."""
     with estimating("na and nb"):
         assert np.isinf(np.exp(np.float64(1e4)))
         warnings.warn("overflow on the way", RuntimeWarning, stacklevel=1)

@@ -14,8 +14,18 @@ from armrig.cli.options import tell
 from armrig.cli.spinner import spinner
 from armrig.rig.progress import bar
 from armrig_core.manifest import Outcome
-from made_recordings import event, gap, manifest, note, of_the_arm, recorded, sample, written
 from rich.console import Console
+
+from tests.clients.made_recordings import (
+    event,
+    gap,
+    manifest,
+    note,
+    of_the_arm,
+    recorded,
+    sample,
+    written,
+)
 
 HOSTILE = "\x1b]0;mine\x07\x1b[2Ja rig\r\n\x9b[red]\u202e"
 SHOWN = r"\x1b]0;mine\x07\x1b[2Ja rig\r\n\x9b[red]\u202e"
@@ -23,7 +33,7 @@ SHOWN = r"\x1b]0;mine\x07\x1b[2Ja rig\r\n\x9b[red]\u202e"
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """Give a recording whose every text is somebody's who means no good."""
+    """Give a recording whose every text is hostile."""
     told = manifest(
         run_id=HOSTILE,
         experiment=HOSTILE,
@@ -44,7 +54,6 @@ def recording(tmp_path: Path) -> Path:
 def test_a_recording_s_texts_do_nothing_to_a_terminal(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A file may come from anywhere; each line is still one."""
     assert main(["info", str(recording)]) == 0
     told = capsys.readouterr()
 
@@ -58,7 +67,6 @@ def test_a_recording_s_texts_do_nothing_to_a_terminal(
 def test_a_recording_as_json_keeps_its_texts(
     recording: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Escaped as JSON does: programs read the very text."""
     assert main(["info", str(recording), "--json"]) == 0
     told = capsys.readouterr().out
 
@@ -75,7 +83,6 @@ def test_a_recording_as_json_keeps_its_texts(
 def test_a_file_s_own_name_does_nothing_to_a_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """As an error, and as what was read."""
     hostile = tmp_path / "\x1b[2J\x9b.mcap"
     assert main(["info", str(hostile)]) == 1
     hostile.write_bytes(of_the_arm(np.full(50, 1.0)))
@@ -87,8 +94,7 @@ def test_a_file_s_own_name_does_nothing_to_a_terminal(
     assert (told.out + told.err).replace("\n", "").isprintable()
 
 
-def test_a_line_beside_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
-    """What is told, errors too."""
+def test_a_line_on_standard_error_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     tell(f"held by {HOSTILE}")
 
     assert capsys.readouterr().err == (
@@ -97,11 +103,10 @@ def test_a_line_beside_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_name_of_a_file_does_nothing_to_a_terminal_while_it_is_at_work() -> None:
-    """`armrig batch` shows what it is at; the file's name may be anybody's."""
     shown = StringIO()
     console = Console(file=shown, force_terminal=True, width=120)
 
-    with spinner("at work on", console, after_s=0.0) as count:
+    with spinner("processing", console, after_s=0.0) as count:
         count(1, 2, HOSTILE)
         while "1 of 2" not in shown.getvalue():
             time.sleep(0.01)
@@ -110,8 +115,7 @@ def test_the_name_of_a_file_does_nothing_to_a_terminal_while_it_is_at_work() -> 
     assert HOSTILE[:7] not in shown.getvalue()
 
 
-def test_brackets_are_no_markup_beside_a_bar() -> None:
-    """A name is shown as it is."""
+def test_brackets_are_no_markup_next_to_a_bar() -> None:
     shown = StringIO()
     console = Console(file=shown, force_terminal=True, width=120)
 

@@ -1,4 +1,4 @@
-"""What the page gets where an answer fails: its own mistake, or a fault of armrig's."""
+"""Answers to the page after an error: a mistake of the page, or a fault of armrig."""
 
 from __future__ import annotations
 
@@ -30,7 +30,6 @@ def _of_ours(_: bytes) -> Any:
     ids=["of numpy", "of ours"],
 )
 def test_an_error_of_numpy_is_not_the_pages_mistake(does: Any, status: int, said: bytes) -> None:
-    """It is answered as an internal error, and the server's log has its traceback."""
     app = application([Route("/does", answered(does), methods=["POST"])])
     scope = {"type": "http", "method": "POST", "path": "/does", "headers": [], "query_string": b""}
     sent: list[Any] = []

@@ -1,4 +1,4 @@
-"""What a pixel shows of many samples."""
+"""The samples in a pixel."""
 
 from __future__ import annotations
 
@@ -46,12 +46,11 @@ def test_a_bin_holds_the_least_and_the_largest() -> None:
 
 
 def test_slow_samples_are_bins_of_their_own() -> None:
-    """Nothing is put together that a pixel can tell apart."""
     assert _binned(_samples([1, 2, 3], Ts=0.01)).shape[0] == 3
 
 
 def test_a_wrap_ends_a_bin() -> None:
-    """Else a line across the whole turn would be drawn."""
+    """Otherwise the page would draw a line across the whole turn."""
     rows = _binned(_samples([358, 359, 1, 2]))
 
     assert rows[:, 3].round().tolist() == [358, 1]
@@ -59,12 +58,10 @@ def test_a_wrap_ends_a_bin() -> None:
 
 
 def test_less_than_half_a_turn_is_no_wrap() -> None:
-    """A chassis that turns so far between two samples stays in one bin."""
     assert _binned(_samples([0, 170])).shape[0] == 1
 
 
 def test_a_wrap_inside_of_the_dead_band_ends_a_bin() -> None:
-    """Where the potentiometer wraps it shows no angle."""
     nan = float("nan")
     rows = _binned(_samples([358, 359, nan, nan, 1, 2]))
     wide = coarser(_binned(_samples([358, 359, nan, nan, 1, 2], Ts=0.01)), 0.1)
@@ -75,7 +72,6 @@ def test_a_wrap_inside_of_the_dead_band_ends_a_bin() -> None:
 
 
 def test_what_is_not_known_hides_nothing() -> None:
-    """In a bin with one known angle that is shown; in one with none there is no value."""
     nan = float("nan")
     rows = _binned(_samples([nan, 5, nan, nan, nan, nan, nan, nan, nan, nan] + [nan] * 10))
 
@@ -100,7 +96,7 @@ def test_the_rate_is_a_slope_over_a_tenth_of_a_second_of_time() -> None:
 
 
 def test_a_missing_sample_or_a_hidden_angle_costs_no_rate_of_another() -> None:
-    """The slope is then from an older sample, at most 0.2 s older; without one there is no rate."""
+    """The slope then uses an older sample, at most 0.2 s older."""
     nan = float("nan")
     samples = _samples([nan if k in (3, 25) else float(k) for k in range(60)], Ts=0.01)
     del samples[15:17]
@@ -117,7 +113,7 @@ def test_a_missing_sample_or_a_hidden_angle_costs_no_rate_of_another() -> None:
 
 
 def test_slow_samples_have_a_rate_from_one_to_the_next() -> None:
-    """Where one is missing between them half a turn may have passed: there is none."""
+    """If a sample is missing between two slow ones, half a turn may have passed."""
     samples = _samples([float(k) for k in range(9)], Ts=0.5)
     del samples[4]
     found = signals(samples)
@@ -129,14 +125,13 @@ def test_slow_samples_have_a_rate_from_one_to_the_next() -> None:
 
 
 def test_few_samples_are_kept_for_a_rate_whatever_their_times() -> None:
-    """A stranger's samples may all have one time: they take no more room than those of a rig."""
+    """A foreign recording may give all samples the same time; they need no more memory."""
     found = np.zeros((5000, 5))
 
     assert needed_before(found).shape[0] == 1000
 
 
 def test_coarser_rows_keep_the_extremes() -> None:
-    """Five bins into one: least of all, largest of all, at the first's time."""
     rows = _binned(_samples([float(k % 37) for k in range(100)]))
     wide = coarser(rows, 0.05)
 
@@ -145,7 +140,7 @@ def test_coarser_rows_keep_the_extremes() -> None:
 
 
 def test_a_sample_exactly_at_an_edge_begins_the_next_bin() -> None:
-    """Also where its time in s is rounded to just below the edge."""
+    """Also if its time in seconds is rounded to just below the edge."""
     assert 0.29 / 0.01 < 29
     rows = _binned(_samples([k / 4 for k in range(400)]))
 
@@ -155,7 +150,6 @@ def test_a_sample_exactly_at_an_edge_begins_the_next_bin() -> None:
 
 
 def test_each_signal_has_its_columns_and_unit() -> None:
-    """U as it was applied, θ₁, its rate and α: least and largest of each."""
     found = signals([s._replace(u_cmd_v=4.0) for s in _samples([1.0, 2.0], u=3.0)])
 
     rows = as_lists(binned(found, np.array([50.0, 70.0])))
@@ -164,7 +158,6 @@ def test_each_signal_has_its_columns_and_unit() -> None:
 
 
 def test_json_has_three_places_of_time_and_voltage_and_two_of_angles() -> None:
-    """Each the nearest decimal, as short as it is written; what is unknown is null."""
     row = np.array([[12.34549, 1.23449, 2.71851, -3.14159, 0.005, 1e4 / 3, 99.996, 0.1, np.nan]])
 
     sent = msgspec.json.encode(as_lists(row))

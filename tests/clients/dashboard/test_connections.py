@@ -1,4 +1,4 @@
-"""Of too many connections one gives way, and never one that is answered and reads."""
+"""If there are too many connections one is closed, but none that is answered and reads."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ def table(monkeypatch: pytest.MonkeyPatch) -> Table:
 
 
 def test_the_oldest_that_asks_nothing_gives_way(table: Table) -> None:
-    """Though a younger one does not read."""
     table.add("a", is_asked=True)
     table.add("b")
     table.add("c", is_asked=True, is_unread=True)
@@ -48,7 +47,6 @@ def test_the_oldest_that_asks_nothing_gives_way(table: Table) -> None:
 
 
 def test_else_the_oldest_that_does_not_read_gives_way_and_at_last_the_new_one(table: Table) -> None:
-    """One that is answered is never cut off by others; the new one has asked nothing yet."""
     table.add("a", is_asked=True)
     table.add("b", is_asked=True, is_unread=True)
     table.add("c", is_asked=True, is_unread=True)
@@ -59,7 +57,6 @@ def test_else_the_oldest_that_does_not_read_gives_way_and_at_last_the_new_one(ta
 
 
 def test_one_that_has_left_makes_room_and_the_end_closes_the_rest(table: Table) -> None:
-    """Each is closed once."""
     for name in "abc":
         table.add(name)
     table.all.remove(table.address("b"))

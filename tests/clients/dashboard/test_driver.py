@@ -13,7 +13,8 @@ from armrig.dashboard.driver import BusyDriverError, Driver
 from armrig.rig.session import NoReplyError
 from armrig_core import commands
 from armrig_core.rehearsal import Rehearsal
-from fake_daemon import FakeDaemon, step_plan
+
+from tests.clients.fake_daemon import FakeDaemon, step_plan
 
 PLAN = step_plan("a page")
 
@@ -34,18 +35,17 @@ def _wait_for_the_end(driver: Driver) -> None:
 def test_a_stop_holds_for_a_run_that_was_asked_for_before(
     driver: Driver, daemon: FakeDaemon
 ) -> None:
-    """A run is armed some time after it was asked for, and the daemon stops what is armed only."""
+    """The daemon stops only an armed run, and a run is armed some time after its request."""
     asked_s = time.monotonic()
     driver.stop("somebody")
     driver.start(PLAN, asked_s=asked_s)
     _wait_for_the_end(driver)
 
-    assert driver.run.error == "not begun: stopped by somebody"
+    assert driver.run.error == "not started: stopped by somebody"
     assert daemon.names() == ["stop", "arm", "disarm"]
 
 
 def test_a_stop_does_not_hold_for_the_next_run(driver: Driver, daemon: FakeDaemon) -> None:
-    """Who asks for a run after a stop means it."""
     driver.stop("somebody")
     driver.start(PLAN, asked_s=time.monotonic())
     _wait_for_the_end(driver)
@@ -54,9 +54,8 @@ def test_a_stop_does_not_hold_for_the_next_run(driver: Driver, daemon: FakeDaemo
 
 
 def test_a_driver_that_has_ended_takes_no_run(driver: Driver, daemon: FakeDaemon) -> None:
-    """The server still answers while it ends: who asks is told, and nobody waits for him."""
     driver.end()
-    with pytest.raises(BusyDriverError, match="the dashboard ends"):
+    with pytest.raises(BusyDriverError, match="the dashboard is ending"):
         driver.start(PLAN, asked_s=time.monotonic())
 
     assert not driver.run.is_going
@@ -78,8 +77,7 @@ class SlowDaemon(FakeDaemon):
         return super()._carry_out(request)
 
 
-def test_the_end_waits_for_who_arms(where: str) -> None:
-    """And gives the rig back then: what else the dashboard has open is ended behind it."""
+def test_the_end_waits_for_an_arming(where: str) -> None:
     with SlowDaemon(where) as daemon:
         driver = Driver(rig="1", connect=daemon.endpoint)
         arming = threading.Thread(target=driver.arm, args=("a page", None))
@@ -92,10 +90,9 @@ def test_the_end_waits_for_who_arms(where: str) -> None:
         assert daemon.names() == ["arm", "disarm"]
 
 
-def test_a_run_is_told_whole_at_its_end(
+def test_a_run_is_reported_completely_at_its_end(
     driver: Driver, daemon: FakeDaemon, three_recordings: tuple[Path, Path, Path]
 ) -> None:
-    """What was rehearsed, how far it came, its file, and what the data are good for."""
     daemon.recording = str(three_recordings[1])
     daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
     driver.start(PLAN, asked_s=time.monotonic())
@@ -108,8 +105,7 @@ def test_a_run_is_told_whole_at_its_end(
     assert run.verdict.startswith("the data are good: signal to noise")
 
 
-def test_a_trip_is_told_with_the_page_s_own_button(driver: Driver, daemon: FakeDaemon) -> None:
-    """Not with a command to type."""
+def test_a_trip_is_reported_with_the_page_s_own_button(driver: Driver, daemon: FakeDaemon) -> None:
     daemon.fault, daemon.remedy = "the link is silent", "see to the cable"
     daemon.refusals["arm"] = "in fault"
     driver.start(PLAN, asked_s=time.monotonic())
@@ -120,8 +116,7 @@ def test_a_trip_is_told_with_the_page_s_own_button(driver: Driver, daemon: FakeD
     )
 
 
-def test_a_stop_finds_a_daemon_that_was_started_anew(where: str) -> None:
-    """The way that was open led to the one before."""
+def test_a_stop_finds_a_restarted_daemon(where: str) -> None:
     driver = Driver(rig="1", connect=where)
     with FakeDaemon(where):
         driver.stop("Ada")
@@ -134,7 +129,6 @@ def test_a_stop_finds_a_daemon_that_was_started_anew(where: str) -> None:
 
 
 def test_a_rig_that_the_page_has_is_given_back_once(driver: Driver, daemon: FakeDaemon) -> None:
-    """Armed again it is given back before; after that there is nothing to give."""
     driver.arm("a page", 0.04)
     driver.arm("a page", None)
 

@@ -15,7 +15,8 @@ from armrig.dashboard.feed import COARSE_S, FINE_S, HISTORY_S, LATE_US, Feed
 from armrig.dashboard.stream import live_facts
 from armrig_core.commands import StatusReport
 from armrig_core.telemetry import Sample
-from made_recordings import event, gap, note, sample
+
+from tests.clients.made_recordings import event, gap, note, sample
 
 
 def samples(*numbers: int) -> list[Sample]:
@@ -24,7 +25,7 @@ def samples(*numbers: int) -> list[Sample]:
 
 
 def late(k: int, lateness_us: float) -> Sample:
-    """Return sample k, asked for so late."""
+    """Return sample k with a late request."""
     plain = sample(k)
     return plain._replace(t_host_ns=plain.t_sched_ns + round(lateness_us * 1e3))
 
@@ -35,13 +36,12 @@ def state(t_s: int, phase: str) -> Any:
 
 
 def counted(feed: Feed) -> tuple[int, int, str]:
-    """Return what was missing, what was unheard, and the last reason."""
+    """Return the missing and the unheard samples, and the last reason."""
     timing = feed.timing()
     return timing.missing, timing.unheard, timing.last_gap
 
 
-def test_a_gap_that_is_told_before_its_next_sample_is_counted() -> None:
-    """The gap waits for the sample after it, over samples that came in between."""
+def test_a_gap_that_is_reported_before_its_next_sample_is_counted() -> None:
     feed = Feed()
     feed.add_samples(samples(0, 1))
     feed.add_gaps([gap(3, 4, 1.0, "link silent")])
@@ -54,7 +54,6 @@ def test_a_gap_that_is_told_before_its_next_sample_is_counted() -> None:
 
 
 def test_a_gap_is_counted_once() -> None:
-    """Though samples come after it in many pieces."""
     feed = Feed()
     feed.add_samples(samples(0))
     feed.add_gaps([gap(1, 2, 1.0, "overrun")])
@@ -64,8 +63,7 @@ def test_a_gap_is_counted_once() -> None:
     assert counted(feed) == (2, 0, "overrun")
 
 
-def test_what_nobody_told_of_was_published_and_not_heard() -> None:
-    """Also just before and just after a reported gap."""
+def test_samples_without_a_reported_gap_were_published_and_not_heard() -> None:
     feed = Feed()
     feed.add_samples(samples(0))
     feed.add_gaps([gap(2, 3, 1.0, "overrun")])
@@ -75,7 +73,6 @@ def test_what_nobody_told_of_was_published_and_not_heard() -> None:
 
 
 def test_a_sample_that_came_before_is_passed_over() -> None:
-    """The past is asked for while samples come: each is shown once."""
     feed = Feed()
     feed.add_samples(samples(0, 1, 2))
     feed.add_samples(samples(1, 2, 3), live=False)
@@ -84,8 +81,7 @@ def test_a_sample_that_came_before_is_passed_over() -> None:
     assert counted(feed) == (0, 0, "")
 
 
-def test_what_is_new_is_told_once() -> None:
-    """All of it, with the newest sample."""
+def test_what_is_new_is_reported_once() -> None:
     feed = Feed()
     feed.add_samples(samples(0, 1))
     first = feed.news()
@@ -101,8 +97,8 @@ def test_what_is_new_is_told_once() -> None:
     assert (second.newest.k, third.newest.k) == (2, 2)
 
 
-def test_another_clock_tells_nothing_old() -> None:
-    """A daemon on a machine that was started anew begins at 0; what was told is not told again."""
+def test_another_clock_reports_nothing_old() -> None:
+    """A daemon on a restarted machine counts from 0."""
     feed = Feed()
     feed.add_samples(samples(300, 301))
     before = feed.news().pieces
@@ -114,7 +110,7 @@ def test_another_clock_tells_nothing_old() -> None:
 
 
 def test_the_rate_is_the_same_however_few_samples_come_at_once() -> None:
-    """It is a slope over ten samples, most of which came in earlier pieces."""
+    """The rate is a slope over ten samples, most of which came in earlier pieces."""
     whole, piecewise = Feed(), Feed()
     whole.add_samples(samples(*range(30)))
     for k in range(0, 30, 3):
@@ -127,7 +123,7 @@ def test_the_rate_is_the_same_however_few_samples_come_at_once() -> None:
 
 
 def test_news_are_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The listener's thread adds nothing while they are taken: a row between would be lost."""
+    """Otherwise a row that the listener adds in between would be lost."""
     feed = Feed()
     feed.add_samples(samples(0))
     held: list[bool] = []
@@ -145,7 +141,7 @@ def test_news_are_of_one_instant(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class _Watched(deque[Any]):
-    """Rows that tell when they are read."""
+    """Rows that count how often they are read."""
 
     def __init__(self, rows: deque[Any], is_read: Any) -> None:
         super().__init__(rows)
@@ -157,7 +153,7 @@ class _Watched(deque[Any]):
 
 
 def test_what_is_exactly_at_an_edge_is_not_later() -> None:
-    """A bar's title says "at most": 50 µs is in the first, what is beyond all in the last."""
+    """50 µs belongs to the first bar, because the title of a bar is "at most"."""
     feed = Feed()
     edges = [late(k, edge) for k, edge in enumerate(LATE_US)]
     feed.add_samples([*edges, late(len(LATE_US), LATE_US[-1] + 1)])
@@ -166,7 +162,6 @@ def test_what_is_exactly_at_an_edge_is_not_later() -> None:
 
 
 def test_the_past_is_fine_up_to_its_edge_and_coarse_before_it() -> None:
-    """Rows exactly at an edge of the five minutes and of the fine part are in it."""
     feed = Feed()
     # A second has 100 rows; one row a second is enough to see the edges.
     step, n = 100, round(HISTORY_S) + 3
@@ -182,7 +177,7 @@ def test_the_past_is_fine_up_to_its_edge_and_coarse_before_it() -> None:
 
 
 def test_the_coarse_past_begins_where_the_fine_part_ends() -> None:
-    """Five rows of 10 ms are one, up to half a minute before the newest."""
+    """Five rows of 10 ms become one if they are 30 s older than the newest."""
     feed = Feed()
     feed.add_samples(samples(*range(3200)), live=False)
 
@@ -196,15 +191,14 @@ def test_the_coarse_past_begins_where_the_fine_part_ends() -> None:
 
 @pytest.mark.parametrize(("age_s", "is_stale"), [(0.3, False), (0.301, True), (np.inf, True)])
 def test_data_are_stale_beyond_the_limit(age_s: float, is_stale: bool) -> None:
-    """Not at it; before the first sample there is no age."""
     facts = live_facts(replace(Feed().news(), age_s=age_s), None)
 
     assert facts["is_stale"] is is_stale
     assert facts["age_s"] == (None if age_s == np.inf else age_s)
 
 
-def test_a_clock_that_begins_anew_empties_the_past() -> None:
-    """A machine that was restarted counts from 0; a sample a little late is no new clock."""
+def test_a_clock_that_begins_again_empties_the_past() -> None:
+    """A restarted machine counts from 0; a sample that is a little late is no new clock."""
     feed = Feed()
     feed.add_samples(samples(500, 501))
     feed.add_samples(samples(450))
@@ -217,7 +211,6 @@ def test_a_clock_that_begins_anew_empties_the_past() -> None:
 
 
 def test_at_another_sampling_time_the_model_starts_again() -> None:
-    """Its lines are those of a model that saw only the samples since then."""
     changed, fresh = Feed(), Feed()
     rng = np.random.default_rng(1)
     u, theta_1 = rng.choice([1.0, 4.0], 300), np.cumsum(rng.uniform(0.0, 0.1, 300))
@@ -264,7 +257,7 @@ def _status(Ts: float) -> StatusReport:
 def test_the_histogram_is_of_the_last_minute_and_of_what_came_live(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of 62 seconds with a sample each 60 count; of the past, which came at once, nothing."""
+    """62 s with one sample each: 60 samples count."""
     clock = iter(range(1000, 1062))
     monkeypatch.setattr(feed_module.time, "monotonic", lambda: next(clock) + 0.5)
     feed = Feed()
@@ -278,7 +271,6 @@ def test_the_histogram_is_of_the_last_minute_and_of_what_came_live(
 
 
 def test_the_past_teaches_a_live_model_nothing() -> None:
-    """It knows what came since somebody wanted it, and forgets that where nobody does."""
     feed, rng = Feed(), np.random.default_rng(3)
     rows = [
         sample(k, u_applied_v=rng.choice([1.0, 4.0]), theta_1_rad=0.02 * k + rng.uniform(0, 0.1))
@@ -302,7 +294,6 @@ def test_the_past_teaches_a_live_model_nothing() -> None:
 
 
 def test_start_end_and_trip_are_marked() -> None:
-    """At the times of their states; the first state heard and one that is repeated mark nothing."""
     feed = Feed()
     phases = [
         "active",
@@ -326,7 +317,6 @@ def test_start_end_and_trip_are_marked() -> None:
 
 
 def test_states_that_come_twice_are_marked_once() -> None:
-    """The past brings what was heard live; a repeated state is no change back."""
     feed = Feed()
     phases = ("safe", "armed", "active", "safe", "armed", "active")
     states = [state(k, phase) for k, phase in enumerate(phases)]
@@ -338,7 +328,7 @@ def test_states_that_come_twice_are_marked_once() -> None:
 
 
 def test_marks_of_another_clock_are_forgotten() -> None:
-    """They would stand in the future; those of the new clock, which come first, are kept."""
+    """Marks of the old clock would lie in the future."""
     feed = Feed()
     feed.add_samples(samples(100_000))
     feed.add_states([state(900, "safe"), state(901, "active")])
@@ -353,7 +343,6 @@ def test_marks_of_another_clock_are_forgotten() -> None:
 
 
 def test_a_note_is_marked_once_and_pushes_out_no_start() -> None:
-    """The past brings it once more when a daemon is found again; other lines mark nothing."""
     feed = Feed()
     notes = [note(k, "note") for k in range(500)]
 

@@ -1,4 +1,4 @@
-"""What opens a dashboard."""
+"""Passes of a dashboard."""
 
 from __future__ import annotations
 
@@ -13,14 +13,12 @@ from starlette.types import Message, Receive, Scope, Send
 
 
 def test_a_pass_opens_once() -> None:
-    """And a wrong one takes nothing from it."""
     once = Pass("right", until_s=time.monotonic() + 60)
 
     assert [once.opens(code) for code in (b"wrong", b"right", b"right")] == [False, True, False]
 
 
 def test_a_pass_ends() -> None:
-    """A browser that never came leaves no door open."""
     assert not Pass("right", until_s=time.monotonic() - 1).opens(b"right")
 
 
@@ -31,7 +29,7 @@ TOKEN = (b"authorization", b"Bearer right")
 def _asked(
     method: str, path: str, headers: list[tuple[bytes, bytes]], pieces: Sequence[bytes | None] = ()
 ) -> tuple[int, str]:
-    """Return the status and body of an answer; the application gives back what it was sent."""
+    """Return the status and body of an answer; the application returns its request."""
     came: list[Message] = [
         {"type": "http.disconnect"}
         if piece is None
@@ -85,7 +83,7 @@ def _asked(
         ("POST", "/api/run", [HOST, TOKEN, (b"content-length", b"10")], 200, ""),
     ],
 )
-def test_who_may_ask_is_let_in_and_others_are_told_why(
+def test_permitted_requests_are_admitted_and_others_get_the_reason(
     method: str,
     path: str,
     headers: list[tuple[bytes, bytes]],
@@ -93,7 +91,6 @@ def test_who_may_ask_is_let_in_and_others_are_told_why(
     why: str,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """By Host, Origin, method and token; each answer has the headers for the browser."""
     monkeypatch.setattr(guard, "MOST_BODY", 10)
 
     found, body = _asked(method, path, headers)
@@ -107,13 +104,12 @@ def test_who_may_ask_is_let_in_and_others_are_told_why(
     [
         ((b"abc", b"", b"defghij"), 200, "abcdefghij"),
         ((b"abcdef", b"ghijk"), 413, "at most 10 B"),
-        ((b"abc", None), 400, "the body is not whole"),
+        ((b"abc", None), 400, "the body is incomplete"),
     ],
 )
 def test_a_body_comes_in_pieces_and_is_bounded_as_a_whole(
     pieces: tuple[bytes | None, ...], status: int, body: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The application gets it in one."""
     monkeypatch.setattr(guard, "MOST_BODY", 10)
 
     found, answered = _asked("POST", "/api/run", [HOST, TOKEN], pieces)

@@ -1,4 +1,4 @@
-"""The layouts for Foxglove and PlotJuggler name what is in a recording, in every letter."""
+"""The layouts for Foxglove and PlotJuggler name the content of a recording exactly."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from armrig.recordings.loading import load
 from armrig_core.commands import Run
 from armrig_daemon.config import Config
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
-from layouts import Kinds, foxglove_paths, kinds_in_file, plotjuggler_curves, snippets
-from tools import require
+
+from tests.layouts import Kinds, foxglove_paths, kinds_in_file, plotjuggler_curves, snippets
+from tests.tools import require
 
 RATE = "rate of θ₁"
 
@@ -35,7 +36,6 @@ def there(recorded: Path) -> Kinds:
 def test_foxglove_s_layout_names_what_is_in_a_recording_and_its_transforms(
     recorded: Path, there: Kinds
 ) -> None:
-    """Numbers are plotted, texts are states, and the 3D panel has its frames."""
     pytest.importorskip("foxglove", reason="no foxglove-sdk")
     frames = recorded.with_name("frames.mcap")
     write_transforms(load(recorded), frames)
@@ -47,7 +47,6 @@ def test_foxglove_s_layout_names_what_is_in_a_recording_and_its_transforms(
 
 
 def test_plotjuggler_s_layout_names_what_is_in_a_recording(there: Kinds) -> None:
-    """A curve is a number of a recording, or what a function makes of a field."""
     curves, sources = plotjuggler_curves()
     named = {path.replace(".", "/"): kind for path, kind in there.items()}
 
@@ -57,7 +56,6 @@ def test_plotjuggler_s_layout_names_what_is_in_a_recording(there: Kinds) -> None
 
 
 def test_plotjuggler_s_rate_passes_the_wrap_and_averages_the_steps() -> None:
-    """9 rad/s at 1 kHz through three turns, each reading rounded to a step of 10 bit."""
     require("lua5.4")
     t, step = 1e9 + np.arange(2000) * 1e-3, 2 * pi / 1024
     theta_1 = np.round(((9.0 * (t - t[0])) % (2 * pi)) / step) * step

@@ -31,7 +31,6 @@ def _poles() -> list[complex]:
 
 
 def test_it_finds_the_swing_of_the_arm() -> None:
-    """Frequency and time constant of the handout's arm, across the turns of the chassis."""
     model = LiveModel(TS)
     model.take(_samples(1500))
     said = " ".join(model.lines())
@@ -47,7 +46,6 @@ def test_it_finds_the_swing_of_the_arm() -> None:
 
 
 def test_a_missing_sample_spoils_nothing() -> None:
-    """The model is that of the samples that there are."""
     whole, some = LiveModel(TS), LiveModel(TS)
     samples = _samples(1500)
     whole.take(samples)
@@ -58,7 +56,6 @@ def test_a_missing_sample_spoils_nothing() -> None:
 
 
 def test_at_rest_it_says_that_it_knows_nothing() -> None:
-    """And what to do."""
     model = LiveModel(TS)
     assert "play an input" in model.lines()[0]
     rest = np.zeros((200, 5))

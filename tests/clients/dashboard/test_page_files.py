@@ -1,4 +1,4 @@
-"""The page is files of the package, with nothing that its own policy forbids."""
+"""The page consists of files of the package, and obeys its own policy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ OWN = [path for path in PAGE.iterdir() if path.suffix in (".js", ".html", ".css"
 
 
 def test_every_file_is_served_and_there() -> None:
-    """No file is forgotten, and none is named that there is not."""
     there = {str(p.relative_to(PAGE)) for p in PAGE.rglob("*") if p.is_file()}
 
     assert {file.name for file in PAGE_FILES.values()} == there
@@ -21,7 +20,6 @@ def test_every_file_is_served_and_there() -> None:
 
 
 def test_text_of_others_is_never_markup() -> None:
-    """No way from a string to elements, no script from a string, no handler in an attribute."""
     forbidden = r"innerHTML|outerHTML|insertAdjacentHTML|document\.write|\beval\(|new Function"
     for path in OWN:
         assert not re.search(forbidden, path.read_text()), path.name
@@ -30,7 +28,6 @@ def test_text_of_others_is_never_markup() -> None:
 
 
 def test_nothing_is_fetched_from_elsewhere() -> None:
-    """The page works without a network."""
     for path in OWN:
         assert not re.search(r"https?://(?!www\.w3\.org)", path.read_text()), path.name
 
@@ -47,7 +44,7 @@ def _contrast(a: str, b: str) -> float:
 
 
 def test_all_text_has_a_contrast_of_four_and_a_half() -> None:
-    """In both themes, each colour of text on each ground that it stands on (WCAG 2.1, AA)."""
+    """WCAG 2.1, AA, in both themes."""
     css = (PAGE / "dashboard.css").read_text()
     pairs = [(ink, ground) for ink in ("ink", "soft") for ground in ("ground", "card")]
     pairs += [(name, f"{name}-ground") for name in ("bad", "warn", "good")]
@@ -63,7 +60,6 @@ def test_all_text_has_a_contrast_of_four_and_a_half() -> None:
 
 
 def test_the_page_s_own_modules_stay_small() -> None:
-    """One subject each, as in Python."""
     lines = {path.name: len(path.read_text().splitlines()) for path in PAGE.glob("*.js")}
 
     assert {name for name, n in lines.items() if n > 200} == set()

@@ -11,7 +11,8 @@ from typing import Any
 import armrig.dashboard
 import pytest
 from armrig.dashboard.feed import LATE_US
-from said import compare
+
+from tests.clients.said import compare
 
 NODE = shutil.which("node")
 pytestmark = pytest.mark.skipif(NODE is None, reason="no node")
@@ -57,7 +58,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _run(page: Path, script: str) -> Any:
-    """Return what a script leaves in `told`."""
+    """Return the value that a script leaves in `told`."""
     (page / "test.js").write_text(f"{_PAGE}\n{script}\nconsole.log(JSON.stringify(told));")
     command = [str(NODE), str(page / "test.js")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -65,8 +66,7 @@ def _run(page: Path, script: str) -> Any:
     return json.loads(done.stdout)
 
 
-def test_the_timing_is_told_under_its_names(page: Path) -> None:
-    """Each percentile in its place, what is missing apart from what was not heard."""
+def test_the_timing_is_shown_under_its_names(page: Path) -> None:
     timing = {
         "late": [5, *[0] * (len(LATE_US) - 1), 7],
         "missing": 3,
@@ -106,7 +106,6 @@ def test_the_timing_is_told_under_its_names(page: Path) -> None:
 
 
 def test_data_that_waited_in_a_slow_network_are_older(page: Path) -> None:
-    """By how much later than the quickest message theirs came; another server has another clock."""
     told = _run(
         page,
         "const ages = [];"
@@ -121,7 +120,7 @@ def test_data_that_waited_in_a_slow_network_are_older(page: Path) -> None:
 
 
 def test_the_age_goes_on_while_nothing_comes(page: Path) -> None:
-    """The age at the last message plus the time since; before the first there is none."""
+    """The age is that of the last message plus the time since then."""
     told = _run(
         page,
         "globalThis.at = 1000; status.showLost(900, 'gone'); told.none = text('stale-what');"
@@ -147,7 +146,6 @@ def test_the_age_goes_on_while_nothing_comes(page: Path) -> None:
 
 
 def test_each_row_of_the_status_is_shown_in_one_of_two_lists(page: Path) -> None:
-    """The first list has what is looked at most, the second one all others."""
     rows = [["sampled", "at 100 Hz"], ["motor", "at 0 V"], ["firmware", "0"]]
     told = _run(
         page,
@@ -160,7 +158,6 @@ def test_each_row_of_the_status_is_shown_in_one_of_two_lists(page: Path) -> None
 
 
 def test_a_button_is_offered_where_the_rig_can_take_it(page: Path) -> None:
-    """Run where it is safe or armed, arm where it is safe, release where it is armed."""
     told = _run(
         page,
         "const offered = () => ['run', 'arm', 'release'].filter((id) => !disabled(id)).join(' ');"
@@ -184,8 +181,7 @@ def test_a_button_is_offered_where_the_rig_can_take_it(page: Path) -> None:
     }
 
 
-def test_a_run_is_told_as_it_goes_and_as_it_ended(page: Path) -> None:
-    """Done of all; then the recording, or why there is none."""
+def test_a_run_is_shown_with_its_progress_and_its_end(page: Path) -> None:
     going = {"is_going": True, "experiment": "step", "done": 30, "total": 120, "told": "t"}
     ended = {"is_going": False, "experiment": "step", "done": 120, "total": 120, "verdict": "v"}
     told = _run(
@@ -201,12 +197,11 @@ def test_a_run_is_told_as_it_goes_and_as_it_ended(page: Path) -> None:
     assert told == {
         "going": ["step: 30 of 120 samples", "t", 0.25, False, True],
         "ended": ["step is recorded: a.mcap", "v", 1, True, False],
-        "stopped": ["step did not end well: stopped", "v", 1, True, True],
+        "stopped": ["step failed: stopped", "v", 1, True, True],
     }
 
 
 def test_another_recording_is_shown_in_its_whole_length(page: Path) -> None:
-    """A zoom is of the recording that it was made in."""
     curves = {name: [[], [], []] for name in ("u", "theta_1", "alpha")}
     found = {"seconds": 10, "summary": "", "usable": True, "about": [], "findings": [], "gaps": []}
     found |= {"notes": []}
@@ -236,7 +231,6 @@ def test_another_recording_is_shown_in_its_whole_length(page: Path) -> None:
 
 
 def test_what_the_page_shows_is_what_it_showed(page: Path) -> None:
-    """From its opening to the end of its server: each line of the story, and what it changes."""
     file = Path(__file__).with_name("page_story.txt")
     stored = file.read_text(encoding="utf-8")
     script = "".join(f"{x}\n" for x in stored.splitlines() if x.startswith(("> ", "#")))

@@ -1,4 +1,4 @@
-"""The page's stream comes back by itself, over a network that is slow too; in node."""
+"""The page's stream reconnects by itself, also over a slow network; in node."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from pathlib import Path
 
 import armrig.dashboard
 import pytest
-from tools import needs
+
+from tests.tools import needs
 
 NODE = shutil.which("node")
 pytestmark = needs("node")
@@ -29,7 +30,7 @@ new Stream({ hello: (n) => { console.log(n); if (n > 1) process.exit(); } }, () 
 
 
 class _Fading(BaseHTTPRequestHandler):
-    """Tells how often it was asked; the first time it then falls silent."""
+    """Counts its requests; after the first one it falls silent."""
 
     asked = 0
     ends = threading.Event()
@@ -38,7 +39,7 @@ class _Fading(BaseHTTPRequestHandler):
         _Fading.asked += 1
         if _Fading.asked > 1:
             self.ends.wait(SLOW_S)
-        with suppress(ConnectionError):  # who asks has given up
+        with suppress(ConnectionError):  # the client has given up
             self.send_response(200)
             self.end_headers()
             self.wfile.write(f"event: hello\ndata: {json.dumps(_Fading.asked)}\n\n".encode())
@@ -64,7 +65,6 @@ def address() -> Iterator[str]:
 
 @pytest.mark.exhaustive
 def test_a_slow_answer_is_waited_for(address: str, tmp_path: Path) -> None:
-    """A stream that is silent is opened anew, and each attempt has time to be answered."""
     (tmp_path / "package.json").write_text('{"type": "module"}')  # as a browser takes them
     for name in ("stream.js", "elements.js"):
         shutil.copy(PAGE / name, tmp_path)

@@ -1,4 +1,4 @@
-"""What the page keeps of the rows that it is sent, and what it draws of them; in node."""
+"""Rows that the page keeps, and their drawing; in node."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from typing import Any
 
 import armrig.dashboard
 import pytest
-from tools import needs
+
+from tests.tools import needs
 
 NODE = shutil.which("node")
 pytestmark = needs("node")
@@ -20,7 +21,7 @@ THETA_1 = 1  # its place among the signals
 
 
 def _run(script: str) -> Any:
-    """Return what a script says as JSON, which has the module as `rows`."""
+    """Return the JSON output of a script, which has the module as `rows`."""
     source = base64.b64encode(ROWS.read_bytes()).decode()
     program = f'const rows = await import("data:text/javascript;base64,{source}");\n{script}'
     command = [str(NODE), "--input-type=module", "-e", program]
@@ -42,7 +43,6 @@ def _drawn(theta_1: list[float | None], *, pixels: int, wraps: bool = True) -> A
 @pytest.mark.parametrize("turn", [1, -1])
 @pytest.mark.parametrize("pixels", [50, 400])
 def test_a_wrap_breaks_the_line(dead_band: int, turn: int, pixels: int) -> None:
-    """No point holds both ends of the range, and between them the pen is up."""
     turned = [float((350 + turn * 3 * k) % 360) for k in range(-60, 60)]
     at = next(k for k in range(1, 120) if abs(turned[k] - turned[k - 1]) > 180)
     angles: list[float | None] = [*turned]
@@ -83,7 +83,6 @@ def _times(times: list[float]) -> str:
 @pytest.mark.parametrize("Ts", [0.01, 0.3, 0.5, 1.0])
 @pytest.mark.parametrize("span", [5, 30, 300])
 def test_samples_at_any_sampling_time_are_a_line(Ts: float, span: int) -> None:
-    """Up to the longest that the daemon takes; where one second more is missing it breaks."""
     times = [k * Ts for k in range(20)] + [k * Ts + 20 * Ts + 1.0 for k in range(20)]
     view = {"from": 0, "to": span, "pixels": 700 * span, "zero": 0, "wraps": True}
     _, low, _ = _run(
@@ -95,7 +94,6 @@ def test_samples_at_any_sampling_time_are_a_line(Ts: float, span: int) -> None:
 
 
 def test_the_cursor_has_a_value_where_there_is_one() -> None:
-    """Not before the first row, nor where rows are missing; the last one holds."""
     times = [1.0 + k / 100 for k in range(100)] + [5.0 + k / 100 for k in range(100)]
     asked = [0.5, 1.0, 1.555, 3.0, 5.0, 7.0]
     held = _run(
@@ -105,8 +103,7 @@ def test_the_cursor_has_a_value_where_there_is_one() -> None:
     assert held == [None, 0, 55, None, 100, 199]
 
 
-def test_a_row_that_is_there_is_passed_over_and_an_older_clock_begins_anew() -> None:
-    """What is sent again after a break adds nothing; a machine that was started anew does."""
+def test_a_row_that_is_there_is_discarded_and_an_older_clock_begins_again() -> None:
     lengths = _run(
         "const kept = new rows.Rows(); const row = (t) => [t, 0, 0, 0, 0, 0, 0, 0, 0];"
         "kept.add([1000, 1001, 1002].map(row)); const a = kept.length;"
@@ -118,7 +115,7 @@ def test_a_row_that_is_there_is_passed_over_and_an_older_clock_begins_anew() -> 
 
 
 def test_five_minutes_are_kept_and_no_more() -> None:
-    """At any rate of rows: the page's memory has a bound."""
+    """The memory of the page is bounded at any rate of rows."""
     spans = _run(
         "const kept = new rows.Rows();"
         "for (let t = 0; t < 1000; t += 0.5) kept.add([[t, 0, 0, 0, 0, 0, 0, 0, 0]]);"
@@ -133,7 +130,6 @@ def test_five_minutes_are_kept_and_no_more() -> None:
 
 
 def test_rows_exactly_at_an_edge() -> None:
-    """Each is found, drawn at both ends of a view, kept for five minutes, and taken once."""
     found = _run(
         "const row = (t) => [t, 0, 0, t, t, 0, 0, 0, 0]; const made = (...times) => {"
         "const kept = new rows.Rows(); kept.add(times.map(row)); return kept; };"
@@ -157,7 +153,6 @@ def test_rows_exactly_at_an_edge() -> None:
 
 
 def test_each_signal_is_drawn_from_its_own_columns() -> None:
-    """U, θ₁, its rate and α, least and largest; the row at a pixel's edge is the next pixel's."""
     sent = [[k / 64, *(10 * s + side + k for s in range(4) for side in (1, 2))] for k in range(7)]
     view = {"from": 0, "to": 5, "pixels": 64, "zero": 0, "wraps": False}
     drawn = _run(
@@ -172,7 +167,6 @@ def test_each_signal_is_drawn_from_its_own_columns() -> None:
 
 
 def test_a_pixel_has_its_extremes_at_their_own_times() -> None:
-    """The first, the least, the largest and the last row of a pixel, in their order."""
     x, low, _ = _drawn([5.0, 6.0, 9.0, 8.0, None, 2.0, 3.0, 4.0] + [4.0] * 392, pixels=50)
 
     assert x[:4] == [0.0, 0.02, 0.05, 0.07]
@@ -181,7 +175,7 @@ def test_a_pixel_has_its_extremes_at_their_own_times() -> None:
 
 @pytest.mark.parametrize("step", [3.0, 110.0, -110.0])
 def test_a_wrap_hides_no_sample(step: float) -> None:
-    """Where a pixel has at most four samples, each of them is drawn."""
+    """Each sample is drawn if a pixel has at most four."""
     angles = [(350 + step * k) % 360 for k in range(100)]
     x, low, _ = _drawn([*angles], pixels=50)
 
@@ -190,7 +184,6 @@ def test_a_wrap_hides_no_sample(step: float) -> None:
 
 
 def test_what_comes_before_the_past_is_drawn_after_it() -> None:
-    """The page is sent what is new while its past is still being made; each row is kept once."""
     rows = [[t / 10, 0, 0, t, t, 0, 0, 0, 0] for t in range(6)]
     times = _run(
         f"const sent = {json.dumps(rows)}; const kept = new rows.Rows();"

@@ -12,7 +12,7 @@ from armrig.dashboard.serving import HOST, Settings, _listening, dashboard
 
 
 def test_two_dashboards_that_start_at_once_have_a_port_each() -> None:
-    """The first has its port from the moment that it is bound, and not only once it serves."""
+    """The first dashboard holds its port from the bind on, before it serves."""
     with closing(_listening(HOST, 0, None)) as free:
         port = free.getsockname()[1]
     with (
@@ -23,10 +23,10 @@ def test_two_dashboards_that_start_at_once_have_a_port_each() -> None:
         assert second.getsockname()[1] != port
 
 
-def test_who_breaks_off_writes_nothing_on_the_terminal(
+def test_a_broken_connection_writes_nothing_on_the_terminal(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The loop warns of each connection that is gone while it is written to."""
+    """The event loop warns of each connection that is lost during a write."""
     with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")):
         logging.getLogger("asyncio").warning("socket.send() raised exception.")
 
@@ -34,7 +34,6 @@ def test_who_breaks_off_writes_nothing_on_the_terminal(
 
 
 def test_a_dashboard_that_has_ended_listens_to_no_rig(tmp_path: Path) -> None:
-    """Its threads end with it; a session that lives on would be asked for ever."""
     before = {*threading.enumerate()}
 
     with dashboard(Settings(connect=f"unixsock-stream/{tmp_path}/none.sock")):

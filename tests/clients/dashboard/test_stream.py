@@ -1,4 +1,4 @@
-"""Whoever connects is told how all is now, and each change from there on."""
+"""A new viewer receives the present state, and each change afterwards."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from armrig.dashboard.driver import Driver, RunState
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.stream import History, Stream, encoded, event
 from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, Viewers
-from made_recordings import sample
+
+from tests.clients.made_recordings import sample
 
 BEFORE = RunState(experiment="step", error="refused")
 GOING = RunState(experiment="step", is_going=True)
@@ -30,9 +31,7 @@ async def _until(name: str, messages: AsyncIterator[bytes]) -> list[bytes]:
     return found
 
 
-def test_a_run_that_is_over_before_the_next_turn_is_told_as_over() -> None:
-    """It ends as the last one did, and who came in between has seen it go: he is told its end."""
-
+def test_a_run_that_is_over_before_the_next_turn_is_reported_as_over() -> None:
     async def heard() -> list[bytes]:
         driver = Driver(rig="1", connect=None)
         driver.run = BEFORE
@@ -52,9 +51,7 @@ def test_a_run_that_is_over_before_the_next_turn_is_told_as_over() -> None:
     assert asyncio.run(heard()) == [event("run", GOING), event("run", BEFORE)]
 
 
-def test_a_viewer_who_leaves_makes_room() -> None:
-    """Also before his past is made."""
-
+def test_a_viewer_that_leaves_makes_room() -> None:
     async def counts() -> list[int]:
         stream = Stream(Feed(), Driver(rig="1", connect=None), [], may_command=True)
         found = []
@@ -70,9 +67,7 @@ def test_a_viewer_who_leaves_makes_room() -> None:
     assert asyncio.run(counts()) == [1, 0, 1, 0]
 
 
-def test_who_connects_is_told_the_whole_past_and_each_state_once() -> None:
-    """The past in pieces, each row once and in order; what does not change is not told again."""
-
+def test_a_new_viewer_gets_the_whole_past_and_each_state_once() -> None:
     async def heard() -> tuple[list[bytes], list[bytes]]:
         feed = Feed()
         feed.add_samples([sample(k) for k in range(1203)], live=False)
@@ -97,8 +92,6 @@ def test_who_connects_is_told_the_whole_past_and_each_state_once() -> None:
 
 
 def test_the_viewers_of_all_doors_are_counted() -> None:
-    """The owner is told of visitors, whose stream is another one."""
-
     async def counted() -> list[int]:
         driver, audience = Driver(rig="1", connect=None), list[Viewers]()
         streams = [Stream(Feed(), driver, audience, may_command=c) for c in (True, False)]
@@ -111,9 +104,7 @@ def test_the_viewers_of_all_doors_are_counted() -> None:
     assert asyncio.run(counted()) == [1, 2, 3, 4]
 
 
-def test_visitors_keep_nobody_out_who_drives() -> None:
-    """A lecture hall full of phones: whoever may command still gets in."""
-
+def test_visitors_keep_no_operator_out() -> None:
     async def tried() -> None:
         driver, audience = Driver(rig="1", connect=None), list[Viewers]()
         visitors = Stream(Feed(), driver, audience, may_command=False)
@@ -128,8 +119,8 @@ def test_visitors_keep_nobody_out_who_drives() -> None:
     asyncio.run(tried())
 
 
-def test_the_past_is_made_once_for_all_who_wait() -> None:
-    """A hundred viewers cost one encoding; one who comes while it is made gets the next."""
+def test_the_past_is_made_once_for_all_waiting_viewers() -> None:
+    """A hundred viewers cost one encoding."""
     made: list[int] = []
 
     def rows() -> Rows:
@@ -149,9 +140,7 @@ def test_the_past_is_made_once_for_all_who_wait() -> None:
     assert found[-1] == encoded(np.full((1, COLUMNS), 2.0))
 
 
-def test_who_leaves_takes_the_past_from_nobody() -> None:
-    """The one who asked first goes while it is made."""
-
+def test_a_viewer_that_leaves_takes_the_past_from_nobody() -> None:
     async def heard() -> list[bytes]:
         history = History(lambda: np.zeros((0, COLUMNS)))
         gone, stays = (asyncio.create_task(history.messages()) for _ in range(2))
@@ -163,7 +152,6 @@ def test_who_leaves_takes_the_past_from_nobody() -> None:
 
 
 def test_a_long_past_is_in_pieces() -> None:
-    """None of it is lost at the seams, and the last message says that it is whole."""
     rows = np.zeros((1001, COLUMNS))
     rows[:, 0] = np.arange(1001)
 

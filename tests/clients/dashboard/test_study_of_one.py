@@ -1,4 +1,4 @@
-"""What the page is told of one recording."""
+"""Description of one recording for the page."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from armrig.dashboard.study_of_one import csv, curves, facts
 from armrig.recordings.loading import load
-from made_recordings import note, recorded, sample, written
+
+from tests.clients.made_recordings import note, recorded, sample, written
 
 
 @pytest.mark.parametrize(("start", "k"), [(0.995, 100), (1.999, -1), (1e6, -1)])
 def test_a_part_without_a_sample_is_the_next_one_or_the_last(
     three_recordings: tuple[Path, Path, Path], start: float, k: int
 ) -> None:
-    """A zoom between two samples, or behind the last, which is a sampling time before the end."""
     path = three_recordings[0]
     recording = load(path)
     shown = curves(path, start, start + 0.001)
@@ -26,7 +26,6 @@ def test_a_part_without_a_sample_is_the_next_one_or_the_last(
 
 
 def test_a_part_as_csv_has_the_page_s_quantities(three_recordings: tuple[Path, Path, Path]) -> None:
-    """Degrees whose turns are counted since the recording began, and units in the header."""
     path = three_recordings[0]
     recording = load(path)
     header, *rows = csv(path, 1.0, 1.5).decode().splitlines()
@@ -40,7 +39,7 @@ def test_a_part_as_csv_has_the_page_s_quantities(three_recordings: tuple[Path, P
 
 
 def test_an_infinite_voltage_is_not_drawn(tmp_path: Path) -> None:
-    """Half of a pair would be null in JSON, and the page reads both."""
+    """One value of the pair would be null in JSON, and the page needs both."""
     samples = [sample(k, u_applied_v=inf if k == 70 else 1.0) for k in range(5000)]
 
     _, least, largest = curves(written(tmp_path, recorded(samples)), None, None)["u"]
@@ -49,7 +48,6 @@ def test_an_infinite_voltage_is_not_drawn(tmp_path: Path) -> None:
 
 
 def test_the_notes_of_a_recording_are_listed(tmp_path: Path) -> None:
-    """A hundred of them at most: when, who and what; and how many more there are."""
     notes = [note(k % 20, f"<b>{k}") for k in range(150)]
     path = written(tmp_path, recorded([*(sample(k) for k in range(40)), *notes]))
 

@@ -9,8 +9,6 @@ from armrig.dashboard.viewers import MOST_VIEWERS, TooManyViewersError, Viewer, 
 
 
 def test_all_are_sent_the_same() -> None:
-    """In the same order."""
-
     async def heard() -> list[list[bytes]]:
         viewers = Viewers()
         two = [Viewer(lambda: None), Viewer(lambda: None)]
@@ -24,8 +22,7 @@ def test_all_are_sent_the_same() -> None:
     assert asyncio.run(heard()) == [[b"a", b"b"]] * 2
 
 
-def test_who_does_not_read_is_dropped_not_queued() -> None:
-    """His connection is ended once, he counts no more, and the other hears all."""
+def test_a_viewer_that_does_not_read_is_dropped_not_queued() -> None:
     dropped: list[str] = []
 
     async def told() -> tuple[int, int, int]:
@@ -47,13 +44,11 @@ def test_who_does_not_read_is_dropped_not_queued() -> None:
 
 
 def test_there_are_so_many_and_no_more() -> None:
-    """One more is refused; where one leaves there is room again."""
-
     async def tried() -> None:
         viewers = Viewers()
         for _ in range(MOST_VIEWERS):
             viewers.add(last := Viewer(lambda: None))
-        with pytest.raises(TooManyViewersError, match="close a page"):
+        with pytest.raises(TooManyViewersError, match="close one"):
             viewers.add(Viewer(lambda: None))
         viewers.remove(last)
         viewers.add(Viewer(lambda: None))
@@ -61,9 +56,7 @@ def test_there_are_so_many_and_no_more() -> None:
     asyncio.run(tried())
 
 
-def test_each_who_is_dropped_is_counted() -> None:
-    """And hears no more of what waits for him; the end of all is no drop."""
-
+def test_each_dropped_viewer_is_counted() -> None:
     async def told() -> tuple[int, list[bytes], bool]:
         viewers = Viewers()
         deaf = [Viewer(lambda: None) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""Functions of data take a recording, and say how orders are given."""
+"""Functions of data take a recording, and their messages show how to give orders."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from made_recordings import of_the_arm, written
+
+from tests.clients.made_recordings import of_the_arm, written
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,6 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def test_estimators_and_tests_take_a_recording_for_its_dataset(recording: Any) -> None:
-    """The same numbers as of recording.dataset()."""
     data = recording.dataset()
     fit = armrig.arx(recording, na=4, nb=4)
 
@@ -32,7 +32,6 @@ def test_estimators_and_tests_take_a_recording_for_its_dataset(recording: Any) -
 
 
 def test_orders_by_position_are_answered_with_their_names(recording: Any) -> None:
-    """As one would write them after MATLAB's."""
     call: Any = armrig.arx
     with pytest.raises(TypeError, match=r"by name: arx\(data, na=4, nb=4, nk=1\)"):
         call(recording, [4, 4, 1])
@@ -41,14 +40,12 @@ def test_orders_by_position_are_answered_with_their_names(recording: Any) -> Non
 
 
 def test_what_is_no_data_is_answered_with_what_is() -> None:
-    """An array, for instance."""
     call: Any = armrig.oe
     with pytest.raises(TypeError, match=r"data is a ndarray: give a Dataset.*armrig\.load"):
         call(np.zeros(100), nb=1, nf=1)
 
 
 def test_poles_print_as_a_table_with_deviations(recording: Any) -> None:
-    """A line a root, under a heading."""
     lines = repr(armrig.arx(recording, na=4, nb=4).poles()).splitlines()
 
     assert len(lines) == 5

@@ -1,4 +1,4 @@
-"""Filters treat u and y alike, and know what a gap does to them."""
+"""Filters treat u and y alike, and account for gaps."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def noise_free(N: int, seed: int = 1) -> Dataset:
         {"numerator": [0.5], "denominator": [1.0, -0.5]},
     ],
 )
-def test_the_model_behind_filtered_data_is_the_same(kind: dict[str, object]) -> None:
-    """L y = G L u: from noise-free data the true parameters come back."""
+def test_the_model_of_filtered_data_is_the_same(kind: dict[str, object]) -> None:
+    """L y = G L u, so noise-free data return the true parameters."""
     treated = prefilter(noise_free(2000), **kind)  # type: ignore[arg-type]
 
     fit = oe(treated, nb=2, nf=2)
@@ -42,7 +42,7 @@ def test_the_model_behind_filtered_data_is_the_same(kind: dict[str, object]) -> 
 
 
 def test_a_low_pass_takes_what_is_above_its_band_and_leaves_what_is_below() -> None:
-    """A sine in the band passes with gain 1, one an octave above fourth order leaves 1/16 of."""
+    """A sine in the band passes with gain 1; a fourth order leaves 1/16 one octave above it."""
     t = 0.01 * np.arange(4000)
     data = Dataset(u=np.sin(2.0 * t), y=np.sin(40.0 * t), Ts=0.01)
 
@@ -56,7 +56,7 @@ def test_a_low_pass_takes_what_is_above_its_band_and_leaves_what_is_below() -> N
 @settings(max_examples=25)
 @given(st.integers(0, 399), st.integers(1, 20), st.floats(-1e3, 1e3))
 def test_a_missing_sample_never_reaches_a_valid_one(at: int, length: int, level: float) -> None:
-    """Whatever stood in the gap, and before the experiment, has been forgotten to 1e-4."""
+    """The content of a gap has decayed to 1e-4."""
     data = noise_free(400)
     data = data.replaced(y=data.y + level, step=None)
     valid = np.ones(400, dtype=np.bool_)
@@ -85,7 +85,6 @@ def test_a_short_numerator_forgets_exactly() -> None:
 
 
 def test_a_trend_cannot_be_put_back_on_filtered_data() -> None:
-    """And it is said why."""
     treated = prefilter(detrend(noise_free(300)), [1.0, 1.0])
 
     with pytest.raises(ValueError, match="filtered after it"):
@@ -99,19 +98,18 @@ def test_a_trend_cannot_be_put_back_on_filtered_data() -> None:
         ({"numerator": [1.0], "band": (0, 1)}, "give either numerator"),
         ({"numerator": [1.0], "denominator": [1.0, -1.0]}, "roots inside the unit circle"),
         ({"band": (5.0, 3.0)}, "inside 0 to 314.159 rad/s"),
-        ({"band": (0.0, 400.0)}, "not all of it"),
+        ({"band": (0.0, 400.0)}, "not the whole range"),
         ({"band": (0.0, 1.0)}, r"low-pass to 1 rad/s of order 4 remembers \d+ samples, and no"),
         ({"band": (0.0, 1e-3)}, "remembers more than"),
     ],
 )
 def test_a_filter_that_cannot_be_applied_is_refused(kind: dict[str, object], message: str) -> None:
-    """What came, and the way out."""
     with pytest.raises(ValueError, match=message):
         prefilter(noise_free(300), **kind)  # type: ignore[arg-type]
 
 
 def test_resampling_keeps_straight_lines_and_their_trend() -> None:
-    """The filter is symmetric with gain 1: the line stays, at the new instants."""
+    """The filter is symmetric with gain 1."""
     n = np.arange(500)
     taken = Trend(y_level=1.0, y_slope=20.0)
     data = Dataset(u=n % 7, y=2 + 0.3 * n, Ts=0.01, trends=[taken])
@@ -121,11 +119,11 @@ def test_resampling_keeps_straight_lines_and_their_trend() -> None:
     assert slow.Ts == 0.05
     assert slow.N == 84
     np.testing.assert_allclose(retrend(slow).y, 3 + 0.5 * (40 + 5 * np.arange(84)))
-    assert "resampled from 0.01 s to 0.05 s behind a low-pass filter of 81" in slow.history[-1]
+    assert "resampled from 0.01 s to 0.05 s after a low-pass filter of 81" in slow.history[-1]
 
 
 def test_nothing_above_the_new_nyquist_frequency_comes_back_as_an_alias() -> None:
-    """Below 60 % of it a sine passes within 1 %, above it 1/400 is left at most."""
+    """Below 60 % of it a sine passes within 1 %; above it at most 1/400 remains."""
     n, factor = np.arange(6000), 5
     nyquist = np.pi / factor
 
@@ -144,7 +142,6 @@ def test_nothing_above_the_new_nyquist_frequency_comes_back_as_an_alias() -> Non
 @settings(max_examples=25)
 @given(st.lists(st.integers(0, 599), max_size=3), st.integers(2, 6))
 def test_a_gap_stays_a_gap_at_the_slower_rate(holes: list[int], factor: int) -> None:
-    """A new sample is valid just where all that its filter weighs are, in each experiment."""
     valid = np.ones(600, dtype=np.bool_)
     valid[holes] = False
     data = Dataset(u=np.arange(600), y=np.arange(600), Ts=1.0, valid=valid, starts=(0, 350))
@@ -170,7 +167,6 @@ def test_a_gap_stays_a_gap_at_the_slower_rate(holes: list[int], factor: int) -> 
     ],
 )
 def test_a_rate_that_cannot_be_made_is_refused(Ts: float, message: str) -> None:
-    """It says which can."""
     with pytest.raises(ValueError, match=message):
         resample(noise_free(300), Ts)
 
@@ -185,17 +181,15 @@ def test_an_experiment_as_long_as_the_filter_is_resampled() -> None:
 
 
 def test_gaps_everywhere_are_refused_before_nothing_is_left() -> None:
-    """For the filter and for the slower rate."""
     data = noise_free(300).replaced(valid=np.arange(300) % 30 > 0, step=None)
 
-    with pytest.raises(ValueError, match="no stretch of y without a gap has 33 samples"):
+    with pytest.raises(ValueError, match="no stretch of y without a gap has the 33 samples"):
         resample(data, 0.02)
-    with pytest.raises(ValueError, match="no stretch of y without a gap is that long"):
+    with pytest.raises(ValueError, match="no stretch of y without a gap is as long"):
         prefilter(data, band=(0, 20.0))
 
 
 def test_the_same_rate_changes_nothing() -> None:
-    """Not even the history."""
     data = noise_free(300)
 
     assert resample(data, 0.01) is data

@@ -35,7 +35,7 @@ def spoilt(data: Dataset, where: list[int], size: float) -> Dataset:
 
 
 def marked(data: Dataset, treated: Dataset) -> list[int]:
-    """Return what is missing now and was not before."""
+    """Return the samples that the treatment has marked as missing."""
     return np.flatnonzero(data.valid & ~treated.valid).tolist()
 
 
@@ -43,10 +43,9 @@ def marked(data: Dataset, treated: Dataset) -> list[int]:
     ("noise", "seed"), [("of the output", 1), ("of the equation", 1), ("of the equation", 19)]
 )
 def test_wrong_samples_are_found_and_their_neighbours_are_not(noise: str, seed: int) -> None:
-    """Single ones, a pair and three in a row, far smaller than what y does by itself.
+    """Single samples, a pair and three in a row, with errors far smaller than the range of y.
 
-    Noise of the equation makes a residual of every sample that remembers the wrong one. With the
-    seed 19 a right sample is marked on the way, and let go when its neighbours explain it.
+    With the seed 19 the search also marks a right sample, and later removes the mark.
     """
     where = [200, 700, 701, 1203, 1204, 1205, 1500]
     data = spoilt(clean(seed, noise=noise), where, 12 * STD)
@@ -59,14 +58,14 @@ def test_wrong_samples_are_found_and_their_neighbours_are_not(noise: str, seed: 
 
 @pytest.mark.parametrize("size", [1.0, 1e2, 1e4, 1e6])
 def test_however_wrong_samples_are_the_others_are_kept(size: float) -> None:
-    """A model fitted to samples a million times too large would be theirs alone."""
+    """A model fitted to samples a million times too large would describe only these."""
     where = [101, 333, 334, 900, 1500]
 
     assert marked(clean(3), hampel(spoilt(clean(3), where, size))) == where
 
 
 def test_one_sample_far_off_costs_no_right_one() -> None:
-    """Six times the swing of y: the model was spoilt by it, and 100 right samples were marked."""
+    """A sample of six times the range of y spoilt the model, and 100 right samples were marked."""
     data = spoilt(clean(3), [700], 30.0)
 
     assert marked(data, hampel(data)) == [700]
@@ -81,7 +80,6 @@ def test_the_unit_of_y_decides_nothing() -> None:
 
 
 def test_a_rare_pulse_that_the_input_made_is_no_outlier() -> None:
-    """However far it is from its neighbours, and from the noise."""
     u = np.zeros(2000)
     u[[300, 900, 1400]] = 5.0
     y = filtered([0, 1.0, 0.5], [1.0], u) + 1e-4 * np.random.default_rng(1).standard_normal(2000)
@@ -91,7 +89,6 @@ def test_a_rare_pulse_that_the_input_made_is_no_outlier() -> None:
 
 
 def test_no_value_is_changed_and_none_is_put_in() -> None:
-    """The output is as it was where it is valid, NaN where it is not."""
     data = spoilt(clean(2), [400], 1.0)
 
     treated = hampel(data)
@@ -102,7 +99,6 @@ def test_no_value_is_changed_and_none_is_put_in() -> None:
 
 
 def test_the_history_says_what_was_marked_and_by_which_rule() -> None:
-    """For the report to print."""
     treated = hampel(spoilt(clean(3), [400, 900], 1.0), threshold=6.0, order=12)
 
     assert treated.history == (
@@ -113,7 +109,6 @@ def test_the_history_says_what_was_marked_and_by_which_rule() -> None:
 
 @pytest.mark.parametrize(("count", "end"), [(10, "1360, 1500)"), (11, "1360, 1500, …)")])
 def test_the_list_of_outliers_ends_in_an_ellipsis_only_if_it_is_cut(count: int, end: str) -> None:
-    """The history lists ten outliers."""
     data = spoilt(clean(3), list(range(240, 240 + 140 * count, 140)), 1.0)
 
     treated = hampel(data, threshold=6.0, order=12)
@@ -123,7 +118,7 @@ def test_the_list_of_outliers_ends_in_an_ellipsis_only_if_it_is_cut(count: int, 
 
 
 def test_clean_data_lose_a_sample_as_seldom_as_said() -> None:
-    """One record in twenty, within four standard deviations of 200."""
+    """One record in twenty has a marked sample, within four standard deviations of 200 runs."""
     records = [clean(seed, N=500) for seed in range(200)]
 
     alarms = sum(bool(marked(data, hampel(data))) for data in records)
@@ -144,7 +139,7 @@ def test_noise_that_is_no_arx_model_s_is_no_outlier_either(plant: Any) -> None:
 
 
 def test_the_angle_s_own_turns_are_no_outliers(plant: Any) -> None:
-    """theta_1 runs over many turns; a sample wrong by 60 mrad in it is found, past gaps too."""
+    """theta_1 runs over many turns; a sample that is wrong by 60 mrad is found."""
     data = plant.dataset(4)
     valid = np.arange(3000) % 150 >= 4
     where = [1010, 1900]
@@ -159,7 +154,7 @@ def test_the_angle_s_own_turns_are_no_outliers(plant: Any) -> None:
 
 @pytest.mark.parametrize("after", [0, 1, 7, 19])
 def test_a_wrong_sample_after_a_gap_is_found_as_any_other(after: int) -> None:
-    """The residuals of the 20 samples after a gap lack their past: what follows shows the error."""
+    """The 20 samples after a gap have no residuals; later residuals show the error."""
     valid = (np.arange(2000) < 700) | (np.arange(2000) >= 704)
     data = clean(3).replaced(valid=valid, step=None)
     where = [after, 704 + after]
@@ -170,7 +165,6 @@ def test_a_wrong_sample_after_a_gap_is_found_as_any_other(after: int) -> None:
 
 
 def test_experiments_are_searched_each_by_itself() -> None:
-    """The jump of the level between them is none of theirs."""
     first, second = clean(5), clean(6)
     high = second.replaced(y=second.y + 3.0, step=None)
 
@@ -188,14 +182,13 @@ def test_experiments_are_searched_each_by_itself() -> None:
     ],
 )
 def test_rounding_errors_are_no_outliers(y: NDArray[np.float64]) -> None:
-    """Without noise the robust standard deviation is nothing but rounding."""
+    """Without noise the robust standard deviation consists of rounding errors."""
     data = Dataset(u=telegraph(300, 0.02), y=y, Ts=0.01)
 
     assert marked(data, hampel(data)) == []
 
 
 def test_what_is_no_record_with_outliers_is_refused() -> None:
-    """Too few samples, too many gaps, or another process."""
     few = clean(0, N=40)
     gaps: Mask = np.arange(2000) % 12 > 1
     wild: Vector = np.random.default_rng(0).standard_cauchy(400)
@@ -204,14 +197,13 @@ def test_what_is_no_record_with_outliers_is_refused() -> None:
         hampel(few, order=20)
     with pytest.raises(ValueError, match="too many gaps"):
         hampel(clean(0).replaced(valid=gaps, step=None))
-    with pytest.raises(ValueError, match=r"another process, not outliers"):
+    with pytest.raises(ValueError, match=r"not outliers but another process"):
         hampel(Dataset(u=telegraph(400, 0.2), y=wild, Ts=1), threshold=2.0)
     with pytest.raises(ValueError, match="threshold=-1 must be > 0"):
         hampel(clean(0), threshold=-1)
 
 
 def test_very_few_samples_are_refused_by_their_number() -> None:
-    """Without an order that nobody gave."""
     data = Dataset(u=[1.0, 2.0], y=[1.0, 2.0], Ts=1.0)
 
     with pytest.raises(ValueError, match="2 samples are too few to find outliers with order=1"):
@@ -219,7 +211,7 @@ def test_very_few_samples_are_refused_by_their_number() -> None:
 
 
 def test_a_reading_that_rests_and_moves_by_steps_of_its_converter_has_no_gross_samples() -> None:
-    """Most samples are their neighbours' median; the others are a step of it off."""
+    """Most samples equal the median of their neighbours; the others differ by a converter step."""
     rng = np.random.default_rng(5)
     y = np.round(rng.normal(0.0, 0.4, 2000)) * 0.006
     y[700] = 50.0
@@ -228,7 +220,6 @@ def test_a_reading_that_rests_and_moves_by_steps_of_its_converter_has_no_gross_s
 
 
 def test_near_wrong_samples_are_let_go_one_by_one() -> None:
-    """Each time the least, in standard deviations of a fit without those let go before."""
     rng = np.random.default_rng(1)
     columns = rng.standard_normal((60, 12)) @ rng.standard_normal((12, 12))
     e = columns[:, :6] @ np.array([9.0, 0, 4, 7, 0, 0]) + rng.standard_normal(60)

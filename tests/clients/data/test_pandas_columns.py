@@ -24,7 +24,6 @@ U = [1.0, 2.0, 3.0, 4.0]
     ids=["NaN", "Int64", "Float64", "object", "another index"],
 )
 def test_a_column_is_taken_and_what_it_lacks_is_missing(y: Any) -> None:
-    """Whatever pandas writes for it."""
     data = Dataset(u=pd.Series(U), y=y, Ts=1)
 
     assert data.u.tolist() == U
@@ -33,7 +32,6 @@ def test_a_column_is_taken_and_what_it_lacks_is_missing(y: Any) -> None:
 
 
 def test_what_valid_leaves_out_is_missing_too() -> None:
-    """A column itself, which may lack values."""
     valid = pd.Series([True, True, False, None], dtype="boolean")
 
     data = Dataset(u=U, y=pd.Series([1.0, np.nan, 3.0, 4.0]), Ts=1, valid=valid)
@@ -42,7 +40,6 @@ def test_what_valid_leaves_out_is_missing_too() -> None:
 
 
 def test_the_data_do_not_follow_the_table() -> None:
-    """A copy: what is written into the table later changes nothing."""
     df = pd.DataFrame({"u": U, "y": U})
     data = Dataset(u=df["u"], y=df["y"], Ts=1)
 
@@ -66,6 +63,5 @@ def test_the_data_do_not_follow_the_table() -> None:
     ],
 )
 def test_what_is_no_column_of_numbers_is_refused(u: Any, said: str) -> None:
-    """With what to do."""
     with pytest.raises(ValueError, match=said):
         Dataset(u=u, y=U, Ts=1)

@@ -1,4 +1,4 @@
-"""Treatment of data: what it removes, what it must not."""
+"""Treatment of data: its removals and its limits."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ finite = st.floats(-1e3, 1e3).map(lambda x: x if abs(x) > 1e-20 else 0.0)  # as 
 def test_detrending_twice_changes_nothing(
     signals: NDArray[np.float64], valid: NDArray[np.bool_], order: int
 ) -> None:
-    """Also with holes, and in each experiment by itself."""
     data = Dataset(u=signals[0], y=signals[1], Ts=1.0, valid=valid, starts=(0, 12))
 
     with warnings.catch_warnings():
@@ -52,7 +51,6 @@ def test_each_experiment_loses_its_own_mean() -> None:
 
 
 def test_a_treatment_is_known_by_its_code_in_merged_data_too() -> None:
-    """A part that was treated by itself keeps the code in the sentence that names the part."""
     data = Dataset(u=np.arange(9.0), y=np.arange(9.0) ** 2, Ts=1)
 
     merged = merge([detrend(data), data])
@@ -74,7 +72,6 @@ def test_a_line_removed_from_the_angle_is_warned_of() -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_an_integrator_without_a_name_is_found_by_test(seed: int) -> None:
-    """The unit root shows in the data."""
     rng = np.random.default_rng(seed)
     u = telegraph(1000, 0.1, seed=rng)
     y = filtered([0, 0.1], [1, -1.5, 0.5], u) + 0.005 * rng.standard_normal(1000)
@@ -85,7 +82,6 @@ def test_an_integrator_without_a_name_is_found_by_test(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_drift_under_a_stable_output_may_be_removed(seed: int) -> None:
-    """No warning, though the level travels far."""
     rng = np.random.default_rng(seed)
     u = telegraph(1000, 0.1, seed=rng)
     y = filtered([0, 0.1], [1, -0.9], u) + 0.1 * rng.standard_normal(1000)
@@ -108,7 +104,6 @@ def test_real_data_with_a_stable_output_are_not_warned_of(
 
 
 def test_a_difference_is_missing_where_a_neighbour_is() -> None:
-    """And at the first sample of each experiment."""
     data = Dataset(
         u=np.zeros(7),
         y=[0, 1, 3, 6, 10, 0, 2],
@@ -126,7 +121,6 @@ def test_a_difference_is_missing_where_a_neighbour_is() -> None:
 
 
 def test_another_order_is_refused() -> None:
-    """The message says which there are."""
     with pytest.raises(ValueError, match="order=2 must be 0"):
         detrend(Dataset(u=[0], y=[0], Ts=1), order=2)
 
@@ -139,7 +133,6 @@ def test_another_order_is_refused() -> None:
 def test_what_was_taken_can_be_put_back(
     signals: NDArray[np.float64], valid: NDArray[np.bool_], orders: list[int]
 ) -> None:
-    """On the data, with holes, in two experiments, after several steps; gaps stay gaps."""
     data = Dataset(u=signals[0], y=signals[1], Ts=0.1, valid=valid, starts=(0, 12))
 
     treated = data
@@ -153,12 +146,11 @@ def test_what_was_taken_can_be_put_back(
     np.testing.assert_allclose(back.y, data.y, atol=1e-9)
     np.testing.assert_array_equal(back.valid, valid)
     assert back.trends == ()
-    assert back.history[-1] == "put the trend back on u and y"
+    assert back.history[-1] == "restored the trend of u and y"
 
 
 @given(st.integers(0, 28), st.integers(1, 29), st.integers(1, 5))
 def test_a_part_of_the_data_knows_its_own_part_of_the_trend(a: int, length: int, k: int) -> None:
-    """Slices, splits, selected experiments and merges of them."""
     rng = np.random.default_rng(3)
     data = Dataset(
         u=rng.random(30), y=5 + 0.3 * np.arange(30) + rng.random(30), Ts=0.2, starts=(0, 9, 20)
@@ -174,7 +166,7 @@ def test_a_part_of_the_data_knows_its_own_part_of_the_trend(a: int, length: int,
 
 
 def test_a_simulated_output_gets_the_level_of_the_measured_one() -> None:
-    """The model knows nothing of it: it was identified about the mean."""
+    """The model was identified about the mean and does not contain the level."""
     rng = np.random.default_rng(0)
     u = telegraph(400, 0.2, seed=rng)
     y = 20 + filtered([0, 0.5], [1, -0.5], u - 1)
@@ -189,7 +181,7 @@ def test_a_simulated_output_gets_the_level_of_the_measured_one() -> None:
 
 
 def test_a_trend_follows_the_data_to_their_velocity() -> None:
-    """The line's slope becomes the level; the input keeps its own."""
+    """The slope of the line becomes the level of the velocity."""
     data = Dataset(u=[1, 2, 4, 3.0], y=[0, 3, 5, 9.0], Ts=0.5)
     treated = detrend(data, order=1)
 
@@ -198,8 +190,7 @@ def test_a_trend_follows_the_data_to_their_velocity() -> None:
 
 
 def test_there_is_nothing_to_put_back_where_nothing_was_taken() -> None:
-    """The message names the steps there were."""
-    with pytest.raises(ValueError, match=r"no trend to put back.*\(history: no step\)"):
+    with pytest.raises(ValueError, match=r"no trend to restore.*\(history: no step\)"):
         retrend(Dataset(u=[0, 1], y=[0, 1], Ts=1))
     with pytest.raises(ValueError, match="2 trends for 1 experiments"):
         Dataset(u=[0], y=[0], Ts=1, trends=(Trend(), Trend()))
@@ -215,19 +206,18 @@ def drifting(seed: int, rate: float, N: int = 1500) -> Dataset:
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.01])
-def test_a_drift_is_told_from_what_the_input_does(rate: float) -> None:
-    """Its standard deviation holds: |z| of the error is beyond 1.96 in 5 % of 200 runs."""
+def test_a_drift_is_separated_from_the_response_to_the_input(rate: float) -> None:
+    """|z| of the error exceeds 1.96 in 5 % of 200 runs."""
     found = [drift(drifting(seed, rate))[0] for seed in range(200)]
 
     z = np.array([(d.rate - rate) / d.std for d in found])
     alarms = np.mean(np.abs(z) > 1.96)
     assert abs(alarms - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 200), alarms
     assert abs(np.mean(z)) < 4 / np.sqrt(200)
-    assert str(found[0]).startswith("a drift: 0.0" if rate else "no drift that shows: ")
+    assert str(found[0]).startswith("a drift: 0.0" if rate else "no significant drift: ")
 
 
 def test_each_experiment_has_its_own_drift_and_gaps_are_left_out() -> None:
-    """One figure an experiment, in its unit."""
     parts = [drifting(1, 0.02), drifting(2, -0.02)]
     holed = parts[0].replaced(valid=np.arange(1500) % 100 != 3, step=None)
 
@@ -239,24 +229,23 @@ def test_each_experiment_has_its_own_drift_and_gaps_are_left_out() -> None:
     assert first.unit == "V"
 
 
-def test_no_drift_is_told_of_data_whose_gaps_leave_too_few_rows() -> None:
-    """It was 0 ± 0, whatever the data did."""
+def test_data_whose_gaps_leave_too_few_rows_have_no_drift() -> None:
+    """The drift was 0 ± 0 for any data."""
     data = drifting(1, 0.02, N=300)
     full_of_gaps = data.replaced(step=None, valid=np.arange(data.N) % 4 > 0)
 
-    with pytest.raises(ValueError, match=r"0 samples .* after 10 others without a gap.* needs 40"):
+    with pytest.raises(ValueError, match=r"0 samples .* follow 10 samples without .* needs 40"):
         drift(full_of_gaps)
 
     assert np.isfinite(drift(full_of_gaps, 2)[0].z)
 
 
 def test_an_angle_has_no_drift_but_an_offset_of_its_input() -> None:
-    """The error says where to find it."""
     angle = Dataset(u=np.ones(90), y=np.arange(90.0), Ts=1, output="theta_1")
 
     with pytest.raises(ValueError, match=r"theta_1 integrates its input.*free\[0\].offset"):
         drift(angle)
-    with pytest.raises(ValueError, match="was said to integrate"):
+    with pytest.raises(ValueError, match="integrates, as integrator=True says"):
         drift(drifting(0, 0.0), integrator=True)
     with pytest.raises(ValueError, match="has 12 samples; a drift by a model of order 10 needs 50"):
         drift(drifting(0, 0.0)[:12])

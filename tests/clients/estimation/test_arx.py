@@ -66,7 +66,7 @@ def test_rows_that_touch_a_missing_sample_are_left_out() -> None:
 
 
 def test_nothing_is_carried_over_the_boundary_of_two_experiments() -> None:
-    """Each begins in a state of its own; glued together they would not fit at all."""
+    """Each experiment begins in a state of its own."""
     data = merge([simulated(1, 40), simulated(2, 40)[15:]])
 
     fit = arx(data, na=2, nb=2)
@@ -87,7 +87,6 @@ def test_scale_of_the_units_does_not_spoil_the_answer() -> None:
 
 
 def test_an_order_too_high_for_the_data_is_refused() -> None:
-    """The message says how many samples would do; that many do."""
     data = simulated(1, 7, noise=1.0)
 
     with pytest.raises(ValueError, match="na=2, nb=2, nk=1 needs at least 7 samples, got 4"):
@@ -97,15 +96,14 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
 
 
 def test_an_input_that_does_not_excite_is_refused() -> None:
-    """A constant tells one number, not two."""
+    """A constant determines one number, not two."""
     rng = np.random.default_rng(0)
 
-    with pytest.raises(ValueError, match=r"determine only 2 of 3 parameters; u is 1 throughout"):
+    with pytest.raises(ValueError, match=r"determine only 2 of 3 parameters; u is always 1"):
         arx(Dataset(u=np.ones(50), y=rng.standard_normal(50), Ts=1), na=1, nb=2)
 
 
 @pytest.mark.parametrize("orders", [{"na": -1, "nb": 1}, {"na": 1, "nb": 0}, {"na": 1.5, "nb": 1}])
 def test_an_impossible_order_is_refused(orders: dict[str, int]) -> None:
-    """The message names it."""
     with pytest.raises(ValueError, match=r"n[ab]=.* must be an integer >="):
         arx(simulated(1, 50), **orders)

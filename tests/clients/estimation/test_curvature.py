@@ -1,11 +1,11 @@
-"""Where the loss is no parabola a fit says not to trust the deviations of its coefficients."""
+"""If the loss is no parabola, a fit warns of the deviations of its coefficients."""
 
 from __future__ import annotations
 
 import armrig
 import numpy as np
 import pytest
-from armrig.estimation.prediction_error import PredictionError
+from armrig.estimation.prediction_error import PredictionErrorProblem
 from armrig.estimation.prediction_error_fit import curvature
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
@@ -21,7 +21,7 @@ def plant(zero: float, *, N: int = 1000, std: float = 0.05, seed: int = 1) -> ar
 
 
 def test_separate_poles_and_zeros_are_trusted() -> None:
-    """The loss rises as its second derivative says, to a third, two deviations away."""
+    """Two deviations away the loss rises as its second derivative predicts, to a third."""
     fit = armrig.oe(plant(-0.5), nb=2, nf=2)
 
     assert fit.curvature < 0.3
@@ -32,7 +32,6 @@ def test_separate_poles_and_zeros_are_trusted() -> None:
 
 @pytest.mark.parametrize("estimator", ["oe", "bj"])
 def test_a_zero_on_a_pole_makes_coefficients_that_are_not_trusted(estimator: str) -> None:
-    """Its responses are: the answer, the warnings and the report's sentence say so."""
     data = plant(0.605, std=0.5)
     noise = {"nc": 1, "nd": 1} if estimator == "bj" else {}
     fit = getattr(armrig, estimator)(data, nb=2, nf=2, **noise)
@@ -40,20 +39,21 @@ def test_a_zero_on_a_pole_makes_coefficients_that_are_not_trusted(estimator: str
     assert not fit.trusts_coefficients
     assert "trust std of the responses, not of the coefficients" in str(fit)
     assert any(
-        w.startswith("the deviations of the coefficients are not to be") for w in fit.warnings
+        w.startswith("do not trust the standard deviations of the coefficients")
+        for w in fit.warnings
     )
 
 
 def test_a_linear_regression_is_a_parabola() -> None:
-    """ARX has nothing that is not linear, and n4sid no covariance of such coefficients."""
+    """ARX is linear, and n4sid has no covariance of such coefficients."""
     assert armrig.arx(plant(0.605, std=0.5), na=2, nb=2).curvature == 0.0
 
 
 def test_it_is_the_logarithm_of_the_ratio_of_rises() -> None:
-    """Of one pole: both ways along its own axis, two deviations away."""
+    """Both ways along the axis of one pole, two deviations away."""
     data = plant(0.6, std=0.3)
     n = Structure(nb=1, nf=1, nk=1)
-    problem = PredictionError(experiments=(prepared(data, n),), structure=n)
+    problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
     f = problem.minimise(np.array([-0.8])).theta
     std, variance = 0.02, 0.1
 
@@ -64,16 +64,15 @@ def test_it_is_the_logarithm_of_the_ratio_of_rises() -> None:
 
 
 def test_a_pole_that_may_be_unstable_is_not_trusted() -> None:
-    """Two deviations away there is no model at all."""
+    """Two deviations away no model exists."""
     data = plant(0.6, std=0.3)
     n = Structure(nb=1, nf=1, nk=1)
-    problem = PredictionError(experiments=(prepared(data, n),), structure=n)
+    problem = PredictionErrorProblem(experiments=(prepared(data, n),), structure=n)
 
     assert curvature(problem, np.array([-0.9]), np.array([[0.01]]), 0.1) > 6
 
 
 def test_it_is_kept_in_the_file(tmp_path: object) -> None:
-    """And a file of before has 0."""
     fit = armrig.oe(plant(0.605, std=0.5), nb=2, nf=2)
     path = f"{tmp_path}/model.json"
     fit.save(path)

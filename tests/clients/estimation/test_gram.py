@@ -31,7 +31,6 @@ def _plainly(parts: list[tuple[Array, Array]], length: int) -> Array:
 
 @pytest.mark.parametrize("sizes", [[400], [60, 300], [25, 20, 21], [39, 200, 40]])
 def test_it_is_that_of_the_windows_themselves(sizes: list[int]) -> None:
-    """Of long parts, of parts with fewer windows than a window has samples, and of both."""
     parts = _signals(1, sizes)
 
     G = gram_of_windows(parts, 20)
@@ -56,7 +55,6 @@ def test_a_window_with_a_hole_is_left_out_and_the_triangle_is_theirs() -> None:
 
 
 def test_the_first_windows_are_taken_of_too_many() -> None:
-    """Across the hole and the second experiment."""
     parts = _signals(3, [100, 100])
     parts[0][1][50] = np.nan
 
@@ -72,7 +70,6 @@ def test_the_first_windows_are_taken_of_too_many() -> None:
 def test_a_decomposition_and_the_gram_matrix_say_the_same(
     std: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where there is noise enough for both."""
     parts = _signals(4, [2000], std)
 
     fast = windows(parts, past=8, future=8)
@@ -86,7 +83,7 @@ def test_a_decomposition_and_the_gram_matrix_say_the_same(
 
 @pytest.mark.parametrize("std", [1e-6, 1e-9])
 def test_what_a_square_has_no_digits_for_is_decomposed(std: float) -> None:
-    """With hardly any noise the windows nearly depend on each other; R still says how nearly."""
+    """With little noise the windows are nearly dependent, and the square loses digits of R."""
     parts = _signals(5, [2000], std)
 
     w = windows(parts, past=8, future=8)

@@ -1,4 +1,4 @@
-"""What has no answer, or one at a limit, says so."""
+"""Data without an answer, or with an answer at a limit."""
 
 from __future__ import annotations
 
@@ -26,30 +26,29 @@ ESTIMATORS: dict[str, dict[str, Any]] = {
 
 @pytest.mark.parametrize("of", ["u", "y"])
 def test_numbers_whose_powers_are_none_are_refused(of: str) -> None:
-    """Every estimator made another answer, or another fault, of them."""
+    """Every estimator failed differently."""
     signals = {"u": U, "y": Y}
     signals[of] = signals[of] * 1e150
 
-    with pytest.raises(ValueError, match=rf"the largest \|{of}\| is .*; take a unit in which it"):
+    with pytest.raises(ValueError, match=rf"the largest \|{of}\| is .*; use a unit in which it"):
         armrig.Dataset(**signals, Ts=1.0)
 
 
 @pytest.mark.parametrize("of", ["u", "y"])
 @pytest.mark.parametrize("name", ["arx", "oe", "n4sid", "search", "delay", "spa", "advice"])
 def test_numbers_whose_powers_vanish_are_refused(name: str, of: str) -> None:
-    """Their squares were 0, and the answer another one than in a larger unit."""
+    """Their squares were 0."""
     signals = {"u": U, "y": Y}
     signals[of] = signals[of] * 1e-150
     data = armrig.Dataset(**signals, Ts=1.0)
 
     with pytest.raises(
-        ValueError, match=rf"largest \|{of}\| is .*; take a unit in which it is from"
+        ValueError, match=rf"largest \|{of}\| is .*; use a unit in which it is from"
     ):
         getattr(armrig, name)(data, **ESTIMATORS.get(name, {}))
 
 
 def test_an_output_of_zeros_is_not_called_too_small() -> None:
-    """It has no unit in which it is larger; detrending it is nothing wrong."""
     data = armrig.Dataset(u=U, y=0.0 * Y, Ts=1.0)
 
     still = armrig.detrend(data)
@@ -60,7 +59,6 @@ def test_an_output_of_zeros_is_not_called_too_small() -> None:
 @pytest.mark.parametrize("factor", [1e3, 1e-3, 1e25, 1e-25])
 @pytest.mark.parametrize("estimator", ESTIMATORS)
 def test_a_unit_changes_nothing_but_the_numbers(estimator: str, factor: float) -> None:
-    """The fit in percent and the test of whiteness are those of V; no warning of numpy escapes."""
     estimate = getattr(armrig, estimator)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -84,13 +82,12 @@ def test_a_noise_model_at_the_circle_says_so() -> None:
 
 
 def test_three_samples_are_counted_as_three() -> None:
-    """And not as what a window of them would have."""
     with pytest.raises(ValueError, match="needs at least 26 samples, got 3"):
         armrig.n4sid(armrig.Dataset(u=U[:3], y=Y[:3], Ts=1.0), order=2)
 
 
 def test_the_noise_model_is_a_transfer_function() -> None:
-    """H = C / (D A), whose answer to a pulse is that of the noise."""
+    """H = C / (D A)."""
     fit = armrig.armax(armrig.Dataset(u=U, y=Y, Ts=0.1), na=2, nb=2, nc=1)
 
     H = fit.noise_to_control()

@@ -1,4 +1,4 @@
-"""Reported standard deviations hold in Monte Carlo, and so do the tests' levels."""
+"""Monte Carlo of the reported standard deviations and of the tests' levels."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_standard_deviations_and_intervals_hold(
 
 
 def test_coloured_noise_is_met_by_the_robust_form_only() -> None:
-    """The classic form is off by a third where the noise is 1/(1 - 0.8 q^-1) e; it is said so."""
+    """The classic form errs by a third for the noise 1/(1 - 0.8 q^-1) e."""
     fits = [oe(oe_data(seed, colour=0.8), nb=2, nf=2, starts="few") for seed in range(RUNS)]
     scatter = np.array([fit.theta for fit in fits]).std(axis=0, ddof=1)
 
@@ -100,7 +100,7 @@ def test_the_residual_tests_keep_their_level(
 
 @pytest.mark.parametrize("ahead", [0, 10_000])
 def test_few_lags_allow_for_the_parameters_too(ahead: int) -> None:
-    """With as many parameters as lags an uncorrected p value would crowd at one end."""
+    """With as many parameters as lags, uncorrected p values would accumulate at one end."""
     p = []
     for seed in range(200):
         noisy, fresh = oe_data(seed), oe_data(seed + ahead)
@@ -114,7 +114,7 @@ def test_few_lags_allow_for_the_parameters_too(ahead: int) -> None:
 
 
 def test_correlated_scores_are_weighted_by_bartlett() -> None:
-    """1 - k/(L + 1) for k samples between two of one experiment, whatever its length."""
+    """The weight is 1 - k/(L + 1) for two samples of one experiment, k apart."""
     rng = np.random.default_rng(1)
     lengths = (2200, 70, 27, 3)
     Psi = [rng.standard_normal((N, 3)) for N in lengths]

@@ -21,7 +21,7 @@ from armrig.validation.residuals import residuals
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 Vector = NDArray[np.float64]
 
@@ -39,7 +39,6 @@ def _data(seed: int, N: int = 2000, std: float = 0.5) -> Dataset:
 @pytest.mark.parametrize("weights", ["cva", "moesp", "n4sid"])
 @pytest.mark.parametrize("nk", [0, 1, 3])
 def test_noise_free_data_give_back_the_true_system(weights: Weights, nk: int) -> None:
-    """With any weights and delay, from a state that is not zero."""
     u = np.random.default_rng(1).standard_normal(600)
     numerator = np.append(np.zeros(nk), [1.0, 0.5, 0.3][: 2 + (nk == 0)])
     y = filtered(numerator, F, u)
@@ -64,7 +63,6 @@ def test_it_comes_close_to_what_a_search_attains() -> None:
 
 
 def test_the_arm_is_found_as_well_as_by_output_error(plant: HandoutPlant) -> None:
-    """Order by the data, integrator exact, no local minimum to fall into."""
     fits = [n4sid(plant.dataset(seed), integrator=True) for seed in range(4)]
 
     errors = [plant.relative_error(OMEGA, f.frequency_response(OMEGA).G) for f in fits]
@@ -84,7 +82,7 @@ def test_the_dead_band_of_a_potentiometer_costs_little(plant: HandoutPlant, seed
 
 
 def test_an_input_offset_does_not_matter_to_an_integrating_output(plant: HandoutPlant) -> None:
-    """It makes a ramp, which is projected out."""
+    """The offset makes a ramp, which the projection removes."""
     one = plant.dataset(1)
     shifted = Dataset(u=one.u + 0.7, y=one.y, Ts=one.Ts, output="theta_1", unit="rad")
 
@@ -94,7 +92,7 @@ def test_an_input_offset_does_not_matter_to_an_integrating_output(plant: Handout
 
 
 def test_an_integrating_angle_without_an_integrator_is_warned_of(plant: HandoutPlant) -> None:
-    """Its pole cannot be told from 1, on either side: it is an integrator, and not unstable."""
+    """A pole whose distance from 1 is within its accuracy is an integrator, not unstable."""
     sides = set()
     for seed in (1, 2):
         fit = n4sid(plant.dataset(seed), 4)
@@ -102,14 +100,13 @@ def test_an_integrating_angle_without_an_integrator_is_warned_of(plant: HandoutP
 
         said = [w for w in fit.warnings if "a pole is 1 within its accuracy" in w]
         assert len(said) == 1
-        assert "theta_1 integrates, so ask for integrator=True" in said[0]
+        assert "theta_1 integrates, so set the option integrator" in said[0]
         assert not any("unstable" in w for w in fit.warnings)
     assert sides == {True, False}
     assert not any("integrator" in w for w in n4sid(plant.dataset(1), 4, integrator=True).warnings)
 
 
 def test_an_integrator_that_only_the_data_show_is_warned_of() -> None:
-    """A pole near 1 that is not 1 within its accuracy: the unit root test speaks then."""
     rng = np.random.default_rng(3)
     u = np.repeat(rng.choice([-1.0, 1.0], 60), 10)
     v = filtered([1.0], [1.0, -0.9], rng.standard_normal(600))
@@ -119,7 +116,7 @@ def test_an_integrator_that_only_the_data_show_is_warned_of() -> None:
     )
 
     of_one, of_other = (
-        [w for w in n4sid(x, 2).warnings if "integrator=True" in w] for x in (integrates, slow)
+        [w for w in n4sid(x, 2).warnings if "option integrator" in w] for x in (integrates, slow)
     )
 
     assert len(of_one) == 1
@@ -127,8 +124,8 @@ def test_an_integrator_that_only_the_data_show_is_warned_of() -> None:
     assert not of_other
 
 
-def test_coloured_residuals_are_told_apart_from_a_wrong_order() -> None:
-    """The model does not minimise the one-step errors, so armax of the same orders is to judge."""
+def test_coloured_residuals_are_separated_from_a_wrong_order() -> None:
+    """n4sid does not minimise the one-step errors, so the advice names armax."""
     rng = np.random.default_rng(1)
     u, e = rng.choice([-1.0, 1.0], 1000), 0.5 * rng.standard_normal(1000)
     data = Dataset(u=u, y=filtered(B, F, u) + filtered([1.0], [1.0, 0, 0, 0, -0.9], e), Ts=1.0)
@@ -140,7 +137,6 @@ def test_coloured_residuals_are_told_apart_from_a_wrong_order() -> None:
 
 
 def test_a_pole_that_is_surely_outside_is_called_unstable() -> None:
-    """By more than its accuracy, and so no integrator."""
     rng = np.random.default_rng(1)
     u = rng.standard_normal(400)
     y = filtered([0.0, 1.0], [1.0, -1.01], u) + 0.1 * rng.standard_normal(400)
@@ -152,7 +148,7 @@ def test_a_pole_that_is_surely_outside_is_called_unstable() -> None:
 
 
 def test_the_deviation_of_a_pole_is_that_of_its_coefficients() -> None:
-    """First order: the pole is -a1. Second order: of a sum and a product of two."""
+    """First order: the pole is -a1. Second order: a1 and a2 are sum and product of the poles."""
     roots = np.roots([1.0, -1.7, 0.72])  # 0.9 and 0.8
     covariance = np.diag([1e-6, 4e-6])
 
@@ -169,7 +165,6 @@ def test_the_deviation_of_a_pole_is_that_of_its_coefficients() -> None:
 
 
 def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
-    """The estimate stays where it was, within its scatter."""
     valid = np.ones(2000, dtype=np.bool_)
     valid[::37] = False
     one = _data(1)
@@ -182,7 +177,6 @@ def test_gaps_and_several_experiments_cost_only_their_windows() -> None:
 
 
 def test_the_state_space_is_the_model() -> None:
-    """In python-control, and simulated by hand, noise gain included."""
     fit = n4sid(_data(1), 2)
 
     A, B_s, C_s, D, K = fit.state_space()
@@ -200,7 +194,6 @@ def test_the_state_space_is_the_model() -> None:
 
 
 def test_it_predicts_and_is_tested_as_every_model() -> None:
-    """On data that it has not seen: white, and nothing of the input left."""
     fit, other = n4sid(_data(1), 2), _data(2)
 
     tests = residuals(fit, other)
@@ -212,7 +205,6 @@ def test_it_predicts_and_is_tested_as_every_model() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_order_is_suggested_by_the_states_errors(seed: int) -> None:
-    """And the canonical correlations lie between 0 and 1, falling."""
     fit = n4sid(_data(seed, 3000))
 
     assert fit.order == fit.suggested_order == 2
@@ -222,7 +214,6 @@ def test_the_order_is_suggested_by_the_states_errors(seed: int) -> None:
 
 
 def test_a_saved_model_comes_back_whole(tmp_path: Path) -> None:
-    """With its singular values."""
     fit = n4sid(_data(1), 2)
     fit.save(tmp_path / "m.json")
 
@@ -267,7 +258,7 @@ def test_the_noise_model_of_short_data_is_as_good_as_it_can_be() -> None:
 
 
 def test_noise_on_the_output_keeps_the_long_horizon() -> None:
-    """Its predictor forgets as slowly as the system."""
+    """The predictor forgets as slowly as the system."""
     data = [_of_fourth_order(seed, 1000, [1.0], [1.0])[0] for seed in range(6)]
 
     fits = [n4sid(x, 4) for x in data]
@@ -282,7 +273,6 @@ def _mean_excess(fits: list[SubspaceFit]) -> float:
 
 
 def test_a_horizon_that_is_given_is_taken() -> None:
-    """And nothing else is looked at."""
     data, _ = _of_fourth_order(1, 500, C4, A4)
 
     assert [n4sid(data, 4, horizon=h).horizon for h in (6, 13)] == [6, 13]
@@ -290,7 +280,7 @@ def test_a_horizon_that_is_given_is_taken() -> None:
 
 @pytest.mark.parametrize("integrator", [False, True])
 def test_a_model_for_simulation_is_the_best_output_error_model(integrator: bool) -> None:
-    """The same minimum as a search from other starts, with a noise model besides."""
+    """It has the same minimum as a search from other starts."""
     A = np.convolve(F, [1.0, -1.0] if integrator else [1.0])
     rng = np.random.default_rng(4)
     u = telegraph(1500, 0.3, 1.5, 3.5, seed=rng) - 2.5
@@ -310,7 +300,6 @@ def test_a_model_for_simulation_is_the_best_output_error_model(integrator: bool)
 
 
 def test_a_model_for_simulation_is_stable_and_runs_through_gaps() -> None:
-    """From data of several experiments that grow, with holes."""
     valid = np.ones(400, dtype=np.bool_)
     valid[60::97] = False
     rng = np.random.default_rng(2)
@@ -329,7 +318,6 @@ def test_a_model_for_simulation_is_stable_and_runs_through_gaps() -> None:
 
 
 def test_without_noise_a_model_for_simulation_is_the_true_system() -> None:
-    """With a delay, from a state that is not zero."""
     u = np.random.default_rng(1).standard_normal(600)
     y = filtered([0.0, 0.0, 1.0, 0.5], F, u)
 
@@ -340,13 +328,12 @@ def test_without_noise_a_model_for_simulation_is_the_true_system() -> None:
 
 
 def test_what_cannot_be_estimated_is_refused() -> None:
-    """With the way out."""
     u = np.random.default_rng(1).standard_normal(300)
     clean = Dataset(u=u, y=filtered(B, F, u), Ts=1.0)
 
     with pytest.raises(ValueError, match="the data show 2 states; lower the order"):
         n4sid(clean, 4)
-    with pytest.raises(ValueError, match="y is constant and shows no state; record an experiment"):
+    with pytest.raises(ValueError, match="y is constant and shows no state; record data"):
         n4sid(Dataset(u=u, y=np.full(300, 3.0), Ts=1.0), 1)
     with pytest.raises(ValueError, match="weights='svd' must be one of"):
         n4sid(clean, 2, "svd")  # type: ignore[arg-type]

@@ -24,7 +24,7 @@ from armrig.validation.residuals import residuals
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 A, B = np.array([1, -1.2, 0.6]), np.array([0, 1.0, 0.5])
 C, D = np.array([1, 0.5]), np.array([1, -0.7])
@@ -88,7 +88,7 @@ def test_gaps_and_pieces_do_not_bias_the_estimate(
     orders: dict[str, int],
     truth: list[float],
 ) -> None:
-    """Five experiments with 3 % of the samples missing; what stands there does not matter."""
+    """Five experiments with 3 % of the samples missing."""
     whole = made(2, N=6000)
     valid = np.random.default_rng(0).random(whole.N) > 0.03
     parts = [
@@ -104,7 +104,6 @@ def test_gaps_and_pieces_do_not_bias_the_estimate(
 
 
 def test_without_a_noise_model_box_jenkins_is_output_error() -> None:
-    """The same minimum and the same deviations, to the search's last digits."""
     seen = data(3, (np.ones(1), np.ones(1)))
 
     same, expected = bj(seen, nb=2, nc=0, nd=0, nf=2), oe(seen, nb=2, nf=2)
@@ -118,7 +117,6 @@ def test_without_a_noise_model_box_jenkins_is_output_error() -> None:
 def test_without_a_noise_model_an_equation_error_is_that_of_arx(
     estimate: Callable[..., Fit], noise: str
 ) -> None:
-    """On the same rows: those that look back on nothing unknown."""
     seen = data(4, (np.ones(1), A))
     valid = np.random.default_rng(1).random(seen.N) > 0.05
     holed = Dataset(u=seen.u, y=seen.y, Ts=0.1, valid=valid)
@@ -133,7 +131,7 @@ def test_without_a_noise_model_an_equation_error_is_that_of_arx(
 
 
 def test_the_state_before_the_first_sample_does_not_show(plant: HandoutPlant) -> None:
-    """With almost no noise any beginning gives back the plant, through an integrator too."""
+    """With almost no noise any initial state gives back the plant."""
     whole = plant.dataset(1, std=1e-5)
 
     fit = bj(whole[700:], nb=4, nc=1, nd=1, nf=4, integrator=True, starts="few")
@@ -157,7 +155,7 @@ def test_an_autoregression_of_the_equation_error_may_integrate_too() -> None:
 
 
 def test_the_deviations_of_an_ararx_model_hold() -> None:
-    """Errors in their deviations have a mean square of 1, both forms, over 60 runs."""
+    """Errors divided by their deviations have a mean square of 1 in 60 runs, in both forms."""
     fits = [ararx(ararx_data(k, N=300), na=2, nb=2, nd=1, starts="few") for k in range(60)]
     error = np.array([fit.theta for fit in fits]) - [-1.2, 0.6, 1, 0.5, -0.7]
 
@@ -192,7 +190,6 @@ def test_an_input_offset_is_estimated_along(
     orders: dict[str, int],
     truth: list[float],
 ) -> None:
-    """Data as recorded give what data with means removed would, and say where zero was."""
     seen = made(6, N=3000)
     moved = Dataset(u=seen.u + 2.5, y=seen.y, Ts=0.1)
 
@@ -204,7 +201,6 @@ def test_an_input_offset_is_estimated_along(
 
 
 def test_the_initial_state_is_kept_where_an_f_test_says_so() -> None:
-    """From rest it explains nothing; from a state of long ago, in low noise, it does."""
     rng = np.random.default_rng(7)
     u = rng.standard_normal(400)
     y = filtered(B, A, u) + filtered(C, D, 0.05 * rng.standard_normal(400))
@@ -223,13 +219,11 @@ def test_the_initial_state_is_kept_where_an_f_test_says_so() -> None:
 
 
 def test_an_offset_of_a_rig_at_rest_is_refused() -> None:
-    """The message says what to do."""
     with pytest.raises(ValueError, match=r'offset=True needs initial="estimate", got \'zero\''):
         armax(armax_data(1), na=1, nb=1, nc=1, offset=True, initial="zero")
 
 
 def test_the_starts_of_a_noise_model_are_reported() -> None:
-    """Box-Jenkins from three sides, ARMAX from two."""
     three = bj(bj_data(8), nb=2, nc=1, nd=1, nf=2)
     two = armax(armax_data(8), na=2, nb=2, nc=1)
 
@@ -239,7 +233,7 @@ def test_the_starts_of_a_noise_model_are_reported() -> None:
 
 
 def test_the_predictor_stays_stable() -> None:
-    """Noise with a zero on the circle draws C to it, and not across."""
+    """Noise with a zero on the circle moves C to the circle, not across it."""
     rng = np.random.default_rng(9)
     u, e = rng.standard_normal((2, 300))
     seen = Dataset(u=u, y=filtered(B, A, u) + filtered([1, -1], A, e), Ts=1)
@@ -285,7 +279,6 @@ def test_what_a_model_predicts_from_is_only_the_past(
     orders: dict[str, int],
     truth: list[float],
 ) -> None:
-    """Long after the start a change of y at t shows in ŷ from t + horizon on, not before."""
     seen = made(11)
     fit = estimate(seen, **orders)
     y = seen.y.copy()
@@ -298,7 +291,6 @@ def test_what_a_model_predicts_from_is_only_the_past(
 
 
 def test_residuals_of_the_estimation_are_those_of_the_test() -> None:
-    """The model applied to its own data errs by its own loss."""
     for estimate, made, orders, _ in CASES:
         seen = made(12)[50:]
         fit = estimate(seen, **orders, starts="few")
@@ -311,7 +303,7 @@ def test_residuals_of_the_estimation_are_those_of_the_test() -> None:
 
 
 def test_the_noise_spectrum_is_that_of_the_noise() -> None:
-    """Its integral is the variance of C/A e; its deviation is that of many estimates."""
+    """Its integral is the variance of C/A e."""
     omega = np.linspace(0, np.pi / 0.1, 2001)
     fit = armax(armax_data(13, N=5000), na=2, nb=2, nc=1)
     many = [armax(armax_data(seed), na=2, nb=2, nc=1, starts="few") for seed in range(100, 180)]
@@ -328,7 +320,6 @@ def test_the_noise_spectrum_is_that_of_the_noise() -> None:
 def test_the_hair_dryer_has_a_coloured_noise(
     reference: Callable[[str], NDArray[np.float64]],
 ) -> None:
-    """Box-Jenkins whitens what ARX leaves."""
     u, y = reference("dryer.dat")[:500].T
     seen = detrend(Dataset(u=u, y=y, Ts=0.08))
 
@@ -340,7 +331,6 @@ def test_the_hair_dryer_has_a_coloured_noise(
 
 
 def test_instruments_are_not_biased_by_coloured_noise() -> None:
-    """Where least squares is off by many deviations; their own deviations hold."""
     fits = [iv4(bj_data(seed), na=2, nb=2) for seed in range(200)]
     truth = [-1.2, 0.6, 1.0, 0.5]
 
@@ -357,10 +347,7 @@ def test_instruments_are_not_biased_by_coloured_noise() -> None:
 
 
 def test_the_four_stages_are_those_of_the_textbook() -> None:
-    """Each from the one before: least squares, instruments, their residuals' colour, all filtered.
-
-    Ljung, (15.21) to (15.24), written out.
-    """
+    """Ljung, (15.21) to (15.24), written out."""
     seen = bj_data(3, N=300)
     n = np.arange(2, 300)
     Phi = np.column_stack([-seen.y[n - 1], -seen.y[n - 2], seen.u[n - 1], seen.u[n - 2]])
@@ -394,7 +381,6 @@ def test_the_four_stages_are_those_of_the_textbook() -> None:
 
 
 def test_instruments_leave_out_what_is_missing() -> None:
-    """Two experiments with gaps; what stands there does not matter."""
     whole = bj_data(1, N=3000)
     valid = np.random.default_rng(2).random(whole.N) > 0.01
     spoilt = Dataset(u=whole.u, y=np.where(valid, whole.y, 1e6), Ts=0.1, valid=valid)
@@ -407,7 +393,6 @@ def test_instruments_leave_out_what_is_missing() -> None:
 
 
 def test_an_order_too_high_for_the_data_is_refused() -> None:
-    """The message counts what must be estimated along."""
     seen = bj_data(1)[:12]
 
     with pytest.raises(ValueError, match=r"nf=2, nk=1 needs at least \d+ samples, got 12"):
@@ -427,7 +412,7 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
 def test_the_four_stages_make_instruments_as_sharp_as_the_noise_allows() -> None:
     """Their deviations are those of Box-Jenkins with the true noise model, within 10 %.
 
-    Any filtered input would do for consistency, with twice the deviation.
+    Any filtered input would be consistent, with twice the deviation.
     """
     seeds = range(20)
     instruments = np.mean([iv4(bj_data(seed), na=2, nb=2).std for seed in seeds], axis=0)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 OMEGA = np.geomspace(0.5, 100.0, 200)
 
@@ -32,7 +32,6 @@ OMEGA = np.geomspace(0.5, 100.0, 200)
 def test_noise_free_data_give_back_the_true_parameters(
     radius: float, angle: float, zero: float, nk: int, seed: int
 ) -> None:
-    """From any initial state."""
     F = np.array([1, -2 * radius * np.cos(angle), radius**2])
     B = np.append(np.zeros(nk), [1.0, -zero])
     u = np.random.default_rng(seed).standard_normal(300)
@@ -47,7 +46,6 @@ def test_noise_free_data_give_back_the_true_parameters(
 
 
 def test_a_noise_free_angle_gives_back_the_plant_from_any_state(plant: HandoutPlant) -> None:
-    """Level, speed, swing and input offset are estimated along with B and F."""
     u = telegraph(1500, 0.05, 0.0, 5.0, seed=1)
     y = plant.angle(u - 0.3)
 
@@ -59,12 +57,12 @@ def test_a_noise_free_angle_gives_back_the_plant_from_any_state(plant: HandoutPl
 
 @pytest.fixture(scope="module")
 def fits(plant: HandoutPlant) -> list[Fit]:
-    """Return what comes of 20 recordings of the handout's plant."""
+    """Return the fits of 20 recordings of the handout's plant."""
     return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(20)]
 
 
 def test_the_integrator_s_root_is_one_exactly(fits: list[Fit]) -> None:
-    """And its covariance is zero: the coefficients move only so that it stays."""
+    """Its covariance is zero: the coefficients move only so that the root stays."""
     fit = fits[1]
 
     poles = fit.poles()
@@ -108,7 +106,7 @@ def test_every_coefficient_of_the_plant_lies_inside_three_sigma(
 
 
 def test_missing_outputs_cost_only_their_own_rows() -> None:
-    """OE never looks back on y: what stands where y is missing does not matter."""
+    """OE uses no past y."""
     rng = np.random.default_rng(5)
     u = rng.standard_normal(400)
     y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + 0.1 * rng.standard_normal(400)
@@ -124,7 +122,6 @@ def test_missing_outputs_cost_only_their_own_rows() -> None:
 
 
 def test_the_first_samples_may_be_missing() -> None:
-    """The initial state is then only partly seen, which is no reason to fail."""
     rng = np.random.default_rng(6)
     u = rng.standard_normal(300)
     valid = np.arange(300) >= 40
@@ -136,7 +133,6 @@ def test_the_first_samples_may_be_missing() -> None:
 
 
 def test_each_experiment_has_its_own_state_level_and_offset(plant: HandoutPlant) -> None:
-    """Pieces that begin anywhere give the plant that the whole gives."""
     whole = plant.dataset(2, std=0.0)
     parts = [whole[:900], whole[1000:1900], whole[2100:]]
     moved = [
@@ -150,7 +146,7 @@ def test_each_experiment_has_its_own_state_level_and_offset(plant: HandoutPlant)
 
 
 def test_many_short_experiments_leave_the_residuals_white(plant: HandoutPlant) -> None:
-    """Five nuisance parameters in each hundred samples would look like colour, uncorrected."""
+    """Without the correction, five nuisance parameters per hundred samples look like colour."""
     p = [
         oe(
             merge(plant.dataset(seed).split(30)), nb=4, nf=4, integrator=True, starts="few"
@@ -162,7 +158,6 @@ def test_many_short_experiments_leave_the_residuals_white(plant: HandoutPlant) -
 
 
 def test_rounding_noise_is_not_called_coloured(plant: HandoutPlant) -> None:
-    """Nor do two starts disagree that both found an exact answer."""
     fit = oe(plant.dataset(1, std=0.0), nb=4, nf=4, integrator=True)
 
     assert fit.converged
@@ -185,7 +180,6 @@ def test_a_rig_at_rest_may_be_taken_at_its_word() -> None:
 
 
 def test_backcast_is_the_state_that_is_estimated() -> None:
-    """Least squares given B and F, and B and F the best for that state: nothing moves any more."""
     rng = np.random.default_rng(7)
     u = np.append(np.full(40, 2.0), rng.standard_normal(120))
     y = filtered([0, 1, 0.5], [1, -1.7, 0.8], u) + 0.3 * rng.standard_normal(160)
@@ -213,7 +207,6 @@ def test_backcast_is_the_state_that_is_estimated() -> None:
 
 
 def test_the_starts_are_reported() -> None:
-    """Where they lead to the same minimum the result says so."""
     rng = np.random.default_rng(8)
     u = rng.standard_normal(500)
     y = filtered([0, 1, 0.5], [1, -1.2, 0.6], u) + 0.3 * rng.standard_normal(500)
@@ -227,7 +220,6 @@ def test_the_starts_are_reported() -> None:
 
 @pytest.mark.parametrize("std", [0.01, 0.3])
 def test_resonant_systems_are_found_from_their_data_alone(std: float) -> None:
-    """A bank of random fourth-order resonances: the loss is no more than the truth's."""
     missed = []
     for seed in range(25):
         rng = np.random.default_rng([seed, 99])
@@ -247,7 +239,7 @@ def test_resonant_systems_are_found_from_their_data_alone(std: float) -> None:
 
 
 def test_an_order_too_high_for_the_data_is_refused() -> None:
-    """Nuisance parameters count too: 1 + 1 and one transient, and one sample more than all."""
+    """Nuisance parameters count, too: 1 + 1, one transient, and one more sample."""
     u = np.random.default_rng(0).standard_normal(3)
 
     with pytest.raises(ValueError, match="nb=1, nf=1, nk=1 needs at least 4 samples, got 3"):
@@ -255,7 +247,6 @@ def test_an_order_too_high_for_the_data_is_refused() -> None:
 
 
 def test_an_input_that_does_not_excite_is_refused() -> None:
-    """A constant from rest drives a numerator only once."""
     y = np.random.default_rng(0).standard_normal(50)
 
     with pytest.raises(ValueError, match=r"u determines only . of 2 numerator.*richer input"):
@@ -263,7 +254,7 @@ def test_an_input_that_does_not_excite_is_refused() -> None:
 
 
 def test_impossible_orders_are_refused() -> None:
-    """An integrator needs a denominator to live in."""
+    """An integrator needs a denominator."""
     data = Dataset(u=np.ones(9), y=np.ones(9), Ts=1)
 
     with pytest.raises(ValueError, match="nf=0 must be an integer >= 1"):
@@ -276,7 +267,7 @@ def test_impossible_orders_are_refused() -> None:
 
 @pytest.mark.parametrize("n", [2, 4, 6])
 def test_an_order_too_high_on_quiet_data_has_both_deviations(n: int) -> None:
-    """Poles and zeros cancel, and the derivatives are alike to seven digits; nothing is NaN."""
+    """Poles and zeros cancel, so the derivatives agree to seven digits."""
     rng = np.random.default_rng(n)
     u = rng.choice([-1.0, 1.0], 500)
     y = filtered([0, 1.0], [1.0, -0.8], u) + 1e-6 * rng.standard_normal(500)

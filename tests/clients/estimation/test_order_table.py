@@ -46,7 +46,6 @@ def _plainly(parts: list[Dataset], na: int, nb: int, nk: int, skip: int) -> tupl
 def test_each_loss_is_that_of_the_structure_s_own_least_squares(
     orders: tuple[int, int, int],
 ) -> None:
-    """On the samples that the largest knows, with gaps and two experiments, here and there."""
     valid = np.ones(600, dtype=np.bool_)
     valid[[50, 51, 300]] = False
     a, b, other = _data(1), _data(2), _data(3)
@@ -71,7 +70,6 @@ def test_each_loss_is_that_of_the_structure_s_own_least_squares(
 
 
 def test_the_true_orders_are_found() -> None:
-    """And handed on as they are."""
     table = select_orders(_data(1, 3000))
 
     chosen = table.best("mdl")
@@ -82,7 +80,6 @@ def test_the_true_orders_are_found() -> None:
 
 
 def test_orders_are_a_mapping_of_three_names() -> None:
-    """A fourth is no key of it."""
     orders = ArxOrders(na=1, nb=2, nk=3)
 
     assert dict(**orders) == {"na": 1, "nb": 2, "nk": 3}
@@ -91,7 +88,6 @@ def test_orders_are_a_mapping_of_three_names() -> None:
 
 
 def test_validation_data_decide_where_there_are_some() -> None:
-    """The fewest parameters that are no worse than chance makes; one fewer is."""
     table = select_orders(_data(1, 3000), validation=_data(2, 3000))
 
     best, i = table.best(), table.chosen()
@@ -111,7 +107,7 @@ def test_validation_data_decide_where_there_are_some() -> None:
 
 
 def test_the_true_orders_are_chosen_more_often_than_the_lowest_loss_is_theirs() -> None:
-    """N = 1000 twice, 30 runs: the lowest of 600 losses is mostly that of a larger structure."""
+    """N = 1000 twice, 30 runs: a larger structure mostly has the lowest of the 600 losses."""
     lowest, chosen = 0, 0
     for seed in range(30):
         table = select_orders(_data(seed, 1000), validation=_data(seed + 100, 1000))
@@ -125,25 +121,23 @@ def test_the_true_orders_are_chosen_more_often_than_the_lowest_loss_is_theirs() 
 
 
 def test_the_choice_is_explained_in_words() -> None:
-    """On other data, without any, and where the range of orders ended too soon."""
     validated = select_orders(_data(1, 1000), validation=_data(2, 1000))
     alone = select_orders(_data(1, 3000))
     short = select_orders(_data(1, 1000), na=[1, 2], nb=[1, 2, 3], validation=_data(2, 1000))
 
     text = validated.explain()
     assert "lowest loss on the validation data: na=" in text
-    assert "no more than chance makes" in text
+    assert "within the effect of chance" in text
     assert "fewer parameters are not enough" in text
     assert "try higher" not in text
-    assert "chosen: na=2, nb=2, nk=2, of lowest MDL" in alone.explain()
+    assert "chosen: na=2, nb=2, nk=2, by lowest MDL" in alone.explain()
     assert "give select_orders validation" in alone.explain()
-    assert "na=2 is the highest that was tried: try higher ones" in short.explain()
-    assert "nb=" not in short.explain().split("standard errors off")[1]
+    assert "na=2 is the highest that was tried: try higher values" in short.explain()
+    assert "nb=" not in short.explain().split("standard errors above the lowest loss")[1]
     assert validated.explain().splitlines()[0] in repr(validated)
 
 
 def test_the_best_of_fewer_parameters_is_named() -> None:
-    """That is the structure of least loss among them, wherever it stands in the table."""
     table = select_orders(_data(1, 1000), validation=_data(2, 1000))
     loss, d = table.values("validation"), table.parameters
     fewer = d < d[table.chosen()]
@@ -154,7 +148,6 @@ def test_the_best_of_fewer_parameters_is_named() -> None:
 
 
 def test_the_criteria_are_those_of_a_fit() -> None:
-    """Where all samples are the same: the largest structure."""
     data = _data(1)
 
     table = select_orders(data, na=[2], nb=[2], nk=[2])
@@ -181,7 +174,6 @@ def test_a_structure_that_the_input_does_not_determine_is_not_chosen() -> None:
 def test_the_published_dryer_is_chosen_from_many(
     reference: Callable[[str], NDArray[np.float64]],
 ) -> None:
-    """Its delay of three samples, at the published orders."""
     u, y = reference("dryer.dat").T
     data = Dataset(u=u - u.mean(), y=y - y.mean(), Ts=0.08)
 
@@ -192,7 +184,6 @@ def test_the_published_dryer_is_chosen_from_many(
 
 @pytest.mark.parametrize("validated", [True, False])
 def test_the_figure_marks_what_each_criterion_chooses(validated: bool) -> None:
-    """In its place: parameters, and loss over the least."""
     table = select_orders(_data(1), validation=_data(2) if validated else None)
 
     figure = Figure()
@@ -212,7 +203,6 @@ def test_the_figure_marks_what_each_criterion_chooses(validated: bool) -> None:
 
 
 def test_what_cannot_be_asked_is_refused() -> None:
-    """With the way out."""
     with pytest.raises(ValueError, match="give select_orders the validation data"):
         select_orders(_data(1)).best("validation")
     with pytest.raises(ValueError, match="needs at least 26 samples, got 12"):
@@ -224,7 +214,7 @@ def test_what_cannot_be_asked_is_refused() -> None:
 
 
 def test_without_validation_data_mdl_decides() -> None:
-    """AIC takes a parameter more: 3 % of the loss of 100 errors are worth 3.05."""
+    """AIC takes one parameter more, because 3 % less loss with 100 errors is worth 3.05."""
     table = OrderTable(
         na=np.array([1, 2]),
         nb=np.array([1, 1]),

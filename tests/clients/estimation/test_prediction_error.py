@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
-from armrig.estimation.prediction_error import PredictionError
+from armrig.estimation.prediction_error import PredictionErrorProblem
 from armrig.models.innovations import prepared
 from armrig.models.structure import Structure
 from armrig.numerics.levenberg_marquardt import levenberg_marquardt
@@ -47,10 +47,10 @@ THETA = np.array([0.5, -0.2, -0.6, -1.1, 0.5])  # c1 c2 d1 f1 f2
 
 
 def test_every_derivative_of_the_prediction_is_that_of_a_complex_step() -> None:
-    """With all five polynomials, from rest: -de/dtheta by e = (D/C) (A y - (B/F) u) itself."""
+    """With all five polynomials, from rest, by e = (D/C) (A y - (B/F) u)."""
     data, h = signals(2), 1e-30
     structure = replace(GENERAL, at_rest=True)
-    problem = PredictionError(experiments=(prepared(data, structure),), structure=structure)
+    problem = PredictionErrorProblem(experiments=(prepared(data, structure),), structure=structure)
 
     solution = problem.solve(THETA)
 
@@ -83,12 +83,9 @@ def test_every_derivative_of_the_prediction_is_that_of_a_complex_step() -> None:
 def test_the_reduced_gradient_is_the_cost_s(
     structure: Structure, theta: list[float], missing: float
 ) -> None:
-    """Kaufman's Jacobian drops a term of the residual's derivative, none of the cost's.
-
-    Whatever is unknown: initial states of two experiments, gaps, offsets.
-    """
+    """Kaufman's Jacobian drops a term of the residual's derivative, none of the cost's."""
     parts = [signals(3, missing=missing), signals(4, missing=missing)]
-    problem = PredictionError(
+    problem = PredictionErrorProblem(
         experiments=tuple(prepared(part, structure) for part in parts), structure=structure
     )
     at = np.array(theta)
@@ -108,7 +105,7 @@ def rosenbrock(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.
 
 
 def test_the_search_follows_a_curved_valley_to_its_bottom() -> None:
-    """Rosenbrock's function with a constant residual on top."""
+    """Rosenbrock's function with a constant residual."""
     optimum = levenberg_marquardt(rosenbrock, np.array([-1.2, 1.0]), admissible=lambda _: True)
 
     assert optimum.converged
@@ -116,7 +113,6 @@ def test_the_search_follows_a_curved_valley_to_its_bottom() -> None:
 
 
 def test_no_step_leaves_the_admissible_set() -> None:
-    """The search ends at the wall when the minimum lies behind it."""
     seen = []
 
     def watched(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -129,7 +125,6 @@ def test_no_step_leaves_the_admissible_set() -> None:
 
 
 def test_a_minimum_that_is_known_already_is_recognised() -> None:
-    """The last digits are not searched for again, and a poorer end is still told apart."""
     start = np.array([-1.2, 1.0])
     first = levenberg_marquardt(rosenbrock, start, admissible=lambda _: True)
 

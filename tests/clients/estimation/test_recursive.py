@@ -22,7 +22,7 @@ def _data(seed: int, N: int = 400, a: float = -1.2) -> Dataset:
 
 @cache
 def _runs(forgetting: float) -> list[RarxState]:
-    """Return what comes of 150 records of 150 samples."""
+    """Return the results of 150 records of 150 samples."""
     found = []
     for seed in range(150):
         data = _data(seed, 150)
@@ -35,7 +35,6 @@ def _runs(forgetting: float) -> list[RarxState]:
 
 @pytest.mark.parametrize(("na", "nb", "nk"), [(2, 2, 1), (0, 3, 0), (1, 1, 2), (3, 1, 1)])
 def test_without_forgetting_it_is_the_estimate_of_all_samples(na: int, nb: int, nk: int) -> None:
-    """To rounding, with its deviations, over gaps and the boundary of two experiments."""
     valid = np.ones(400, dtype=np.bool_)
     valid[[100, 200, 201]] = False
     one = _data(1)
@@ -63,7 +62,6 @@ def test_with_forgetting_it_is_the_weighted_least_squares_estimate() -> None:
 
 
 def test_a_row_with_a_hole_forgets_nothing() -> None:
-    """The samples weigh as if those without an answer had not been."""
     one = _data(1, 200)
     valid = np.ones(200, dtype=np.bool_)
     valid[[50, 120, 121, 190]] = False
@@ -83,7 +81,7 @@ def test_a_row_with_a_hole_forgets_nothing() -> None:
 
 
 def test_the_error_is_that_of_the_prediction() -> None:
-    """Made with the parameters from before the sample; none where a regressor is missing."""
+    """The prediction uses the parameters before the sample."""
     one = _data(1, 60)
     valid = np.arange(60) != 30
     found = rarx(Dataset(u=one.u, y=one.y, Ts=1.0, valid=valid), na=1, nb=1, forgetting=0.9)
@@ -97,7 +95,6 @@ def test_the_error_is_that_of_the_prediction() -> None:
 
 
 def test_a_change_of_the_system_is_followed() -> None:
-    """What forgets arrives, what does not stays between."""
     data = merge([_data(1, 600), _data(2, 600, a=-0.8)])
 
     follows, stays = (rarx(data, na=2, nb=2, forgetting=f) for f in (0.97, 1.0))
@@ -108,7 +105,7 @@ def test_a_change_of_the_system_is_followed() -> None:
 
 
 def test_the_deviations_hold_while_forgetting() -> None:
-    """Scatter over reported, 150 runs."""
+    """Ratio of scatter and reported deviation, 150 runs."""
     states = _runs(0.97)
 
     ratio = np.std([s.theta for s in states], axis=0) / np.mean([s.std for s in states], axis=0)
@@ -118,14 +115,13 @@ def test_the_deviations_hold_while_forgetting() -> None:
 
 @pytest.mark.parametrize("forgetting", [0.97, 0.9])
 def test_the_noise_variance_holds_while_forgetting(forgetting: float) -> None:
-    """Within the error of the mean of 150 runs, even where four parameters meet ten samples."""
+    """Within the error of the mean of 150 runs, also for four parameters and ten samples."""
     variances = [state.noise_variance for state in _runs(forgetting)]
 
     assert abs(np.mean(variances) - 0.09) < 3 * np.std(variances) / np.sqrt(150)
 
 
 def test_a_step_leaves_the_state_before_it_as_it_was() -> None:
-    """It is a value."""
     state = rarx_step(rarx_start(na=1, nb=1), 1.0, 2.0)
     before = (state.R.copy(), state.u.copy(), state.y.copy())
 
@@ -136,7 +132,6 @@ def test_a_step_leaves_the_state_before_it_as_it_was() -> None:
 
 
 def test_nothing_is_claimed_before_the_samples_determine_it() -> None:
-    """An input that does not move determines nothing."""
     state = rarx_start(na=1, nb=2)
     for _ in range(50):
         state = rarx_step(state, 0.0, 0.0)
@@ -146,6 +141,5 @@ def test_nothing_is_claimed_before_the_samples_determine_it() -> None:
 
 
 def test_a_forgetting_that_is_none_is_refused() -> None:
-    """With an example."""
     with pytest.raises(ValueError, match=r"forgetting=1.1 must be above 0 and at most 1"):
         rarx_start(na=1, nb=1, forgetting=1.1)

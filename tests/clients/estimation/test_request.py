@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from armrig.cli import main
 from armrig.cli.model_structures import requested
-from armrig.cli.next_model import options_of
-from armrig.estimation.request import OPTIONS, Request
+from armrig.cli.next_step import options_of
+from armrig.estimation.request import OPTIONS, Request, flag
 from armrig.models.structure_table import OFFERED, users
 from armrig.report.batch.tasks import Identify, Verify, digest, sha256
+from armrig_core.errors import OperationError
 from msgspec.structs import asdict
 
 DATA = armrig.Dataset(
@@ -26,7 +27,7 @@ DATA = armrig.Dataset(
 def _with(option: str) -> Request:
     """Return a request with an option that is not its default, and one of each kind of order."""
     kind, _ = OPTIONS[option]
-    value = True if kind is bool else get_args(get_args(kind)[0])[-1]
+    value = {bool: True, int | None: 7}.get(kind) or get_args(get_args(kind)[0])[-1]
     structure = users(option)[0]
     orders = dict.fromkeys(OFFERED[structure].orders, 2)
     return Request(structure=structure, orders=orders, nk=0, **{option: value})
@@ -36,7 +37,6 @@ def _with(option: str) -> Request:
 def test_what_is_typed_after_a_model_asks_for_the_same(
     option: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every option comes back in the line after `next:`; `batch` and `identify` take it alike."""
     request, asked, tasks = _with(option), list[Any](), list[Any]()
     monkeypatch.setattr("armrig.cli.batch._do", lambda task, *_, **__: tasks.append(task))
     monkeypatch.setattr(
@@ -53,17 +53,16 @@ def test_what_is_typed_after_a_model_asks_for_the_same(
 
 
 def _ended(*_: Any, **__: Any) -> None:
-    raise armrig.RecordingError("no work")
+    raise OperationError("no work")
 
 
 @pytest.mark.parametrize("option", OPTIONS)
 def test_an_option_of_another_structure_is_refused(
     option: str, tmp_path: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The message says which take it; one that all take is refused for none."""
     others = [name for name in OFFERED if name not in users(option)]
-    value = options_of(_with(option)).partition(f"--{option}")[2].strip()
-    typed = f"--{option} {value}".strip()
+    value = options_of(_with(option)).partition(flag(option))[2].strip()
+    typed = f"{flag(option)} {value}".strip()
 
     for structure in others:
         arguments = ["batch", "identify", str(tmp_path), "-o", "t.parquet"]
@@ -73,14 +72,12 @@ def test_an_option_of_another_structure_is_refused(
 
 
 def test_an_order_and_a_delay_of_0_are_asked_for() -> None:
-    """They are no options that were left out."""
     fit = Request(structure="armax", orders={"na": 1, "nb": 1, "nc": 0}, nk=0).estimated(DATA)
 
     assert fit.orders == {"na": 1, "nb": 1, "nc": 0, "nk": 0}
 
 
 def test_a_model_is_asked_for_again_with_its_orders() -> None:
-    """Those that the data chose, too, and with all that else was asked for."""
     request = Request(structure="n4sid", orders={"order": None}, weights="moesp", stable=True)
     fit = request.estimated(DATA)
 
@@ -101,7 +98,7 @@ def test_another_structure_takes_what_it_can_of_a_request() -> None:
 
 
 def test_an_appended_option_leaves_the_hash_of_a_task() -> None:
-    """A batch of an earlier release goes on: what is not asked for is not in the hash."""
+    """A batch of an earlier release resumes, because unused options are not in the hash."""
     task = Identify(structure="oe", orders={"nb": 4, "nf": 4}, integrator=True)
 
     before = (

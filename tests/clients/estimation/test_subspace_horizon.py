@@ -1,11 +1,16 @@
-"""How far past and future reach: bounds by the order and the length, and what decides between."""
+"""Length of past and future: bounds by the order and the length, and the choice."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.estimation.subspace_horizon import _longest_stretches, least_loss, longest_horizon
-from armrig.numerics.polynomial import filtered
+from armrig.estimation.subspace_horizon import (
+    _longest_stretches,
+    _loss,
+    least_loss,
+    longest_horizon,
+)
+from armrig.numerics.polynomial import filtered, impulse, lagged
 from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
@@ -30,12 +35,11 @@ def signals(N: int, noise: float = 0.1) -> list[tuple[Vector, Vector]]:
 def test_the_horizon_is_bounded_by_order_and_length(
     N: int, order: int | None, horizon: int
 ) -> None:
-    """Between 10 and 30, or what the order asks for, or what the data have."""
     assert longest_horizon(signals(N), N, order) == horizon
 
 
 def test_a_long_memory_takes_a_long_horizon() -> None:
-    """But never one beyond 30 samples: white noise on a slow pole, which an ARX model follows."""
+    """The horizon has at most 30 samples."""
     u, e = np.random.default_rng(1).standard_normal((2, 4000))
     y = filtered([0.0, 1.0], [1.0, -0.98], u) + 2 * e
 
@@ -43,7 +47,6 @@ def test_a_long_memory_takes_a_long_horizon() -> None:
 
 
 def test_models_are_compared_on_the_longest_stretches() -> None:
-    """2000 samples of them, whatever comes first."""
     u = np.arange(3000.0)
     y = u.copy()
     y[[500, 2200]] = np.nan  # 500, 1699 and 799 samples
@@ -57,7 +60,6 @@ def test_models_are_compared_on_the_longest_stretches() -> None:
 
 
 def test_the_model_of_least_loss_is_taken_and_the_first_without_noise() -> None:
-    """The true one, from either place; where nothing is left of y, no digit tells."""
     true, other = (np.array([1.0, -0.5]), np.ones(1)), (np.array([1.0, 0.3]), np.ones(1))
 
     for models, best in (((true, other), 0), ((other, true), 1)):
@@ -65,3 +67,20 @@ def test_the_model_of_least_loss_is_taken_and_the_first_without_noise() -> None:
         assert least_loss(signals(1000), padded, direct=False) == best
     small = [(A, np.append(C, 0.0)) for A, C in (true, true)]
     assert least_loss(signals(1000, noise=1e-9), small, direct=False) == 0
+
+
+@pytest.mark.parametrize("direct", [False, True])
+def test_the_loss_is_that_of_least_squares(direct: bool) -> None:
+    rng = np.random.default_rng(5)
+    u, y = rng.standard_normal((2, 60))
+    A, C = np.array([1.0, -1.2, 0.5]), np.array([1.0, 0.3, 0.1])
+    pulse, filtered_u = impulse(C, 60), filtered([1.0], C, u)
+    Phi = np.column_stack(
+        [lagged(filtered_u, range(not direct, 3)), lagged(pulse, range(2)), np.cumsum(pulse)]
+    )
+    v = filtered(A, C, y)
+
+    loss = _loss(u, y, A, C, direct=direct)
+
+    best = Phi @ np.linalg.lstsq(Phi, v, rcond=None)[0]
+    assert loss == pytest.approx(float(np.sum((v - best) ** 2)), rel=1e-9)

@@ -25,7 +25,7 @@ from hypothesis import strategies as st
 
 
 def test_a_telegraph_signal_switches_as_often_as_asked() -> None:
-    """With probability a a sample, within four standard deviations."""
+    """The probability is a per sample, within four standard deviations."""
     N, a = 20_000, 0.05
 
     u = telegraph(N, a, low=0.0, high=5.0, seed=3)
@@ -36,7 +36,7 @@ def test_a_telegraph_signal_switches_as_often_as_asked() -> None:
 
 
 def test_the_first_level_is_drawn_with_equal_chances() -> None:
-    """Whatever the switching probability; four standard deviations of 1000 draws."""
+    """Within four standard deviations of 1000 draws."""
     rng = np.random.default_rng(0)
 
     high = sum(telegraph(1, 0.05, seed=rng)[0] == 4.5 for _ in range(1000))
@@ -45,7 +45,6 @@ def test_the_first_level_is_drawn_with_equal_chances() -> None:
 
 
 def test_the_same_seed_gives_the_same_signal() -> None:
-    """A run can be repeated."""
     np.testing.assert_array_equal(telegraph(50, 0.3, seed=7), telegraph(50, 0.3, seed=7))
 
 
@@ -59,7 +58,6 @@ def test_a_level_outside_the_rig_s_range_is_refused(low: float, high: float) -> 
 
 
 def test_a_step_is_low_before_and_high_from_its_sample_on() -> None:
-    """The sample named is the first at the high level."""
     np.testing.assert_array_equal(step(4, low=1.0, high=2.0, at=3), [1, 1, 1, 2])
 
 
@@ -80,20 +78,17 @@ def test_a_step_is_low_before_and_high_from_its_sample_on() -> None:
     ],
 )
 def test_an_impossible_signal_is_refused(arguments: tuple[Any, ...], message: str) -> None:
-    """What came and what is allowed, in our words."""
     with pytest.raises(ValueError, match=message):
         telegraph(*arguments)
 
 
 @pytest.mark.parametrize(("N", "at"), [(0, 0), (4.0, 1), (4, 1.5), (4, -1), (4, 5)])
 def test_an_impossible_step_is_refused(N: Any, at: Any) -> None:
-    """Before numpy meets it."""
     with pytest.raises(ValueError, match=r"(N|at)=.* must be"):
         step(N, at=at)
 
 
 def test_numpy_s_integers_are_integers() -> None:
-    """A length may come out of a computation."""
     np.testing.assert_array_equal(telegraph(np.int64(5), 0.5), telegraph(5, 0.5))
 
 
@@ -104,7 +99,6 @@ def test_numpy_s_integers_are_integers() -> None:
     st.integers(0, 2**32),
 )
 def test_no_signal_leaves_its_interval(N: int, low: float, width: float, seed: int) -> None:
-    """Each is float64 (N,), whatever the length, the interval and the seed, to the last bit."""
     high = min(low + width, 5.0)
     signals = {
         "telegraph": telegraph(N, 0.3, low, high, seed),
@@ -138,8 +132,7 @@ def test_no_signal_leaves_its_interval(N: int, low: float, width: float, seed: i
 def test_no_kind_takes_an_interval_outside_the_rig_s(
     make: Any, arguments: tuple[Any, ...], low: float, high: float
 ) -> None:
-    """All ask the same guard."""
-    with pytest.raises(ValueError, match=r"outside the rig's 0 to 5 V|must lie below"):
+    with pytest.raises(ValueError, match=r"outside the rig's 0 to 5 V|must be below"):
         make(*arguments, low=low, high=high)
 
 
@@ -156,13 +149,11 @@ def test_a_maximal_length_sequence_is_white_over_its_period(register: int) -> No
 
 
 def test_a_clock_holds_each_value() -> None:
-    """The slow sequence is the fast one, every value as often as the clock says."""
     np.testing.assert_array_equal(prbs(21, 3, register=3)[::3], prbs(7, 1, register=3))
     np.testing.assert_array_equal(prbs(21, 3, register=3)[2::3], prbs(7, 1, register=3))
 
 
 def test_by_default_a_prbs_does_not_repeat_itself() -> None:
-    """The register is as long as N needs: another seed begins elsewhere in the same period."""
     u = prbs(127, seed=1)
 
     assert len({tuple(window) for window in np.lib.stride_tricks.sliding_window_view(u, 7)}) == 121
@@ -171,7 +162,7 @@ def test_by_default_a_prbs_does_not_repeat_itself() -> None:
 
 @pytest.mark.parametrize("distribution", ["uniform", "normal"])
 def test_noise_is_white_and_as_strong_as_said(distribution: Any) -> None:
-    """Lag correlations within four of 1/sqrt(N); variance as the doc says, 2 %."""
+    """Lag correlations within four times 1/sqrt(N); variance within 2 % of the documented value."""
     N = 40_000
 
     u = white_noise(N, 0.0, 3.0, seed=2, distribution=distribution) - 1.5
@@ -184,7 +175,6 @@ def test_noise_is_white_and_as_strong_as_said(distribution: Any) -> None:
 
 
 def test_a_multisine_has_power_at_its_lines_only_and_equally() -> None:
-    """Whole periods: no leakage, to rounding."""
     lines = [1, 3, 5, 40]
 
     u = multisine(600, lines, seed=4, periods=3)
@@ -198,7 +188,7 @@ def test_a_multisine_has_power_at_its_lines_only_and_equally() -> None:
 
 
 def test_realisations_with_the_same_effective_value_differ_in_their_phases_only() -> None:
-    """Else a scatter between them would not be the plant's."""
+    """Otherwise their scatter would not be due to the plant alone."""
     spectra = [np.abs(np.fft.rfft(multisine(400, seed=s, rms=0.4))) for s in (1, 2)]
 
     np.testing.assert_allclose(spectra[0], spectra[1], rtol=1e-9, atol=1e-9)
@@ -206,7 +196,6 @@ def test_realisations_with_the_same_effective_value_differ_in_their_phases_only(
 
 
 def test_a_value_outside_is_named_by_its_index() -> None:
-    """The first one, with its value and the way out."""
     with pytest.raises(ValueError, match=r"u\[1\]=6 V is outside 0 to 5 V, as are 2 of 3"):
         within([1.0, 6.0, float("nan")])
     with pytest.raises(ValueError, match=r"u\[2\]=4.6 V is outside 0.5 to 4.5 V"):
@@ -217,7 +206,6 @@ def test_a_value_outside_is_named_by_its_index() -> None:
 
 @pytest.mark.parametrize("sweep", ["linear", "logarithmic"])
 def test_a_chirp_moves_from_its_first_frequency_to_its_last(sweep: Any) -> None:
-    """Between upward crossings of the middle, all along the way."""
     Ts, N = 1e-3, 20_000
     u = chirp(N, Ts, 1.0, 10.0, sweep=sweep) - 2.5
 
@@ -230,7 +218,7 @@ def test_a_chirp_moves_from_its_first_frequency_to_its_last(sweep: Any) -> None:
 @pytest.mark.parametrize(
     ("to_hz", "sweep", "cycles"), [(3.0, "linear", 0.75), (4.0, "logarithmic", 1 / np.log(4))]
 )
-def test_a_chirp_reaches_its_last_frequency_behind_its_last_sample(
+def test_a_chirp_reaches_its_last_frequency_after_its_last_sample(
     to_hz: float, sweep: Any, cycles: float
 ) -> None:
     """At N Ts = 1 s; from 1 Hz the integral of the frequency up to 0.5 s is known."""
@@ -240,7 +228,6 @@ def test_a_chirp_reaches_its_last_frequency_behind_its_last_sample(
 
 
 def test_a_staircase_stays_equally_long_on_every_level() -> None:
-    """Given ones in their order; a number of them from low to high."""
     np.testing.assert_array_equal(staircase(7, [1, 3, 2]), [1, 1, 1, 3, 3, 2, 2])
     np.testing.assert_array_equal(staircase(4, 2, low=0, high=5), [0, 0, 5, 5])
 
@@ -252,21 +239,20 @@ def test_a_staircase_stays_equally_long_on_every_level() -> None:
         (lambda: prbs(9, register=1), "register=1 must be an integer >= 2"),
         (lambda: prbs(9, register=25), "register=25 is more than 24"),
         (lambda: white_noise(9, distribution="pink"), "distribution='pink'"),  # type: ignore[arg-type]
-        (lambda: multisine(10, periods=3), "no whole number of periods=3; take N=9"),
+        (lambda: multisine(10, periods=3), "not a whole number of periods=3; use N=9"),
         (lambda: multisine(10, [5]), "line 5 is above 4"),
         (lambda: multisine(10, [0]), "line=0 must be an integer >= 1"),
         (lambda: multisine(10, []), "lines is empty"),
-        (lambda: multisine(2), "needs 3 samples"),
+        (lambda: multisine(2), "needs at least 3 samples"),
         (lambda: multisine(10, rms=0), "rms=0 V must be > 0"),
         (lambda: chirp(9, 0.01, 1.0, 50.0), "to_hz=50.0 must be > 0 and below 50 Hz"),
         (lambda: chirp(9, 0.0, 1.0, 2.0), "Ts=0.0 must be finite"),
         (lambda: chirp(9, 0.01, 1.0, 2.0, sweep="up"), "sweep='up'"),  # type: ignore[arg-type]
         (lambda: staircase(9, 1), "levels=1 must be an integer >= 2"),
-        (lambda: staircase(2, 3), "3 levels need as many samples"),
+        (lambda: staircase(2, 3), "3 levels need at least as many samples"),
     ],
 )
 def test_what_a_kind_cannot_make_is_refused(make: Any, message: str) -> None:
-    """What came, what is allowed, and the way out."""
     with pytest.raises(ValueError, match=message):
         make()
 
@@ -281,7 +267,6 @@ def test_what_a_kind_cannot_make_is_refused(make: Any, message: str) -> None:
     ],
 )
 def test_a_file_is_read_as_people_write_them(tmp_path: Path, text: str) -> None:
-    """With names or without, from any first time, with times or without."""
     path = tmp_path / "u.csv"
     path.write_text(text, encoding="utf-8")
 
@@ -291,8 +276,8 @@ def test_a_file_is_read_as_people_write_them(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("t,u\n0,1\n0.01,2\n0.03,3\n", r"row 4: t=0.03 s where Ts=0.01 s gives 0.02 s.*0.015 s"),
-        ("0,1\n0.005,2\n0.01,3\n", "row 2: t=0.005 s where Ts=0.01 s gives 0.01 s"),
+        ("t,u\n0,1\n0.01,2\n0.03,3\n", r"row 4: t=0.03 s, but Ts=0.01 s gives 0.02 s.*0.015 s"),
+        ("0,1\n0.005,2\n0.01,3\n", "row 2: t=0.005 s, but Ts=0.01 s gives 0.01 s"),
         ("0,1\n0.010101,2\n", "row 2: t=0.010101 s"),
         ("0,1\nnan,2\n", "row 2: t=nan s"),
         ("t,u\n0,1\n0.01,-1\n0.02,7\n", r"row 3: u=-1 V \(sample 1\) is outside 0 to 5 V.* 2 of 3"),
@@ -318,7 +303,6 @@ def test_a_file_that_must_not_be_played_is_refused_by_its_row(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
-    """And made again by its details."""
     figures = {"a": 0.05, "low": 1.0, "high": 2.0, "seed": 5}
 
     u = named_signal(name, 700, 0.01, **figures)  # type: ignore[arg-type]
@@ -332,7 +316,6 @@ def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
 
 
 def test_an_input_that_has_no_name_is_refused() -> None:
-    """With those that there are."""
     with pytest.raises(ValueError, match=r"input 'noise': there are telegraph, prbs, white"):
         named_signal("noise", 10, 0.01, a=0.05, low=1, high=2, seed=1)
 
@@ -349,7 +332,7 @@ def test_a_prbs_by_name_switches_as_often_as_a_telegraph() -> None:
 
 
 def test_realisations_have_the_same_power_at_the_same_lines_and_fit() -> None:
-    """Other phases are all that differs, so that `bla` may average."""
+    """`bla` may average the realisations, because they differ only in their phases."""
     drawn = realisations(600, 3, 0.5, 4.5, 1, periods=3)
 
     U = [np.abs(np.fft.rfft(u - 2.5)) for u in drawn]
@@ -365,14 +348,14 @@ def test_realisations_have_the_same_power_at_the_same_lines_and_fit() -> None:
     [
         ("t\n0\n0.02\n0.04\n", "column t; name it u"),
         ("x,x,x\n1\n2\n", "column x, x, x; name it u"),
-        ("0,5\n1,5\n2,5\n", "a comma parts what may be one number"),
-        ("2,5\n", "a comma parts what may be one number"),
+        ("0,5\n1,5\n2,5\n", "a comma separates what may be one number"),
+        ("2,5\n", "a comma separates what may be one number"),
     ],
 )
 def test_a_file_that_may_mean_another_voltage_is_refused(
     tmp_path: Path, text: str, said: str
 ) -> None:
-    """A time vector is no input, and 0,5 is half a volt to whoever wrote it."""
+    """A time vector is no input, and "0,5" may mean half a volt."""
     path = tmp_path / "u.csv"
     path.write_text(text)
 
@@ -381,7 +364,6 @@ def test_a_file_that_may_mean_another_voltage_is_refused(
 
 
 def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
-    """A pipe that nobody writes to."""
     os.mkfifo(tmp_path / "u.csv")
 
     with pytest.raises(OSError, match="not a regular file"):
@@ -389,7 +371,6 @@ def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
 
 
 def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
-    """A byte order mark before UTF-8; another encoding is told with what to do."""
     path = tmp_path / "u.csv"
     path.write_text("t,u\r\n0,1\r\n1,2\r\n", encoding="utf-8-sig")
 

@@ -24,7 +24,7 @@ RUNS, N = 200, 400
 
 @pytest.mark.parametrize("structure", ["oe", "arx"])
 def test_the_prediction_is_what_repeated_experiments_scatter_by(structure: str) -> None:
-    """Within 15 % of a scatter that is itself known to 5 % (1/sqrt(2 RUNS)): three of them."""
+    """The scatter is known to 5 % (1/sqrt(2 RUNS)); the tolerance of 15 % is three times that."""
     u = telegraph(N, 0.3)
     denominator = {"oe": "F", "arx": "A"}[structure]
     model = PlannedModel(B=B, noise_variance=0.25, Ts=1.0, **{denominator: A})  # type: ignore[arg-type]
@@ -58,7 +58,7 @@ def test_for_the_data_it_was_estimated_from_a_fit_predicts_its_own_std(plant: An
 
 @pytest.mark.parametrize("structure", ["armax", "integrating armax", "bj", "integrating bj"])
 def test_models_with_a_noise_model_predict_their_own_std_too(structure: str) -> None:
-    """On 4000 samples: within 10 %, since the data's noise is one draw of the one expected."""
+    """On 4000 samples, within 10 %, because the noise of the data is one draw."""
     rng = np.random.default_rng(5)
     u, e = telegraph(4000, 0.3, seed=rng), 0.3 * rng.standard_normal(4000)
     C, D = [1, 0.5], [1, -0.7]
@@ -126,20 +126,19 @@ def test_a_stronger_input_teaches_more_and_noise_less(noise: float, gain: float)
 
 
 def test_it_is_said_in_words_whether_the_experiment_is_long_enough() -> None:
-    """And how long it would take: four times as long for half the standard deviation."""
     u = telegraph(3000, 0.3)
     predicted = predicted_std(PlannedModel(B=B, F=A, noise_variance=0.1, Ts=0.01), u)
     got = float(predicted.std[2])
 
     assert predicted.seconds_for(f1=got / 2) == pytest.approx(4 * 30)
-    assert "30 s will not do, about 120 s are needed" in predicted.explain(f1=got / 2)
-    assert "30 s will do, about 7.5 s are needed" in predicted.explain(f1=2 * got)
+    assert "30 s is too short, about 120 s are needed" in predicted.explain(f1=got / 2)
+    assert "30 s is long enough, about 7.5 s are needed" in predicted.explain(f1=2 * got)
     both = predicted.explain(f1=2 * got, b1=float(predicted.std[0]) / 3)
-    assert both.splitlines()[-1] == "together: 30 s will not do, about 270 s are needed"
+    assert both.splitlines()[-1] == "together: 30 s is too short, about 270 s are needed"
     assert repr(predicted) == predicted.explain()
-    with pytest.raises(ValueError, match="'g1' is none of the parameters b1, b2, f1, f2"):
+    with pytest.raises(ValueError, match="'g1' is not among the parameters b1, b2, f1, f2"):
         predicted.explain(g1=1.0)
-    with pytest.raises(ValueError, match="f1=0: a standard deviation wanted must be > 0"):
+    with pytest.raises(ValueError, match="f1=0: a wanted standard deviation must be > 0"):
         predicted.explain(f1=0)
     longer = predicted_std(
         PlannedModel(B=B, F=A, noise_variance=0.1, Ts=0.01), telegraph(12_000, 0.3)
@@ -148,7 +147,7 @@ def test_it_is_said_in_words_whether_the_experiment_is_long_enough() -> None:
 
 
 def test_the_inertia_s_standard_deviation_is_predicted_from_physics() -> None:
-    """As from least squares linearised at the truth, every nuisance by hand."""
+    """As from least squares linearised at the truth, with every nuisance parameter by hand."""
     p, Ts, std = ArmParameters(), 0.01, 5e-3
     u = telegraph(1000, 0.05)
     t = Ts * np.arange(1000)
@@ -172,13 +171,13 @@ def test_the_inertia_s_standard_deviation_is_predicted_from_physics() -> None:
 
 
 def test_an_input_that_teaches_too_little_is_refused_beforehand() -> None:
-    """A step from rest that starts with the record is, the initial state unknown, no excitation."""
+    """A step at the first sample excites nothing if the initial state is unknown."""
     model, u = PlannedModel(B=B, F=A, noise_variance=1.0, Ts=1.0), telegraph(300, 0.1)
 
     with pytest.raises(ValueError, match=r"determines only \d of 4 parameters"):
         predicted_std(model, step(300))
     with pytest.raises(ValueError, match=r"determines only \d of 4 parameters"):
-        # Where torque and back-EMF are known by their ratio alone, N and K_m cannot be told apart.
+        # If torque and back-EMF are known by their ratio alone, N and K_m cannot be separated.
         predicted_parameter_std(
             chassis, u, Ts=0.01, noise_variance=1e-6, free=("J_1", "N", "K_m", "R_m")
         )
@@ -196,18 +195,16 @@ def test_an_input_that_teaches_too_little_is_refused_beforehand() -> None:
     ],
 )
 def test_a_model_that_cannot_be_is_refused(change: dict[str, Any], message: str) -> None:
-    """Before it is planned with."""
     with pytest.raises(ValueError, match=message):
         PlannedModel(**({"B": B, "F": A, "noise_variance": 1.0, "Ts": 1.0} | change))
 
 
 def test_what_cannot_be_planned_is_refused() -> None:
-    """Gaps with a noise model, no noise variance, another rate, parameters that are none."""
     u = telegraph(300, 0.3)
     model = PlannedModel(B=B, A=A, noise_variance=1.0, Ts=1.0)
     gaps = Dataset(u=u, y=u, Ts=1.0, valid=np.arange(300) > 3)
 
-    with pytest.raises(ValueError, match=r"4 samples are missing.*output-error model only"):
+    with pytest.raises(ValueError, match=r"4 samples are missing.*only an output-error model"):
         predicted_std(model, gaps)
     with pytest.raises(ValueError, match="noise_variance=nan must be > 0"):
         predicted_std(model, u, noise_variance=float("nan"))
@@ -218,5 +215,5 @@ def test_what_cannot_be_planned_is_refused() -> None:
     for free in (("J_3",), ("b_1",), ()):
         with pytest.raises(ValueError, match="must name parameters that are > 0"):
             predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, free=free)
-    with pytest.raises(ValueError, match="output='beta' is none of the model's theta_1, alpha"):
+    with pytest.raises(ValueError, match="output='beta' is not among the outputs theta_1, alpha"):
         predicted_parameter_std(arm, u, Ts=0.01, noise_variance=1e-6, output="beta")

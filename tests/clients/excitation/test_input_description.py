@@ -1,4 +1,4 @@
-"""What an input can teach is told before it is played."""
+"""The information in an input, before it is played."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
     ],
 )
 def test_the_order_of_excitation_is_the_textbook_s(u: NDArray[np.float64], order: int) -> None:
-    """A constant 1, a sine 2, a sequence of period M: M; a step moves once, and counts as none.
+    """A constant has 1, a sine 2, a sequence of period M has M; a single step has none.
 
     L. Ljung, System Identification, 2nd ed., 1999, section 13.2.
     """
@@ -37,8 +37,7 @@ def test_the_order_of_excitation_is_the_textbook_s(u: NDArray[np.float64], order
 
 
 @pytest.mark.parametrize("u", [telegraph(400, 0.3), white_noise(400), prbs(400)])
-def test_what_excites_everything_is_told_as_at_least(u: NDArray[np.float64]) -> None:
-    """No order beyond what was looked for is claimed."""
+def test_an_input_that_excites_everything_has_a_lower_bound(u: NDArray[np.float64]) -> None:
     description = describe_input(u, 0.01)
 
     assert description.order == description.highest_order == 50
@@ -46,7 +45,7 @@ def test_what_excites_everything_is_told_as_at_least(u: NDArray[np.float64]) -> 
 
 
 def test_the_weakest_direction_of_a_slow_signal_is_weaker() -> None:
-    """White noise has its variance in every direction; a telegraph's least is a/(1 - a) of it."""
+    """White noise has its variance in every direction, a telegraph at least a/(1 - a) of it."""
     N, a = 100_000, 0.05
 
     white, slow = (describe_input(u, 1).weakest for u in (white_noise(N), telegraph(N, a)))
@@ -56,7 +55,7 @@ def test_the_weakest_direction_of_a_slow_signal_is_weaker() -> None:
 
 
 def test_crest_factor_mean_and_levels_are_those_of_the_signal() -> None:
-    """A two-level signal of equal shares has 1; a sine sqrt(2)."""
+    """A two-level signal of equal shares has the crest factor 1, a sine sqrt(2)."""
     square, sine = np.tile([1.0, 3.0], 50), 2 + np.cos(2 * np.pi * np.arange(400) / 100)
 
     d = describe_input(square, 0.01)
@@ -69,7 +68,6 @@ def test_crest_factor_mean_and_levels_are_those_of_the_signal() -> None:
 
 @pytest.mark.parametrize("u", [white_noise(500), staircase(500, 20), staircase(500, 21)])
 def test_the_shares_of_the_time_sum_to_one(u: NDArray[np.float64]) -> None:
-    """Each level has its share where there are few, ten bins where there are many."""
     d = describe_input(u, 0.01)
 
     assert d.shares.sum() == pytest.approx(1.0)
@@ -88,7 +86,7 @@ def test_the_area_below_the_spectrum_is_the_variance() -> None:
 
 
 def test_sixteen_samples_have_a_spectrum() -> None:
-    """They are the fewest that are allowed, and one segment."""
+    """Sixteen samples are the allowed minimum: one segment."""
     omega, density = power_spectrum([telegraph(16, 0.5)], 0.01)
 
     assert omega.size == density.size == 9
@@ -96,7 +94,6 @@ def test_sixteen_samples_have_a_spectrum() -> None:
 
 
 def test_a_spectrum_leaves_out_what_it_cannot_use() -> None:
-    """A hole splits a stretch, and nothing is put into it."""
     x = np.cos(0.5 * np.arange(4000))
     holed = x.copy()
     holed[[1000, 1003, 2500]] = np.nan
@@ -110,8 +107,7 @@ def test_a_spectrum_leaves_out_what_it_cannot_use() -> None:
 
 
 @pytest.mark.parametrize("u", [telegraph(3000, 0.1), np.ones(40), np.array([1.0]), white_noise(12)])
-def test_every_input_can_be_told_and_shown(u: NDArray[np.float64]) -> None:
-    """Also one that teaches nothing."""
+def test_every_input_can_be_described_and_shown(u: NDArray[np.float64]) -> None:
     d = describe_input(u, 0.01)
 
     assert f"input of {u.size} samples at 0.01 s" in repr(d)
@@ -121,7 +117,6 @@ def test_every_input_can_be_told_and_shown(u: NDArray[np.float64]) -> None:
 
 
 def test_what_is_no_input_is_refused() -> None:
-    """By the sample that is wrong."""
     with pytest.raises(ValueError, match="u is not finite at 1"):
         describe_input([1.0, np.nan], 0.01)
     with pytest.raises(ValueError, match="Ts=0 must be finite"):

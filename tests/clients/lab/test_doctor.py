@@ -1,4 +1,4 @@
-"""The doctor on hosts made of files: what it finds, what that costs, and how to mend it."""
+"""The doctor on hosts made of files: findings, their costs, and the remedies."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from armrig.lab import doctor
 from armrig.lab.doctor import examine, is_well
 from armrig.lab.host import Granted, Host, HostCheck, preemption, recordings_directory
 from armrig_core.commands import StatusReport
-from fake_daemon import FakeDaemon
 from msgspec.structs import replace
+
+from tests.clients.fake_daemon import FakeDaemon
 
 GRANTED: dict[str, Any] = {
     "fifo": True,
@@ -48,7 +49,7 @@ GOOD = {
 
 
 def host(root: Path, files: dict[str, str] | None = None, **granted: Any) -> Host:
-    """Return a good host but for these files and grants."""
+    """Return a good host except for these files and grants."""
     for name, content in (GOOD | (files or {})).items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -63,11 +64,11 @@ def found(findings: list[HostCheck], name: str) -> HostCheck:
 
 
 def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
-    """Each check says in a line what it found, and asks for nothing."""
     findings = examine(host(tmp_path))
 
     assert {f.level for f in findings} == {"good"}
     assert len(findings) == 15
+    assert found(findings, "load").found == "0.4 on 4 processors"
     assert all("\n" not in str(f) and not f.mend for f in findings)
 
 
@@ -127,7 +128,7 @@ def test_a_good_host_has_nothing_but_good_findings(tmp_path: Path) -> None:
     ],
     ids=lambda value: value if isinstance(value, str) and value[:1] != "#" else "",
 )
-def test_what_costs_timing_is_told_with_the_way_out(
+def test_what_costs_timing_is_reported_with_the_way_out(
     tmp_path: Path,
     name: str,
     files: dict[str, str],
@@ -135,7 +136,6 @@ def test_what_costs_timing_is_told_with_the_way_out(
     words: str,
     way_out: str,
 ) -> None:
-    """One bad thing is one bad finding, and nothing else changes."""
     findings = examine(host(tmp_path, files, **granted))
 
     assert [f.name for f in findings if f.level == "bad"] == [name]
@@ -146,8 +146,7 @@ def test_what_costs_timing_is_told_with_the_way_out(
     assert not is_well(findings)
 
 
-def test_what_cannot_be_mended_here_is_a_note_and_does_not_count(tmp_path: Path) -> None:
-    """A virtual machine that gets its time, and a kernel without a bound."""
+def test_what_cannot_be_corrected_here_is_a_note_and_does_not_count(tmp_path: Path) -> None:
     files = {
         "proc/cpuinfo": "flags\t\t: fpu hypervisor tsc\n",
         "proc/sys/kernel/version": "#1 SMP PREEMPT_DYNAMIC @0",
@@ -159,8 +158,7 @@ def test_what_cannot_be_mended_here_is_a_note_and_does_not_count(tmp_path: Path)
     assert is_well(findings)
 
 
-def test_a_host_that_tells_nothing_is_no_error(tmp_path: Path) -> None:
-    """An empty tree: what is not told is said, or taken for what its absence means."""
+def test_a_host_without_information_is_no_error(tmp_path: Path) -> None:
     findings = examine(Host(root=tmp_path, granted=Granted(**GRANTED)))
 
     assert {f.name for f in findings if f.level == "note"} == {
@@ -170,7 +168,7 @@ def test_a_host_that_tells_nothing_is_no_error(tmp_path: Path) -> None:
 
 
 def test_a_deep_idle_state_costs_where_the_loop_cannot_hold_it_off(tmp_path: Path) -> None:
-    """By /dev/cpu_dma_latency, which the loop holds while it runs."""
+    """The loop writes /dev/cpu_dma_latency while it runs."""
     state = "sys/devices/system/cpu/cpu1/cpuidle/state3"
     made = host(tmp_path, {f"{state}/latency": "133", f"{state}/name": "C6"})
 
@@ -186,18 +184,16 @@ def test_a_deep_idle_state_costs_where_the_loop_cannot_hold_it_off(tmp_path: Pat
 def test_deep_idle_states_that_cannot_be_held_off_are_noted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What was found, then what it costs."""
     made = host(tmp_path)
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write to each
 
     finding = found(examine(made), "cpu_dma_latency")
 
-    assert (finding.level, finding.found) == ("note", "may not be written")
-    assert finding.costs == "the loop cannot hold off deep idle states"
+    assert (finding.level, finding.found) == ("note", "not writable")
+    assert finding.costs == "the loop cannot prevent deep idle states"
 
 
 def test_an_idle_state_that_is_disabled_costs_nothing(tmp_path: Path) -> None:
-    """The kernel does not use it."""
     state = "sys/devices/system/cpu/cpu0/cpuidle/state1"
     made = host(tmp_path, {f"{state}/latency": "300", f"{state}/disable": "1"})
     (tmp_path / "dev/cpu_dma_latency").unlink()
@@ -216,10 +212,9 @@ def test_an_idle_state_that_is_disabled_costs_nothing(tmp_path: Path) -> None:
         ({}, "unknown"),
     ],
 )
-def test_the_preemption_model_is_told_by_the_first_that_knows(
+def test_the_preemption_model_is_reported_by_the_first_that_knows(
     tmp_path: Path, files: dict[str, str], model: str
 ) -> None:
-    """The kernel's own file, its command line, or the words in its version."""
     for name, content in files.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(content)
@@ -228,7 +223,6 @@ def test_the_preemption_model_is_told_by_the_first_that_knows(
 
 
 def test_recordings_go_where_the_users_configuration_says(tmp_path: Path) -> None:
-    """Over the host's; a file that cannot be read as TOML is the daemon's to complain of."""
     user = tmp_path / "user"
     for directory, content in (
         (tmp_path / "etc/armrig", '[recording]\ndirectory = "/srv/rig"\n'),
@@ -258,7 +252,6 @@ def test_the_exit_code_says_whether_all_is_well(
     fifo: bool,
     code: int,
 ) -> None:
-    """0 only when nothing costs timing; one line each, or JSON."""
     findings = examine(host(tmp_path, fifo=fifo))
     monkeypatch.setattr(doctor, "doctor", lambda *_: findings)
 
@@ -273,7 +266,6 @@ def test_the_exit_code_says_whether_all_is_well(
 
 
 def test_this_host_is_looked_at_whatever_it_is() -> None:
-    """The real files and a real trial: all checks say something."""
     assert len(doctor.doctor()) >= 14
 
 
@@ -294,7 +286,7 @@ NOBODY: dict[str, Any] = {
     "memory_lock": False,
     "groups": frozenset({"student", "armrig"}),
 }
-"""What a student is granted who runs no daemon."""
+"""Permissions of a student without a daemon."""
 
 
 def daemon(**host: Any) -> StatusReport:
@@ -302,10 +294,10 @@ def daemon(**host: Any) -> StatusReport:
     return replace(FakeDaemon("there").status(), host=GRANTED_TO_DAEMON | host)
 
 
-def test_a_daemon_that_answers_is_judged_and_not_the_user_who_calls(
+def test_a_daemon_that_answers_is_judged_and_not_the_calling_user(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A student is granted nothing, and is to join no group that opens the port."""
+    """A student has no permission and must not join the group that opens the port."""
     monkeypatch.setattr(os, "access", lambda *_: False)
     deep = {"sys/devices/system/cpu/cpu1/cpuidle/state3/latency": "133"}
     made = host(tmp_path, deep, **NOBODY)
@@ -319,8 +311,7 @@ def test_a_daemon_that_answers_is_judged_and_not_the_user_who_calls(
     assert not [f for f in findings if "dialout" in str(f)]
 
 
-def test_what_the_daemon_was_refused_is_told_to_root_too(tmp_path: Path) -> None:
-    """In the daemon's own words, which the journal has; root would be granted all of it."""
+def test_the_daemon_s_refused_requests_are_reported_to_root_too(tmp_path: Path) -> None:
     made = host(tmp_path, is_root=True)
 
     findings = examine(
@@ -341,7 +332,6 @@ def test_what_the_daemon_was_refused_is_told_to_root_too(tmp_path: Path) -> None
 
 
 def test_where_a_service_has_stopped_nobody_is_judged_in_its_place(tmp_path: Path) -> None:
-    """The one note says what to type; what only the daemon knows is left out."""
     made = host(tmp_path, **NOBODY)
 
     findings = examine(dataclasses.replace(made, silent="the service of rig 1 has stopped"))
@@ -353,18 +343,19 @@ def test_where_a_service_has_stopped_nobody_is_judged_in_its_place(tmp_path: Pat
 
 
 def test_the_doctor_asks_the_daemon_of_this_machine(tmp_path: Path) -> None:
-    """At the socket that is named; another machine's daemon is none of it."""
     with FakeDaemon(f"unixsock-stream/{tmp_path}/1.sock") as asked:
         findings = doctor.doctor("1", asked.endpoint)
 
     assert found(findings, "daemon").found == f"rig 1 at {asked.endpoint}"
     assert found(findings, "SCHED_FIFO").mend == "set LimitRTPRIO="
-    with pytest.raises(ValueError, match="the doctor examines this machine: unixsock-stream/PATH"):
+    with pytest.raises(
+        ValueError, match="the doctor examines this machine: give unixsock-stream/PATH"
+    ):
         doctor.doctor("1", "tls/lab:7447")
 
 
-def test_kernel_workers_of_ordinary_priority_are_told_with_the_way_out(tmp_path: Path) -> None:
-    """They carry the serial port's bytes; that nobody raised them makes no host a bad one."""
+def test_kernel_workers_of_ordinary_priority_are_reported_with_the_way_out(tmp_path: Path) -> None:
+    """Kernel workers move the bytes of the serial port."""
     stat = "50 (kworker/u8:1-events_unbound) I 2 0 0 0 -1 69238880 0 0 0 0 0 0 0 0 20 0 1 0"
     findings = examine(host(tmp_path, {"proc/50/stat": stat}))
 

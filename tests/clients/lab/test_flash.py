@@ -19,19 +19,20 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-import uno_with_optiboot
 from armrig.cli import flash as command
 from armrig.cli import main
-from armrig.lab.flash import avrdude, boards
-from armrig.lab.flash.boards import Board, chosen
+from armrig.lab.flash import avrdude
+from armrig.lab.flash.avrdude import Board, chosen
 from armrig_core.errors import OperationError
 from armrig_core.firmware_image import read_image, shipped_image
 from armrig_daemon.emulator.device import Device
 from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.uno import Uno as SimulatedUno
-from sampling import sampled
-from tools import needs
-from uno_with_optiboot import Uno
+
+from tests.clients import uno_with_optiboot
+from tests.clients.uno_with_optiboot import Uno
+from tests.sampling import sampled
+from tests.tools import needs
 
 pytestmark = needs("avrdude")
 R3 = Board(port="/dev/ttyACM0", name="Arduino Uno R3 (2341:0043)", is_uno=True)
@@ -66,7 +67,6 @@ def _records(data: bytes) -> Iterator[str]:
 
 @needs("simavr")
 def test_the_firmware_is_written_read_back_and_answers(tmp_path: Path, capsys: Said) -> None:
-    """The board holds the bytes of the file, runs them, and says so."""
     image = read_image(shipped_image())
     uno_with_optiboot.harness()
     with Uno(partial(_what_was_written, tmp_path)) as uno:
@@ -81,23 +81,21 @@ def test_the_firmware_is_written_read_back_and_answers(tmp_path: Path, capsys: S
 
 
 @pytest.mark.exhaustive
-def test_a_board_that_runs_another_firmware_afterwards_is_told(capsys: Said) -> None:
-    """Its answer to HELLO says which; all pages were written and read back."""
+def test_a_board_that_runs_another_firmware_afterwards_is_reported(capsys: Said) -> None:
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port, "--yes"]) == 1
 
     said = capsys.readouterr()
     assert "written and read back: the same" in said.out
-    assert "says that it runs the firmware 00000000, and not" in said.err
+    assert "reports the firmware 00000000, but" in said.err
     assert uno.left
 
 
 @pytest.mark.exhaustive
-def test_a_program_that_does_not_answer_is_told(
+def test_a_program_that_does_not_answer_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
-    """As of a firmware that was built for another speed of the line."""
-    monkeypatch.setattr("armrig.lab.flash.boards.greeting", lambda port, baud: None)
+    monkeypatch.setattr("armrig.lab.flash.avrdude.greeting", lambda port, baud: None)
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port, "--yes", "--baud", "1000000"]) == 1
 
@@ -107,14 +105,13 @@ def test_a_program_that_does_not_answer_is_told(
 @pytest.mark.parametrize(
     ("fault", "says"),
     [
-        ({"signature": bytes((0x1E, 0x95, 0x14))}, "the chip on the board is no ATmega328P"),
-        ({"stuck_bit": True}, "what the board holds is not what was written"),
+        ({"signature": bytes((0x1E, 0x95, 0x14))}, "the chip on the board is not an ATmega328P"),
+        ({"stuck_bit": True}, "the board's memory differs from the written program"),
     ],
 )
-def test_a_board_that_cannot_hold_it_is_told_in_a_line(
+def test_a_board_that_cannot_hold_it_is_reported_in_one_line(
     fault: dict[str, object], says: str, capsys: Said
 ) -> None:
-    """Another chip, and a worn cell; avrdude's own words are not shown."""
     with Uno(_another_firmware) as uno:
         for name, value in fault.items():
             setattr(uno, name, value)
@@ -128,14 +125,11 @@ def test_a_board_that_cannot_hold_it_is_told_in_a_line(
 
 @pytest.mark.parametrize(("version", "speed"), sampled([((1, 16), 0), ((1, 16), termios.B57600)]))
 def test_an_old_boot_loader_is_refused(version: tuple[int, int], speed: int, capsys: Said) -> None:
-    """By its version, or by the speed at which it answers; nothing was written."""
     with Uno(_another_firmware) as uno:
         uno.version, uno.speed = version, speed
         assert main(["flash", "--port", uno.port, "--yes"]) == 1
 
-    assert "the boot loader is ATmegaBOOT or one like it, and not Optiboot" in (
-        capsys.readouterr().err
-    )
+    assert "the boot loader is ATmegaBOOT or similar, not Optiboot" in (capsys.readouterr().err)
     assert set(uno.flash) == {0xFF}
 
 
@@ -151,7 +145,6 @@ def test_the_brown_out_fuse_is_named(
     monkeypatch: pytest.MonkeyPatch,
     capsys: Said,
 ) -> None:
-    """As an ISP programmer reads it; and the command that sets 4.3 V."""
     program = tmp_path / "avrdude"
     program.write_text(f'#!/bin/sh\necho "$@" >{tmp_path}/given\necho {efuse:#x}\n')
     program.chmod(0o755)
@@ -168,7 +161,6 @@ def test_the_brown_out_fuse_is_named(
 def test_a_programmer_that_is_not_there_is_no_boot_loader(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
-    """The program avrdude says of both that it cannot open the programmer."""
     program = tmp_path / "avrdude"
     program.write_text(
         "#!/bin/sh\necho 'unable to open programmer usbasp on port usb' >&2\nexit 1\n"
@@ -178,19 +170,18 @@ def test_a_programmer_that_is_not_there_is_no_boot_loader(
 
     assert main(["flash", "--fuse", "usbasp"]) == 1
 
-    assert "avrdude reads nothing by usbasp: plug the programmer in" in capsys.readouterr().err
+    assert "avrdude cannot read by usbasp: plug the programmer in" in capsys.readouterr().err
 
 
 def test_a_boot_loader_s_answer_is_no_fuse(capsys: Said) -> None:
-    """Optiboot answers 0 to what it does not do."""
+    """Optiboot answers 0 to requests that it does not implement."""
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--fuse", "arduino", "--port", uno.port]) == 1
 
-    assert "an ISP programmer is needed" in capsys.readouterr().err
+    assert "use an ISP programmer" in capsys.readouterr().err
 
 
 def test_another_chip_is_not_written(capsys: Said) -> None:
-    """The signature is asked for first."""
     with Uno(_another_firmware) as uno:
         uno.signature = bytes((0x1E, 0x95, 0x14))
         main(["flash", "--port", uno.port, "--yes"])
@@ -199,7 +190,6 @@ def test_another_chip_is_not_written(capsys: Said) -> None:
 
 
 def test_a_dry_run_says_all_and_sends_nothing(capsys: Said) -> None:
-    """Board, file, CRC, size, command; the port is not even opened."""
     image = read_image(shipped_image())
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port, "--dry-run"]) == 0
@@ -216,7 +206,7 @@ def test_a_dry_run_says_all_and_sends_nothing(capsys: Said) -> None:
 
 
 def test_a_port_that_a_daemon_holds_is_left_alone(capsys: Said) -> None:
-    """By the lock of the daemon's own opening; says how to end it."""
+    """The daemon's opening of the port locks it."""
     with Uno(_another_firmware) as uno:
         daemon = os.open(uno.port, os.O_RDWR | os.O_NOCTTY)
         fcntl.flock(daemon, fcntl.LOCK_EX)
@@ -229,12 +219,12 @@ def test_a_port_that_a_daemon_holds_is_left_alone(capsys: Said) -> None:
 
 
 def test_no_daemon_takes_the_port_while_it_is_written() -> None:
-    """One that systemd starts meanwhile finds it taken."""
+    """A daemon that systemd starts meanwhile finds the port taken."""
     from armrig_daemon.loop.link import Link, TakenPortError
 
     with Uno(_another_firmware) as uno:
         board = Board(port=uno.port, name="", is_uno=True)
-        with boards.held(board), pytest.raises(TakenPortError):
+        with avrdude.held(board), pytest.raises(TakenPortError):
             Link(uno.port, 500_000)
         Link(uno.port, 500_000).close()
 
@@ -242,7 +232,6 @@ def test_no_daemon_takes_the_port_while_it_is_written() -> None:
 def test_the_motor_is_asked_for_before_a_byte_is_sent(
     monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
-    """What the pins do is said, and without an answer nothing is done."""
     monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
     monkeypatch.setattr("typer.confirm", lambda text, err: print(text) and False)
     with Uno(_another_firmware) as uno:
@@ -255,18 +244,16 @@ def test_the_motor_is_asked_for_before_a_byte_is_sent(
 
 
 def test_where_nobody_can_be_asked_nothing_is_done(capsys: Said) -> None:
-    """A script says --yes."""
     with Uno(_another_firmware) as uno:
         assert main(["flash", "--port", uno.port]) == 1
 
-    assert "--yes does it" in capsys.readouterr().err
+    assert "--yes agrees" in capsys.readouterr().err
     assert set(uno.flash) == {0xFF}
 
 
 def test_without_avrdude_it_says_how_to_get_it(
     monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
-    """In a line."""
     monkeypatch.setattr(shutil, "which", lambda name: None)
 
     assert main(["flash", "--dry-run"]) == 1
@@ -281,11 +268,10 @@ def test_without_avrdude_it_says_how_to_get_it(
         (None, [], "no board is plugged in by USB"),
         (None, [PICO], "no Uno is plugged in, but unknown board: Pico (2E8A:000A) at /dev/ttyACM1"),
         (None, [R3, CH340], "2 boards: Arduino Uno R3 (2341:0043) at /dev/ttyACM0, Uno with"),
-        ("/dev/no-such-port", [R3], "/dev/no-such-port is not there; there is Arduino Uno R3"),
+        ("/dev/no-such-port", [R3], "/dev/no-such-port does not exist; there is Arduino Uno R3"),
     ],
 )
 def test_which_board_is_meant(port: str | None, there: list[Board], found: Board | str) -> None:
-    """The only Uno, or the one that is named; else all that is there is said."""
     if isinstance(found, Board):
         assert chosen(port, there) == found
         return
@@ -296,7 +282,6 @@ def test_which_board_is_meant(port: str | None, there: list[Board], found: Board
 
 
 def test_a_board_is_known_by_the_name_that_stays(tmp_path: Path) -> None:
-    """The link that udev makes leads to its port."""
     port = tmp_path / "ttyACM0"
     port.touch()
     link = tmp_path / "armrig-5563"
@@ -308,7 +293,6 @@ def test_a_board_is_known_by_the_name_that_stays(tmp_path: Path) -> None:
 
 
 def test_boards_are_named_by_their_usb_ids(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Others by what they say of themselves; ports without USB are none."""
     from serial.tools.list_ports_common import ListPortInfo
 
     def port(device: str, vid: int | None, pid: int | None, text: str) -> ListPortInfo:
@@ -324,7 +308,7 @@ def test_boards_are_named_by_their_usb_ids(monkeypatch: pytest.MonkeyPatch) -> N
     ]
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: ports)
 
-    assert boards.plugged_in() == [R3, PICO, CH340]
+    assert avrdude.plugged_in() == [R3, PICO, CH340]
 
 
 @pytest.mark.parametrize(
@@ -333,34 +317,33 @@ def test_boards_are_named_by_their_usb_ids(monkeypatch: pytest.MonkeyPatch) -> N
         # avrdude 7.1
         ("avrdude warning: attempt 3 of 3: not in sync: resp=0x00\n", "does not answer"),
         ("avrdude error: protocol expects OK byte 0x10 but got 0x14\n", "does not answer"),
-        ("avrdude error: verification mismatch\n", "is not what was written"),
+        ("avrdude error: verification mismatch\n", "differs from the written program"),
         # avrdude 6.3
         ("avrdude: stk500_getsync() attempt 10 of 10: not in sync: resp=0x00\n", "does not answer"),
         (
             "avrdude: stk500_getparm(): (a) protocol error, expect=0x14, resp=0x10\n",
             "does not answer",
         ),
-        ("avrdude: verification error; content mismatch\n", "is not what was written"),
-        ("avrdude: Expected signature for ATmega328P is 1E 95 0F\n", "no ATmega328P"),
+        ("avrdude: verification error; content mismatch\n", "differs from the written program"),
+        ("avrdude: Expected signature for ATmega328P is 1E 95 0F\n", "not an ATmega328P"),
         # another
         (
             "avrdude error: cannot open x\n\navrdude done.  Thank you.\n",
-            "said: avrdude error: cann",
+            "printed: avrdude error: cann",
         ),
         (
             'avrdude error: cannot open x\navrdude OS error: ioctl("TIOCMGET"): Inappropriate\n',
-            "said: avrdude error: cannot open x",
+            "printed: avrdude error: cannot open x",
         ),
-        ("", "said: nothing"),
+        ("", "printed: nothing"),
     ],
 )
 def test_what_avrdude_says_becomes_a_line(said: str, meaning: str) -> None:
-    """Of the versions of Debian 12 and of Ubuntu 22.04."""
+    """Versions of Debian 12 and Ubuntu 22.04."""
     assert meaning in avrdude.reason(said)
 
 
 def test_what_avrdude_really_says_of_no_port_becomes_a_line(tmp_path: Path) -> None:
-    """Its own parser takes our options; it fails at the port."""
     call = avrdude.command(str(avrdude.find()), port=str(tmp_path / "no"), image=shipped_image())
 
     with pytest.raises(OperationError, match="boot loader does not answer"):
@@ -368,22 +351,20 @@ def test_what_avrdude_really_says_of_no_port_becomes_a_line(tmp_path: Path) -> N
 
 
 @pytest.mark.exhaustive
-def test_a_boot_loader_that_falls_silent_is_told(
+def test_a_boot_loader_that_falls_silent_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
-    """It is ended when it takes too long."""
     monkeypatch.setattr(avrdude, "loader", lambda program, port: "4.4")
-    monkeypatch.setattr(avrdude, "_LONGEST_S", 1.0)
+    monkeypatch.setattr(avrdude, "_TIMEOUT_S", 1.0)
     with Uno(_another_firmware) as uno:
         uno.falls_silent_at = 1024
         assert main(["flash", "--port", uno.port, "--yes"]) == 1
 
-    assert "the board may hold half a program: leave the motor unplugged" in capsys.readouterr().err
+    assert "the program may be incomplete: leave the motor unplugged" in capsys.readouterr().err
 
 
 @pytest.mark.exhaustive
 def test_ctrl_c_says_what_the_board_may_hold() -> None:
-    """And leaves no avrdude behind: the port is free at once."""
     program = [sys.executable, "-m", "armrig", "flash", "--yes", "--port"]
     with Uno(_another_firmware) as uno:
         uno.falls_silent_at = 1024
@@ -392,11 +373,11 @@ def test_ctrl_c_says_what_the_board_may_hold() -> None:
             time.sleep(0.01)
         flash.send_signal(signal.SIGINT)
         _, said = flash.communicate(timeout=60)
-        with boards.held(Board(port=uno.port, name="", is_uno=True)):
+        with avrdude.held(Board(port=uno.port, name="", is_uno=True)):
             users = subprocess.run(["pgrep", "-f", f"avrdude.*{uno.port} "], capture_output=True)
 
     assert flash.returncode == 130
-    assert "interrupted; the board may hold half a program" in said
+    assert "interrupted; the program may be incomplete" in said
     assert users.stdout == b""
 
 
@@ -416,7 +397,6 @@ def test_progress_is_that_of_the_newest_bar(said: str, told: tuple[int, int, str
 
 @pytest.mark.exhaustive
 def test_progress_ends_where_all_was_read_back() -> None:
-    """Of a real run; how finely it is told before is up to the machine."""
     told: list[tuple[int, int, str]] = []
     with Uno(_another_firmware) as uno:
         call = avrdude.command(str(avrdude.find()), port=uno.port, image=shipped_image())
@@ -428,26 +408,27 @@ def test_progress_ends_where_all_was_read_back() -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        (":00000001FF\n", "nothing stands at address 0"),
+        (":00000001FF\n", "it has no data at address 0"),
         (":0100000041BE\n", "it has no end"),
         (":0100000041BF\n:00000001FF\n", "the checksum of line 1 is wrong"),
-        ("not hex\n", "line 1 is no record"),
-        (":020000060000F8\n", "line 1 is of the unknown kind 6"),
+        ("not hex\n", "line 1 is not a record"),
+        (":020000060000F8\n", "line 1 has the unknown type 6"),
     ],
 )
 def test_a_file_that_is_no_firmware_is_refused(
     text: str, says: str, tmp_path: Path, capsys: Said
 ) -> None:
-    """Which file, and what is wrong with it."""
     path = tmp_path / "a.hex"
     path.write_text(text, encoding="ascii")
 
     assert main(["flash", "--hex", str(path), "--dry-run"]) == 1
-    assert f"{path}: no firmware in Intel HEX: {says}" in " ".join(capsys.readouterr().err.split())
+    assert f"{path}: not a firmware image in Intel HEX: {says}" in " ".join(
+        capsys.readouterr().err.split()
+    )
 
 
 def test_a_hole_in_a_file_is_erased_flash(tmp_path: Path) -> None:
-    """As avrdude writes it, so that the CRC is that of the board."""
+    """As avrdude writes it, so that the CRC equals that of the board."""
     path = tmp_path / "a.hex"
     path.write_text(":0100000041BE\n:0100030042BA\n:00000001FF\n", encoding="ascii")
 
@@ -455,9 +436,9 @@ def test_a_hole_in_a_file_is_erased_flash(tmp_path: Path) -> None:
 
 
 def test_a_firmware_that_does_not_fit_is_refused(tmp_path: Path, capsys: Said) -> None:
-    """The boot loader's own 512 B are not written over."""
+    """The boot loader's own 512 B are not overwritten."""
     path = tmp_path / "a.hex"
     path.write_text("".join(_records(bytes(32257))) + ":00000001FF\n", encoding="ascii")
 
     assert main(["flash", "--hex", str(path), "--dry-run"]) == 1
-    assert "32257 B, and an ATmega328P has room for 32256" in capsys.readouterr().err
+    assert "32257 B, but an ATmega328P has room for 32256" in capsys.readouterr().err

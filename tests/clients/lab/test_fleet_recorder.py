@@ -1,4 +1,4 @@
-"""When one recorder of many rigs reports an error, and when it records a rig again."""
+"""Errors of a recorder of many rigs, and the next recording of a rig."""
 
 from __future__ import annotations
 
@@ -65,7 +65,6 @@ def rigs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> _Rigs:
 def test_a_recording_that_ends_early_is_one_error(
     rigs: _Rigs, of_samples: str | None, of_end: str | None, why: str
 ) -> None:
-    """Of its samples or of its end; the second error of one file is not reported."""
     rigs.of_samples = DiskError(of_samples) if of_samples else None
     rigs.of_end = DiskError(of_end) if of_end else None
 
@@ -92,10 +91,9 @@ def test_a_rig_is_recorded_again_after_a_full_disk_with_a_pause_and_room(
     missing_bytes: int,
     times: int,
 ) -> None:
-    """A rig that sends nonsense is recorded once."""
-    free = SimpleNamespace(free=fleet_recorder._ROOM - missing_bytes)
+    free = SimpleNamespace(free=fleet_recorder._MIN_FREE_BYTES - missing_bytes)
     monkeypatch.setattr(shutil, "disk_usage", lambda _: free)
-    monkeypatch.setattr(fleet_recorder, "_AGAIN_S", pause_s)
+    monkeypatch.setattr(fleet_recorder, "_DISK_PAUSE_S", pause_s)
     rigs.of_samples = error
 
     rigs.record()

@@ -50,7 +50,6 @@ def _contents(root: Path) -> dict[str, str]:
 
 
 def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) -> None:
-    """Each file where its program looks for it, and before a command that reads it."""
     installing(tmp_path).carry_out(commands)
 
     assert set(_contents(tmp_path)) == {
@@ -76,7 +75,6 @@ def test_the_service_of_rigs_is_installed(tmp_path: Path, commands: Commands) ->
 def test_a_machine_without_rigs_gets_what_it_needs(
     part: installation.Part, own: set[str], tmp_path: Path, commands: Commands
 ) -> None:
-    """The unit, its user, and the folder of its files: no name of a board, no daemon."""
     installing(tmp_path, [part]).carry_out(commands)
 
     assert set(_contents(tmp_path)) == {
@@ -87,7 +85,6 @@ def test_a_machine_without_rigs_gets_what_it_needs(
 
 
 def test_all_that_is_deployed_is_of_a_part_or_of_each(tmp_path: Path) -> None:
-    """No file of `deploy/` is forgotten."""
     of_parts = [file for part in UNITS for file in files(tmp_path, [part])]
 
     deployed = Path(__file__).parents[3] / "deploy"
@@ -96,7 +93,6 @@ def test_all_that_is_deployed_is_of_a_part_or_of_each(tmp_path: Path) -> None:
 
 
 def test_what_is_installed_already_is_renewed(tmp_path: Path, commands: Commands) -> None:
-    """An upgrade names no part: the router's unit of an older release is shown and replaced."""
     installing(tmp_path, ["router", "recorder"]).carry_out(commands)
     (tmp_path / ROUTER).write_text("[Unit]\n")
 
@@ -107,7 +103,6 @@ def test_what_is_installed_already_is_renewed(tmp_path: Path, commands: Commands
 
 
 def test_to_install_twice_is_as_once(tmp_path: Path, commands: Commands) -> None:
-    """The second plan writes nothing."""
     installing(tmp_path).carry_out(commands)
     before = _contents(tmp_path)
 
@@ -121,7 +116,6 @@ def test_to_install_twice_is_as_once(tmp_path: Path, commands: Commands) -> None
 def test_what_was_changed_is_shown_before_it_is_replaced(
     tmp_path: Path, commands: Commands
 ) -> None:
-    """Line by line; a link, such as that of a masked unit, is replaced and not written through."""
     installing(tmp_path).carry_out(commands)
     unit = tmp_path / UNIT
     kept = unit.with_name("kept")
@@ -140,7 +134,6 @@ def test_what_was_changed_is_shown_before_it_is_replaced(
 
 
 def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Commands) -> None:
-    """A rig's configuration is left; what is enabled is disabled before its unit is gone."""
     installing(tmp_path, UNITS).carry_out(commands)
     own = tmp_path / "etc/armrig/1.toml"
     own.parent.mkdir()
@@ -159,14 +152,13 @@ def test_what_is_taken_away_is_what_was_installed(tmp_path: Path, commands: Comm
 
 
 def test_a_machine_without_it_has_nothing_to_take_away(tmp_path: Path) -> None:
-    """No command, no file."""
     assert uninstalling(tmp_path) == Plan()
 
 
 def test_the_unit_of_this_machine_starts_the_program_of_this_installation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A root that does not run gets the place of the documentation."""
+    """A root that does not run gets the path of the documentation."""
     monkeypatch.setattr(sys, "prefix", "/srv/armrig-2")
     monkeypatch.setattr(sys, "base_prefix", "/usr")
 
@@ -187,12 +179,12 @@ def test_the_unit_of_this_machine_starts_the_program_of_this_installation(
         (
             "/home/student/armrig/.venv",
             "/usr",
-            "/home/student/armrig/.venv/bin/armrigd: the service sees nothing of /home;",
+            "/home/student/armrig/.venv/bin/armrigd: the service cannot see /home;",
         ),
         (
             "/opt/armrig",
             "/root/.local/share/uv/python/3.12",
-            "/root/.local/share/uv/python/3.12: the service sees nothing of /root;",
+            "/root/.local/share/uv/python/3.12: the service cannot see /root;",
         ),
     ],
 )
@@ -203,7 +195,7 @@ def test_a_program_that_the_sandbox_hides_is_refused(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """A checkout in somebody's home, and a Python in it: the unit would fail at each start."""
+    """A checkout in a home folder, and a Python in it: the unit would fail at each start."""
     monkeypatch.setattr(sys, "prefix", prefix)
     monkeypatch.setattr(sys, "base_prefix", base)
 
@@ -216,7 +208,6 @@ def test_a_program_that_the_sandbox_hides_is_refused(
 def test_a_dry_run_shows_every_line_and_writes_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Each new file with its content, which an administrator reads before agreeing."""
     assert main(["service", "install", "--root", str(tmp_path), "--dry-run"]) == 0
 
     said = capsys.readouterr().out.splitlines()
@@ -227,10 +218,9 @@ def test_a_dry_run_shows_every_line_and_writes_nothing(
     assert not [*tmp_path.iterdir()]
 
 
-def test_the_state_of_each_part_is_told(
+def test_the_state_of_each_part_is_reported(
     tmp_path: Path, commands: Commands, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What is enabled, what is installed and not; a part that is not installed is not named."""
     installing(tmp_path, ["router", "recorder"]).carry_out(commands)
     wants = tmp_path / "etc/systemd/system/multi-user.target.wants"
     wants.mkdir()
@@ -250,17 +240,15 @@ def test_the_state_of_each_part_is_told(
 def test_without_anybody_to_agree_nothing_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In a script it has to be said."""
     assert main(["service", "install", "--root", str(tmp_path)]) == 1
 
-    assert "--yes does it, --dry-run only shows it" in capsys.readouterr().err
+    assert "--yes agrees, --dry-run only shows the plan" in capsys.readouterr().err
     assert not [*tmp_path.iterdir()]
 
 
 def test_a_service_that_is_loaded_and_not_enabled_is_listed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """By the first word of systemd's line, which ends with a description."""
     told = {
         "list-units": "armrigd@7.service loaded active running Rig 7's daemon\n",
         "show": "StatusText=sampling\nActiveState=active\n",
@@ -273,7 +261,6 @@ def test_a_service_that_is_loaded_and_not_enabled_is_listed(
 
 
 def test_a_command_that_fails_or_is_not_there_is_said() -> None:
-    """In a line, with what it was."""
     with pytest.raises(RuntimeError, match=r"^false: ended with 1$"):
         installation.run_command(["false"])
     with pytest.raises(RuntimeError, match=r"^no-such-command: not found; the service needs syst"):
@@ -281,7 +268,6 @@ def test_a_command_that_fails_or_is_not_there_is_said() -> None:
 
 
 def test_a_drop_in_that_leads_nowhere_keeps_nothing_installed(tmp_path: Path) -> None:
-    """Nor does a folder of that name."""
     installing(tmp_path).carry_out(lambda _: None)
     drop_ins = tmp_path / "etc/systemd/system/armrigd@1.service.d"
     (drop_ins / "a.conf").mkdir(parents=True)
@@ -305,7 +291,6 @@ def test_a_drop_in_that_leads_nowhere_keeps_nothing_installed(tmp_path: Path) ->
 def test_a_drop_in_stays_and_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, opens: bool
 ) -> None:
-    """One that opens the network opens it to the next service that is installed, too."""
     drop_in = tmp_path / "etc/systemd/system/armrigd@1.service.d/override.conf"
     drop_in.parent.mkdir(parents=True)
     drop_in.write_text(f"[Service]\n{text}")

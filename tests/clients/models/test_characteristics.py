@@ -1,4 +1,4 @@
-"""The figures by which models are held against the physics (handout, assignment 3.4)."""
+"""Characteristics by which models are compared with the physics (handout, assignment 3.4)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from armrig.physics.physical_model import physical_model
 from armrig_core.arm import ArmParameters, arm_matrices
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 HANDOUT = ArmParameters()
 
@@ -48,8 +48,7 @@ def test_a_first_order_system_has_its_textbook_figures() -> None:
     assert t.poles == pytest.approx([-1 / tau])
 
 
-def test_the_slow_pair_of_real_poles_is_the_one_whose_deviations_are_poor() -> None:
-    """The poles are sorted slowest first, and what is said of each with them."""
+def test_the_deviations_of_the_slow_pair_of_real_poles_are_poor() -> None:
     F = np.real(np.poly([0.97 * np.exp(1j), 0.97 * np.exp(-1j), 0.9, 0.86]))
     P = 1e-6 * np.eye(5)
     fit = replace(_any_fit(), F=F, covariance=P, covariance_robust=P)
@@ -63,7 +62,7 @@ def test_the_slow_pair_of_real_poles_is_the_one_whose_deviations_are_poor() -> N
 def test_errors_are_as_large_as_the_deviations_reported(
     plant: HandoutPlant, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Over 30 experiments the errors in deviations have an effective value near 1.
+    """Over 30 experiments the errors divided by their deviations have an effective value near 1.
 
     Each experiment has deviations of its own: how well the gain shows depends on how far the
     telegraph has wandered.
@@ -84,7 +83,7 @@ def test_errors_are_as_large_as_the_deviations_reported(
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_deviation_is_the_scatter_of_draws(plant: HandoutPlant, seed: int) -> None:
-    """Of every figure, where the linearisation is good; 200 draws tell it to 5 %."""
+    """200 draws determine a deviation to 5 %, if the linearisation is good."""
     fit = armrig.oe(plant.dataset(seed, N=1500), nb=4, nf=4, integrator=True)
     t = model_characteristics(fit)
     assert t.draws is not None
@@ -97,8 +96,10 @@ def test_a_deviation_is_the_scatter_of_draws(plant: HandoutPlant, seed: int) -> 
         assert t.std[name] == pytest.approx(scatter, rel=0.2), name
 
 
-def test_a_wrong_inertia_of_the_arm_is_told_with_what_depends_on_it(plant: HandoutPlant) -> None:
-    """The gain, in which J_2 has no part, is not."""
+def test_a_wrong_inertia_of_the_arm_is_reported_with_what_depends_on_it(
+    plant: HandoutPlant,
+) -> None:
+    """The gain does not depend on J_2."""
     data = plant.dataset(1)
     fit = armrig.oe(data, nb=4, nf=4, integrator=True)
     wrong = physical_model(replace(HANDOUT, J_2=1.05 * HANDOUT.J_2), data)
@@ -112,17 +113,15 @@ def test_a_wrong_inertia_of_the_arm_is_told_with_what_depends_on_it(plant: Hando
 
 
 def test_the_right_physics_differs_by_nothing(plant: HandoutPlant) -> None:
-    """All figures within their uncertainty."""
     data = plant.dataset(4)
     fit = armrig.oe(data, nb=4, nf=4, integrator=True)
     table = armrig.compare(plant.dataset(5), fit, physical_model(HANDOUT, data))
 
-    assert "no figure differs" in table.explain()
-    assert "not much of a difference" in table.explain()
+    assert "no characteristic differs" in table.explain()
+    assert "a small difference" in table.explain()
 
 
 def test_a_model_that_cannot_simulate_is_not_held_against_the_rig(plant: HandoutPlant) -> None:
-    """What sets ARX apart is its noise model's fault."""
     data = plant.dataset(1)
     models = armrig.arx(data, na=4, nb=4), physical_model(HANDOUT, data)
 
@@ -132,7 +131,6 @@ def test_a_model_that_cannot_simulate_is_not_held_against_the_rig(plant: Handout
 
 
 def test_the_table_has_a_column_for_each_model(plant: HandoutPlant) -> None:
-    """And a line for each figure, and for each pole."""
     data = plant.dataset(1)
     table = armrig.compare(
         data, armrig.arx(data, na=2, nb=2), physical_model(HANDOUT, data), labels=("mine", "theirs")
@@ -145,7 +143,6 @@ def test_the_table_has_a_column_for_each_model(plant: HandoutPlant) -> None:
 
 
 def test_labels_are_one_a_model(plant: HandoutPlant) -> None:
-    """More or fewer are refused."""
     data = plant.dataset(1)
 
     with pytest.raises(ValueError, match="2 labels for 1 models"):
@@ -180,7 +177,7 @@ def _any_fit() -> armrig.Fit:
 
 @pytest.mark.parametrize("Ts", [0.002, 0.01])
 def test_the_times_of_a_model_are_those_of_the_step_analysis_whatever_Ts(Ts: float) -> None:
-    """Of a chassis with a time constant of 20 ms, whose rate is taken, and with a dead time."""
+    """A chassis with a time constant of 20 ms, by its rate, and with a dead time."""
     pole = np.exp(-Ts / 0.02)
     # theta_1's answer to a held input: the integral of a first-order rate.
     B = np.array([0.0, Ts - 0.02 * (1 - pole), 0.02 * (1 - pole) - Ts * pole])

@@ -1,4 +1,4 @@
-"""What a fit answers: poles, responses, prediction, and a repr that reads like a result."""
+"""Answers of a fit: poles, responses, prediction, and a repr that reads like a result."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 B, F = np.array([0, 0, 1.0, 0.5]), np.array([1, -1.2, 0.6])
 
@@ -34,7 +34,6 @@ def fit() -> Fit:
 
 
 def test_names_values_and_deviations_belong_together(fit: Fit) -> None:
-    """Theta is in the order of names, B begins with nk zeros."""
     assert fit.names == ("b1", "b2", "f1", "f2")
     np.testing.assert_array_equal(fit.theta, [*fit.B[2:], *fit.F[1:]])
     np.testing.assert_array_equal(fit.B[:2], 0)
@@ -44,7 +43,6 @@ def test_names_values_and_deviations_belong_together(fit: Fit) -> None:
 
 
 def test_a_fit_cannot_be_changed(fit: Fit) -> None:
-    """Neither its fields nor its arrays."""
     with pytest.raises(AttributeError):
         fit.loss = 0.0  # type: ignore[misc]
     with pytest.raises(ValueError, match="read-only"):
@@ -52,7 +50,6 @@ def test_a_fit_cannot_be_changed(fit: Fit) -> None:
 
 
 def test_python_control_gives_the_same_responses(fit: Fit) -> None:
-    """The exported transfer function is the model."""
     system = fit.to_control()
     omega = np.array([0.1, 1.0, 10.0])
 
@@ -65,7 +62,7 @@ def test_python_control_gives_the_same_responses(fit: Fit) -> None:
 
 
 def test_deviations_are_carried_on_as_a_small_change_would(fit: Fit) -> None:
-    """Poles, zeros, frequency and step response: sampling theta gives the same spread."""
+    """Draws of theta give the same spread of poles, zeros, frequency and step response."""
     import dataclasses
 
     rng = np.random.default_rng(0)
@@ -94,13 +91,11 @@ def test_deviations_are_carried_on_as_a_small_change_would(fit: Fit) -> None:
 
 
 def test_a_frequency_beyond_nyquist_is_refused(fit: Fit) -> None:
-    """The message says where it lies."""
     with pytest.raises(ValueError, match=r"outside 0 to 31.4159 rad/s \(pi/Ts\)"):
         fit.frequency_response([1.0, 40.0])
 
 
 def test_an_integrator_has_infinite_gain_at_rest() -> None:
-    """Not a large number made of rounding."""
     u = np.random.default_rng(0).standard_normal(300)
     y = filtered([0, 1], [1, -1.7, 0.7], u) + np.random.default_rng(1).standard_normal(300)
 
@@ -110,7 +105,7 @@ def test_an_integrator_has_infinite_gain_at_rest() -> None:
 
 
 def test_near_rest_an_integrator_is_as_exact_as_anywhere() -> None:
-    """G tends to b / (F̃(1) i omega Ts): no difference of coefficients that cancel."""
+    """G tends to b / (F̃(1) i omega Ts), so no coefficients cancel."""
     rest = np.array([1, -1.3, 0.47])
     fit = Fit(
         structure="oe", A=np.ones(1), B=np.array([0, 0.3]), F=np.convolve([1, -1], rest),
@@ -125,7 +120,7 @@ def test_near_rest_an_integrator_is_as_exact_as_anywhere() -> None:
 
 
 def test_an_integrator_is_no_parameter(plant: HandoutPlant) -> None:
-    """By hand: nb + nf - 1 of them were free."""
+    """The free parameters were nb + nf - 1."""
     fit = oe(plant.dataset(1, N=500), nb=3, nf=3, integrator=True)
     d, N, V = 5, 500, fit.loss
 
@@ -137,20 +132,17 @@ def test_an_integrator_is_no_parameter(plant: HandoutPlant) -> None:
 
 @pytest.mark.parametrize("n", [0, -1, 2.5, "3", None, True])
 def test_a_step_response_of_no_length_is_refused(fit: Fit, n: Any) -> None:
-    """What came, and what is allowed."""
     with pytest.raises(ValueError, match=f"n={n!r} must be an integer >= 1"):
         fit.step_response(n)
 
 
 @pytest.mark.parametrize("u", [[[1.0, 2.0], [3.0, 4.0]], [], 1.0])
 def test_an_input_that_is_no_row_is_not_simulated(fit: Fit, u: Any) -> None:
-    """It would be filtered along the wrong axis."""
-    with pytest.raises(ValueError, match=r"u has shape \(.*\), it must be \(N,\) with N >= 1"):
+    with pytest.raises(ValueError, match=r"u has shape \(.*\), but must be \(N,\), N >= 1"):
         fit.simulate(u)
 
 
 def test_the_criteria_are_the_textbook_s(fit: Fit) -> None:
-    """FPE, AIC and MDL from loss, N and d."""
     assert fit.fpe == pytest.approx(fit.loss * (1 + 4 / 400) / (1 - 4 / 400))
     deviance = 400 * (np.log(2 * np.pi * fit.loss) + 1)
     assert fit.aic == pytest.approx(deviance + 8)
@@ -158,7 +150,6 @@ def test_the_criteria_are_the_textbook_s(fit: Fit) -> None:
 
 
 def test_the_repr_reads_like_a_result(fit: Fit) -> None:
-    """Equation with deviations, delay in the powers, fit, verdict."""
     text = repr(fit)
 
     assert "OE(nb=2, nf=2, nk=2): u [V] to speed [rad/s], Ts 0.1 s, N 400" in text
@@ -170,7 +161,7 @@ def test_the_repr_reads_like_a_result(fit: Fit) -> None:
 
 
 def test_an_oe_model_predicts_by_simulation_at_every_horizon(fit: Fit) -> None:
-    """Its noise is white, so past outputs say only what the initial state was."""
+    """The noise is white, so past outputs determine only the initial state."""
     fresh = data(2, noise=0.0)[37:]
 
     ahead, simulated = fit.predict(fresh, horizon=1), fit.predict(fresh, horizon=None)
@@ -183,7 +174,7 @@ def test_an_oe_model_predicts_by_simulation_at_every_horizon(fit: Fit) -> None:
 @settings(max_examples=25)
 @given(st.integers(1, 6), st.integers(0, 1000))
 def test_an_arx_model_predicts_k_samples_from_what_it_knew(k: int, seed: int) -> None:
-    """The same as iterating the difference equation by hand from the last k-th sample."""
+    """The reference iterates the difference equation by hand from the last k-th sample."""
     d = data(seed, N=60)
     fit = arx(d, na=2, nb=2, nk=1)
 
@@ -199,7 +190,6 @@ def test_an_arx_model_predicts_k_samples_from_what_it_knew(k: int, seed: int) ->
 
 
 def test_an_arx_prediction_skips_the_update_where_y_is_missing() -> None:
-    """Noise-free data are predicted through a gap as if it were not there."""
     u = np.random.default_rng(3).standard_normal(100)
     y = filtered(B, F, u)
     valid = np.ones(100, dtype=bool)
@@ -212,7 +202,7 @@ def test_an_arx_prediction_skips_the_update_where_y_is_missing() -> None:
 
 
 def test_after_a_gap_a_prediction_is_the_best_there_is() -> None:
-    """Its errors are as large as the Kalman filter's variance says, not larger."""
+    """The errors are as large as the Kalman filter's variance, not larger."""
     a, runs = -0.9, 4000
     e = np.random.default_rng(4).standard_normal((runs, 8))
     fit = Fit(
@@ -233,8 +223,8 @@ def test_after_a_gap_a_prediction_is_the_best_there_is() -> None:
     np.testing.assert_allclose(variance, expected, rtol=0.1)
 
 
-def test_what_follows_a_gap_tells_of_what_was_missed() -> None:
-    """With one y missing and na = 2 the next y improves its estimate: 1 + a2²/(1 + a1²)."""
+def test_what_follows_a_gap_informs_on_the_missing_sample() -> None:
+    """With one missing y and na = 2 the next y improves its estimate: 1 + a2²/(1 + a1²)."""
     a1, a2 = -1.5, 0.9
     fit = Fit(
         structure="arx", A=np.array([1, a1, a2]), B=np.array([0, 1e-9]), nk=1, Ts=1.0,
@@ -253,7 +243,6 @@ def test_what_follows_a_gap_tells_of_what_was_missed() -> None:
 
 
 def test_another_sampling_time_or_horizon_is_refused(fit: Fit) -> None:
-    """The message says both rates."""
     with pytest.raises(ValueError, match=r"the model has Ts=0\.1 s and the data have Ts=0\.2 s"):
         fit.predict(Dataset(u=[0.0, 1.0], y=[0.0, 1.0], Ts=0.2))
     with pytest.raises(ValueError, match="horizon=0 must be an integer >= 1"):
@@ -261,7 +250,7 @@ def test_another_sampling_time_or_horizon_is_refused(fit: Fit) -> None:
 
 
 def test_white_noise_is_known_as_well_as_its_variance(fit: Fit) -> None:
-    """An output-error model has the flat spectrum lambda Ts, of relative deviation sqrt(2/N)."""
+    """An output-error model has the spectrum lambda Ts, with the relative deviation sqrt(2/N)."""
     spectrum = fit.noise_spectrum([0.1, 10.0])
 
     np.testing.assert_allclose(spectrum.Phi, fit.noise_variance * fit.Ts)
@@ -269,7 +258,6 @@ def test_white_noise_is_known_as_well_as_its_variance(fit: Fit) -> None:
 
 
 def test_the_covariance_that_the_residuals_ask_for_is_trusted(fit: Fit) -> None:
-    """Robust where they are coloured, classic where they are white; each with its deviations."""
     d = fit.theta.size
     made_up = replace(fit, covariance=np.eye(d), covariance_robust=9 * np.eye(d))
     white, coloured = (replace(made_up, whiteness=p) for p in (0.5, 0.001))

@@ -27,7 +27,6 @@ def fits() -> tuple[Fit, ...]:
 
 
 def test_typst_takes_the_equation(fits: tuple[Fit, ...], tmp_path: Path) -> None:
-    """Every form of it, tiny and unknown deviations too."""
     source = tmp_path / "equations.typ"
     source.write_text("\n\n".join(fit.typst() for fit in fits), encoding="utf-8")
 
@@ -35,7 +34,6 @@ def test_typst_takes_the_equation(fits: tuple[Fit, ...], tmp_path: Path) -> None
 
 
 def test_every_coefficient_is_in_it(fits: tuple[Fit, ...]) -> None:
-    """With its deviation and its power of q, as in LaTeX."""
     whole, structure, *_ = fits
     text = whole.typst()
 

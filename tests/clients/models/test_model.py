@@ -1,4 +1,4 @@
-"""A model that nobody estimated: it answers as a fit does, and claims no uncertainty."""
+"""A model without an estimate: it answers as a fit does, and claims no uncertainty."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armrig.physics.physical_model import PhysicalModel, physical_model
 from armrig_core.arm import ArmParameters
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,6 @@ def claimed(fit: armrig.Fit) -> Model:
 
 
 def test_a_model_answers_as_the_fit_of_the_same_polynomials(fit: armrig.Fit) -> None:
-    """To the last bit: poles, zeros, frequency and step response, simulation."""
     model, omega = claimed(fit), np.geomspace(0.1, 50.0, 40)
     u = np.random.default_rng(0).standard_normal(60)
 
@@ -43,7 +42,6 @@ def test_a_model_answers_as_the_fit_of_the_same_polynomials(fit: armrig.Fit) -> 
 
 
 def test_nothing_in_a_model_is_uncertain(fit: armrig.Fit) -> None:
-    """Its deviations are 0, where the fit's are not."""
     model = claimed(fit)
 
     assert not model.trusted_covariance.any()
@@ -54,7 +52,6 @@ def test_nothing_in_a_model_is_uncertain(fit: armrig.Fit) -> None:
 
 
 def test_a_model_cannot_be_changed(fit: armrig.Fit) -> None:
-    """Neither its fields nor its arrays."""
     model = claimed(fit)
 
     with pytest.raises(AttributeError):
@@ -64,7 +61,6 @@ def test_a_model_cannot_be_changed(fit: armrig.Fit) -> None:
 
 
 def test_the_physics_is_no_fit_and_says_nothing_of_losses(plant: HandoutPlant) -> None:
-    """What was not estimated has no loss, no residuals and no NaN to show for them."""
     physics = physical_model(ArmParameters(), plant.dataset(1, N=200))
 
     assert isinstance(physics, PhysicalModel)
@@ -77,18 +73,17 @@ def test_the_physics_is_no_fit_and_says_nothing_of_losses(plant: HandoutPlant) -
 
 
 def test_models_are_compared_under_their_own_names(fit: armrig.Fit, plant: HandoutPlant) -> None:
-    """The physics is the reference wherever it stands."""
     data = plant.dataset(2, N=400)
     physics = physical_model(ArmParameters(), data)
 
     table = armrig.compare(data, physics, fit)
 
     assert [row.name for row in table.rows] == ["physics", "OE[4 4 1]"]
-    assert "OE[4 4 1] and physics: no figure differs" in table.explain()
+    assert "OE[4 4 1] and physics: no characteristic differs" in table.explain()
 
 
 def test_the_physics_predicts_by_simulation(plant: HandoutPlant) -> None:
-    """Its noise is white on the output, so the past of y says nothing of the next."""
+    """The noise is white on the output, so the past of y does not predict the next sample."""
     data = plant.dataset(2, N=300)
     physics = physical_model(ArmParameters(), data)
 
@@ -99,7 +94,7 @@ def test_the_physics_predicts_by_simulation(plant: HandoutPlant) -> None:
 def test_a_pole_that_an_ill_conditioned_covariance_hardly_moves_has_a_deviation(
     fit: armrig.Fit,
 ) -> None:
-    """J C J' is rounded below 0 where a direction that moves no pole has a large variance."""
+    """J C J' is rounded below 0 if a direction that moves no pole has a large variance."""
     poles = np.array([0.95 + 0.025j, 0.95 - 0.025j, 0.99 + 0.008j, 0.99 - 0.008j])
     F = np.poly(poles).real
     powers = poles[0] ** np.arange(3, -1, -1)

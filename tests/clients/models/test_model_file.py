@@ -39,7 +39,6 @@ def fit() -> Fit:
 
 
 def test_a_saved_model_is_the_same_to_the_last_digit(fit: Fit, tmp_path: Path) -> None:
-    """Every field; so it says the same of data, and knows the data that it is of."""
     for saved in (fit, arx(data(2), na=1, nb=1), replace(fit, whiteness=float("nan"))):
         saved.save(tmp_path / "model.json")
         loaded = load_fit(tmp_path / "model.json")
@@ -55,7 +54,7 @@ def test_a_saved_model_is_the_same_to_the_last_digit(fit: Fit, tmp_path: Path) -
 
 
 def test_a_model_file_is_plain_json(fit: Fit, tmp_path: Path) -> None:
-    """Other programs read it: no NaN, which JSON does not have."""
+    """JSON has no NaN."""
     replace(fit, whiteness=float("nan"), fit_percent=-np.inf).save(tmp_path / "model.json")
     text = (tmp_path / "model.json").read_text(encoding="utf-8")
 
@@ -69,7 +68,6 @@ def test_a_model_file_is_plain_json(fit: Fit, tmp_path: Path) -> None:
 
 
 def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> None:
-    """A file that is written today is read by the armrig of before, and the other way round."""
     fit.save(tmp_path / "model.json")
 
     keys = set(json.loads((tmp_path / "model.json").read_text(encoding="utf-8")))
@@ -85,7 +83,6 @@ def test_the_keys_of_a_model_file_stay_as_they_are(fit: Fit, tmp_path: Path) -> 
 
 
 def test_a_model_file_keeps_what_programs_decide_by(fit: Fit, tmp_path: Path) -> None:
-    """The code, the figures and the level of a finding, and the code of a treatment."""
     found = warning("unstable", "a sentence", "order", farthest=1.02)
     treated = replace(fit, findings=(found,), history=(Step("another", MEAN),))
 
@@ -98,7 +95,7 @@ def test_a_model_file_keeps_what_programs_decide_by(fit: Fit, tmp_path: Path) ->
 
 
 def test_a_model_file_of_armrig_0_1_has_sentences_alone(fit: Fit, tmp_path: Path) -> None:
-    """What they do not say is absent; of the treatment its sentences had one meaning."""
+    """Each sentence of a treatment had one meaning in 0.1."""
     content = json.loads(model_text(fit))
     del content["findings"], content["treatment"]
     content |= {"warnings": ["a sentence"], "history": ["part 2: removed the mean from u and y"]}
@@ -123,7 +120,6 @@ def test_a_model_file_of_armrig_0_1_has_sentences_alone(fit: Fit, tmp_path: Path
 def test_what_is_no_model_is_refused(
     fit: Fit, tmp_path: Path, change: dict[str, Any], said: str
 ) -> None:
-    """The message names the file, and never comes as a traceback of ours."""
     path = tmp_path / "model.json"
     fit.save(path)
     path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | change))
@@ -133,7 +129,6 @@ def test_what_is_no_model_is_refused(
 
 
 def test_a_file_that_is_cut_off_is_refused(fit: Fit, tmp_path: Path) -> None:
-    """At any place, and so is any other file."""
     path = tmp_path / "model.json"
     fit.save(path)
     text = path.read_text(encoding="utf-8")
@@ -145,7 +140,6 @@ def test_a_file_that_is_cut_off_is_refused(fit: Fit, tmp_path: Path) -> None:
 
 
 def test_the_equation_is_typeset_with_its_deviations(fit: Fit) -> None:
-    """One aligned row a polynomial, braces balanced, every coefficient in it."""
     text = fit.latex()
 
     assert r"y(t) &= \frac{B(q)}{F(q)}\,u(t) + \frac{C(q)}{D(q)}\,e(t)" in text
@@ -159,7 +153,6 @@ def test_the_equation_is_typeset_with_its_deviations(fit: Fit) -> None:
 
 
 def test_a_notebook_shows_equation_table_and_verdict(fit: Fit) -> None:
-    """As well-formed HTML, a name with angle brackets in a warning included."""
     warned = replace(oe(data(3), nb=1, nf=1), findings=(warning("gaps", "a < b"),))
 
     for shown in (fit, warned):
@@ -174,7 +167,7 @@ def test_a_notebook_shows_equation_table_and_verdict(fit: Fit) -> None:
 
 
 def test_a_model_of_a_windows_editor_is_read(fit: Fit, tmp_path: Path) -> None:
-    """Who changed its name in an editor has put a byte order mark before it."""
+    """A Windows editor writes a byte order mark before the text."""
     path = tmp_path / "model.json"
     fit.save(path)
     path.write_text(path.read_text(encoding="utf-8"), encoding="utf-8-sig")

@@ -6,24 +6,31 @@ import inspect
 from typing import get_args
 
 import numpy as np
-import pages
 import pytest
 from armrig.data.dataset import Dataset
 from armrig.estimation.request import estimator
-from armrig.models.structure_table import FAMILIES, KINDS, OFFERED, Kind, Name, named, with_article
+from armrig.models.structure_table import (
+    OFFERED,
+    OFFERED_NAMES,
+    STRUCTURES,
+    RegisteredStructure,
+    StructureName,
+    named,
+    with_article,
+)
 from armrig.numerics.polynomial import filtered
 
-EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
+from tests.clients import pages
+
+EVERY = pytest.mark.parametrize("kind", STRUCTURES.values(), ids=STRUCTURES.keys())
 
 
 def test_each_structure_has_one_row_and_one_estimator() -> None:
-    """And none is left out."""
-    assert set(KINDS) == set(get_args(Name)) == {*FAMILIES, "pem"}
+    assert set(STRUCTURES) == set(get_args(StructureName)) == {*OFFERED_NAMES, "pem"}
 
 
 @EVERY
-def test_an_estimator_takes_what_its_row_says(kind: Kind) -> None:
-    """The orders and the arguments of the row, those that all have, and no other."""
+def test_an_estimator_takes_what_its_row_says(kind: RegisteredStructure) -> None:
     taken = inspect.signature(estimator(kind.name)).parameters
 
     assert set(taken) == {"data", "nk", "stable", *kind.orders, *kind.takes}
@@ -31,13 +38,12 @@ def test_an_estimator_takes_what_its_row_says(kind: Kind) -> None:
 
 
 def test_the_page_has_the_table_of_structures() -> None:
-    """A line for each structure that a command offers."""
     page = (pages.DOCS / "experiments.md").read_text(encoding="utf-8")
 
     assert "\n".join(_row(kind) for kind in OFFERED.values()) in page
 
 
-def _row(kind: Kind) -> str:
+def _row(kind: RegisteredStructure) -> str:
     """Return a structure's line in the table of docs/experiments.md."""
     orders = named(kind.orders) or f"{', '.join(kind.orders)}, by the data"
     cells = [kind.title, kind.equation, orders, ", ".join(kind.takes)]
@@ -45,8 +51,7 @@ def _row(kind: Kind) -> str:
 
 
 @EVERY
-def test_a_fit_has_the_orders_and_the_label_of_its_row(kind: Kind) -> None:
-    """Each with the value that was asked for."""
+def test_a_fit_has_the_orders_and_the_label_of_its_row(kind: RegisteredStructure) -> None:
     u, e = np.random.default_rng(0).standard_normal((2, 400))
     data = Dataset(u=u, y=filtered([0, 1.0, 0.5], [1, -1.2, 0.6], u) + 0.3 * e, Ts=0.1)
     orders = {name: 1 if name in ("nc", "nd") else 2 for name in kind.orders}
@@ -63,7 +68,6 @@ def test_a_fit_has_the_orders_and_the_label_of_its_row(kind: Kind) -> None:
 
 
 def test_orders_and_articles_are_written_as_they_are_read() -> None:
-    """An order that the data choose is not written."""
     assert named({"nb": 4, "nf": 3, "nk": 1}) == "nb=4, nf=3, nk=1"
     assert named({"order": None, "nk": 2}) == "nk=2"
     assert [with_article(name) for name in ("OE", "ARX", "BJ", "N4SID", "PEM")] == [

@@ -1,4 +1,4 @@
-"""Regions hold the truth, by draws where the linearisation does not, and say which they are."""
+"""Regions contain the truth, by draws if the linearisation fails, and name their method."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from armrig_core.arm import ArmParameters
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 NEAR = (0.85 + 0.02j, 0.85 - 0.02j, 0.5)
 PLAIN = (0.83 + 0.35j, 0.83 - 0.35j, 0.7)
@@ -62,7 +62,7 @@ def near() -> Fit:
 
 
 def test_draws_have_mean_and_covariance_exactly(plain: Fit) -> None:
-    """So an answer that is linear in theta gets the deviation that its derivative gives."""
+    """An answer that is linear in theta therefore gets the deviation of its derivative."""
     draws = drawn(plain)
 
     assert draws is not None
@@ -74,7 +74,6 @@ def test_draws_have_mean_and_covariance_exactly(plain: Fit) -> None:
 
 
 def test_draws_keep_the_integrator(plant: HandoutPlant) -> None:
-    """Each has a pole at 1, and responses as the model with those coefficients has."""
     fit = oe(plant.dataset(1), nb=4, nf=4, integrator=True)
     draws = drawn(fit, n=100)
     assert draws is not None
@@ -93,7 +92,7 @@ def test_draws_keep_the_integrator(plant: HandoutPlant) -> None:
 
 
 def test_a_draw_that_no_estimator_returns_is_left_out_and_counted() -> None:
-    """Its pole is outside the unit circle, where the model is stable; more are drawn then."""
+    """The pole of the draw is outside the unit circle, and the model is stable."""
     wide = replace(oe(data(1, PLAIN, 0.1), nb=3, nf=3), whiteness=0.5)
     wide = replace(wide, covariance=1e5 * wide.covariance)
 
@@ -108,7 +107,6 @@ def test_a_draw_that_no_estimator_returns_is_left_out_and_counted() -> None:
 
 
 def test_what_hardly_any_draw_says_is_not_known() -> None:
-    """Rather than a range that a derivative makes up."""
     few = RootDraws(pairs=np.full(5, 0.5 + 0.1j), reals=np.zeros(0))
 
     answer = band(np.ones(2), np.ones(2), np.ones((5, 2)))
@@ -119,7 +117,7 @@ def test_what_hardly_any_draw_says_is_not_known() -> None:
 
 
 def test_far_from_each_other_roots_have_ellipses_and_intervals(plain: Fit) -> None:
-    """The complex pole an ellipse of 5.99, the real one ± 1.96 deviations."""
+    """The complex pole has an ellipse of 5.99, the real pole ± 1.96 deviations."""
     regions = pole_regions(plain)
     pair = next(r for r in regions if r.centre.imag > 0)
     real = next(r for r in regions if r.centre.imag == 0)
@@ -138,8 +136,6 @@ def test_far_from_each_other_roots_have_ellipses_and_intervals(plain: Fit) -> No
 
 
 def test_a_region_of_draws_holds_the_next_draw_with_95_percent() -> None:
-    """Of any shape: here a bow, part of which is two real roots; each kind by itself."""
-
     def bow(n: int, seed: int) -> RootDraws:
         x, y = np.random.default_rng(seed).standard_normal((2, n))
         delta = 4e-4 - 0.01 * x**2 + 2e-3 * y
@@ -160,7 +156,6 @@ def test_a_region_of_draws_holds_the_next_draw_with_95_percent() -> None:
 
 
 def test_a_pair_that_is_hardly_a_pair_is_sampled(near: Fit) -> None:
-    """And so is whatever else is curved over what the parameters may be."""
     assert {r.method for r in pole_regions(near)} == {"sampled"}
     assert all(r.method == "sampled" for r in zero_regions(near))
 
@@ -205,7 +200,7 @@ def test_where_it_is_good_the_linearisation_stays_and_holds() -> None:
 
 
 def test_a_band_is_sampled_where_an_edge_is_a_quarter_elsewhere() -> None:
-    """A square of a normal number near 0 is nothing like normal; far from 0 it is."""
+    """The square of a normal number near 0 is not normal; far from 0 it nearly is."""
     x = np.random.default_rng(0).standard_normal(1000)
 
     far, close = (band(m**2, 2 * abs(m), (m + x)[:, None] ** 2) for m in (30.0, 0.5))
@@ -215,7 +210,6 @@ def test_a_band_is_sampled_where_an_edge_is_a_quarter_elsewhere() -> None:
 
 
 def test_coloured_residuals_carry_the_robust_covariance_on(plain: Fit) -> None:
-    """The verdict decides how sure poles and responses are."""
     wide = replace(plain, covariance_robust=4 * plain.covariance)
     white, coloured = replace(wide, whiteness=0.5), replace(wide, whiteness=1e-6)
 
@@ -227,7 +221,6 @@ def test_coloured_residuals_carry_the_robust_covariance_on(plain: Fit) -> None:
 
 
 def test_the_summary_marks_what_was_sampled(plain: Fit, near: Fit) -> None:
-    """By a star, and for a program by name."""
     facts = json.loads(json.dumps(near.summary().facts(), allow_nan=False))
 
     assert "pole            0.8" in repr(plain.summary())
@@ -241,7 +234,6 @@ def test_the_summary_marks_what_was_sampled(plain: Fit, near: Fit) -> None:
 
 
 def test_a_claim_has_no_ranges(plant: HandoutPlant) -> None:
-    """Nothing of the physics was estimated."""
     summary = physical_model(ArmParameters(), plant.dataset(1)).summary()
 
     assert summary.draws is None
@@ -249,8 +241,7 @@ def test_a_claim_has_no_ranges(plant: HandoutPlant) -> None:
     assert "…" not in repr(summary)
 
 
-def test_an_unknown_covariance_is_told(plain: Fit) -> None:
-    """No number stands for it, and for a program none at all."""
+def test_an_unknown_covariance_is_reported(plain: Fit) -> None:
     nothing = np.full((6, 6), np.nan)
     summary = replace(plain, covariance=nothing, covariance_robust=nothing).summary()
 
@@ -259,7 +250,6 @@ def test_an_unknown_covariance_is_told(plain: Fit) -> None:
 
 
 def test_a_table_of_figures_stars_what_was_sampled(plain: Fit, near: Fit) -> None:
-    """And says what the star means."""
     table = armrig.compare(data(9, NEAR, 0.3), near, plain, labels=("near", "plain")).table()
 
     assert "* linearisation poor (near" in table
@@ -267,7 +257,6 @@ def test_a_table_of_figures_stars_what_was_sampled(plain: Fit, near: Fit) -> Non
 
 
 def test_the_rate_after_a_step_has_the_band_of_its_draws(plant: HandoutPlant) -> None:
-    """It is the difference of the response, and so are its deviations and its draws."""
     fit = oe(plant.dataset(1), nb=4, nf=4, integrator=True)
     whole, rate = fit.step_response(51), fit.step_response(50, rate=True)
     draws = drawn(fit)

@@ -28,9 +28,9 @@ def two_experiments(seed: int, C: list[float]) -> tuple[list[Array], list[Array]
 def test_newey_and_west_weigh_the_pairs_of_each_experiment(
     rows: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By 1 - k/(L + 1) up to L = 4 (N/100)^(2/9), none across the boundary; in blocks as in one."""
+    """The weights are 1 - k/(L + 1) up to L = 4 (N/100)^(2/9), in blocks as in one piece."""
     blocks, residuals = two_experiments(1, [1.0, -0.8])
-    monkeypatch.setattr(covariance, "_FEW_ROWS", rows)
+    monkeypatch.setattr(covariance, "_SUM_ROWS", rows)
     L = 4
     assert int(4 * (sum(SIZES) / 100) ** (2 / 9)) == L
 
@@ -50,9 +50,9 @@ def test_newey_and_west_weigh_the_pairs_of_each_experiment(
 def test_an_exogenous_score_has_the_covariance_of_the_noise(
     rows: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Psi^T R Psi, R of the autoregression, in blocks of rows as in one."""
+    """Psi^T R Psi, with R of the autoregression, in blocks of rows as in one piece."""
     blocks, residuals = two_experiments(2, [1.0, -0.8])
-    monkeypatch.setattr(covariance, "_ROWS", rows)
+    monkeypatch.setattr(covariance, "_FILTER_ROWS", rows)
 
     M = exogenous_score(blocks, residuals)
 
@@ -67,7 +67,7 @@ def test_an_exogenous_score_has_the_covariance_of_the_noise(
 
 
 def test_the_autoregression_sees_no_pair_across_a_boundary() -> None:
-    """Two levels of opposite sign: across the seam their product is negative."""
+    """Two levels of opposite sign: across the boundary their product is negative."""
     e = [np.full(60, 1.0), np.full(60, -1.0)]
     rng = np.random.default_rng(3)
     e = [part + 0.5 * rng.standard_normal(60) for part in e]
@@ -83,7 +83,7 @@ def test_the_autoregression_sees_no_pair_across_a_boundary() -> None:
 
 @pytest.mark.parametrize("d", [1, 12])
 def test_for_white_residuals_the_robust_covariance_is_the_classic(d: int) -> None:
-    """With the same degrees of freedom subtracted: of 60 residuals 12 parameters take a fifth."""
+    """The same degrees of freedom are subtracted: 12 parameters are a fifth of 60 residuals."""
     rng = np.random.default_rng(5)
     Phi, y = rng.standard_normal((60, d)), rng.standard_normal(60)
     e = y - Phi @ np.linalg.lstsq(Phi, y, rcond=None)[0]
@@ -95,7 +95,6 @@ def test_for_white_residuals_the_robust_covariance_is_the_classic(d: int) -> Non
 
 
 def test_ljung_and_box_count_no_pair_across_a_boundary() -> None:
-    """Sums of products within each experiment, over as many pairs as there are."""
     blocks, residuals = two_experiments(6, [1.0, -0.3])
     residuals[1][40:43] = 0.1
     lags = 25

@@ -16,7 +16,7 @@ from armrig.numerics.criteria import (
 
 
 def test_the_deviance_is_that_of_the_gaussian_density() -> None:
-    """-2 log of the density of N residuals, at the variance that makes it largest."""
+    """-2 log of the density of N residuals, at the variance that maximises it."""
     e = np.random.default_rng(1).standard_normal(50)
     loss = float(np.mean(e**2))
 
@@ -26,7 +26,6 @@ def test_the_deviance_is_that_of_the_gaussian_density() -> None:
 
 
 def test_a_parameter_costs_two_or_the_logarithm_of_the_samples() -> None:
-    """AIC and MDL, of one model and of several at once."""
     assert aic(0.5, 3, 100) - aic(0.5, 2, 100) == pytest.approx(2)
     assert mdl(0.5, 3, 100) - mdl(0.5, 2, 100) == pytest.approx(np.log(100))
     loss, d = np.array([0.5, 0.1]), np.array([2, 3])
@@ -35,7 +34,7 @@ def test_a_parameter_costs_two_or_the_logarithm_of_the_samples() -> None:
 
 
 def test_a_perfect_model_has_a_finite_criterion() -> None:
-    """The logarithm of a loss of 0 is taken of the smallest number."""
+    """The logarithm of a loss of 0 is that of the smallest number."""
     least = np.finfo(np.float64).tiny
 
     assert aic(0.0, 2, 10) == aic(least, 2, 10) < aic(2 * least, 2, 10)
@@ -43,7 +42,7 @@ def test_a_perfect_model_has_a_finite_criterion() -> None:
 
 
 def test_the_final_prediction_error_has_no_bound_with_as_many_parameters_as_samples() -> None:
-    """Beyond d = N the formula turns negative, which would be the best of all."""
+    """Beyond d = N the formula becomes negative, which would be the best value of all."""
     found = fpe(np.ones(4), np.array([0, 5, 10, 11]), 10)
 
     np.testing.assert_allclose(found, [1.0, 3.0, np.inf, np.inf])
@@ -51,12 +50,11 @@ def test_the_final_prediction_error_has_no_bound_with_as_many_parameters_as_samp
 
 
 def test_an_undetermined_model_has_no_criterion() -> None:
-    """NaN stays NaN."""
     assert np.isnan([aic(np.nan, 2, 10), mdl(np.nan, 2, 10), fpe(np.nan, 2, 10)]).all()
 
 
 def test_batches_allow_for_samples_that_depend_on_their_neighbours() -> None:
-    """The mean of an autoregression scatters by its deviation over runs, not by s / sqrt(N)."""
+    """The mean of an autoregression scatters by this deviation over runs, not by s / sqrt(N)."""
     from scipy.signal import lfilter
 
     e = np.random.default_rng(2).standard_normal((400, 3000))
@@ -70,7 +68,6 @@ def test_batches_allow_for_samples_that_depend_on_their_neighbours() -> None:
 
 
 def test_one_batch_has_no_standard_error() -> None:
-    """It is told as 0; several rows are told one by one."""
     assert standard_error(np.array([1.0])) == 0
     np.testing.assert_allclose(standard_error(np.array([[1.0, 3.0], [2.0, 2.0]])), [1.0, 0.0])
     assert batch_means(np.arange(3.0)).tolist() == [0.0, 1.0, 2.0]
@@ -78,7 +75,6 @@ def test_one_batch_has_no_standard_error() -> None:
 
 
 def test_the_simplest_within_one_standard_error_is_chosen() -> None:
-    """Of as few parameters the better one, and never one that is undetermined."""
     excess = np.array([0.0, 0.1, 0.2, 0.05, np.nan])
     std = np.array([0.0, 0.2, 0.1, 0.1, np.nan])
 

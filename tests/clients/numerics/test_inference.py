@@ -56,7 +56,7 @@ def test_the_robust_form_holds_for_coloured_noise(score: Score) -> None:
 def test_columns_that_are_nearly_alike_leave_no_variance_below_zero(
     score: Score, apart: float
 ) -> None:
-    """Bread times M times bread would round to some: their root is NaN."""
+    """Bread times M times bread would round to negative values, whose root is NaN."""
     rng = np.random.default_rng(4)
     x, z, w, v = rng.standard_normal((4, N))
     Phi = np.column_stack([x, x + apart * z, w, w + apart * v])
@@ -70,7 +70,6 @@ def test_columns_that_are_nearly_alike_leave_no_variance_below_zero(
 
 
 def test_missing_residuals_are_as_if_they_had_never_been() -> None:
-    """Rows without a residual count neither as samples nor in a sum."""
     Phi, y, theta, _ = regression(2, [1.0])
     e = y - Phi @ theta
     there = np.arange(N) >= 40  # a hole at the start moves no pair of neighbours apart
@@ -88,7 +87,6 @@ def test_missing_residuals_are_as_if_they_had_never_been() -> None:
 
 
 def test_what_else_was_estimated_costs_degrees_of_freedom() -> None:
-    """Columns projected out, told by their span or by their number."""
     Phi, y, theta, plain = regression(3, [1.0])
     e = y - Phi @ theta
     span = orthonormal(np.ones((N, 1))).Q
@@ -101,7 +99,6 @@ def test_what_else_was_estimated_costs_degrees_of_freedom() -> None:
 
 
 def test_coloured_residuals_are_found_out_and_white_ones_are_not() -> None:
-    """By both tests; without one there is no verdict, nor for rounding noise."""
     for C, white in (([1.0], True), ([1.0, 0.9], False)):
         Phi, y, theta, found = regression(4, C)
         e = [y - Phi @ theta]
@@ -124,8 +121,7 @@ def test_other_parameters_have_the_covariance_that_their_derivatives_carry_on() 
     assert other.loss == found.loss
 
 
-def test_as_many_parameters_as_samples_leave_no_noise_to_tell() -> None:
-    """The message says how many there are of each."""
+def test_as_many_parameters_as_samples_leave_no_noise_to_estimate() -> None:
     Phi, y, theta, _ = regression(6, [1.0])
     e = (y - Phi @ theta)[:4]
 

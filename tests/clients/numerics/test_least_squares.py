@@ -7,7 +7,6 @@ from armrig.numerics.least_squares import least_squares, orthonormal, without_sp
 
 
 def test_with_and_without_a_basis_the_answer_is_the_same() -> None:
-    """Columns of all sizes, one dependent, one zero: those get the basis' zeros."""
     rng = np.random.default_rng(1)
     M = rng.standard_normal((40, 6)) * 10.0 ** np.arange(-4, 8, 2)
     M[:, 3] = M[:, 0] * 1e3 + M[:, 1]
@@ -25,7 +24,6 @@ def test_with_and_without_a_basis_the_answer_is_the_same() -> None:
 
 
 def test_nothing_explains_nothing() -> None:
-    """No column, no row, or only zeros."""
     Y = np.ones((3, 2))
 
     assert not least_squares(np.zeros((3, 2)), Y).any()

@@ -1,4 +1,4 @@
-"""Where the search for a minimum ends."""
+"""End of the search for a minimum."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from armrig.numerics.levenberg_marquardt import levenberg_marquardt
 
 
 def test_residuals_of_nothing_end_the_search() -> None:
-    """Of data without noise, where no relative change is left to be small."""
+    """Data without noise have no relative change that becomes small."""
     truth = np.array([3.0, -5.0])
 
     found = levenberg_marquardt(

@@ -9,6 +9,7 @@ from armrig.numerics.polynomial import (
     filtered,
     impulse,
     lagged,
+    reduced,
     reflected,
     roots,
     stable,
@@ -20,7 +21,6 @@ from hypothesis import strategies as st
 
 @given(st.lists(st.floats(0.01, 3.0), min_size=0, max_size=4))
 def test_a_reflected_polynomial_is_stable_and_keeps_its_stable_roots(z: list[float]) -> None:
-    """A root outside comes in by its reciprocal, up to the radius."""
     assume(all(abs(abs(a) - abs(b)) > 0.05 for i, a in enumerate(z) for b in z[:i]))
     assume(all(r == 1 or abs(r - 1) > 1e-5 for r in z))
     expected = [min(1 / abs(r), 0.999) if abs(r) >= 1 else r for r in z]
@@ -32,7 +32,6 @@ def test_a_reflected_polynomial_is_stable_and_keeps_its_stable_roots(z: list[flo
 
 
 def test_a_root_on_the_circle_is_not_stable() -> None:
-    """The integrator is outside."""
     assert not stable([1.0, -1.0])
     assert not stable([1.0, 1.0])
     assert not stable([2.0, -2.1])
@@ -42,13 +41,13 @@ def test_a_root_on_the_circle_is_not_stable() -> None:
 
 
 def test_a_coefficient_that_is_no_number_makes_no_stable_polynomial() -> None:
-    """The search asks of a trial step that overflowed: the answer is no, not an error."""
+    """The search asks for a trial step that overflowed."""
     assert not stable([1.0, np.nan])
     assert not stable([1.0, 0.5, np.inf])
 
 
 def test_stable_is_what_the_roots_say() -> None:
-    """Of 300 polynomials with real roots and pairs, on both sides of the circle."""
+    """300 polynomials with real roots and pairs, on both sides of the circle."""
     rng = np.random.default_rng(28)
     polynomials = [
         np.real(np.poly([*(r * np.exp([1j * w, -1j * w])), x]))
@@ -75,7 +74,6 @@ def test_roots_are_in_q_and_values_in_q_inverse() -> None:
 
 
 def test_columns_that_depend_on_others_are_left_out() -> None:
-    """The rank is that of the data, whatever the units."""
     a, b = np.random.default_rng(0).standard_normal((2, 50))
     M = np.column_stack([a, 1e-9 * b, a + b, np.zeros(50)])
 
@@ -87,7 +85,6 @@ def test_columns_that_depend_on_others_are_left_out() -> None:
 
 
 def test_rows_of_zeros_change_a_basis_only_by_rows_of_zeros() -> None:
-    """The coefficients stay, and what stands in those rows counts for nothing."""
     rng = np.random.default_rng(1)
     M, y, rows = rng.standard_normal((20, 2)), rng.standard_normal(30), np.arange(30) % 3 != 1
 
@@ -99,7 +96,7 @@ def test_rows_of_zeros_change_a_basis_only_by_rows_of_zeros() -> None:
 
 
 def test_the_summation_is_the_response_from_a_rate_to_its_sum() -> None:
-    """Ts / (1 - q^-1) on the unit circle, without a bound at 0."""
+    """Ts / (1 - q^-1) on the unit circle, infinite at 0."""
     Ts, omega = 0.01, np.array([0.0, 3.0, 200.0])
 
     S = summation(omega, Ts)
@@ -107,3 +104,14 @@ def test_the_summation_is_the_response_from_a_rate_to_its_sum() -> None:
     assert S[0] == np.inf
     x = np.exp(-1j * omega[1:] * Ts)
     np.testing.assert_allclose(S[1:] * evaluate([1, -1], x), Ts)
+
+
+def test_a_reduced_polynomial_lacks_a_real_root_or_has_one_for_a_pair() -> None:
+    pair = 0.8 * np.exp(1j * np.array([2.0, -2.0]))  # left of the imaginary axis
+
+    found = [np.sort_complex(roots(p)) for p in reduced(np.real(np.poly([0.5, *pair, 0.0])))]
+
+    expected = ([*pair, 0.0], [*pair, 0.5], [-0.8, 0.5, 0.0])
+    for one in expected:
+        assert sum(np.allclose(np.sort_complex(one), z, atol=1e-12) for z in found) == 1
+    assert len(found) == 3

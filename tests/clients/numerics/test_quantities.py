@@ -25,7 +25,6 @@ from armrig.numerics.quantities import (
 
 
 def test_one_is_singular_and_all_other_numbers_plural() -> None:
-    """None is many, too."""
     assert [plural(n, "sample") for n in (0, 1, 2)] == ["0 samples", "1 sample", "2 samples"]
 
 
@@ -62,12 +61,12 @@ def test_times_have_the_unit_of_the_longest(seconds: tuple[float, ...], text: st
 def test_a_number_has_the_digits_that_its_standard_deviation_leaves_it(
     value: float, std: float, text: str
 ) -> None:
-    """Two digits of σ; a power of ten where that would take many zeros."""
+    """Two digits of σ; a power of ten replaces many zeros."""
     assert with_std(value, std) == text
 
 
 def test_a_number_with_its_range_has_the_digits_of_the_range() -> None:
-    """Two digits of a quarter of it, about one σ; no more than six."""
+    """Two digits of a quarter of the range, about one σ; at most six."""
     assert with_range(1.23456, 1.11, 1.404) == "1.235 (1.110 … 1.404)"
     assert with_range(1.0, 1.0 - 1e-9, 1.0 + 1e-9) == "1.000000 (1.000000 … 1.000000)"
 
@@ -85,7 +84,7 @@ def test_a_number_with_its_range_has_the_digits_of_the_range() -> None:
     ],
 )
 def test_a_quantity_has_a_power_of_ten_that_has_a_name(value: float, std: float, text: str) -> None:
-    """It is divisible by three; none between 0.01 and 9999."""
+    """The power is divisible by three; between 0.01 and 9999 there is none."""
     assert scaled(value, std, "m").replace(NBSP, " ") == text
 
 
@@ -116,16 +115,14 @@ def test_a_quantity_has_a_power_of_ten_that_has_a_name(value: float, std: float,
     ],
 )
 def test_a_number_is_written_as_its_kind_is(written: str, text: str) -> None:
-    """At the bounds between two ways to write it, too."""
     assert written.replace(NBSP, " ") == text
 
 
 def test_two_digits_of_a_standard_deviation_are_shown() -> None:
-    """Five decimals where it is not known."""
+    """Five decimals if the deviation is unknown."""
     assert [places(std) for std in (0.012, 1.2, 12.0, 120.0, 0.0, inf)] == [3, 1, 0, 0, 5, 5]
 
 
 @pytest.mark.parametrize(("names", "text"), [("a", "a"), ("ab", "a and b"), ("abc", "a, b and c")])
 def test_names_are_listed_as_in_a_sentence(names: str, text: str) -> None:
-    """The last one follows an and."""
     assert listed([*names]) == text

@@ -9,7 +9,6 @@ from armrig.numerics.recursion import recursion
 
 @pytest.mark.parametrize("N", [0, 1, 2, 3, 4, 8, 9, 10, 101])
 def test_the_blocks_give_what_the_steps_give(N: int) -> None:
-    """For several right-hand sides at once, with a matrix that has no eigenvectors."""
     rng = np.random.default_rng(N)
     Phi = np.array([[0.9, 1.0, 0.0], [0.0, 0.9, 1.0], [0.0, 0.0, 0.9]])
     w, x0 = rng.normal(size=(N, 2, 3)), rng.normal(size=(2, 3))
@@ -22,7 +21,6 @@ def test_the_blocks_give_what_the_steps_give(N: int) -> None:
 
 
 def test_one_right_hand_side_keeps_its_shape() -> None:
-    """(N, n) in, (N + 1, n) out; complex stays complex."""
     x = recursion(np.array([[0.5j]]), np.ones((7, 1)), np.ones(1))
 
     assert x.shape == (8, 1)

@@ -11,7 +11,6 @@ NAN = np.nan
 
 
 def test_what_lies_before_the_first_sample_is_not_known() -> None:
-    """Lag 0 is the sample itself; a lag beyond the data is nowhere known."""
     x = np.array([1.0, 2.0, 3.0])
 
     np.testing.assert_array_equal(past(x, [0, 1, 3]), [[1, NAN, NAN], [2, 1, NAN], [3, 2, NAN]])
@@ -20,7 +19,6 @@ def test_what_lies_before_the_first_sample_is_not_known() -> None:
 
 
 def test_a_row_is_complete_where_every_column_is_known() -> None:
-    """Vectors and matrices side by side."""
     M = np.array([[1.0, NAN], [2.0, 2.0], [3.0, 3.0]])
     y = np.array([1.0, 1.0, NAN])
 
@@ -37,7 +35,6 @@ def test_a_row_is_complete_where_every_column_is_known() -> None:
 def test_a_row_is_usable_if_all_that_it_looks_back_on_was_measured(
     na: int, nb: int, nk: int, missing: set[int]
 ) -> None:
-    """Row by row, by the indices that it needs."""
     rng = np.random.default_rng(3)
     u, y = rng.standard_normal((2, 20))
     y[list(missing)] = NAN
@@ -55,7 +52,6 @@ def test_a_row_is_usable_if_all_that_it_looks_back_on_was_measured(
 
 
 def test_blocks_of_rows_are_the_matrix_again() -> None:
-    """The last block has what is left."""
     M = np.arange(14.0).reshape(7, 2)
 
     blocks = list(in_blocks(M, 3))

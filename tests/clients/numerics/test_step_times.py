@@ -1,4 +1,4 @@
-"""Each time of a step response is one thing, whoever reads it off what."""
+"""Each time of a step response is the same number in every command."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from armrig_core.arm import ArmParameters
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from sampling import sampled
+
+from tests.sampling import sampled
 
 OTHERS = {
     "handout": ArmParameters(),
@@ -48,10 +49,7 @@ def _shown(p: ArmParameters, Ts: float) -> Iterator[tuple[str, float, float, flo
 @EVERY
 @pytest.mark.parametrize("Ts", sampled([0.01, 0.005]))
 def test_a_time_is_the_same_wherever_it_is_shown(p: ArmParameters, Ts: float) -> None:
-    """`armrig model`, `compare`, the step analysis and `armrig sampling` give one number.
-
-    A time that is read off samples is known to the deviation that stands with it.
-    """
+    """`armrig model`, `compare`, the step analysis and `armrig sampling` give one number."""
     truth = armrig.characteristics(p)
 
     for where, rise, std, equivalent in _shown(p, Ts):
@@ -62,14 +60,14 @@ def test_a_time_is_the_same_wherever_it_is_shown(p: ArmParameters, Ts: float) ->
 
 @EVERY
 def test_the_slowest_pole_of_the_equations_is_that_of_the_sampled_model(p: ArmParameters) -> None:
-    """1/|Re s|, the integrator's pole left out."""
+    """1/|Re s|, without the pole of the integrator."""
     sampled = model_characteristics(physical_model(p, _stepped(p, 0.01)))
 
     assert sampled.slowest_time == pytest.approx(armrig.characteristics(p).slowest_time, rel=1e-4)
 
 
 def test_the_arms_times_are_known_in_closed_form() -> None:
-    """The equivalent one holds both inertias: (J_1 + J_2) R_m/(N K_m)²."""
+    """The equivalent time contains both inertias: (J_1 + J_2) R_m/(N K_m)²."""
     p = ArmParameters()
     found = armrig.characteristics(p)
 
@@ -82,7 +80,7 @@ def test_the_arms_times_are_known_in_closed_form() -> None:
 
 @given(tau=st.floats(1.0, 200.0), dead=st.integers(0, 5))
 def test_of_a_first_order_system_all_three_are_its_time_constant(tau: float, dead: int) -> None:
-    """In samples; the area by the trapezoidal rule, so to 1/12 of a sample squared."""
+    """The trapezoidal rule gives the area to 1/12 of a sample squared."""
     pole = np.exp(-1 / tau)
     y = 1 - pole ** np.arange(round(12 * tau))
     B, F = np.append(np.zeros(dead + 1), 1 - pole), np.array([1.0, -pole])
@@ -93,7 +91,7 @@ def test_of_a_first_order_system_all_three_are_its_time_constant(tau: float, dea
 
 
 def test_parameters_that_are_far_apart_have_their_times() -> None:
-    """The motor's decay beside an arm that rings a million times: neither hides the other."""
+    """The arm rings a million times during the decay of the motor."""
     light, heavy = (
         armrig.characteristics(p) for p in (ArmParameters(J_2=1e-9), ArmParameters(J_1=1e9))
     )
@@ -104,13 +102,11 @@ def test_parameters_that_are_far_apart_have_their_times() -> None:
 
 
 def test_two_samples_are_a_straight_line() -> None:
-    """The fewest that cross anything; one crosses nothing."""
     assert rise_time(np.array([0.0, 1.0]), 0.1, share=0.5) == pytest.approx(0.05)
     assert np.isnan(rise_time(np.array([0.0]), 0.1))
 
 
 def test_what_is_never_reached_is_no_time() -> None:
-    """NaN, from the crossing of a spline and of straight lines alike."""
     y: NDArray[np.float64] = np.linspace(0.0, 0.6, 20)
 
     assert np.isnan(rise_time(y, 0.1))

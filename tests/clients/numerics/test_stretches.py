@@ -14,7 +14,6 @@ MASKS = st.lists(st.booleans(), max_size=40).map(lambda x: np.array(x, dtype=np.
 
 @given(MASKS)
 def test_stretches_cover_what_is_true_and_none_touches_another(mask: np.ndarray) -> None:
-    """Marked by its stretches, the mask comes back, and each stretch is as long as it can be."""
     found = stretches(mask)
 
     marked = np.zeros(mask.size, dtype=np.bool_)
@@ -26,7 +25,6 @@ def test_stretches_cover_what_is_true_and_none_touches_another(mask: np.ndarray)
 
 
 def test_the_longest_stretch_is_counted_in_samples() -> None:
-    """Those at the ends count as any other."""
     assert longest(np.array([True, False, True, True, False])) == 2
     assert longest(np.array([False, True, True, True])) == 3
     assert longest(np.zeros(3, dtype=np.bool_)) == 0
@@ -34,7 +32,6 @@ def test_the_longest_stretch_is_counted_in_samples() -> None:
 
 
 def test_a_signal_is_cut_where_it_changes() -> None:
-    """All samples are in one slice each; a NaN equals nothing."""
     assert constant(np.array([1.0, 1.0, 2.0, 1.0])) == [slice(0, 2), slice(2, 3), slice(3, 4)]
     assert constant(np.array([np.nan, np.nan])) == [slice(0, 1), slice(1, 2)]
     assert constant(np.array([3.0])) == [slice(0, 1)]
@@ -42,7 +39,6 @@ def test_a_signal_is_cut_where_it_changes() -> None:
 
 
 def test_cuts_lie_between_samples() -> None:
-    """Indices that are far apart fall into groups."""
     indices = np.array([1, 2, 3, 9, 10, 30])
 
     groups = [indices[s].tolist() for s in pieces(np.diff(indices) > 2)]

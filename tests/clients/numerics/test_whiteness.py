@@ -1,4 +1,4 @@
-"""The test of whiteness: its level, what it finds, and how it is worded."""
+"""The test of whiteness: its level, its findings, and its words."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 
 @pytest.mark.parametrize(("N", "lags"), [(250, 10), (250, 25), (500, 25)])
 def test_white_noise_is_rejected_as_often_as_the_level_says(N: int, lags: int) -> None:
-    """Ljung and Box's statistic of 20 000 series; chi-squared rejects 6 % where 5 % is meant."""
+    """Ljung and Box's statistic of 20 000 series; chi-squared rejects 6 % instead of 5 %."""
     e = np.random.default_rng(1).standard_normal((20_000, N))
     spectrum = np.abs(np.fft.rfft(e, 2 * N, axis=1)) ** 2
     R = np.fft.irfft(spectrum, axis=1)[:, : lags + 1]
@@ -30,7 +30,6 @@ def test_white_noise_is_rejected_as_often_as_the_level_says(N: int, lags: int) -
 
 
 def test_many_samples_make_it_chi_squared() -> None:
-    """And few lags, which share little."""
     assert portmanteau_p_value(37.65, 25, 10**7) == pytest.approx(chdtrc(25, 37.65), rel=1e-4)
     assert portmanteau_p_value(3.0, 2, 100) == pytest.approx(chdtrc(2, 3.0))
     assert np.isnan(portmanteau_p_value(0.0, 0, 100))
@@ -38,7 +37,6 @@ def test_many_samples_make_it_chi_squared() -> None:
 
 @pytest.mark.parametrize("known", [False, True])
 def test_what_was_fitted_is_allowed_for_as_the_formula_says(known: bool) -> None:
-    """Two experiments, one with holes; the basis of what was fitted given, or made."""
     rng = np.random.default_rng(1)
     lags, sizes = 5, (80, 60)
     Psi = [rng.standard_normal((n, 3)).cumsum(axis=0) for n in sizes]
@@ -72,7 +70,7 @@ def test_what_was_fitted_is_allowed_for_as_the_formula_says(known: bool) -> None
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_random_walk_is_never_called_white(seed: int) -> None:
-    """Of seed 1 M is indefinite, and M^+ gave p = 0.999."""
+    """For seed 1 M is indefinite, and M^+ gave p = 0.999."""
     rng = np.random.default_rng(seed)
     u = telegraph(10_000, 0.1, 0.0, 5.0, seed=rng) - (2.5 if seed else 0.0)
     y = filtered([0, 1, 0.5], [1, -1.5, 0.7], u) + 0.3 * np.cumsum(rng.standard_normal(u.size))
@@ -89,7 +87,7 @@ def test_a_random_walk_is_never_called_white(seed: int) -> None:
 
 
 def test_where_the_noise_determines_a_ljung_box_loses_as_many_degrees() -> None:
-    """Of A of a pure autoregression; 300 runs at 5 %, where all 25 lags would reject 2 %."""
+    """A of a pure autoregression; 300 runs at 5 %, of which all 25 lags would reject 2 %."""
     rng = np.random.default_rng(1)
     p, tests = [], []
     for _ in range(300):
@@ -115,5 +113,4 @@ def test_where_the_noise_determines_a_ljung_box_loses_as_many_degrees() -> None:
     ],
 )
 def test_the_verdict_is_worded_in_one_place(p: float, test: str, said: str) -> None:
-    """At one level, with the test that decided."""
     assert str(Whiteness(p_value=p, test=test)) == said

@@ -7,7 +7,8 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.physics.systems import ArmParameters
-from chassis_data import Make, Ts, angle, rubbing
+
+from tests.clients.chassis_data import Make, Ts, angle, rubbing
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""The figures of physics, integration and grey box draw where they are told, and label it."""
+"""The figures of physics, integration and grey box use the given axes, and label them."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ from armrig.physics.integrators.figures import (
 )
 from armrig.physics.systems import beside_the_handout
 from armrig_core.arm import ArmParameters, arm_matrices
-from chassis_data import Make
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
+from tests.clients.chassis_data import Make
 
 A, B, _ = arm_matrices(ArmParameters())
 PROBLEM = sinusoid(A, B, omega=5.0, span=1.0)
@@ -66,7 +67,6 @@ def data(make: Make) -> Dataset:
 
 @EVERY
 def test_a_plot_draws_into_the_axes_it_is_given(plot: Plot, data: Dataset) -> None:
-    """Returns them, labels every axis, and opens no window of its own."""
     ax = Figure().add_subplot()
 
     assert plot(data, ax) is ax
@@ -79,13 +79,11 @@ def test_a_plot_draws_into_the_axes_it_is_given(plot: Plot, data: Dataset) -> No
 
 @EVERY
 def test_a_plot_without_axes_makes_them(plot: Plot, data: Dataset) -> None:
-    """For a person at the prompt."""
     assert plot(data, None).has_data()
     assert len(plt.get_fignums()) == 1
 
 
 def test_the_structure_names_every_part() -> None:
-    """From the circuit to the arm."""
     texts = " ".join(t.get_text() for t in plot_rig(ax=Figure().add_subplot()).texts)
 
     for part in ("circuit", "motor", "gear", "chassis", "spring", "arm", "back-EMF"):
@@ -93,7 +91,7 @@ def test_the_structure_names_every_part() -> None:
 
 
 def test_the_arm_s_points_lie_on_the_edge_at_the_limit() -> None:
-    """The oscillation's pair at forward Euler's limit is on its circle about -1."""
+    """The oscillation's pair at forward Euler's limit is on its circle around -1."""
     ax = plot_stability_regions(A, ax=Figure().add_subplot())
 
     [points] = [line for line in ax.lines if line.get_marker() == "x"]
@@ -111,13 +109,12 @@ def test_the_residual_of_the_grey_box_is_the_noise(data: Dataset) -> None:
 
 
 def test_an_edge_that_is_not_there_is_refused() -> None:
-    """The trapezoidal rule has none."""
-    with pytest.raises(ValueError, match="no edge to show"):
+    with pytest.raises(ValueError, match="no figure is possible"):
         plot_stability_edge(A, "trapezoidal")
 
 
-def test_changed_parameters_stand_beside_the_handouts_own() -> None:
-    """Assignment 2.3: each change alone and both, by what was changed, with their numbers."""
+def test_changed_parameters_are_shown_next_to_the_handouts_own() -> None:
+    """Assignment 2.3: each change alone and both together."""
     p = ArmParameters()
     cases = beside_the_handout(replace(p, J_1=2 * p.J_1, K_lin=2 * p.K_lin))
     ax = plot_physical_step(cases, ax=Figure().add_subplot())
@@ -136,7 +133,6 @@ def test_changed_parameters_stand_beside_the_handouts_own() -> None:
 
 
 def test_each_method_is_drawn_at_its_own_step() -> None:
-    """A table of recommended steps has one for each; the figure has the same."""
     ax = plot_solution(PROBLEM, {"heun": 0.01, "ab2": 0.004}, ax=Figure().add_subplot())
 
     legend = ax.get_legend()

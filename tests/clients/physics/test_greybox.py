@@ -11,7 +11,8 @@ import pytest
 from armrig.data.dataset import Dataset, merge
 from armrig.physics.grey_box.estimate import no_model
 from armrig.physics.systems import ArmParameters, arm, chassis
-from chassis_data import Make, Ts, angle
+
+from tests.clients.chassis_data import Make, Ts, angle
 
 HANDOUT = ArmParameters()
 RUBS = ArmParameters(b_1=5e-3)
@@ -24,7 +25,7 @@ def off(fit: Any, name: str = "J_1", truth: float = HANDOUT.J_1) -> float:
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 10.0])
 def test_noise_free_data_give_back_the_inertia(make: Make, factor: float) -> None:
-    """From a start ten times off either way."""
+    """The search starts ten times too high and ten times too low."""
     data = make(std=0.0)
 
     fit = armrig.greybox(data, fixed=replace(HANDOUT, J_1=factor * HANDOUT.J_1))
@@ -34,7 +35,6 @@ def test_noise_free_data_give_back_the_inertia(make: Make, factor: float) -> Non
 
 
 def test_the_whole_rig_gives_back_both_inertias_and_the_spring() -> None:
-    """From either output."""
     u = armrig.telegraph(4000, 0.02, seed=1)
     start = replace(HANDOUT, J_1=1.2e-3, J_2=6e-3, K_lin=1.5)
     for output in ("theta_1", "alpha"):
@@ -47,7 +47,7 @@ def test_the_whole_rig_gives_back_both_inertias_and_the_spring() -> None:
 
 
 def test_the_standard_deviation_is_that_of_repeated_experiments(make: Make) -> None:
-    """Over 80 seeds: the ratio within its own 3 sigma (0.24), all errors below 4 sd."""
+    """Over 80 seeds: the ratio within its own 3 sigma (0.24), all errors below 4 deviations."""
     fits = [armrig.greybox(make(seed, N=2000)) for seed in range(80)]
 
     z = np.array([off(fit) for fit in fits])
@@ -59,7 +59,6 @@ def test_the_standard_deviation_is_that_of_repeated_experiments(make: Make) -> N
 
 
 def test_missing_samples_and_several_experiments(make: Make) -> None:
-    """Each with its own initial state and offset; a missing y costs its row, nothing else."""
     parts = [make(seed, N=2000, offset=0.1 * seed) for seed in (1, 2)]
     holes = np.random.default_rng(0).random(2000) > 0.3
     parts[0] = Dataset(
@@ -75,7 +74,6 @@ def test_missing_samples_and_several_experiments(make: Make) -> None:
 
 
 def test_what_is_held_fixed_carries_its_uncertainty_in(make: Make) -> None:
-    """By the shift that a wrong value causes, which `influence` foretells."""
     data = make()
     fit = armrig.greybox(data, fixed_std={"R_m": 0.0321, "K_m": 8.39e-5})
 
@@ -92,7 +90,7 @@ def test_what_is_held_fixed_carries_its_uncertainty_in(make: Make) -> None:
 
 
 def test_viscous_friction_neglected_shifts_the_inertia_and_estimated_does_not(make: Make) -> None:
-    """The hint of assignment 3.5 has its price; the option takes it away."""
+    """The hint of assignment 3.5 is to neglect the viscous friction."""
     data = make(p=ArmParameters(b_1=5e-3))
 
     neglected, estimated = armrig.greybox(data), armrig.greybox(data, friction="viscous")
@@ -105,7 +103,7 @@ def test_viscous_friction_neglected_shifts_the_inertia_and_estimated_does_not(ma
 
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3, 1e4])
 def test_friction_of_any_size_is_found(make: Make, scale: float) -> None:
-    """In N m s the number may be 200: a parameter of any unit goes as far as it has to."""
+    """In N m s the number may be 200."""
     truth = ArmParameters(J_1=1.7e-3 * scale, b_1=5e-3 * scale, R_m=HANDOUT.R_m / scale)
     data = make(p=truth)
     start = ArmParameters(J_1=5e-3 * scale, R_m=truth.R_m)
@@ -119,7 +117,7 @@ def test_friction_of_any_size_is_found(make: Make, scale: float) -> None:
 
 
 def test_a_search_that_ends_at_its_bound_says_so(make: Make) -> None:
-    """A start that is 600 000 times too large; its figure is no estimate."""
+    """The start is 600 000 times too large."""
     fit = armrig.greybox(make(), fixed=ArmParameters(J_1=1e3))
 
     [said] = [w for w in fit.warnings if "ended at its bound" in w]
@@ -127,7 +125,7 @@ def test_a_search_that_ends_at_its_bound_says_so(make: Make) -> None:
 
 
 def test_a_model_that_explains_less_than_a_constant_says_so() -> None:
-    """Its initial angle alone is a constant: no search that ended well is so poor."""
+    """The initial angle alone is a constant."""
     [said] = no_model(-10.26)
 
     assert said.startswith("the fit is -10.3 %, below 0: a constant explains the output better")
@@ -135,7 +133,6 @@ def test_a_model_that_explains_less_than_a_constant_says_so() -> None:
 
 
 def test_friction_is_no_hint_where_it_is_estimated(make: Make) -> None:
-    """Something else is left out then."""
     data = make(coulomb_nm=0.1, low=0.0, high=5.0)
     hints = [armrig.greybox(data, friction=f).warnings for f in (None, "viscous")]
 
@@ -144,7 +141,6 @@ def test_friction_is_no_hint_where_it_is_estimated(make: Make) -> None:
 
 
 def test_coulomb_friction_is_found_where_the_chassis_stops(make: Make) -> None:
-    """With both frictions on and an input down to 0 V."""
     data = make(p=ArmParameters(b_1=5e-3), coulomb_nm=0.02, low=0.0, high=5.0)
 
     neglected, fit = armrig.greybox(data), armrig.greybox(data, friction="both")
@@ -155,8 +151,7 @@ def test_coulomb_friction_is_found_where_the_chassis_stops(make: Make) -> None:
     assert fit.values["b_1"] == pytest.approx(5e-3, rel=0.01)
 
 
-def test_an_input_both_ways_tells_friction_and_offset_apart(make: Make) -> None:
-    """Both frictions and u0, each within its deviations; no richer model fits worse."""
+def test_an_input_both_ways_separates_friction_and_offset(make: Make) -> None:
     data = make(p=RUBS, coulomb_nm=0.02, shift=2.5, offset=0.3)
 
     poorer, fit = armrig.greybox(data, friction="viscous"), armrig.greybox(data, friction="both")
@@ -169,7 +164,6 @@ def test_an_input_both_ways_tells_friction_and_offset_apart(make: Make) -> None:
 
 
 def test_each_experiment_has_the_offset_that_its_input_shows(make: Make) -> None:
-    """Estimated where the chassis is driven both ways, 0 where it is not."""
     both_ways = make(1, 2500, coulomb_nm=0.02, shift=2.5, offset=0.2)
     one_way = make(2, 2500, coulomb_nm=0.02, low=0.0, high=5.0)
 
@@ -181,7 +175,7 @@ def test_each_experiment_has_the_offset_that_its_input_shows(make: Make) -> None
 
 
 def test_a_richer_model_that_fits_worse_says_so(make: Make) -> None:
-    """On an input of one sign T_c takes the offset's place, and stands in its own way."""
+    """On an input of one sign T_c replaces the offset."""
     data = make(coulomb_nm=0.02, low=0.0, high=5.0, offset=0.5)
 
     poorer, fit = armrig.greybox(data), armrig.greybox(data, friction="coulomb")
@@ -192,7 +186,7 @@ def test_a_richer_model_that_fits_worse_says_so(make: Make) -> None:
 
 
 def test_coulomb_friction_does_no_harm_where_the_chassis_never_stops(make: Make) -> None:
-    """It is a constant then, and the input offset takes it."""
+    """The friction is then a constant, which the input offset contains."""
     data = make(coulomb_nm=0.02)
 
     fit = armrig.greybox(data)
@@ -203,7 +197,7 @@ def test_coulomb_friction_does_no_harm_where_the_chassis_never_stops(make: Make)
 
 
 def test_a_friction_that_is_not_there_is_zero_within_its_sd(make: Make) -> None:
-    """On either side of zero, or its standard deviation would be a lie."""
+    """Otherwise its standard deviation would be wrong."""
     values = [
         off(armrig.greybox(make(s, N=2000), friction="viscous"), "b_1", 0.0) for s in range(30)
     ]
@@ -213,7 +207,6 @@ def test_a_friction_that_is_not_there_is_zero_within_its_sd(make: Make) -> None:
 
 
 def test_a_reading_in_steps_is_noticed(make: Make) -> None:
-    """Quiet data are warned of, noisy ones are not."""
     lsb = np.deg2rad(352) / 1024
     for noise, warned in ((0.1, True), (0.5, False)):
         data = make(std=noise * lsb)
@@ -226,8 +219,8 @@ def test_a_reading_in_steps_is_noticed(make: Make) -> None:
     assert armrig.greybox(make()).quantum == 0
 
 
-def test_parameters_that_stand_in_for_each_other_are_refused(make: Make) -> None:
-    """The chassis alone shows two figures, a gain and a time constant."""
+def test_parameters_that_replace_each_other_are_refused(make: Make) -> None:
+    """The chassis alone determines two numbers, a gain and a time constant."""
     with pytest.raises(ValueError, match="determine only 2 of 3 parameters"):
         armrig.greybox(make(), free=("J_1", "K_m", "R_m"))
     assert armrig.greybox(make(), free=("J_1", "K_m")).condition < 100
@@ -238,39 +231,36 @@ def test_parameters_that_stand_in_for_each_other_are_refused(make: Make) -> None
     [
         ({"free": ("J",)}, "free='J' is none of J_1, J_2"),
         ({"free": ("J_1", "J_1")}, "none twice"),
-        ({"free": ("J_2",)}, "do not show J_2"),
+        ({"free": ("J_2",)}, "do not determine J_2"),
         ({"output": "alpha"}, "output='alpha' is none of the model's"),
         ({"friction": "dry"}, "friction='dry' must be None"),
-        ({"fixed_std": {"J_1": 1.0}}, "fixed_std='J_1' is no parameter that is held fixed"),
+        ({"fixed_std": {"J_1": 1.0}}, "fixed_std='J_1' is not a fixed parameter"),
         ({"fixed_std": {"K_m": -1.0}}, "must be finite and >= 0"),
         ({"model": lambda p: arm(p).sample(0.1)}, "continuous time"),
     ],
 )
 def test_the_impossible_is_refused(make: Make, changes: dict[str, Any], message: str) -> None:
-    """With what came and what is allowed."""
     with pytest.raises(ValueError, match=message):
         armrig.greybox(make(N=200), **changes)
 
 
 def test_data_of_another_output_are_refused(make: Make) -> None:
-    """A velocity is no angle, whichever estimator is asked."""
     velocity = armrig.difference(make(N=200))
 
     for estimator in (armrig.greybox, armrig.inverse_dynamics):
         with pytest.raises(
-            ValueError, match="the data are velocity, the model's output is theta_1"
+            ValueError, match="the data contain velocity, the model's output is theta_1"
         ):
             estimator(velocity)  # type: ignore[operator]
 
 
 def test_too_few_samples_are_refused(make: Make) -> None:
-    """One parameter, two states, an offset, and something left over."""
-    with pytest.raises(ValueError, match="4 samples came, to estimate J_1 at least 5 are needed"):
+    """One parameter, two states, an offset and one more sample."""
+    with pytest.raises(ValueError, match="4 samples are too few to estimate J_1"):
         armrig.greybox(make(N=4))
 
 
 def test_a_model_of_one_s_own(make: Make) -> None:
-    """Any function of the parameters that gives a continuous state space."""
     import control
 
     def mine(p: ArmParameters) -> control.StateSpace:
@@ -285,7 +275,6 @@ def test_a_model_of_one_s_own(make: Make) -> None:
 
 
 def test_the_result_speaks(make: Make) -> None:
-    """In a table, in words, and as a system."""
     fit = armrig.greybox(make())
 
     assert "J_1" in repr(fit)

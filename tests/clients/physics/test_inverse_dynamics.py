@@ -1,4 +1,4 @@
-"""The second opinion: unbiased, sure of what it says, and in agreement with the first."""
+"""The second estimate: unbiased, with right deviations, and in agreement with the first."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.physics.grey_box.smoothing import kernels, smoothed, smoothed_noise_p_value
 from armrig.physics.systems import ArmParameters
-from chassis_data import Make, Ts, angle
+
+from tests.clients.chassis_data import Make, Ts, angle
 
 HANDOUT = ArmParameters()
 
 
 def test_the_smoothed_signals_are_derivatives_in_phase() -> None:
-    """Of a sine, attenuated alike."""
     w, s = 20.0, 0.02
     t = Ts * np.arange(1000)
     x = smoothed(Dataset(u=np.ones(1000), y=np.sin(w * t) + 50 * t + 200, Ts=Ts), s)
@@ -31,7 +31,7 @@ def test_the_smoothed_signals_are_derivatives_in_phase() -> None:
 
 @pytest.mark.parametrize(("every", "within"), [(1, 1e-6), (5, 2e-4)])
 def test_noise_free_data_give_back_the_inertia(every: int, within: float) -> None:
-    """At 2 ms and at 10 ms: what sums miss of integrals falls with the fourth power."""
+    """At 2 ms and at 10 ms: the error of the sums falls with the fourth power."""
     u = np.repeat(armrig.telegraph(1000, 0.1, seed=2), 5)
     y = angle(u, HANDOUT)
     data = Dataset(u=u[::every], y=y[::every], Ts=every * Ts)
@@ -50,7 +50,7 @@ def sound(make: Make) -> list[armrig.GreyFit]:
 def test_its_standard_deviation_is_that_of_repeated_experiments(
     make: Make, sound: list[armrig.GreyFit]
 ) -> None:
-    """Over 40 seeds, and the first estimate is no worse."""
+    """Over 40 seeds."""
     pairs = [(armrig.greybox(make(seed)), sound[seed]) for seed in range(40)]
 
     z = np.array([(b.values["J_1"] - HANDOUT.J_1) / b.std["J_1"] for _, b in pairs])
@@ -62,7 +62,6 @@ def test_its_standard_deviation_is_that_of_repeated_experiments(
 
 
 def test_two_estimates_on_a_wrong_model_do_not_agree(make: Make) -> None:
-    """They weigh what is missing differently, and so give it away."""
     data = make(p=ArmParameters(b_1=5e-3))
     first, second = armrig.greybox(data), armrig.inverse_dynamics(data)
 
@@ -74,7 +73,6 @@ def test_two_estimates_on_a_wrong_model_do_not_agree(make: Make) -> None:
 
 
 def test_both_frictions(make: Make) -> None:
-    """Over an input that lets the chassis stop; what is near a stop is left out."""
     data = make(p=ArmParameters(b_1=5e-3), coulomb_nm=0.02, low=0.0, high=5.0, std=1e-3, N=10_000)
 
     fit = armrig.inverse_dynamics(data, friction="both")
@@ -84,8 +82,7 @@ def test_both_frictions(make: Make) -> None:
         assert fit.std[name] < 0.1 * truth
 
 
-def test_an_offset_beside_both_frictions(make: Make) -> None:
-    """Of an input that drives the chassis both ways."""
+def test_an_offset_with_both_frictions(make: Make) -> None:
     data = make(
         p=ArmParameters(b_1=5e-3),
         coulomb_nm=0.02,
@@ -107,7 +104,7 @@ def test_an_offset_beside_both_frictions(make: Make) -> None:
 def test_residuals_are_held_against_what_smoothing_makes_of_noise(
     make: Make, sound: list[armrig.GreyFit]
 ) -> None:
-    """Of 60 sound experiments hardly one is warned of, and each where friction is left out."""
+    """Hardly one of 60 sound experiments is warned of."""
     rubbing = [armrig.inverse_dynamics(make(s, p=ArmParameters(b_1=5e-3))) for s in range(10)]
 
     assert sum(bool(fit.warnings) for fit in sound) <= 4
@@ -116,7 +113,6 @@ def test_residuals_are_held_against_what_smoothing_makes_of_noise(
 
 
 def test_an_acceleration_without_noise_has_no_p_value() -> None:
-    """Nor has one whose values all stand alone."""
     h = np.array([1.0, -2.0, 1.0])
 
     assert np.isnan(smoothed_noise_p_value([np.zeros(100)], h, 1))
@@ -125,7 +121,7 @@ def test_an_acceleration_without_noise_has_no_p_value() -> None:
 
 
 def test_fixed_parameters_carry_their_uncertainty_in(make: Make) -> None:
-    """J_1 goes with 1/R_m."""
+    """J_1 is proportional to 1/R_m."""
     fit = armrig.inverse_dynamics(make(), fixed_std={"R_m": 0.0321})
 
     assert fit.influence["J_1"]["R_m"] == pytest.approx(-1, abs=1e-4)
@@ -133,7 +129,6 @@ def test_fixed_parameters_carry_their_uncertainty_in(make: Make) -> None:
 
 
 def test_friction_that_is_known_is_part_of_the_balance(make: Make) -> None:
-    """Held at its value J_1 is right; what b_1 does to J_1 is what another b_1 makes of it."""
     truth = ArmParameters(b_1=0.05)
     data = make(p=truth)
 
@@ -152,7 +147,6 @@ def test_friction_that_is_known_is_part_of_the_balance(make: Make) -> None:
 
 
 def test_too_short_data_are_refused(make: Make) -> None:
-    """Nothing is left of them after smoothing, however narrow the kernel is."""
     with pytest.raises(ValueError, match=r"no kernel from 0\.0025 to .* leaves 10 values for each"):
         armrig.inverse_dynamics(make(N=20))
     with pytest.raises(ValueError, match='or with fewer stops; friction="viscous"'):
@@ -163,13 +157,12 @@ def test_too_short_data_are_refused(make: Make) -> None:
 def test_a_kernel_that_is_longer_than_the_data_is_refused_before_it_is_made(
     make: Make, width: float
 ) -> None:
-    """That of 1e9 s would take a terabyte."""
+    """A kernel of 1e9 s would need a terabyte."""
     with pytest.raises(ValueError, match="the longest experiment has 5000; give 1 s or less"):
         armrig.inverse_dynamics(make(), width=width)
 
 
 def test_the_width_is_the_data_s(make: Make) -> None:
-    """With more noise it is wider; what the noise of the velocity adds to J_1 is told with it."""
     quiet, loud = (armrig.inverse_dynamics(make(std=std)) for std in (2e-4, 2e-2))
 
     assert quiet.width <= loud.width
@@ -178,8 +171,8 @@ def test_the_width_is_the_data_s(make: Make) -> None:
         assert 0 < fit.bias["J_1"] < fit.std["J_1"]
 
 
-def test_the_bias_that_is_told_is_there(make: Make) -> None:
-    """Of a narrow kernel, on the mean of 40 experiments; a warning says so."""
+def test_the_reported_bias_is_real(make: Make) -> None:
+    """A narrow kernel, on the mean of 40 experiments."""
     fits = [armrig.inverse_dynamics(make(seed), width=3e-3) for seed in range(40)]
 
     off = np.array([fit.values["J_1"] - HANDOUT.J_1 for fit in fits])
@@ -191,7 +184,7 @@ def test_the_bias_that_is_told_is_there(make: Make) -> None:
 
 @pytest.mark.parametrize("slower", [1.0, 1e3])
 def test_a_slow_machine_is_not_taken_for_one_at_rest(make: Make, slower: float) -> None:
-    """The same motion in other units of time: slow is a share of the machine's own speed."""
+    """The same motion in other units of time."""
     fast = make(p=ArmParameters(b_1=5e-3), coulomb_nm=0.02, low=0.0, high=5.0, std=1e-3, N=10_000)
     # J x'' = a u - (d + b) x' - T: with time, a, d and b by `slower`, J by its square.
     data = armrig.Dataset(u=fast.u, y=fast.y, Ts=fast.Ts * slower, output="theta_1", unit="rad")
@@ -208,7 +201,7 @@ def test_a_slow_machine_is_not_taken_for_one_at_rest(make: Make, slower: float) 
 
 
 def test_smoothed_white_noise_is_rejected_as_often_as_is_meant() -> None:
-    """At 1 % of 100 values each, 1000 times: 0.3 to 2.2 % is what chance makes of it."""
+    """At 1 % of 100 values each, 1000 times: chance gives 0.3 to 2.2 %."""
     h, m = kernels(0.05, 0.002).second, 37
     rng = np.random.default_rng(1)
 

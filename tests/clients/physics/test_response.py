@@ -18,8 +18,9 @@ from armrig.physics.grey_box.response import (
 from armrig.physics.grey_box.sampled_model import Physics
 from armrig.physics.systems import ArmParameters, arm, chassis
 from armrig_core.arm import chassis_matrices, zero_order_hold
-from chassis_data import Ts, rubbing
 from numpy.typing import NDArray
+
+from tests.clients.chassis_data import Ts, rubbing
 
 Vector = NDArray[np.float64]
 P = ArmParameters(b_1=2e-3)
@@ -34,7 +35,6 @@ def moved(name: str, x: float) -> dict[str, float]:
 
 
 def test_the_model_is_sampled_as_the_core_samples_it() -> None:
-    """Exactly, for a held input."""
     A, B, _ = chassis_matrices(P)
     Phi, Gamma = zero_order_hold(A, B, Ts)
 
@@ -46,7 +46,6 @@ def test_the_model_is_sampled_as_the_core_samples_it() -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_whole_rig_s_sensitivities(name: str) -> None:
-    """Of alpha, from a state off zero and with an input offset."""
     physics = Physics(model=arm, fixed=P, output="alpha")
     x0, u0 = np.array([0.3, 0.1, 1.0, -2.0]), 0.2
 
@@ -63,7 +62,6 @@ def test_the_whole_rig_s_sensitivities(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["J_1", "K_m", "b_1"])
 def test_sensitivities_through_stops_and_starts(name: str) -> None:
-    """With Coulomb friction, over an input that lets the chassis stop."""
     physics = Physics(model=chassis, fixed=P, output="theta_1")
 
     def y(x: float) -> Vector:
@@ -80,7 +78,6 @@ def test_sensitivities_through_stops_and_starts(name: str) -> None:
 
 
 def test_sensitivities_by_friction_and_by_the_initial_state() -> None:
-    """The friction's voltage, where it stops and where it starts."""
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
     x0 = np.array([0.1, 3.0])
     answer = with_friction(sampled, U, x0, 0.1, 1)
@@ -96,7 +93,6 @@ def test_sensitivities_by_friction_and_by_the_initial_state() -> None:
 
 
 def test_sensitivity_by_an_offset_of_the_input() -> None:
-    """Of an input both ways; while the chassis sticks it does nothing."""
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
     u, x0 = U - 2.0, np.array([0.1, 3.0])
 
@@ -108,7 +104,7 @@ def test_sensitivity_by_an_offset_of_the_input() -> None:
 
 
 def test_friction_is_the_emulator_s() -> None:
-    """Which splits each 0.1 ms: the angle agrees to a fraction of a step of the converter."""
+    """The emulator splits each 0.1 ms; the angles agree to a fraction of a converter step."""
     u = telegraph(2000, 0.02, 0.0, 5.0, seed=4)
     V = 0.02 / P.torque_per_volt
 
@@ -120,7 +116,6 @@ def test_friction_is_the_emulator_s() -> None:
 
 
 def test_without_friction_both_ways_agree() -> None:
-    """V = 0 is the linear model."""
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
 
     np.testing.assert_allclose(
@@ -128,8 +123,7 @@ def test_without_friction_both_ways_agree() -> None:
     )
 
 
-def test_a_speed_that_stands_alone_is_braked_as_any_other() -> None:
-    """The short way, for a chassis alone, does what the long one does, stops included."""
+def test_a_single_speed_is_braked_as_any_other() -> None:
     sampled = Physics(model=chassis, fixed=P, output="theta_1").sampled({}, (), Ts)
     x0 = np.array([0.3, -20.0])
 

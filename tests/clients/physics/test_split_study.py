@@ -8,9 +8,10 @@ import pytest
 from armrig.data.dataset import Dataset
 from armrig.physics.grey_box.split_study import Split
 from armrig.physics.systems import ArmParameters
-from chassis_data import Make, Ts, angle
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+
+from tests.clients.chassis_data import Make, Ts, angle
 
 
 def test_the_standard_deviation_follows_the_law(make: Make) -> None:
@@ -27,7 +28,6 @@ def test_the_standard_deviation_follows_the_law(make: Make) -> None:
 
 
 def test_the_parts_are_those_of_the_data(make: Make) -> None:
-    """Each estimated from its own samples; missing ones do not count."""
     data = make(N=2000)
     valid = np.arange(2000) >= 100
     holed = Dataset(u=data.u, y=data.y, Ts=Ts, valid=valid, output="theta_1", unit="rad")
@@ -55,7 +55,7 @@ def test_pooling_and_the_test_of_the_parts_by_hand() -> None:
 
 
 def test_the_scatter_of_few_parts_has_an_interval(make: Make) -> None:
-    """Of four parts three degrees of freedom: 0.57 to 3.73 of the scatter, drawn and written."""
+    """Four parts have three degrees of freedom: 0.57 to 3.73 of the scatter."""
     study = armrig.split_study(make(), (1, 4))
 
     whole, parts = study.splits
@@ -70,7 +70,7 @@ def test_the_scatter_of_few_parts_has_an_interval(make: Make) -> None:
 
 
 def test_a_rig_that_changes_half_way_is_noticed() -> None:
-    """A chassis that becomes 10 % heavier: the halves differ, and the words say so."""
+    """The chassis becomes 10 % heavier."""
     u = armrig.telegraph(4000, 0.02, seed=5)
     y = angle(u, ArmParameters())
     y[2000:] = y[2000] + angle(u[2000:], ArmParameters(J_1=1.87e-3))
@@ -83,7 +83,6 @@ def test_a_rig_that_changes_half_way_is_noticed() -> None:
 
 
 def test_black_box_models_can_be_split_too(make: Make) -> None:
-    """Any fit with names, theta and std, and any of its parameters."""
     study = armrig.split_study(
         make(), (1, 2), lambda d: armrig.oe(d, nb=2, nf=2, integrator=True), parameter="f1"
     )
@@ -97,17 +96,15 @@ def test_black_box_models_can_be_split_too(make: Make) -> None:
         armrig.split_study(make(N=400), (1, 0))
 
 
-def test_the_words_tell_the_trend_and_its_reason(make: Make) -> None:
-    """Variance times two, and why."""
+def test_the_words_report_the_trend_and_its_reason(make: Make) -> None:
     text = armrig.split_study(make(), (1, 2, 4)).explain()
 
-    assert "half the data, half the information, twice the variance" in text
+    assert "half the data have half the information and twice the variance" in text
     assert "Pooled" in text
     assert "4 parts agree" in text
 
 
-def test_progress_is_told_before_each_part_and_at_the_end() -> None:
-    """How many estimates are done, of all, and which is next."""
+def test_progress_is_reported_before_each_part_and_at_the_end() -> None:
     told: list[tuple[int, int, str]] = []
     rng = np.random.default_rng(1)
     data = Dataset(u=rng.standard_normal(200), y=rng.standard_normal(200), Ts=1.0)

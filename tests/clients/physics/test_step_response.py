@@ -1,4 +1,4 @@
-"""The figures of a step response, and what each parameter does to it."""
+"""The numbers of a step response, and their dependence on each parameter."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ def test_the_handout_s_figures() -> None:
 
 
 def test_the_figures_are_those_of_the_response() -> None:
-    """Of any parameters, friction too."""
     p = ArmParameters(J_1=2.5e-3, K_lin=0.8, b_1=0.01)
     seen = armrig.characteristics(p)
 
@@ -41,7 +40,6 @@ def test_the_figures_are_those_of_the_response() -> None:
 
 
 def test_the_response_is_python_control_s() -> None:
-    """By another program."""
     _, y = control.step_response(arm(P)[1, 0], T)
 
     np.testing.assert_allclose(step_response(P, T, state="alpha"), y, atol=1e-9)
@@ -49,7 +47,7 @@ def test_the_response_is_python_control_s() -> None:
 
 @pytest.mark.parametrize("name", ["J_1", "J_2", "N", "K_lin", "R_m", "K_m"])
 def test_one_per_cent_more_does_what_is_foretold(name: str) -> None:
-    """To first order: twice the second difference is left."""
+    """To first order: twice the second difference remains."""
     value = getattr(P, name)
     by = armrig.step_sensitivities(P, T, names=[name], u=2.0)[name]
 
@@ -60,7 +58,7 @@ def test_one_per_cent_more_does_what_is_foretold(name: str) -> None:
 
 
 def test_friction_s_sensitivity_is_in_shares_of_the_back_emf() -> None:
-    """As b_1 may be 0."""
+    """b_1 may be 0."""
     d = (P.N * P.K_m) ** 2 / P.R_m
     by = armrig.step_sensitivities(P, T, names=["b_1"], model=chassis)["b_1"]
 
@@ -69,7 +67,7 @@ def test_friction_s_sensitivity_is_in_shares_of_the_back_emf() -> None:
 
 
 def test_inertias_and_spring_leave_the_steady_speed_alone() -> None:
-    """And R_m too, as long as nothing rubs."""
+    """R_m does not change it either if there is no friction."""
     by = armrig.step_sensitivities(P, np.linspace(0, 10, 1001))
 
     for name in ("J_1", "J_2", "K_lin", "R_m"):
@@ -78,24 +76,21 @@ def test_inertias_and_spring_leave_the_steady_speed_alone() -> None:
 
 
 def test_the_words_give_the_reasons() -> None:
-    """Of slope and steady speed."""
     text = armrig.characteristics().explain()
 
     assert "1.8623 rad/s per V" in text
-    assert "accelerates J_1 alone" in text
-    assert "nor does R_m" in text
-    assert "nor does R_m" not in armrig.characteristics(ArmParameters(b_1=0.1)).explain()
+    assert "accelerates J_1 only" in text
+    assert "nor on R_m" in text
+    assert "nor on R_m" not in armrig.characteristics(ArmParameters(b_1=0.1)).explain()
 
 
 def test_a_pair_of_roots_is_written_once() -> None:
-    """Those on the real and on the imaginary axis without the other part."""
     z = np.array([0.0, -2.5, -1.0 + 3.0j, -1.0 - 3.0j, 4.0j, -4.0j])
 
     assert _roots(z) == "0, -2.500, -1.000 ± 3.000i, ±4.000i"
 
 
 def test_the_impossible_is_refused() -> None:
-    """A time grid with a gap, a parameter and a state that are none."""
     with pytest.raises(ValueError, match="equidistant from 0"):
         armrig.step_sensitivities(P, [0.0, 0.1, 0.3])
     with pytest.raises(ValueError, match="'J' is none of J_1"):

@@ -7,7 +7,6 @@ from armrig.physics.systems import ArmParameters, arm, chassis
 
 
 def test_signals_have_the_handout_s_names() -> None:
-    """A plot of them labels itself."""
     system = arm(ArmParameters())
 
     assert system.input_labels == ["u"]

@@ -21,22 +21,23 @@ from armrig.recordings.calibration.readings import mean_reading, rounding_varian
 from armrig.recordings.calibration.rotation import Turning, turning
 from armrig_core.calibration import Calibration, Figure, Made, Potentiometer
 from armrig_core.errors import InputError
-from calibration_rig import REST, TURNS, calibrated, runs, truth, unknown_rig
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_recordings import manifest
-from made_turns import HIGH, LOW, D, made_turns, still
 from matplotlib.figure import Figure as Canvas
+
+from tests.clients.calibration_rig import REST, TURNS, calibrated, runs, truth, unknown_rig
+from tests.clients.made_recordings import manifest
+from tests.clients.made_turns import HIGH, LOW, D, made_turns, still
 
 MADE = Made(date="2026-11-01T00:00:00+00:00", rig="1", device_uid="0001", armrig="0.1.0")
 
 
 @pytest.mark.parametrize("seed", [1000, 1001])
 def test_a_rig_that_nobody_has_seen_is_found_out(seed: int) -> None:
-    """Offsets, gains, directions, dead band, friction: each within four of its own deviations.
+    """Offsets, gains, directions, dead band and friction are each within four of their deviations.
 
-    Four, so that hardly one of 26 true figures in 600 fails; what share is within three is
-    measured by tests/benchmarks/calibration.py.
+    With four, hardly one of 26 true numbers in 600 fails. tests/benchmarks/calibration.py measures
+    the share within three.
     """
     rig = unknown_rig(seed)
 
@@ -63,7 +64,6 @@ def test_a_rig_that_nobody_has_seen_is_found_out(seed: int) -> None:
 def test_a_turn_is_found_whatever_the_speed_and_direction(
     direction: int, omega: float, seed: int
 ) -> None:
-    """Counts of a turn, both edges, and the direction."""
     readings = made_turns(direction=direction, noise=32.0, seed=seed, omega=(omega, omega + 1))
 
     found = turning(readings, 64.0)
@@ -78,7 +78,6 @@ def test_a_turn_is_found_whatever_the_speed_and_direction(
 
 
 def test_the_deviations_of_a_turn_hold_in_monte_carlo() -> None:
-    """Counts of a turn and slopes scatter as told; their errors are mean free."""
     found = [turning(made_turns(noise=32.0, seed=seed), 64.0) for seed in range(300)]
 
     for estimates, stds, true in (
@@ -99,13 +98,12 @@ def test_the_deviations_of_a_turn_hold_in_monte_carlo() -> None:
         ({"u": np.zeros(2400)}, "no voltage was held for more than 3 s"),
         ({"theta_1": np.zeros(2400)}, "theta_1 shows no angle"),
         ({"theta_1": np.full(2400, 3000.0)}, "passed its dead band 0 times"),
-        ({"theta_1": np.tile([9000.0, 60_000.0], 1200)}, "did not turn one way"),
+        ({"theta_1": np.tile([9000.0, 60_000.0], 1200)}, "did not turn in one direction"),
     ],
 )
 def test_a_run_that_shows_no_turns_is_refused_with_the_way_out(
     change: dict[str, np.ndarray], said: str
 ) -> None:
-    """Slowly, one way, three turns."""
     with pytest.raises(InputError, match=said) as refused:
         turning(replace(made_turns(), **change), 64.0)
     assert "three turns or more: see --volts" in str(refused.value)
@@ -123,17 +121,17 @@ def test_a_voltage_at_which_one_sample_shows_an_angle_is_refused() -> None:
         turning(replace(readings, theta_1=theta_1), 64.0)
 
 
-def test_a_worn_track_is_told() -> None:
-    """Where it shows a rail in the middle of a turn, the straight line is no calibration."""
+def test_a_worn_track_is_reported() -> None:
+    """On a worn track the straight line is no calibration."""
     readings = made_turns(noise=32.0)
     worn = (readings.theta_1 > 20_000) & (readings.theta_1 < 26_000)
 
-    with pytest.raises(InputError, match=r"showed a rail at .* % of its track"):
+    with pytest.raises(InputError, match=r"was at a rail at .* % of its track"):
         turning(replace(readings, theta_1=np.where(worn, 0.0, readings.theta_1)), 64.0)
 
 
 def test_a_spot_that_is_misread_now_and_then_changes_nothing() -> None:
-    """Up to 2 % of the samples on the track are left out where they show a rail."""
+    """Up to 2 % of the samples on the track may show a rail."""
     readings = made_turns(noise=32.0)
     spot = (readings.theta_1 > 55_000) & (readings.theta_1 < 55_700)
 
@@ -144,8 +142,8 @@ def test_a_spot_that_is_misread_now_and_then_changes_nothing() -> None:
     assert found.per_turn.std < 1e-3 * D
 
 
-def test_a_speed_that_is_not_constant_is_told() -> None:
-    """The angle of a count rests on it."""
+def test_a_speed_that_is_not_constant_is_reported() -> None:
+    """The angle of a count depends on the constant speed."""
     steady, readings = made_turns(noise=32.0), made_turns(noise=32.0)
     on = (readings.theta_1 > 3000) & (readings.theta_1 < 60_000)
     ripple = np.rint(500 * np.sin(8 * readings.t) / 64) * 64
@@ -153,13 +151,13 @@ def test_a_speed_that_is_not_constant_is_told() -> None:
 
     said = " ".join(estimate(still(), readings).warnings)
 
-    assert "off a constant speed" in said
-    assert "off a constant speed" not in " ".join(estimate(still(), steady).warnings)
+    assert "deviates from a constant speed" in said
+    assert "deviates from a constant speed" not in " ".join(estimate(still(), steady).warnings)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3, 0.5])
 def test_rounding_leaves_what_noise_does_not_smooth(noise: float) -> None:
-    """The mean square of the mean reading's error over all places in a step, computed outright."""
+    """The reference is the mean square error of the mean reading over all positions in a step."""
     places = (np.arange(2000) + 0.5) / 2000
     steps = np.arange(-6, 8)
     if noise:
@@ -175,7 +173,6 @@ def test_rounding_leaves_what_noise_does_not_smooth(noise: float) -> None:
 
 
 def test_equal_readings_are_as_sure_as_the_converters_step() -> None:
-    """Not surer: nobody knows where in the step they are, nor what the noise is below it."""
     counts = np.full(400, 6400.0)
 
     assert mean_reading(counts, 64.0, 0.0).std == pytest.approx(64 / sqrt(12), rel=0.01)
@@ -183,7 +180,7 @@ def test_equal_readings_are_as_sure_as_the_converters_step() -> None:
 
 
 def test_the_deviation_of_a_spread_holds_in_monte_carlo() -> None:
-    """Rounded normal noise, of half a step."""
+    """Rounded normal noise of half a step."""
     rng = np.random.default_rng(11)
     found = [spread(np.rint(10.3 + 0.5 * rng.standard_normal(300)) * 64, 64.0) for _ in range(2000)]
 
@@ -196,25 +193,25 @@ def test_the_deviation_of_a_spread_holds_in_monte_carlo() -> None:
     [
         ({"theta_1": np.zeros(300)}, "theta_1 reads 0 .* turn the chassis out of the dead band"),
         ({"alpha": np.full(300, 65535.0)}, "alpha reads 65535 .* the arm hangs free"),
-        ({"u": np.ones(300)}, "at rest was driven"),
-        (dict.fromkeys(("t", "u", "theta_1", "alpha"), np.zeros(1)), "the rest has 1 sample:"),
+        ({"u": np.ones(300)}, "the motor was driven in the recording at rest"),
+        (
+            dict.fromkeys(("t", "u", "theta_1", "alpha"), np.zeros(1)),
+            "the recording at rest has 1 sample:",
+        ),
     ],
 )
 def test_a_rest_that_is_none_is_refused(change: dict[str, np.ndarray], said: str) -> None:
-    """With what to do."""
     with pytest.raises(InputError, match=said):
         estimate(replace(still(), **change))
 
 
 @pytest.mark.parametrize(("t", "alpha"), [(np.zeros(3), np.zeros(2)), (np.zeros(0), np.zeros(0))])
 def test_readings_are_columns_of_as_many_samples(t: np.ndarray, alpha: np.ndarray) -> None:
-    """Refused where they are made, not where two columns meet."""
-    with pytest.raises(InputError, match="all four must have as many, and at least one"):
+    with pytest.raises(InputError, match="all four must have the same number, and at least 1"):
         Readings(t=t, u=t, theta_1=t, alpha=alpha)
 
 
 def test_without_a_motor_zeros_are_found_and_the_sign_by_hand() -> None:
-    """What is not measured stays what it was."""
     held = replace(still(), alpha=still().alpha - 3000.0)
     base = Calibration(theta_1=Potentiometer(rad_per_count=-1e-4))
 
@@ -230,16 +227,15 @@ def test_without_a_motor_zeros_are_found_and_the_sign_by_hand() -> None:
 
 
 def test_a_hand_that_only_touches_the_arm_says_nothing() -> None:
-    """Then the sign is the one configured, and that is told."""
     rest = Figure(value=20_000.0, std=1.0)
     touched = replace(still(), alpha=still().alpha + 100)
 
     assert sign_by_hand(touched, rest, 1e-4) == 0
-    assert "alpha's sign is the one configured" in " ".join(estimate(still()).warnings)
+    assert "alpha keeps the configured sign" in " ".join(estimate(still()).warnings)
 
 
 def test_a_meter_gives_the_line_through_its_readings() -> None:
-    """Two give gain and offset, one the gain alone; the textbook's deviations."""
+    """Two readings give gain and offset, one gives the gain alone."""
     two = terminal_voltage([(1.0, 1.02), (4.0, 3.96)], 0.01)
     one = terminal_voltage([(2.0, 1.9)], 0.01)
 
@@ -252,12 +248,12 @@ def test_a_meter_gives_the_line_through_its_readings() -> None:
         Figure(value=0.0, std=0.0),
     )
     assert terminal_voltage([], 0.01) is None
-    with pytest.raises(InputError, match="read it at another code, too"):
+    with pytest.raises(InputError, match="read the meter at another code, too"):
         terminal_voltage([(1.0, 1.0), (1.0, 1.1)], 0.01)
 
 
 def test_a_speed_and_a_standstill_are_as_sure_as_slopes_turn_and_meter() -> None:
-    """At two voltages no weight matters: J P J^T, J the central differences by all five numbers."""
+    """With two voltages no weight matters: J P J^T, with central differences by five numbers."""
     x = np.array([2.0e4, 6.0e4, 67_000.0, 0.05, 0.95])  # slopes, counts of a turn, offset, gain
     P = np.zeros((5, 5))
     P[:3, :3] = [[900.0, 300.0, 100.0], [300.0, 1600.0, -50.0], [100.0, -50.0, 400.0]]
@@ -287,7 +283,7 @@ def test_a_speed_and_a_standstill_are_as_sure_as_slopes_turn_and_meter() -> None
 
 
 def test_a_line_through_readings_close_together_keeps_its_digits() -> None:
-    """Its matrix is not squared: of sixteen digits six are lost to the codes, not twelve."""
+    """The matrix is not squared: of sixteen digits the codes lose six, not twelve."""
     codes = (4.99999, 5.0)
 
     found = terminal_voltage([(u, 0.1 + 0.9 * u) for u in codes], 0.01)
@@ -298,18 +294,18 @@ def test_a_line_through_readings_close_together_keeps_its_digits() -> None:
     assert found.gain.std == pytest.approx(0.01 * sqrt(2) / 1e-5, rel=1e-9)
 
 
-def test_a_driver_that_gives_more_than_the_rig_stands_is_told_with_the_limit_to_set() -> None:
-    """5.3 V at the code of 5 V; a driver that gives less is nothing to tell."""
+def test_a_driver_above_the_rig_s_limit_is_reported_with_the_limit_to_set() -> None:
+    """The driver gives 5.3 V at the code of 5 V."""
     strong = estimate(still(), meter=[(1.0, 1.06)]).warnings
     weak = estimate(still(), meter=[(1.0, 0.98)]).warnings
 
-    assert "gets 5.30 V" in " ".join(strong)
+    assert "applies 5.30 V" in " ".join(strong)
     assert "set limits.u_max_v = 4.72 or less" in " ".join(strong)
     assert "u_max_v" not in " ".join(weak)
 
 
 def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
-    """The same samples are the same bytes: their hash names them."""
+    """The hash of the bytes names the samples."""
     sources = {"rest": still(), "turns": made_turns(noise=32.0)}
 
     data = compressed(sources)
@@ -323,7 +319,7 @@ def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
             assert np.array_equal(getattr(back[name], column), getattr(readings, column))
         assert back[name].t == pytest.approx(readings.t, abs=1e-9)
     for damaged in (data[:-20], b"", b"recording"):
-        with pytest.raises(InputError, match="no samples of a calibration"):
+        with pytest.raises(InputError, match="not the samples of a calibration"):
             decompressed(damaged)
 
 
@@ -340,10 +336,9 @@ def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
         (Calibration(made=MADE), {"started": "2026-11-20"}, "age .* not known"),
     ],
 )
-def test_a_calibration_that_is_missing_or_stale_is_told(
+def test_a_calibration_that_is_missing_or_stale_is_reported(
     calibration: Calibration | None, changes: dict[str, object], said: str
 ) -> None:
-    """A good one is not; and one from after the recording is as good as one from before."""
     found = remarks(calibration, manifest(**changes))
 
     assert len(found) == bool(said)
@@ -351,7 +346,6 @@ def test_a_calibration_that_is_missing_or_stale_is_told(
 
 
 def test_a_calibration_shows_its_track_and_the_motors_line() -> None:
-    """Readings between their edges; speed against voltage; a rest alone has no figure."""
     rest, turns = runs(unknown_rig(1000), REST, TURNS)
     found = estimate(rest, turns)
 

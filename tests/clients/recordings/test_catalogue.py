@@ -1,4 +1,4 @@
-"""Thousands of recordings as one table, kept up to date whatever happens to the files."""
+"""Thousands of recordings as one table, kept up to date after any change of the files."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from armrig.recordings.recording_summary import RecordingSummary, summary_of
 from armrig_core.manifest import OUTCOME, RUN, Outcome
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_records import RECORD_LIMIT
-from made_recordings import manifest, recorded, sample, written
 from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from mcap.records import Footer, MetadataIndex
 from mcap.writer import Writer
+
+from tests.clients.made_recordings import manifest, recorded, sample, written
 
 OLD = 1_700_000_000  # s: files that were changed then are settled
 
@@ -33,7 +34,7 @@ NOW_NS = catalogue_module.now_ns
 
 
 def made(folder: Path, number: int, *, experiment: str = "step", samples: int = 3) -> Path:
-    """Write a small recording under the daemon's name, as old as its number says."""
+    """Write a small recording under the daemon's name, with the age of its number."""
     about = manifest(
         experiment=experiment,
         run_id=f"{number:08x}",
@@ -78,12 +79,11 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def index_files(tmp_path: Path) -> list[Path]:
-    """Return the indexes in the cache, and whatever else lies there."""
+    """Return the indexes in the cache, and any other file there."""
     return list((tmp_path / "cache").rglob("*.*"))
 
 
 def test_it_is_a_table_of_what_each_recording_says(folder: Path) -> None:
-    """Newest first, by columns of one type each, with the names of `armrig ls --json`."""
     found = armrig.catalogue(folder)
 
     assert len(found) == 3
@@ -100,7 +100,6 @@ def test_it_is_a_table_of_what_each_recording_says(folder: Path) -> None:
 
 
 def test_pandas_and_parquet_have_the_same_columns(folder: Path, tmp_path: Path) -> None:
-    """With times in UTC, and also where nothing is in them."""
     nothing = tmp_path / "nothing"
     nothing.mkdir()
     for where, n in ((folder, 3), (nothing, 0)):
@@ -117,10 +116,9 @@ def test_pandas_and_parquet_have_the_same_columns(folder: Path, tmp_path: Path) 
 
 
 def test_no_chunk_is_unpacked(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nor is a sample looked at: a recording whose chunks are spoilt is in the table."""
     path = made(folder, 9)
     data = bytearray(path.read_bytes())
-    chunk = data.index(b"zstd") + 12  # behind the name of the compression, and its length
+    chunk = data.index(b"zstd") + 12  # after the name of the compression, and its length
     data[chunk : chunk + 20] = bytes(20)
     path.write_bytes(data)
     assert armrig.load(path).truncated
@@ -129,7 +127,6 @@ def test_no_chunk_is_unpacked(folder: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_what_cannot_be_listed_is_named_with_the_reason(folder: Path) -> None:
-    """Cut off, no recording, a link that leads nowhere, a folder, a pipe: none is waited for."""
     cut = written(folder, made(folder, 5).read_bytes()[:-20], "cut.mcap")
     text = written(folder, b"not a recording", "text.mcap")
     written(folder, b"", "1-step-20261120T140000-0000000f.mcap.active")
@@ -151,13 +148,12 @@ def test_what_cannot_be_listed_is_named_with_the_reason(folder: Path) -> None:
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    """An empty table would say that nothing was recorded."""
+    """An empty table would mean that nothing was recorded."""
     with pytest.raises(FileNotFoundError, match="none"):
         catalogue(tmp_path / "none")
 
 
 def test_only_what_is_new_or_changed_is_opened_again(folder: Path, opened: list[str]) -> None:
-    """And the table is the same, whoever it was known by."""
     cold = catalogue(folder)
     assert len(opened) == 3
     opened.clear()
@@ -170,7 +166,7 @@ def test_only_what_is_new_or_changed_is_opened_again(folder: Path, opened: list[
 
 
 def renamed(path: Path) -> str:
-    """Give it another name; return what is opened again."""
+    """Rename it; return the files that are opened again."""
     return path.rename(path.with_name("1-step-20261120T050000-000000aa.mcap")).name
 
 
@@ -205,10 +201,9 @@ def broken(path: Path) -> str:
 
 
 @pytest.mark.parametrize("change", [renamed, deleted, replaced, overwritten, broken])
-def test_a_file_that_changed_is_read_anew(
+def test_a_file_that_changed_is_read_again(
     folder: Path, opened: list[str], change: Callable[[Path], str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever was done to it: the table is that of a reader who knows nothing."""
     path = folder / "1-step-20261120T050000-00000000.mcap"
     before = catalogue(folder)
     opened.clear()
@@ -224,7 +219,7 @@ def test_a_file_that_changed_is_read_anew(
 def test_a_file_that_was_just_written_is_not_trusted(
     folder: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Within a tick of the file system's clock it may change and have the same times."""
+    """Within a tick of the file system's clock a file may change and keep its times."""
     monkeypatch.setattr(catalogue_module, "now_ns", NOW_NS)
     catalogue(folder)
     opened.clear()
@@ -246,10 +241,9 @@ def test_a_file_that_was_just_written_is_not_trusted(
         lambda text: b"\xff" * 100,
     ],
 )
-def test_an_index_that_is_not_ours_is_made_anew(
+def test_an_index_that_is_not_ours_is_made_again(
     folder: Path, tmp_path: Path, opened: list[str], spoilt: Callable[[bytes], bytes]
 ) -> None:
-    """Cut, forged, of another folder or version: it says nothing, and is replaced."""
     cold = catalogue(folder)
     [index] = index_files(tmp_path)
     good = index.read_bytes()
@@ -265,7 +259,6 @@ def test_an_index_that_is_not_ours_is_made_anew(
 
 
 def test_without_a_cache_it_is_only_slower(folder: Path, tmp_path: Path, opened: list[str]) -> None:
-    """A cache that cannot be written, and a folder that cannot, are no errors."""
     (tmp_path / "cache").write_text("a file where the folder should be")
     folder.chmod(0o555)
 
@@ -289,7 +282,6 @@ for number in range(30):
 def test_two_processes_at_once_leave_one_whole_index(
     folder: Path, tmp_path: Path, opened: list[str]
 ) -> None:
-    """And nothing beside it."""
     both = [
         subprocess.Popen([sys.executable, "-c", _LOOKED, str(folder), name])
         for name in ("a.mcap", "b.mcap")
@@ -304,7 +296,6 @@ def test_two_processes_at_once_leave_one_whole_index(
 
 
 def test_a_name_that_is_no_text_is_listed(folder: Path, tmp_path: Path, opened: list[str]) -> None:
-    """Its bytes are shown escaped, and it does not keep the others out of the table."""
     strange = os.fsdecode(os.fsencode(folder) + b"/\xff.mcap")
     Path(folder / "1-step-20261120T050000-00000000.mcap").rename(strange)
 
@@ -333,7 +324,7 @@ def with_metadata(folder: Path, run: dict[str, str], outcome: dict[str, str] | N
 @pytest.mark.parametrize(
     ("run", "outcome", "why"),
     [
-        ({"run_id": '"' + "a" * 5000 + '"'}, {}, "its run_id has 5000 characters, at most 4096"),
+        ({"run_id": '"' + "a" * 5000 + '"'}, {}, "its run_id has 5000 characters, more than 4096"),
         ({}, {"samples": "1" + "0" * 400}, "not armrig's"),
         ({}, {"samples": str(2**63)}, "not armrig's"),
         ({"Ts": "1e999"}, {}, "not armrig's"),
@@ -344,7 +335,6 @@ def with_metadata(folder: Path, run: dict[str, str], outcome: dict[str, str] | N
 def test_a_hostile_recording_is_left_out(
     tmp_path: Path, run: dict[str, str], outcome: dict[str, str], why: str
 ) -> None:
-    """Numbers that fit into no column, texts without end."""
     with_metadata(tmp_path, manifest().metadata() | run, outcome)
 
     [left] = catalogue(tmp_path).left_out
@@ -354,7 +344,6 @@ def test_a_hostile_recording_is_left_out(
 
 @pytest.mark.parametrize("started", ["yesterday", "2026-11-20T05:00:00", "9999-12-31T23:00-05:00"])
 def test_a_date_that_is_none_is_no_time(tmp_path: Path, started: str) -> None:
-    """Nor is one that does not say where; the recording is listed all the same."""
     with_metadata(tmp_path, manifest(started=started).metadata())
 
     found = catalogue(tmp_path)
@@ -364,7 +353,7 @@ def test_a_date_that_is_none_is_no_time(tmp_path: Path, started: str) -> None:
 
 
 def test_an_index_of_a_hundred_thousand_records_costs_two_reads(tmp_path: Path) -> None:
-    """Else a file of 8 MB would have us read terabytes."""
+    """Otherwise a file of 8 MB would cause reads of terabytes."""
     path = with_metadata(tmp_path, manifest().metadata())
     data = path.read_bytes()
     summary = struct.unpack_from("<Q", data, len(data) - 8 - 20)[0]
@@ -392,7 +381,6 @@ def test_an_index_of_a_hundred_thousand_records_costs_two_reads(tmp_path: Path) 
 def test_a_summary_longer_than_any_is_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its length is a number that the file says; one as long as a record may be is read."""
     data = recorded([sample(0)])
     path = written(tmp_path, data)
     (start,) = struct.unpack_from("<Q", data, len(data) - 8 - 4 - 8 - 8)
@@ -401,16 +389,15 @@ def test_a_summary_longer_than_any_is_not_read(
     monkeypatch.setattr(recording_summary, "RECORD_LIMIT", length)
     assert RUN in recording_summary.read_metadata(path)
     monkeypatch.setattr(recording_summary, "RECORD_LIMIT", length - 1)
-    with pytest.raises(DamageError, match="its footer says of no summary"):
+    with pytest.raises(DamageError, match="its footer does not point to a summary"):
         recording_summary.read_metadata(path)
     monkeypatch.undo()
     path.write_bytes(data[:-28] + bytes(8) + data[-20:])
-    with pytest.raises(DamageError, match="its footer says of no summary"):
+    with pytest.raises(DamageError, match="its footer does not point to a summary"):
         recording_summary.read_metadata(path)
 
 
 def test_a_record_longer_than_any_is_not_read(tmp_path: Path) -> None:
-    """Where the index points, a length stands that the file says; one as long as may be is read."""
     data = bytearray(recorded([sample(0)]))
     summary = make_reader(BytesIO(bytes(data))).get_summary()
     assert summary is not None

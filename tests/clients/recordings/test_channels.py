@@ -1,4 +1,4 @@
-"""What a sample says of the rig stands in one table, from the telemetry to the files of others."""
+"""One table defines the channels of a sample, from the telemetry to the exported files."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from armrig.cli import main
 from armrig.recordings import container, loading
 from armrig_core import telemetry
 from armrig_protocol.messages import Flag
-from made_recordings import recorded, sample, written
 from numpy.lib.recfunctions import append_fields
+
+from tests.clients.made_recordings import recorded, sample, written
 
 ROOT = Path(__file__).parents[3]
 N = 60
@@ -44,7 +45,6 @@ def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_third_channel_of_the_table_reaches_a_recording_and_its_data(path: Path) -> None:
-    """With its unit, and with what is valid of it."""
     recording = loading.load(path)
 
     shown, data = recording.channel("beta"), recording.dataset("beta")  # type: ignore[arg-type]
@@ -56,7 +56,6 @@ def test_a_third_channel_of_the_table_reaches_a_recording_and_its_data(path: Pat
 
 
 def test_a_third_channel_of_the_table_reaches_an_export(path: Path) -> None:
-    """Its angle, its readings, and where it is valid are columns."""
     out = path.with_name("out.csv")
 
     main(["export", str(path), str(out), "--raw"])
@@ -68,7 +67,6 @@ def test_a_third_channel_of_the_table_reaches_an_export(path: Path) -> None:
 
 
 def test_the_name_of_a_channel_is_written_in_few_modules() -> None:
-    """Every other module takes it from the table."""
     modules = {
         path.relative_to(ROOT)
         for folder in ("clients", "daemon")

@@ -1,4 +1,4 @@
-"""What speaks against using recordings as they are meant to be."""
+"""Doubts about recordings for their intended use."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from typing import Any
 import armrig
 import msgspec
 import pytest
-from armrig.recordings.doubts import all_doubts
 from armrig.recordings.recording import Recording
+from armrig.recordings.usability import all_doubts
 from armrig_core.calibration import Calibration, Driver
-from made_recordings import of_the_arm, written
+
+from tests.clients.made_recordings import of_the_arm, written
 
 
 @pytest.fixture(scope="module")
@@ -29,21 +30,19 @@ def changed(recording: Recording, **fields: Any) -> Recording:
 
 
 def test_two_sound_recordings_of_one_rig_have_nothing_against_them(sound: Recording) -> None:
-    """Nor has one with a step beside them."""
     step = changed(sound, experiment="step")
 
     assert all_doubts([step, sound, sound]) == []
 
 
-def test_the_chassis_may_be_told_of_beside_two_of_the_rig(sound: Recording) -> None:
-    """The handout asks for both; it judges no model of theirs."""
+def test_the_chassis_may_accompany_two_recordings_of_the_rig(sound: Recording) -> None:
+    """The handout requires both."""
     chassis = changed(sound, experiment="greybox-chassis")
 
     assert all_doubts([sound, sound, chassis]) == []
 
 
 def test_each_doubt_says_what_and_which_file(sound: Recording) -> None:
-    """Another rig, another calibration, a step to validate on, the chassis against the rig."""
     other_rig = changed(sound, rig="2")
     other_device = changed(sound, device=sound.manifest.device | {"uid": "9999"})
     calibration = msgspec.structs.replace(sound.calibration or Calibration(), driver=Driver(gain=2))
@@ -51,7 +50,7 @@ def test_each_doubt_says_what_and_which_file(sound: Recording) -> None:
 
     for other, said in (
         (other_rig, "of rig 1 (device 0001)"),
-        (other_device, "a model of one rig is none of another"),
+        (other_device, "a model of one rig does not describe another rig"),
         (replace(sound, calibration=calibration), "different calibrations"),
         (chassis, "are two plants"),
     ):
@@ -62,8 +61,10 @@ def test_each_doubt_says_what_and_which_file(sound: Recording) -> None:
         assert sound.path.name in text
 
 
-def test_a_reversed_sensor_and_too_few_samples_are_told(sound: Recording, tmp_path: Path) -> None:
-    """The voltage is never negative: a chassis whose angle falls is read the wrong way round."""
+def test_a_reversed_sensor_and_too_few_samples_are_reported(
+    sound: Recording, tmp_path: Path
+) -> None:
+    """The voltage is never negative, so the angle of a reversed sensor falls."""
     [reversed_] = all_doubts([replace(sound, theta_1=-sound.theta_1)])
     short = armrig.load(written(tmp_path, of_the_arm(armrig.telegraph(50, 0.2))))
     [few] = [t for t in all_doubts([short]) if "record 300" in t]

@@ -1,4 +1,4 @@
-"""A recording given to other programs: what they read is what was recorded."""
+"""Exports of a recording: other programs read what was recorded."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from armrig.recordings import export
 from armrig.recordings.export import write_csv, write_mat, write_parquet
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
-from made_recordings import TS, gap, manifest, recorded, turning, written
-from tools import require
+
+from tests.clients.made_recordings import TS, gap, manifest, recorded, turning, written
+from tests.tools import require
 
 N = 300
 NAMES = ["k", "t", "u", "theta_1", "alpha", "valid", "valid_alpha", "present"]
@@ -40,7 +41,6 @@ def rec(tmp_path: Path) -> Recording:
 
 
 def test_csv_comes_back_to_the_last_bit_and_is_read_by_ourselves(rec: Recording) -> None:
-    """Also where a spreadsheet has put `;` and CRLF."""
     path = rec.path.with_name("daten für alle.csv")
     write_csv(rec, path, raw=True)
 
@@ -60,7 +60,7 @@ def test_csv_comes_back_to_the_last_bit_and_is_read_by_ourselves(rec: Recording)
 
 
 def test_a_part_keeps_its_numbers_in_every_file(rec: Recording) -> None:
-    """K is counted as in the whole run, so that a part can be joined to the rest."""
+    """The number k is that of the whole run, so that a part can be joined to the rest."""
     part = load(rec.path, start=2.0)
     csv, mat, parquet = (rec.path.with_name(f"part.{kind}") for kind in ("csv", "mat", "parquet"))
     write_csv(part, csv)
@@ -80,7 +80,6 @@ def test_a_part_keeps_its_numbers_in_every_file(rec: Recording) -> None:
 
 
 def test_what_is_known_of_each_angle_has_a_column_of_its_own(rec: Recording) -> None:
-    """The dead band hides theta_1 alone; a sample that is missing hides both angles."""
     found = export.columns(rec)
 
     hidden = np.arange(N) % 50 == 0
@@ -92,7 +91,6 @@ def test_what_is_known_of_each_angle_has_a_column_of_its_own(rec: Recording) -> 
 
 @pytest.mark.parametrize("raw", [False, True])
 def test_readings_are_in_every_file_that_is_asked_for_them(rec: Recording, raw: bool) -> None:
-    """And in none that is not."""
     mat, parquet = (rec.path.with_name(f"raw.{kind}") for kind in ("mat", "parquet"))
     write_mat(rec, mat, raw=raw)
     write_parquet(rec, parquet, raw=raw)
@@ -109,7 +107,6 @@ def test_readings_are_in_every_file_that_is_asked_for_them(rec: Recording, raw: 
 
 
 def test_a_file_names_its_run_its_output_and_its_sampling_time(rec: Recording) -> None:
-    """The facts of the recording, each under its own name."""
     path = rec.path.with_name("alpha.mat")
     write_mat(rec, path, output="alpha")
 
@@ -125,10 +122,9 @@ def test_a_file_names_its_run_its_output_and_its_sampling_time(rec: Recording) -
 def test_a_long_recording_is_written_row_by_row_as_a_short_one(
     rec: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each once, where they are made into text in several pieces, the last one shorter."""
     one, many = rec.path.with_name("one.csv"), rec.path.with_name("many.csv")
     write_csv(rec, one)
-    monkeypatch.setattr(export, "_AT_ONCE", 70)
+    monkeypatch.setattr(export, "_BLOCK_ROWS", 70)
     write_csv(rec, many)
 
     assert len(one.read_text().splitlines()) == 1 + N
@@ -139,7 +135,7 @@ def test_a_long_recording_is_written_row_by_row_as_a_short_one(
 def test_an_export_that_does_not_come_to_its_end_leaves_nothing(
     rec: Recording, kind: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Half a file would look like a whole one."""
+    """Half a file would look like a complete one."""
     out = rec.path.with_name(f"out.{kind}")
 
     def full(recording: Recording, path: Path, **_: Any) -> None:
@@ -169,7 +165,6 @@ def _octave(program: str) -> list[str]:
 
 
 def test_octave_reads_the_mat_file(rec: Recording) -> None:
-    """U, y and Ts as iddata wants them: columns of doubles, NaN where there is no angle."""
     path = rec.path.with_name("run.mat")
     write_mat(rec, path)
 
@@ -189,7 +184,6 @@ def test_octave_reads_the_mat_file(rec: Recording) -> None:
 
 
 def test_octave_s_iddata_takes_the_mat_file_as_it_is(rec: Recording) -> None:
-    """Whole, and a part without what is missing, from which its own arx finds a model."""
     path = rec.path.with_name("run.mat")
     write_mat(rec, path, output="alpha")
 
@@ -210,7 +204,6 @@ def test_octave_s_iddata_takes_the_mat_file_as_it_is(rec: Recording) -> None:
 
 
 def test_our_own_reader_takes_the_mat_file(rec: Recording) -> None:
-    """What is exported can be identified from again."""
     path = rec.path.with_name("run.mat")
     write_mat(rec, path, output="alpha")
 
@@ -222,7 +215,6 @@ def test_our_own_reader_takes_the_mat_file(rec: Recording) -> None:
 
 
 def test_parquet_keeps_types_units_and_the_hash(rec: Recording) -> None:
-    """Truth values stay such, and the metadata say where it is from."""
     path = rec.path.with_name("run.parquet")
     write_parquet(rec, path)
 
@@ -236,7 +228,6 @@ def test_parquet_keeps_types_units_and_the_hash(rec: Recording) -> None:
 
 
 def test_pandas_and_xarray_have_the_same_columns(rec: Recording) -> None:
-    """Over t."""
     frame, data = rec.to_pandas(), rec.to_xarray()
 
     assert list(frame.columns) == [n for n in NAMES if n != "t"]
@@ -255,14 +246,12 @@ def test_pandas_and_xarray_have_the_same_columns(rec: Recording) -> None:
         ("pyarrow", lambda rec: write_parquet(rec, rec.path.with_name("x.parquet"))),
     ],
 )
-def test_a_package_that_is_missing_is_told_with_its_remedy(
+def test_a_package_that_is_missing_is_reported_with_its_remedy(
     rec: Recording,
     package: str,
     export: Callable[[Recording], object],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """In a line, which the command line prints as such."""
-
     def without(name: str) -> Any:
         if name.partition(".")[0] == package:
             raise ModuleNotFoundError(name)
@@ -277,7 +266,6 @@ def test_a_package_that_is_missing_is_told_with_its_remedy(
 def test_the_command_exports_a_part_by_the_ending(
     rec: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """--from and --to as load has them; a recording is never written over."""
     out = rec.path.with_name("part.csv")
 
     assert main(["export", str(rec.path), str(out), "--from", "1", "--to", "2"]) == 0
@@ -290,10 +278,9 @@ def test_the_command_exports_a_part_by_the_ending(
     assert load(rec.path).N == N
 
 
-def test_the_command_verify_tells_by_its_exit_code(
+def test_the_command_verify_reports_by_its_exit_code(
     rec: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """0 where all passes, 1 where one check fails; the rows either way."""
     assert main(["verify", str(rec.path), "--json"]) == 1  # the outcome's counts are made up
     found = json.loads(capsys.readouterr().out)
     assert [c["about"] for c in found["checks"] if c["result"] == "failed"] == ["file"]

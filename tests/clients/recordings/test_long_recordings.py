@@ -1,4 +1,4 @@
-"""What is read of a long file, and how much memory it takes."""
+"""Samples of a long file, and the memory for reading them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from armrig.recordings.container import Content, read, streamed
 from armrig.recordings.loading import load
 from armrig.recordings.verification import recorded_input
 from armrig_core.recording_file.budget import DamageError
-from made_recordings import manifest, recorded, sample, timing, written
+
+from tests.clients.made_recordings import manifest, recorded, sample, timing, written
 
 _PEAK = """
 import sys
@@ -28,7 +29,7 @@ print(peak() - before, sum(getattr(rec, name).nbytes for name in names) / 2**20)
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc/self/status")
 def test_memory_is_linear_in_the_arrays(tmp_path: Path) -> None:
-    """At most twice the arrays that are returned, beside what any file may take."""
+    """At most twice the returned arrays, in addition to what any file may need."""
     N = 100_000
     small = written(tmp_path, recorded([sample(0)]), "small.mcap")
     messages = (sample(k) for k in range(N))
@@ -44,7 +45,7 @@ def test_memory_is_linear_in_the_arrays(tmp_path: Path) -> None:
 
 
 def test_a_file_may_have_more_samples_than_a_run(tmp_path: Path) -> None:
-    """An hour at 1 kHz has 3.6 million; here as the grid sees it."""
+    """An hour at 1 kHz has 3.6 million samples."""
     from armrig.recordings.grid import grid
 
     rows = grid(np.arange(3_600_000, dtype=np.uint64), manifest(), None, ())
@@ -53,7 +54,6 @@ def test_a_file_may_have_more_samples_than_a_run(tmp_path: Path) -> None:
 
 
 def test_one_stream_is_read_without_keeping_it(tmp_path: Path) -> None:
-    """Message after message, as far as the file is whole."""
     messages = [m for k in range(300) for m in (sample(k), timing(k))]
     whole = recorded(messages, flush_every=20)
     path = written(tmp_path, whole)
@@ -72,7 +72,6 @@ def _content(path: Path) -> Content:
 
 
 def test_the_input_is_read_from_its_place(tmp_path: Path) -> None:
-    """It stays in the file until somebody wants it, however long it is."""
     u = np.random.default_rng(1).uniform(0, 5, 120_000)
     path = written(tmp_path, recorded([sample(0)], u=u.tolist()))
     content = _content(path)
@@ -85,15 +84,17 @@ def test_the_input_is_read_from_its_place(tmp_path: Path) -> None:
         recorded_input(path, content.input, 1000)
 
 
-def test_a_changed_input_is_told(tmp_path: Path) -> None:
-    """Its own checksum tells, or that it is no number."""
+def test_a_changed_input_is_reported(tmp_path: Path) -> None:
     whole = recorded([sample(0)], u=[1.25, 2.5, 3.75])
     path = written(tmp_path, whole)
     content = _content(path)
     assert content.input is not None
     assert recorded_input(path, content.input, 3).tolist() == [1.25, 2.5, 3.75]
 
-    for new, why in ((b"2.6", "checksum of the attached input"), (b"2.x", "no list of voltages")):
+    for new, why in (
+        (b"2.6", "checksum of the attached input"),
+        (b"2.x", "not a list of voltages"),
+    ):
         path.write_bytes(whole.replace(b"\n2.5\n", b"\n" + new + b"\n"))
         with pytest.raises(DamageError, match=why):
             recorded_input(path, content.input, 3)

@@ -12,7 +12,8 @@ from armrig_core.manifest import Outcome
 from armrig_core.recording_file.chunks import Unpacker
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from made_recordings import (
+
+from tests.clients.made_recordings import (
     TS,
     event,
     gap,
@@ -51,7 +52,6 @@ def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @example(98, 50)  # the sample before the first is at a rail
 @given(st.integers(0, N - 2), st.integers(1, N))
 def test_a_part_is_the_same_as_that_part_of_the_whole(long: Path, first: int, n: int) -> None:
-    """Every array but the count of turns, which begins anew; reports of its time alone."""
     whole, end = load(long), min(first + n, N)
 
     part = load(long, start=first * TS, stop=(first + n) * TS)
@@ -68,7 +68,6 @@ def test_a_part_is_the_same_as_that_part_of_the_whole(long: Path, first: int, n:
 
 
 def test_samples_that_came_late_are_in_their_part(tmp_path: Path) -> None:
-    """As after a stall: read on until one behind the part is seen, however late it was."""
     late_ns = 5_000_000_000
     samples = [sample(k) for k in range(800)]
     samples[100:] = [s._replace(t_host_ns=s.t_host_ns + late_ns) for s in samples[100:]]
@@ -81,12 +80,12 @@ def test_samples_that_came_late_are_in_their_part(tmp_path: Path) -> None:
 
 
 def test_a_second_around_the_part_is_read(tmp_path: Path) -> None:
-    """A sample may come before it was due, and a report be written behind what it tells of."""
+    """A sample may come before it was due, and a report may follow the sample that it describes."""
     early_ns = 900_000_000
     messages: list[object] = [
         sample(k)._replace(t_host_ns=sample(k).t_host_ns - early_ns) for k in range(100, 800)
     ]
-    messages.insert(190, event(200, "told 0.9 s later"))  # behind sample 289
+    messages.insert(190, event(200, "told 0.9 s later"))  # after sample 289
     path = written(tmp_path, recorded(messages, manifest=manifest(samples=800), flush_every=20))
 
     part = load(path, start=1.5, stop=2.1)
@@ -98,7 +97,7 @@ def test_a_second_around_the_part_is_read(tmp_path: Path) -> None:
 def test_what_lies_outside_the_part_is_not_unpacked(
     long: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """But for the first chunk, which says how the clocks go together."""
+    """The first chunk is read, because it contains the comparison of the clocks."""
     unpacked = []
     records = Unpacker.records
 
@@ -121,13 +120,12 @@ def test_what_lies_outside_the_part_is_not_unpacked(
         (-1.0, 2.0, "0 <= start < stop"),
         (2.0, 2.0, "0 <= start < stop"),
         (float("nan"), None, "0 <= start < stop"),
-        (100.0, None, r"nothing of it lies from 100 s on; its run has \d+ s"),
-        (1e300, 1e301, "nothing of it lies"),
+        (100.0, None, r"it contains no sample from 100 s on; its run has \d+ s"),
+        (1e300, 1e301, "it contains no sample"),
     ],
 )
 def test_a_range_without_samples_is_refused(
     long: Path, start: float, stop: float | None, why: str
 ) -> None:
-    """In one line, with what is allowed."""
     with pytest.raises(FileError, match=why):
         load(long, start=start, stop=stop)

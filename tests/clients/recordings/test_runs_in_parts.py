@@ -1,4 +1,4 @@
-"""The parts of one run are read as one recording, and what is missing of them is told."""
+"""The parts of one run are read as one recording, and missing parts are reported."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ from armrig_core.manifest import RUN, Outcome, manifest_of
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.part_names import part_number, part_paths
-from made_recordings import gap, manifest, recorded, sample, written
 from mcap.reader import make_reader
+
+from tests.clients.made_recordings import gap, manifest, recorded, sample, written
 
 
 def _parts(directory: Path) -> list[Path]:
@@ -40,7 +41,6 @@ def _parts(directory: Path) -> list[Path]:
 
 
 def test_the_parts_of_a_run_are_read_as_one(tmp_path: Path) -> None:
-    """By the name of the run, or one by one in their order; and each by itself."""
     paths = _parts(tmp_path)
 
     whole = load(tmp_path / "run.mcap")
@@ -58,7 +58,6 @@ def test_the_parts_of_a_run_are_read_as_one(tmp_path: Path) -> None:
 
 
 def test_a_run_one_of_whose_parts_is_missing_is_not_taken_for_whole(tmp_path: Path) -> None:
-    """Not by its name; the parts that are there are read by their own names."""
     one, two, three = _parts(tmp_path)
     run = tmp_path / "run.mcap"
     kept = {path: path.read_bytes() for path in (one, two)}
@@ -82,7 +81,6 @@ def test_a_run_one_of_whose_parts_is_missing_is_not_taken_for_whole(tmp_path: Pa
 
 
 def test_a_run_of_many_parts_is_read_in_the_order_of_their_numbers(tmp_path: Path) -> None:
-    """However many digits they have; another run whose name begins alike is none of it."""
     for number in (10_000, 9_999, 2, 1):
         (tmp_path / f"run.part-{number:04}.mcap").touch()
     (tmp_path / "run.part-0003.mcap.active").touch()
@@ -96,27 +94,29 @@ def test_a_run_of_many_parts_is_read_in_the_order_of_their_numbers(tmp_path: Pat
     assert {part_number(tmp_path / name) for name in others} == {0}
 
 
-def test_a_second_part_given_as_a_calibration_is_told_how_parts_are_given(tmp_path: Path) -> None:
-    """As who calls `load` with one part behind the other does."""
+def test_a_second_part_given_as_a_calibration_is_refused_with_the_way_out(tmp_path: Path) -> None:
     one, two, _ = _parts(tmp_path)
 
-    with pytest.raises(FileError, match=r"a recording, where a calibration.*as a list"):
+    with pytest.raises(FileError, match=r"is a recording, not a calibration.*as a list"):
         load(one, two)
 
 
 def test_the_command_line_leads_from_the_parts_to_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """All parts, as a shell names them, and the run's name without its ending."""
     _parts(tmp_path)
     monkeypatch.chdir(tmp_path)
 
     for words, code, told in (
         (["info", "run.mcap"], 0, "290 at 0.01 s, 10 missing"),
         (["info", "run.part-0002.mcap"], 0, "95 at 0.01 s"),
-        (["info", *sorted(p.name for p in tmp_path.iterdir())], 2, "by its name, run.mcap"),
+        (
+            ["info", *sorted(p.name for p in tmp_path.iterdir())],
+            2,
+            "run.mcap means all parts",
+        ),
         (["info", "run"], 1, "did you mean run.mcap?"),
-        (["replay", "run.mcap"], 1, "run.mcap: holds no steps"),
+        (["replay", "run.mcap"], 1, "run.mcap: no steps"),
     ):
         assert main(words) == code
         captured = capsys.readouterr()
@@ -124,7 +124,7 @@ def test_the_command_line_leads_from_the_parts_to_the_run(
 
 
 def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
-    """Record the messages of a recording once more, in parts of so many samples."""
+    """Record the messages of a recording again, in parts of so many samples."""
     with whole.open("rb") as file:
         reader = make_reader(file)
         about = {record.name: record.metadata for record in reader.iter_metadata()}
@@ -157,7 +157,6 @@ def _record_in_parts(whole: Path, path: Path, *, samples: int) -> None:
 
 @pytest.mark.parametrize("pacing", ["exchange", "scheduled"])
 def test_a_run_in_parts_is_replayed_as_one(tmp_path: Path, pacing: str) -> None:
-    """Its steps, samples and frames are those of the run in one file."""
     whole = Path(__file__).parents[2] / "data" / "0.1.0" / f"{pacing}.mcap"
     _record_in_parts(whole, tmp_path / "run.mcap", samples=60)
 
@@ -165,12 +164,11 @@ def test_a_run_in_parts_is_replayed_as_one(tmp_path: Path, pacing: str) -> None:
 
     assert len(part_paths(tmp_path / "run.mcap")) > 2
     assert again == replay(whole)
-    with pytest.raises(FileError, match="holds no steps"):
+    with pytest.raises(FileError, match="no steps"):
         replay(tmp_path / "run.part-0002.mcap")
 
 
 def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None:
-    """One left out, the wrong order, or another run's."""
     one, two, three = _parts(tmp_path)
     about = {"part": 2, "k_first": 0, "samples": 300}
     other, of_another_rig, before = (
@@ -184,7 +182,7 @@ def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None
         ([one, other], "only the parts of one run are joined"),
         ([], "no file"),
         ([one, of_another_rig], "of rig 2 is not run"),
-        ([one, before], "do not stand behind those of the part before"),
+        ([one, before], "do not follow the samples of the previous part"),
     ):
         with pytest.raises(FileError, match=why):
             load(given_paths)
@@ -193,8 +191,7 @@ def test_parts_that_do_not_follow_each_other_are_refused(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_a_part_that_was_cut_off_is_told(tmp_path: Path, number: int) -> None:
-    """Which one it is; whichever it is, the recording is cut off."""
+def test_a_part_that_was_cut_off_is_reported(tmp_path: Path, number: int) -> None:
     paths = _parts(tmp_path)
     cut = paths[number - 1]
     sizes = [path.stat().st_size for path in paths]

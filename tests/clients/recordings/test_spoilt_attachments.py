@@ -7,14 +7,15 @@ from pathlib import Path
 import armrig
 import pytest
 from armrig.recordings.verification import verify
-from made_recordings import recorded, sample, written
 from mcap.opcode import Opcode
+
+from tests.clients.made_recordings import recorded, sample, written
 
 DATA = recorded([sample(k) for k in range(5)], u=[1.0] * 5)
 
 
 def _attachment(name: str) -> range:
-    """Return where the content of an attachment stands in the file, from its times to its CRC."""
+    """Return the range of an attachment's content in the file, from its times to its CRC."""
     named = len(name).to_bytes(4, "little") + name.encode()
     begin = DATA.index(named) - 16
     assert DATA[begin - 9] == Opcode.ATTACHMENT
@@ -23,7 +24,6 @@ def _attachment(name: str) -> range:
 
 @pytest.mark.parametrize("bit", [0, 7])
 def test_every_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path, bit: int) -> None:
-    """Also in its name, in a length, and in the checksum itself."""
     for at in _attachment("calibration.json"):
         spoilt = bytearray(DATA)
         spoilt[at] ^= 1 << bit
@@ -38,7 +38,6 @@ def test_every_flipped_bit_of_the_calibration_leaves_the_samples(tmp_path: Path,
 
 
 def test_the_attachment_is_named(tmp_path: Path) -> None:
-    """By what verify says, too, with how many samples there are all the same."""
     spoilt = bytearray(DATA)
     spoilt[_attachment("calibration.json")[-10]] ^= 1
 
@@ -50,7 +49,6 @@ def test_the_attachment_is_named(tmp_path: Path) -> None:
 
 
 def test_a_spoilt_input_leaves_the_samples(tmp_path: Path) -> None:
-    """It stays in the file, and is read only to be compared."""
     spoilt = bytearray(DATA)
     spoilt[_attachment("input.csv")[-10]] ^= 1
 

@@ -12,9 +12,10 @@ from armrig.recordings.export import transforms
 from armrig.recordings.loading import load
 from armrig.recordings.recording import Recording
 from armrig_core.topics import topic
-from layouts import frame_angles, frames_class
-from made_recordings import manifest, of_the_arm, recorded, sample, written
 from mcap.reader import make_reader
+
+from tests.clients.made_recordings import manifest, of_the_arm, recorded, sample, written
+from tests.layouts import frame_angles, frames_class
 
 pytest.importorskip("foxglove", reason="no foxglove-sdk")
 N = 200
@@ -27,8 +28,7 @@ def rec(tmp_path: Path) -> Recording:
     return load(written(tmp_path, of_the_arm(u, missing=slice(50, 60), start=2.5)))
 
 
-def test_the_arm_stands_at_the_sum_of_bothframe_angles() -> None:
-    """It turns with the chassis, which turns in the rig."""
+def test_the_arm_is_at_the_sum_of_both_frame_angles() -> None:
     found = frame_angles(transforms(pi / 3, -pi / 6, 0).encode())
 
     assert found == {("rig", "chassis"): pytest.approx(pi / 3), ("chassis", "arm"): -pi / 6}
@@ -42,7 +42,7 @@ def test_the_arm_stands_at_the_sum_of_bothframe_angles() -> None:
 def test_an_angle_that_is_not_known_leaves_its_frame_out(
     theta_1: float, alpha: float, left: set[str]
 ) -> None:
-    """A viewer would place a frame of NaN anywhere; infinity, from a stranger, has no sine."""
+    """A viewer would place a frame of NaN anywhere; infinity, in a foreign file, has no sine."""
     assert {child for _, child in frame_angles(transforms(theta_1, alpha, 0).encode())} == left
 
 
@@ -50,7 +50,7 @@ def test_an_angle_that_is_not_known_leaves_its_frame_out(
 def test_times_that_foxglove_does_not_have_are_refused(
     offset_ns: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In a line: a recording's offset of the clocks may be of any size."""
+    """The offset of a recording's clocks may be of any size."""
     data = recorded(map(sample, range(3)), manifest=manifest(clock_offset_ns=offset_ns))
     out = tmp_path / "frames.mcap"
 
@@ -63,7 +63,6 @@ def test_times_that_foxglove_does_not_have_are_refused(
 def test_the_frames_of_a_recording_have_its_angles_at_its_times(
     rec: Recording, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """One message for each sample that came, at the log time of the sample."""
     out = rec.path.with_name("frames.mcap")
 
     assert main(["export", str(rec.path), str(out), "--transforms"]) == 0

@@ -1,4 +1,4 @@
-"""What the data are good for: each fault of a recording is told, and a sound one has none."""
+"""Usability of the data: each fault of a recording is reported, a sound recording has none."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ from armrig.recordings.usability import DataVerdict, data_verdict
 from armrig_core.manifest import Outcome
 from armrig_core.rehearsal import Rehearsal
 from armrig_protocol.messages import Flag
-from made_recordings import POT, gap, manifest, of_the_arm, recorded, sample, written
 from numpy.typing import NDArray
-from odd_recording import odd_recording
+
+from tests.clients.made_recordings import POT, gap, manifest, of_the_arm, recorded, sample, written
+from tests.clients.odd_recording import odd_recording
 
 
 def judged(directory: Path, u: NDArray[np.float64], **options: Any) -> DataVerdict:
@@ -60,7 +61,6 @@ def levels(verdict: DataVerdict) -> dict[str, str]:
 
 
 def test_a_sound_recording_has_nothing_against_it(tmp_path: Path) -> None:
-    """And its figures are those of what was simulated: half a step of noise on the converter."""
     found = judged(tmp_path, armrig.telegraph(3000, 0.05))
 
     assert found.usable
@@ -84,7 +84,6 @@ def test_a_sound_recording_has_nothing_against_it(tmp_path: Path) -> None:
 def test_levels_too_near_each_other_are_too_quiet(
     low: float, high: float, level: str, tmp_path: Path
 ) -> None:
-    """The same telegraph, with ever less of it."""
     found = judged(tmp_path, armrig.telegraph(3000, 0.05, low, high))
 
     assert levels(found)["signal"] == level
@@ -92,7 +91,6 @@ def test_levels_too_near_each_other_are_too_quiet(
 
 
 def test_the_signal_does_not_count_its_noise_nor_the_start(tmp_path: Path) -> None:
-    """At a constant voltage there is none, although the chassis starts and turns."""
     found = judged(tmp_path, np.full(1000, 2.0))
 
     assert found.signal_rad == 0
@@ -101,14 +99,13 @@ def test_the_signal_does_not_count_its_noise_nor_the_start(tmp_path: Path) -> No
 
 
 def test_what_the_handout_asks_for_is_loud_enough(tmp_path: Path) -> None:
-    """White noise, a step, and a staircase."""
     for u in (armrig.white_noise(3000), armrig.step(500, at=100), armrig.staircase(3000)):
         assert judged(tmp_path, u).warnings == ()
 
 
-def test_a_step_whose_rise_the_dead_band_hides_is_told_with_when_to_step(tmp_path: Path) -> None:
-    """A run from where that one ended, with the step when it says, shows all of the rise."""
-
+def test_a_step_whose_rise_the_dead_band_hides_is_reported_with_when_to_step(
+    tmp_path: Path,
+) -> None:
     def stepped(start: float, at: float, seconds: float) -> Recording:
         u = np.where(np.arange(round(seconds / 0.01)) < round(at / 0.01), 0.5, 4.5)
         whole = of_the_arm(u, experiment="step", start=start)
@@ -129,8 +126,8 @@ def test_a_step_whose_rise_the_dead_band_hides_is_told_with_when_to_step(tmp_pat
     assert 3 <= told <= 20
 
 
-def test_missing_samples_are_told_and_many_are_warned_of(tmp_path: Path) -> None:
-    """One in a hundred may be."""
+def test_missing_samples_are_reported_and_many_are_warned_of(tmp_path: Path) -> None:
+    """One in a hundred may be missing."""
     u = armrig.telegraph(1000, 0.05)
 
     few = judged(tmp_path, u, missing=slice(500, 505))
@@ -143,10 +140,10 @@ def test_missing_samples_are_told_and_many_are_warned_of(tmp_path: Path) -> None
 
 
 def test_turns_that_are_not_known_are_warned_of(tmp_path: Path) -> None:
-    """With the time from which on: half a turn takes a quarter of a second."""
+    """Half a turn takes a quarter of a second."""
     found = judged(tmp_path, armrig.telegraph(1000, 0.05), missing=slice(500, 540))
 
-    assert "the number of turns is lost at 5.4" in found.summary
+    assert "the number of turns is unknown from 5.4" in found.summary
 
 
 def test_jitter_that_moves_the_angle_by_more_than_its_noise_is_warned_of(tmp_path: Path) -> None:
@@ -166,8 +163,8 @@ def test_jitter_that_moves_the_angle_by_more_than_its_noise_is_warned_of(tmp_pat
     assert levels(data_verdict(late(2000)))["timing"] == "warning"
 
 
-def test_alpha_at_a_rail_is_told_as_clipped(tmp_path: Path) -> None:
-    """It has no dead band to pass through."""
+def test_alpha_at_a_rail_is_reported_as_clipped(tmp_path: Path) -> None:
+    """The angle alpha has no dead band to pass through."""
     made = swinging(200)
     made[10:14] = [s._replace(flags=s.flags | int(Flag.ADC1_RAIL)) for s in made[10:14]]
 
@@ -178,7 +175,7 @@ def test_alpha_at_a_rail_is_told_as_clipped(tmp_path: Path) -> None:
 
 
 def test_an_angle_that_never_shows_cannot_be_used(tmp_path: Path) -> None:
-    """A wire is off, or the chassis stands in the dead band."""
+    """A wire is loose, or the chassis is in the dead band."""
     found = data_verdict(by_hand(tmp_path, swinging(100, flags=int(Flag.ADC0_RAIL))))
 
     assert not found.usable
@@ -187,8 +184,8 @@ def test_an_angle_that_never_shows_cannot_be_used(tmp_path: Path) -> None:
     assert b'"usable":false' in msgspec.json.encode(found.facts())
 
 
-@pytest.mark.parametrize(("hidden", "said"), [(150, "1.5 s at a stretch"), (0, "")])
-def test_a_chassis_that_stands_in_the_dead_band_is_warned_of(
+@pytest.mark.parametrize(("hidden", "said"), [(150, "1.5 s without a break"), (0, "")])
+def test_a_chassis_at_rest_in_the_dead_band_is_warned_of(
     hidden: int, said: str, tmp_path: Path
 ) -> None:
     """No turning chassis is hidden for so long."""
@@ -204,15 +201,13 @@ def test_a_chassis_that_stands_in_the_dead_band_is_warned_of(
 
 
 def test_a_few_samples_are_no_data(tmp_path: Path) -> None:
-    """Whatever they show."""
     found = data_verdict(by_hand(tmp_path, swinging(19)))
 
     assert not found.usable
-    assert "19 samples are no data" in found.summary
+    assert "19 samples are too few" in found.summary
 
 
 def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
-    """With its reason; a file that is not whole, too."""
     ended = Outcome(outcome="stopped", samples=300, missing=0)
     data = recorded(swinging(300), manifest=manifest(samples=600), outcome=ended)
 
@@ -220,22 +215,21 @@ def test_a_run_that_ended_early_is_warned_of(tmp_path: Path) -> None:
     cut = data_verdict(load(written(tmp_path, data[: len(data) - 400])))
 
     assert "the run ended early: stopped" in early.summary
-    assert "the file is cut off: it holds 3 of 6 s" in cut.summary
+    assert "the file is cut off: it contains 3 of 6 s" in cut.summary
 
 
 @pytest.mark.parametrize(
     ("moves", "told_on", "level", "said"),
     [
-        (True, True, "unusable", "take the rotating part off"),
-        (True, False, "warning", "see that it is"),
+        (True, True, "unusable", "remove the rotating part"),
+        (True, False, "warning", "remove the rotating part"),
         (False, True, "warning", "removed = true"),
-        (False, False, "good", "is off"),
+        (False, False, "good", "is removed"),
     ],
 )
 def test_a_greybox_recording_is_of_the_chassis_alone(
     moves: bool, told_on: bool, level: str, said: str, tmp_path: Path
 ) -> None:
-    """Alpha rests, and the daemon knows why."""
     made = [
         s._replace(alpha_counts=32768 + 64 * (k % 9) * moves) for k, s in enumerate(swinging(200))
     ]
@@ -250,7 +244,6 @@ def test_a_greybox_recording_is_of_the_chassis_alone(
 
 
 def test_a_gap_without_a_record_of_its_voltage_is_judged_all_the_same(tmp_path: Path) -> None:
-    """And one at the beginning."""
     made = swinging(200)
     del made[100:103]
     messages = [gap(0, 5, 0.0), *made[5:]]
@@ -262,7 +255,7 @@ def test_a_gap_without_a_record_of_its_voltage_is_judged_all_the_same(tmp_path: 
 
 
 def test_a_step_is_made_again_at_one_time_whichever_way_the_angle_counts(tmp_path: Path) -> None:
-    """A reversed potentiometer changes the sign of the angle, and not where its dead band is."""
+    """A reversed potentiometer changes the sign of the angle, not the place of its dead band."""
     u = np.where(np.arange(200) < 100, 0.5, 4.5)
     recordings = (
         load(written(tmp_path, of_the_arm(u, experiment="step", start=float(start))))
@@ -277,7 +270,6 @@ def test_a_step_is_made_again_at_one_time_whichever_way_the_angle_counts(tmp_pat
 
 
 def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
-    """The sentences of the rarer branches, of a recording whose figures are all different."""
     path = tmp_path / "odd.mcap"
     path.write_bytes(odd_recording())
     odd = load(path)
@@ -303,18 +295,18 @@ def test_each_finding_gives_its_own_figures(tmp_path: Path) -> None:
     }
     texts = {name: next(iter(found)) for name, found in said.items()}
 
-    assert f"varies by 51.5{NBSP}µs, which moves theta_1 by {moved:.3g}{NBSP}mrad" in jitter.text
-    assert texts["asleep"].text.startswith("theta_1 is hidden for 1.3 s at a stretch")
+    assert f"varies by 51.5{NBSP}µs and moves theta_1 by {moved:.3g}{NBSP}mrad" in jitter.text
+    assert texts["asleep"].text.startswith("theta_1 is hidden for 1.3 s without a break")
     share = 100 * poor.hidden / 497
     assert f"hidden in {share:.1f}{NBSP}% of the samples" in texts["poor"].text
     assert "too many for a dead band" in texts["poor"].text
-    assert "lost at 1.05, 2.05, 3.05 s, where" in texts["three"].text
-    assert "lost at 1.05, 2.05, 3.05, … s, where" in texts["four"].text
-    assert texts["damaged"].text == "the file is not whole: a bit has flipped"
-    assert texts["unknown"].text == "the run ended early: the file does not say why"
-    assert texts["cut"].text == "the file is cut off: it holds 25.9 of 30 s"
+    assert "unknown from 1.05, 2.05, 3.05 s on" in texts["three"].text
+    assert "unknown from 1.05, 2.05, 3.05, … s on" in texts["four"].text
+    assert texts["damaged"].text == "the file is damaged: a bit has flipped"
+    assert texts["unknown"].text == "the run ended early: the file does not contain the reason"
+    assert texts["cut"].text == "the file is cut off: it contains 25.9 of 30 s"
     levels = [texts[name].level for name in ("nothing", "quiet", "loud")]
     assert levels == ["unusable", "warning", "good"]
-    assert texts["quiet"].text.startswith("signal to noise 3 to 1: theta_1 departs from steady")
+    assert texts["quiet"].text.startswith("signal to noise 3 to 1: theta_1 deviates from a steady")
     assert f"29.9{NBSP}mrad rms" in texts["quiet"].text
-    assert f"is 10{NBSP}mrad (2.5 steps of the converter); too quiet" in texts["quiet"].text
+    assert f"is 10{NBSP}mrad (2.5 steps of the converter); use levels" in texts["quiet"].text

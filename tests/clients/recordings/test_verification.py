@@ -1,4 +1,4 @@
-"""`armrig verify`: what a recording must be, and each way in which one is not."""
+"""`armrig verify`: requirements of a recording, and each violation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from armrig_core import protobuf
 from armrig_core.manifest import Outcome
 from armrig_core.telemetry import Sample
 from armrig_core.volts import applied_code, code_of, volts_of
-from made_recordings import gap, manifest, recorded, sample, written
+
+from tests.clients.made_recordings import gap, manifest, recorded, sample, written
 
 N = 400
 U = np.round(np.random.default_rng(1).uniform(0.5, 4.5, N), 3)
@@ -54,7 +55,7 @@ def verified(
     u: Sequence[float] | None = U.tolist(),
     cut: int = 0,
 ) -> Verification:
-    """Return what is found in a recording of these messages."""
+    """Return the findings of a recording of these messages."""
     ended = Outcome(outcome="complete", samples=came, missing=missing)
     data = recorded(messages, manifest=manifest(k_first=0, samples=N), outcome=ended, u=u)
     return verify(written(directory, data[: len(data) - cut]))
@@ -66,7 +67,6 @@ def failed(found: Verification) -> dict[str, str]:
 
 
 def test_a_run_as_it_was_asked_for_passes(tmp_path: Path) -> None:
-    """Every check, with a row; its hash is that of the file."""
     found = verified(tmp_path, [*run(), clock(100, 50), clock(200, 70)])
 
     assert found.passed
@@ -76,8 +76,7 @@ def test_a_run_as_it_was_asked_for_passes(tmp_path: Path) -> None:
     assert len(repr(found).splitlines()) == len(found.checks)
 
 
-def test_missing_samples_must_be_told(tmp_path: Path) -> None:
-    """With their gap record they pass, without it they do not."""
+def test_missing_samples_must_be_reported(tmp_path: Path) -> None:
     messages: list[Any] = run()
     del messages[100:110]
     told = [*messages[:100], gap(100, 10, 1.0), *messages[100:]]
@@ -89,8 +88,7 @@ def test_missing_samples_must_be_told(tmp_path: Path) -> None:
     }
 
 
-def test_gaps_told_may_lie_over_each_other(tmp_path: Path) -> None:
-    """And reach beyond the run: a sample is told of where any of them has it, and there alone."""
+def test_reported_gaps_may_overlap(tmp_path: Path) -> None:
     messages: list[Any] = run()
     del messages[100:110], messages[:5]
     told = [gap(0, 5, 1.0), gap(103, 7, 1.0), gap(100, 5, 1.0), gap(101, 2, 1.0)]
@@ -106,15 +104,14 @@ def test_gaps_told_may_lie_over_each_other(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("came", "says"),
     [
-        (0, "it has no sample to use"),
-        (19, "19 of the 20 samples that are needed at least are left"),
+        (0, "it has no usable sample"),
+        (19, "19 samples are left, at least 20 are needed"),
         (20, "its 20 samples can be used, with care"),
     ],
 )
 def test_what_is_left_of_a_damaged_file_is_called_usable_if_it_is(
     came: int, says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """By as many samples as the verdict on the data needs."""
     about = manifest(k_first=0, samples=N)
     path = written(tmp_path, recorded(run()[:came], manifest=about, outcome=None))
 
@@ -123,7 +120,6 @@ def test_what_is_left_of_a_damaged_file_is_called_usable_if_it_is(
 
 
 def test_nothing_is_said_of_samples_that_there_are_not(tmp_path: Path) -> None:
-    """As of a run that was stopped at once, or of a file cut off before its first."""
     about = manifest(k_first=0, samples=N)
     ended = Outcome(outcome="stopped", samples=0, missing=0)
     found = verify(written(tmp_path, recorded([], manifest=about, outcome=ended, u=U.tolist())))
@@ -134,8 +130,9 @@ def test_nothing_is_said_of_samples_that_there_are_not(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("field", ["u_cmd_v", "u_applied_v"])
 @pytest.mark.parametrize("volts", [5.001, -0.001, float("nan")])
-def test_a_voltage_outside_the_envelope_is_told(tmp_path: Path, field: str, volts: float) -> None:
-    """Whether it was asked for or applied, with the sample."""
+def test_a_voltage_outside_the_envelope_is_reported(
+    tmp_path: Path, field: str, volts: float
+) -> None:
     messages = run()
     messages[7] = messages[7]._replace(**{field: volts})
 
@@ -143,7 +140,6 @@ def test_a_voltage_outside_the_envelope_is_told(tmp_path: Path, field: str, volt
 
 
 def test_a_voltage_held_in_a_gap_is_in_the_envelope_too(tmp_path: Path) -> None:
-    """It was at the motor."""
     messages: list[Any] = run()
     messages[100:110] = [gap(100, 10, 6.0)]
 
@@ -153,10 +149,10 @@ def test_a_voltage_held_in_a_gap_is_in_the_envelope_too(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("experiment", "may"), [("remote", True), ("blackbox", False)])
-def test_only_who_recorded_from_afar_need_not_know_a_voltage(
+def test_only_a_remote_recorder_may_lack_a_voltage(
     tmp_path: Path, experiment: str, may: bool
 ) -> None:
-    """The daemon knows what it held; and what is known is inside in any case."""
+    """The daemon knows the voltage that it held."""
     about = manifest(samples=N, experiment=experiment)
     messages: list[Any] = run()
     messages[100:110] = [gap(100, 10, float("nan"))]
@@ -170,11 +166,11 @@ def test_only_who_recorded_from_afar_need_not_know_a_voltage(
     assert inside.passed == may
     if may:
         [text] = [c.text for c in inside.checks if c.about == "envelope"]
-        assert text.endswith("not known in 1 gap that the recorder missed")
+        assert text.endswith("unknown in 1 gap that the recorder missed")
 
 
-def test_another_voltage_than_the_experiments_is_told(tmp_path: Path) -> None:
-    """By two steps of the wire's code, or one of the device's; and the first sample with it."""
+def test_another_voltage_than_the_experiments_is_reported(tmp_path: Path) -> None:
+    """By two steps of the wire's code, or one of the device's."""
     for field, off in (("u_cmd_v", 2 * 5 / 65535), ("u_applied_v", 5 / 1024)):
         messages = run()
         messages[50] = messages[50]._replace(**{field: getattr(messages[50], field) + off})
@@ -183,8 +179,7 @@ def test_another_voltage_than_the_experiments_is_told(tmp_path: Path) -> None:
         assert "at k=50" in text
 
 
-def test_an_input_of_another_length_is_told(tmp_path: Path) -> None:
-    """And where none is attached, nothing is claimed."""
+def test_an_input_of_another_length_is_reported(tmp_path: Path) -> None:
     assert (
         "399 voltages are attached" in failed(verified(tmp_path, run(), u=U[:-1].tolist()))["input"]
     )
@@ -194,28 +189,24 @@ def test_an_input_of_another_length_is_told(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_cut_off_fails_and_can_still_be_loaded(tmp_path: Path) -> None:
-    """Raw data are to be had whatever is wrong."""
     found = verified(tmp_path, run(), cut=30)
 
     assert "cut off" in failed(found)["file"]
     assert load(tmp_path / "run.mcap").N > 0
 
 
-def test_counts_that_do_not_agree_are_told(tmp_path: Path) -> None:
-    """The outcome says how many samples there are."""
-    assert "holds 400 and 0" in failed(verified(tmp_path, run(), came=399))["file"]
+def test_counts_that_do_not_agree_are_reported(tmp_path: Path) -> None:
+    assert "contains 400 and 0" in failed(verified(tmp_path, run(), came=399))["file"]
 
 
-def test_time_that_goes_back_is_told(tmp_path: Path) -> None:
-    """On either clock."""
+def test_time_that_goes_back_is_reported(tmp_path: Path) -> None:
     for field in ("t_device_us", "t_sched_ns"):
         messages = run()
         messages[9] = messages[9]._replace(**{field: getattr(messages[8], field)})
         assert "at k=9" in failed(verified(tmp_path, messages))["timing"]
 
 
-def test_clocks_that_jump_or_run_apart_are_told(tmp_path: Path) -> None:
-    """Against what the comparisons say of their own certainty."""
+def test_clocks_that_jump_or_run_apart_are_reported(tmp_path: Path) -> None:
     jump = verified(tmp_path, [*run(), clock(100, 0), clock(200, 50_000)])
     apart = [s._replace(t_device_us=5_000 + s.k * 10_200) for s in run()]
 
@@ -242,7 +233,7 @@ def test_clocks_that_jump_or_run_apart_are_told(tmp_path: Path) -> None:
 def test_clocks_may_differ_by_what_the_comparisons_do_not_know(
     tmp_path: Path, before: dict[str, float], after: dict[str, float], may: bool
 ) -> None:
-    """50 µs in 1 s: by both bounds, the drift told, and six deviations of offset and drift."""
+    """50 µs in 1 s: both bounds, the reported drift, and six deviations of offset and drift."""
     compared = [clock(100, 0, **before), clock(200, 50_000, **after)]
 
     found = verified(tmp_path, [*run()[:100], compared[0], *run()[100:], compared[1]])
@@ -262,7 +253,7 @@ def test_clocks_may_differ_by_what_the_comparisons_do_not_know(
 def test_a_clock_may_be_off_by_a_resonator_and_a_sample_at_either_end(
     tmp_path: Path, n: int, gained_us: int, may: bool
 ) -> None:
-    """What a short run cannot tell is no fault of its clock."""
+    """A short run cannot determine the resonator's error."""
     samples = run()[:n]
     samples[-1] = samples[-1]._replace(t_device_us=samples[-1].t_device_us + gained_us)
     ended = Outcome(outcome="stopped", samples=n, missing=0)
@@ -274,7 +265,6 @@ def test_a_clock_may_be_off_by_a_resonator_and_a_sample_at_either_end(
 
 
 def test_a_later_sample_is_compared_with_its_own_voltage(tmp_path: Path) -> None:
-    """The index in the input is k less the run's first."""
     messages: list[Any] = run()
     messages[0:3] = [gap(0, 3, 0.0)]
     ended = Outcome(outcome="complete", samples=N - 3, missing=3)

@@ -27,7 +27,6 @@ def answers(tmp_path: Path, text: str) -> Answers:
 
 
 def test_the_file_of_questions_is_a_file_of_answers(tmp_path: Path) -> None:
-    """It has a key and the question of each assignment, and no answer yet."""
     text = questions_toml("reasons.toml")
 
     found = answers(tmp_path, text)
@@ -38,7 +37,6 @@ def test_the_file_of_questions_is_a_file_of_answers(tmp_path: Path) -> None:
 
 
 def test_names_and_reasons_are_read(tmp_path: Path) -> None:
-    """Without the space around them; what is empty is no answer."""
     found = answers(
         tmp_path,
         """
@@ -79,19 +77,16 @@ def test_names_and_reasons_are_read(tmp_path: Path) -> None:
     ],
 )
 def test_what_is_no_answer_is_refused(text: str, message: str, tmp_path: Path) -> None:
-    """The error names the file, what came and what is allowed."""
     with pytest.raises(FileError, match=rf"reasons\.toml: {message}"):
         answers(tmp_path, text)
 
 
 def test_a_missing_file_is_refused_with_the_command_that_writes_it(tmp_path: Path) -> None:
-    """The way out is part of the error."""
-    with pytest.raises(FileError, match=r"`armrig report --handout --questions .*` writes one"):
+    with pytest.raises(FileError, match=r"`armrig report --handout --questions .*` writes it"):
         read_answers(tmp_path / "none.toml")
 
 
 def test_markup_in_an_answer_is_text(tmp_path: Path) -> None:
-    """The report compiles, and the template gets each paragraph as it was written."""
     wild = '#image("/etc/passwd") *a* $x$ \\ #panic() `b'
     given = Answers(
         students=(Student(name="#panic()", registration_number="*1*"),),

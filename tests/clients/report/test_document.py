@@ -26,7 +26,8 @@ from armrig.report.typesetting import typeset
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calibration import Calibration, Figure, Made
 from armrig_core.errors import FileError
-from made_recordings import of_the_arm, recorded, sample, written
+
+from tests.clients.made_recordings import of_the_arm, recorded, sample, written
 
 NOTE = Note(t=1.5, text='#panic() *x* $y$ `#eval("1")` \\ [z] @nobody', owner="#panic() <b>")
 """Markup, which a report prints as text."""
@@ -60,7 +61,6 @@ def typeset_with_figures(study: Study, folder: Path) -> tuple[bytes, Path]:
 
 
 def test_the_report_is_a_pdf_of_three_to_six_pages(done: Study, made: tuple[bytes, Path]) -> None:
-    """Typeset without a network, with its fonts inside; here with the figures of three models."""
     date = recorded_at(done.recordings)
     pdf, _ = typeset(made[1], "report.typ", content(done, []), date)
 
@@ -72,7 +72,6 @@ def test_the_report_is_a_pdf_of_three_to_six_pages(done: Study, made: tuple[byte
 
 
 def test_every_figure_names_its_recording(done: Study, made: tuple[bytes, Path]) -> None:
-    """By its run, as text in the SVG, so that it can be searched for."""
     figures = {path.stem: path.read_text() for path in made[1].glob("*.svg")}
 
     of_estimation = {"timing", "data", "bode", "step_poles"}
@@ -85,12 +84,10 @@ def test_every_figure_names_its_recording(done: Study, made: tuple[bytes, Path])
 
 
 def test_recordings_get_the_roles_that_their_order_says(done: Study) -> None:
-    """The first that is no step estimates, the next validates."""
     assert [role(done, r) for r in done.recordings] == ["step", "estimation", "validation"]
 
 
 def test_one_recording_is_cut_in_two(three_recordings: tuple[Path, ...]) -> None:
-    """A model is never judged by the data that it was made from."""
     halved = study([load(three_recordings[1])])
 
     assert halved.halves
@@ -99,8 +96,7 @@ def test_one_recording_is_cut_in_two(three_recordings: tuple[Path, ...]) -> None
     assert role(halved, halved.recordings[0]) == "estimation and validation"
 
 
-def test_every_step_of_treatment_is_told_in_words(three_recordings: tuple[Path, ...]) -> None:
-    """And what was taken from the data, each with its unit."""
+def test_every_step_of_treatment_is_reported_in_words(three_recordings: tuple[Path, ...]) -> None:
     step, first, second = (load(path) for path in three_recordings)
 
     def treat(data: Dataset) -> Dataset:
@@ -114,32 +110,25 @@ def test_every_step_of_treatment_is_told_in_words(three_recordings: tuple[Path, 
     assert "took samples 100 to 1499 of 1500" in told[1]
     assert "removed the mean from u and y" in told[2]
     level = np.mean(first.dataset()[100:].u)
-    assert told[3].startswith(
-        f"Estimation data: from the data were taken {level:.3g}\xa0V of u and "
-    )
-    assert told[3].endswith("\xa0rad of theta_1.")
+    assert told[3].startswith(f"Estimation data: {level:.3g}\xa0V of u and ")
+    assert told[3].endswith("\xa0rad of theta_1 removed from the data.")
 
 
-def test_a_line_that_was_taken_is_told_with_its_slope(done: Study) -> None:
-    """A mean has none."""
+def test_a_removed_line_is_reported_with_its_slope(done: Study) -> None:
     trend = Trend(u_level=2.5, y_level=1.0, y_slope=-0.25)
     data = done.estimation.replaced(step="removed a straight line", trends=(trend,))
 
     told = treatment(replace(done, estimation=data))
 
     assert told[1] == (
-        "Estimation data: from the data were taken 2.5\xa0V of u and 1\xa0rad of theta_1 rising by "
-        "\u22120.25\xa0rad/s."
+        "Estimation data: 2.5\xa0V of u and 1\xa0rad of theta_1 rising by \u22120.25\xa0rad/s "
+        "removed from the data."
     )
 
 
-def test_nothing_done_is_told_as_such(
+def test_an_absent_treatment_is_reported(
     done: Study, made: tuple[bytes, Path], three_recordings: tuple[Path, ...]
 ) -> None:
-    """No list, and the claim that nothing was removed stands only then.
-
-    Both are typeset; here with the figures of the study of untreated data, for they take seconds.
-    """
     halved = study([load(three_recordings[1])])
     treated = study([load(path) for path in three_recordings[1:]], treat=armrig.detrend)
 
@@ -148,7 +137,7 @@ def test_nothing_done_is_told_as_such(
         "Estimation data: took samples 0 to 749 of 1500.",
         "Validation data: took samples 750 to 1499 of 1500.",
     ]
-    claims = ["no mean and no trend" in content(s, [])["data"] for s in (done, halved, treated)]
+    claims = ["No mean and no trend" in content(s, [])["data"] for s in (done, halved, treated)]
     assert claims == [True, True, False]
     date = recorded_at(treated.recordings)
     pdf, _ = typeset(made[1], "report.typ", content(treated, []), date)
@@ -158,7 +147,6 @@ def test_nothing_done_is_told_as_such(
 def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
     done: Study, three_recordings: tuple[Path, ...], tmp_path: Path
 ) -> None:
-    """Its kind stands before the name that the student gave it."""
     stairs = of_the_arm(armrig.staircase(300), experiment="staircase-monday")
     named = written(tmp_path, stairs, "stairs.mcap")
 
@@ -168,13 +156,11 @@ def test_a_step_or_a_staircase_with_a_name_is_not_identified_from(
 
 
 def test_a_step_alone_is_nothing_to_identify_from(three_recordings: tuple[Path, ...]) -> None:
-    """It says what to record."""
     with pytest.raises(FileError, match="armrig collect blackbox"):
         study([load(three_recordings[0])])
 
 
 def test_orders_too_high_for_the_data_are_refused(tmp_path: Path) -> None:
-    """What came, and what so many samples allow."""
     short = load(written(tmp_path, recorded([sample(k) for k in range(20)])))
 
     with pytest.raises(ValueError, match="na=4, nb=4: 8 parameters from 10 samples; at most 1"):
@@ -184,7 +170,7 @@ def test_orders_too_high_for_the_data_are_refused(tmp_path: Path) -> None:
 
 
 def test_the_physics_as_a_model_is_the_physics() -> None:
-    """Its impulse response is C Phi^(k-1) Gamma, its F has the root 1."""
+    """Its impulse response is C Phi^(k-1) Gamma, and its F has the root 1."""
     A, B, C = arm_matrices(ArmParameters())
     data = study_data()
     Phi, Gamma = zero_order_hold(A, B, data.Ts)
@@ -210,16 +196,14 @@ def test_the_oe_model_meets_the_physics(done: Study) -> None:
 
 
 def test_the_verdict_says_what_came_out(done: Study) -> None:
-    """ARX and OE disagree on this rig, and samples are missing: both are said."""
     said = " ".join(conclusions(done))
 
-    assert "For simulation and for control use the OE model" in said
+    assert "For simulation and control use the OE model" in said
     assert "5 samples are missing" in said
     assert "\n" not in said
 
 
 def test_the_verdict_changes_with_the_facts(done: Study) -> None:
-    """Where the models agree it does not say that they disagree."""
     rms_error = done.best.comparison.rms_error
     agreeing = [
         replace(m, comparison=replace(m.comparison, rms_error=rms_error)) for m in done.estimated
@@ -229,7 +213,6 @@ def test_the_verdict_changes_with_the_facts(done: Study) -> None:
 
 
 def test_the_report_says_where_the_models_leave_the_physics(done: Study) -> None:
-    """Computed from these data: another deviation is said to lie elsewhere."""
     at = {"ARX": 20, "OE": 150}
     most = {"ARX": 0.5, "OE": 0.25}
 
@@ -242,12 +225,11 @@ def test_the_report_says_where_the_models_leave_the_physics(done: Study) -> None
     said = str(content(other, ())["physics"])
 
     oe, arx = said.split("; the ARX model")
-    assert oe.endswith(f"at most 25\u00a0%, at {done.omega[150]:.3g} rad/s")
-    assert arx.endswith(f"and 50\u00a0%, at {done.omega[20]:.3g} rad/s.")
+    assert oe.endswith(f"at most by 25\u00a0%, at {done.omega[150]:.3g} rad/s")
+    assert arx.endswith(f"and at most by 50\u00a0%, at {done.omega[20]:.3g} rad/s.")
 
 
-def test_a_report_tells_of_a_third_model(of_three: Study) -> None:
-    """In every table and in every sentence about the models, each under its own name."""
+def test_a_report_describes_a_third_model(of_three: Study) -> None:
     names = ["ARMAX", "ARX", "OE"]
     told = content(of_three, ())
     said = " ".join(told["verdict"])
@@ -264,11 +246,10 @@ def test_a_report_tells_of_a_third_model(of_three: Study) -> None:
         assert f"the residuals of {name} are" in said
         assert f"({name})" in said
         assert f"the {name} model" in told["physics"]
-    assert "an ARMAX, an ARX and an OE model" in told["summary"]
+    assert "An ARMAX, an ARX and an OE model" in told["summary"]
 
 
-def test_the_best_model_is_told_wherever_it_stands(done: Study, of_three: Study) -> None:
-    """The abstract is of the one that simulates best, in whatever order the models came."""
+def test_the_best_model_is_reported_wherever_it_stands(done: Study, of_three: Study) -> None:
     turned = replace(done, estimated=done.estimated[::-1])
 
     assert conclusions(turned) == conclusions(done)
@@ -278,7 +259,6 @@ def test_the_best_model_is_told_wherever_it_stands(done: Study, of_three: Study)
 
 
 def test_the_figures_show_all_three_models(made: tuple[bytes, Path]) -> None:
-    """By their names, as the tables do."""
     figures = {path.stem: path.read_text() for path in made[1].glob("*.svg")}
 
     for name in ("compare", "velocity", "bode", "step_poles", "residuals"):
@@ -286,7 +266,6 @@ def test_the_figures_show_all_three_models(made: tuple[bytes, Path]) -> None:
 
 
 def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> None:
-    """No p value, and so no verdict on the deviations."""
     untested = replace(done.best, fit=replace(done.best.fit, whiteness=float("nan")))
 
     said = str(content(replace(done, estimated=(untested,)), ())["estimation"])
@@ -297,7 +276,6 @@ def test_residuals_that_were_not_tested_are_not_called_coloured(done: Study) -> 
 
 
 def test_the_sample_after_the_dead_band_is_counted_and_named(done: Study) -> None:
-    """It shows no angle either, and the row says that it is among them."""
     rows = {name: values for name, *values in content(done, ())["facts"]}
 
     hidden = [np.count_nonzero(r.present & ~r.valid) for r in done.recordings]
@@ -307,19 +285,17 @@ def test_the_sample_after_the_dead_band_is_counted_and_named(done: Study) -> Non
 def test_a_truncated_recording_is_named_in_the_report(
     three_recordings: tuple[Path, ...], tmp_path: Path
 ) -> None:
-    """A cut file is used for what it holds, and the reader is told."""
     whole = three_recordings[1].read_bytes()
     cut = load(written(tmp_path, whole[: len(whole) * 3 // 4], "cut.mcap"))
     done = study([cut, load(three_recordings[2])])
 
     assert cut.truncated
-    assert "cut.mcap is not whole" in " ".join(content(done, ())["remarks"])
+    assert "cut.mcap is incomplete" in " ".join(content(done, ())["remarks"])
 
 
-def test_the_notes_of_a_recording_stand_in_the_report(
+def test_the_notes_of_a_recording_are_in_the_report(
     done: Study, of_three: Study, made: tuple[bytes, Path]
 ) -> None:
-    """Markup in them is text: the report compiles, and prints each as it was written."""
     told = [f"@run-{k} at 1.50{NBSP}s, {NOTE.owner}: {NOTE.text}" for k in (1, 2, 3)]
     assert content(of_three, ())["notes"] == told
     assert content(done, ())["notes"] == []
@@ -330,8 +306,7 @@ def test_the_notes_of_a_recording_stand_in_the_report(
     assert told[-1].endswith(": 5 more notes")
 
 
-def test_a_file_cut_off_behind_its_outcome_is_told_in_the_table(done: Study) -> None:
-    """The run was complete, the file is not."""
+def test_a_file_cut_off_after_its_outcome_is_reported_in_the_table(done: Study) -> None:
     step, *others = done.recordings
     cut = replace(step, truncated=True, cut_off=True, damage="the file is cut off")
 
@@ -342,7 +317,7 @@ def test_a_file_cut_off_behind_its_outcome_is_told_in_the_table(done: Study) -> 
 
 
 def test_models_are_compared_up_to_nyquist() -> None:
-    """At a long sampling time that is below 100 rad/s."""
+    """At a long sampling time Nyquist is below 100 rad/s."""
     u = np.tile([1.0, 2.0], 20)
     data = Dataset(u=u, y=np.cumsum(u), Ts=0.1, output="theta_1", unit="rad")
 
@@ -356,8 +331,7 @@ def study_data() -> Dataset:
     return Dataset(u=np.zeros(2), y=np.zeros(2), Ts=0.01, output="theta_1", unit="rad")
 
 
-def test_a_rig_that_was_not_calibrated_is_told_once(done: Study) -> None:
-    """In the verdict, and for each recording in the table; a calibrated one is not."""
+def test_a_rig_that_was_not_calibrated_is_reported_once(done: Study) -> None:
     made = Made(date="2026-11-20T04:00:00+01:00", rig="1", device_uid="0001", armrig="0.1.0")
     good = tuple(replace(r, calibration=Calibration(made=made)) for r in done.recordings)
 
@@ -371,7 +345,6 @@ def test_a_rig_that_was_not_calibrated_is_told_once(done: Study) -> None:
 
 
 def test_one_that_was_not_calibrated_among_others_is_named(done: Study) -> None:
-    """What is said of one file is not said of the rig."""
     made = Made(date="2026-11-20T04:00:00+01:00", rig="1", device_uid="0001", armrig="0.1.0")
     step, *others = done.recordings
     good = (replace(r, calibration=Calibration(made=made)) for r in others)
@@ -382,8 +355,7 @@ def test_one_that_was_not_calibrated_among_others_is_named(done: Study) -> None:
     assert remark.startswith(f"{step.path.name}: the rig was not calibrated")
 
 
-def test_the_units_of_the_data_are_told_with_what_they_rest_on(done: Study) -> None:
-    """Configured values, a calibration with its deviation, and a meter's reading, if any."""
+def test_the_units_of_the_data_are_reported_with_their_basis(done: Study) -> None:
     scale = {"theta_1_rad_per_count": Figure(value=1e-4, std=2e-7)}
     meter = {"driver_gain": Figure(value=1.01, std=1e-3)}
 
@@ -402,9 +374,9 @@ def test_the_units_of_the_data_are_told_with_what_they_rest_on(done: Study) -> N
         return str(content(replace(done, recordings=good), [])["data"])
 
     assert "configured values that were never measured" in said(None)
-    assert "calibration of 2026-11-20 04:00, known to 0.2\xa0%" in said(scale)
+    assert "calibration of 2026-11-20 04:00, accurate to 0.2\xa0%" in said(scale)
     assert "no meter was read" in said(scale)
-    assert "that of a meter at the motor's terminals" in said(scale | meter)
+    assert "from a meter at the motor's terminals" in said(scale | meter)
 
 
 @pytest.mark.exhaustive
@@ -413,7 +385,7 @@ def test_the_same_recordings_give_the_same_bytes(
 ) -> None:
     """Report and figures bear the date of the recordings, and no time of day.
 
-    To draw the figures anew takes more than a second, the resolution of a PDF's date.
+    Drawing the figures again takes more than a second, the resolution of a PDF's date.
     """
     pdf, folder = made
     again, other = typeset_with_figures(of_three, tmp_path)

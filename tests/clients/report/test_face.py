@@ -1,4 +1,4 @@
-"""What users import from `armrig.report`, which was one module before it became a room."""
+"""Public names of `armrig.report`, which was one module before it became a room."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import pytest
 
 
 def test_the_report_is_imported_from_the_room() -> None:
-    """`from armrig.report import …` gives what typesets a study, and its sentences."""
     from armrig.report import document, recording_facts, report, treatment
 
     assert report is document.report
@@ -14,7 +13,6 @@ def test_the_report_is_imported_from_the_room() -> None:
 
 
 def test_a_name_that_the_room_has_not_is_refused() -> None:
-    """A misspelt name is an AttributeError that says where it was looked for."""
     import armrig.report
 
     with pytest.raises(AttributeError, match=r"'armrig\.report' has no attribute 'raport'"):

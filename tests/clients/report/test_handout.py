@@ -1,4 +1,4 @@
-"""The handout's report: each assignment, in its order, in ten pages, with whatever there is."""
+"""The handout's report: each assignment, in its order, in ten pages, with any recordings."""
 
 from __future__ import annotations
 
@@ -34,8 +34,9 @@ from armrig_core.arm import ArmParameters
 from armrig_core.calibration import Calibration, Driver
 from armrig_core.errors import OperationError
 from armrig_core.manifest import Outcome
-from made_recordings import of_the_arm, written
-from pages import script
+
+from tests.clients.made_recordings import of_the_arm, written
+from tests.clients.pages import script
 
 ASSIGNMENTS = [
     *("2.1", "2.2", "2.3"),
@@ -88,7 +89,7 @@ def typeset_once(without: HandoutStudy, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture
 def only_values(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leave the figures undrawn and the report not typeset: its values alone are written."""
+    """Do not draw the figures nor typeset the report; write its values alone."""
     monkeypatch.setattr("armrig.report.handout.write_handout_figures", lambda *_: frozenset())
     monkeypatch.setattr("armrig.report.typesetting.compiled", lambda _: (b"", [("end", 1.0)]))
 
@@ -96,7 +97,6 @@ def only_values(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_every_assignment_has_its_section_in_order(
     without: HandoutStudy, done: HandoutStudy
 ) -> None:
-    """2.1 to 4.4, with recordings and without, each with an answer or what it lacks."""
     for study in (without, done):
         found = sections(study)
         assert list(found) == ASSIGNMENTS
@@ -105,7 +105,6 @@ def test_every_assignment_has_its_section_in_order(
 
 
 def test_physics_and_integrators_need_no_recording(without: HandoutStudy) -> None:
-    """Their numbers are those of the handout's parameters, and the answer begins with them."""
     found = sections(without)
 
     assert "1.8623 rad/s" in found["2.2"].answer[0]
@@ -115,7 +114,6 @@ def test_physics_and_integrators_need_no_recording(without: HandoutStudy) -> Non
 
 
 def test_what_lacks_a_recording_names_the_command(without: HandoutStudy) -> None:
-    """Ready to copy."""
     fill = {number: s.fill for number, s in sections(without).items() if s.lack}
 
     blackbox, greybox = "armrig collect blackbox --validation", "armrig collect greybox"
@@ -127,7 +125,6 @@ def test_what_lacks_a_recording_names_the_command(without: HandoutStudy) -> None
 
 
 def test_recordings_fill_what_they_can(done: HandoutStudy) -> None:
-    """A step and telegraphs fill all but the chassis' sections."""
     lacking = [number for number, s in sections(done).items() if s.lack]
 
     assert lacking == ["3.5", "3.6"]
@@ -135,7 +132,6 @@ def test_recordings_fill_what_they_can(done: HandoutStudy) -> None:
 
 
 def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
-    """Under the name and in the unit that its sentence says; made up, so that none is another's."""
     assert done.sampling is not None
     assert done.step is not None
     assert done.loop is not None
@@ -157,16 +153,15 @@ def test_each_answer_gives_its_own_figures(done: HandoutStudy) -> None:
     found = sections(replace(done, sampling=sampling, step=step, loop=loop))
 
     assert found["3.1"].answer == (
-        "A sampling time of 1\xa0ms is recommended. From a step response, the time to 63 % is "
-        "21.10 ± 0.40 ms (one standard deviation): ω_s = 20/τ gives 2 ms. By the spectrum, −3 dB "
-        "at 66 rad/s, it is 3 ms; 7 to 10 samples in the transient of 77 ms would be 4 to 5 ms. "
-        "The models below have 10\xa0ms.",
+        "The recommended sampling time is 1\xa0ms. From a step response, the time to 63 % is "
+        "21.10 ± 0.40 ms (one standard deviation). ω_s = 20/τ then corresponds to 2 ms. The "
+        "spectrum is at −3 dB at 66 rad/s, which corresponds to 3 ms. 7 to 10 samples in the "
+        "transient of 77 ms correspond to 4 to 5 ms. The models below use 10\xa0ms.",
     )
     assert "(F = 1.25 with 5 and 777 degrees of freedom)" in found["3.7"].answer[0]
 
 
-def test_what_does_not_stand_out_of_a_spectrum_is_none(done: HandoutStudy) -> None:
-    """And stands for no poles and no zeros."""
+def test_an_insignificant_extreme_of_a_spectrum_is_none(done: HandoutStudy) -> None:
     assert done.hints is not None
     hints = replace(done.hints, resonances=(31.0, 62.0), antiresonances=())
 
@@ -177,7 +172,6 @@ def test_what_does_not_stand_out_of_a_spectrum_is_none(done: HandoutStudy) -> No
 
 
 def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStudy) -> None:
-    """Coefficients with the classic deviation, the error, and both p values."""
     assert done.black is not None
     best = done.black.best
     d = best.fit.theta.size
@@ -198,15 +192,14 @@ def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStu
     assert (name, error, white, dynamics) == ("OE", "4\xa0mrad", "0.110", "0.330")
     assert theta.startswith(f"b1 = {fit.theta[0]:.3f} ± 0.010, b2 = ".replace("-", "−"))
     assert (
-        "off by 4\xa0mrad rms. It is estimated from 1459 of 1500 samples at 10\xa0ms"
+        "with an rms error of 4\xa0mrad. It is estimated from 1459 of 1500 samples at 10\xa0ms"
         in (found["3.3"].answer[0])
     )
     assert "The equation is that of the OE model" in found["3.3"].answer[1]
-    assert "its root at 1 is fixed" in found["3.3"].answer[1]
+    assert "Its root at 1 is fixed" in found["3.3"].answer[1]
 
 
 def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy) -> None:
-    """Every model has a row, the physics too; times are in ms."""
     assert done.black is not None
     table = sections(done)["3.4"].table
     assert table is not None
@@ -235,7 +228,6 @@ def test_the_comparison_has_each_characteristic_in_its_column(done: HandoutStudy
 def test_a_recording_without_its_arm_is_not_held_against_the_physics_in_silence(
     done: HandoutStudy,
 ) -> None:
-    """Both reports say that alpha rests; orders other than those of 3.2 are named in 3.3."""
     assert done.black is not None
     assert done.hints is not None
     *others, last = done.black.recordings
@@ -246,7 +238,7 @@ def test_a_recording_without_its_arm_is_not_held_against_the_physics_in_silence(
 
     with_arm, without_arm = sections(done), sections(replace(done, black=bare, hints=two))
 
-    resting = f"In {run_name(last)} alpha rests: the arm was off, or held. The physics has a moving"
+    resting = f"In {run_name(last)} alpha is constant: the arm was removed or held."
     assert resting in without_arm["3.4"].answer[0]
     assert resting in physics(bare)
     assert "It has nb = 4 and nf = 4, not the orders of 3.2" in without_arm["3.3"].answer[0]
@@ -255,7 +247,6 @@ def test_a_recording_without_its_arm_is_not_held_against_the_physics_in_silence(
 
 
 def test_a_recording_of_the_chassis_fills_its_sections(tmp_path: Path) -> None:
-    """J with its deviation and unit; no black-box model is estimated from it."""
     u = telegraph(1500, 0.05, seed=3)
     path = tmp_path / "chassis.mcap"
     script("experiments.py").record(path, u, 0.01, "greybox", 3, arm_removed=True)
@@ -275,8 +266,7 @@ def test_a_recording_of_the_chassis_fills_its_sections(tmp_path: Path) -> None:
     assert [row[0] for row in found["3.6"].table.rows] == ["1 part", "2 parts", "4 parts"]
 
 
-def test_data_that_say_nothing_are_told_in_their_section(tmp_path: Path) -> None:
-    """The report is made all the same, and gives the reason."""
+def test_data_without_information_are_reported_in_their_section(tmp_path: Path) -> None:
     short = written(tmp_path, of_the_arm(np.full(60, 2.0)), "short.mcap")
 
     study = handout_study([load(short)])
@@ -289,10 +279,7 @@ def test_data_that_say_nothing_are_told_in_their_section(tmp_path: Path) -> None
 def test_the_report_has_at_most_ten_pages(
     typeset_once: Path, without: HandoutStudy, tmp_path: Path
 ) -> None:
-    """Its cover included, and the same bytes for the same recordings.
-
-    With every recording that the handout asks for it is made in test_tutorial_page.py.
-    """
+    """With every recording that the handout requires it is made in test_tutorial_page.py."""
     again = handout_report(without, tmp_path / "2.pdf")
 
     assert 3 <= pages(typeset_once) <= MOST_PAGES
@@ -300,7 +287,6 @@ def test_the_report_has_at_most_ten_pages(
 
 
 def test_more_than_ten_pages_are_refused_with_the_longest_sections() -> None:
-    """Nothing is cut off in silence."""
     fits = [("cover", 1.0), ("2.1", 2.0), ("3.3", 5.0), ("end", 10.9)]
     check_length(fits)
 
@@ -309,7 +295,6 @@ def test_more_than_ten_pages_are_refused_with_the_longest_sections() -> None:
 
 
 def test_the_cover_has_the_handout_s_fields() -> None:
-    """Name and registration number for each of two students, and approval."""
     template = Path(armrig.__file__ or "").parent / "report" / TEMPLATE
 
     text = template.read_text(encoding="utf-8")
@@ -319,7 +304,6 @@ def test_the_cover_has_the_handout_s_fields() -> None:
 
 
 def test_changed_parameters_and_the_sinusoid_are_those_given() -> None:
-    """A sentence and a row for each case of 2.3, and the input of part 4."""
     cases = {"handout": ArmParameters(), "R_m=6.42": ArmParameters(R_m=6.42)}
 
     found = sections(handout_study(cases=cases, amplitude=1.5, omega=25.0))
@@ -337,7 +321,6 @@ def test_changed_parameters_and_the_sinusoid_are_those_given() -> None:
 def test_an_emulated_rig_is_named_on_the_cover(
     done: HandoutStudy, without: HandoutStudy, tmp_path: Path
 ) -> None:
-    """One line of the remarks; a report without such recordings says nothing of it."""
     emulated = msgspec.structs.replace(done.recordings[0].manifest, host={"port": "emulated"})
     first = replace(done.recordings[0], manifest=emulated)
     others = done.recordings[1:]
@@ -350,16 +333,15 @@ def test_an_emulated_rig_is_named_on_the_cover(
         return [text for text in found if "emulated" in text]
 
     assert remarks() == remarks(*others) == []
-    assert remarks(first) == ["The rig was emulated: these are no measurements of a real rig."]
+    assert remarks(first) == ["The rig was emulated: these are not measurements of a real rig."]
     assert remarks(first, *others) == [
-        f"The rig was emulated in {first.path.name}: these are no measurements of a real rig."
+        f"The rig was emulated in {first.path.name}: these are not measurements of a real rig."
     ]
 
 
 def test_different_calibrations_are_a_warning_on_the_cover(
     three: list[Recording], without: HandoutStudy, tmp_path: Path
 ) -> None:
-    """It names the recordings by calibration; a report whose recordings share one has none."""
     first, *others = three
     other = replace(first, calibration=Calibration(driver=Driver(gain=1.1)))
 
@@ -377,7 +359,6 @@ def test_different_calibrations_are_a_warning_on_the_cover(
 
 
 def test_a_step_beyond_the_limit_is_marked(without: HandoutStudy) -> None:
-    """And the errors say what they are relative to."""
     found = sections(without)
 
     for number, marked in (("4.1", 1), ("4.2", 1), ("4.3", 0), ("4.4", 1)):
@@ -391,7 +372,6 @@ def test_a_step_beyond_the_limit_is_marked(without: HandoutStudy) -> None:
 def test_the_source_gives_the_same_report_and_an_edited_one(
     typeset_once: Path, tmp_path: Path
 ) -> None:
-    """The folder contains all that the report is made of."""
     shutil.copytree(typeset_once.with_name("source"), tmp_path / "source")
     template = tmp_path / "source" / TEMPLATE
 
@@ -412,7 +392,6 @@ def test_the_source_gives_the_same_report_and_an_edited_one(
     ],
 )
 def test_a_source_reads_nothing_outside_its_folder(text: str, message: str, tmp_path: Path) -> None:
-    """The error names the file and the line."""
     (tmp_path / "secret.svg").write_text("<svg xmlns='http://www.w3.org/2000/svg'/>")
     folder = tmp_path / "source"
     folder.mkdir()
@@ -423,28 +402,27 @@ def test_a_source_reads_nothing_outside_its_folder(text: str, message: str, tmp_
 
 
 def test_a_link_out_of_the_source_is_refused(tmp_path: Path) -> None:
-    """Typst follows it: a folder of somebody else would put a file of ours into the report."""
+    """Typst would follow the link and put a file from elsewhere into the report."""
     (tmp_path / "secret").write_text("12345")
     folder = tmp_path / "source"
     folder.mkdir()
     (folder / TEMPLATE).write_text('#read("notes")')
     (folder / "notes").symlink_to(tmp_path / "secret")
 
-    with pytest.raises(OperationError, match="notes: a link that leads out of the folder"):
+    with pytest.raises(OperationError, match="notes: this link points out of the folder"):
         compiled(folder / TEMPLATE)
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("Nothing", "has no #mark of a section"),
-        ("#metadata(3) <place>", "a <place> there is not the template's"),
-        ('#metadata("abc") <place>', "a <place> there is not the template's"),
-        ('#metadata(("2.1", float.nan)) <place>', "a <place> there is not the template's"),
+        ("Nothing", "the #mark of each section is missing"),
+        ("#metadata(3) <place>", "somebody changed a <place> of the template"),
+        ('#metadata("abc") <place>', "somebody changed a <place> of the template"),
+        ('#metadata(("2.1", float.nan)) <place>', "somebody changed a <place> of the template"),
     ],
 )
 def test_marks_that_were_edited_are_named(text: str, message: str, tmp_path: Path) -> None:
-    """A student may have taken them away with a section."""
     (tmp_path / TEMPLATE).write_text(text)
 
     with pytest.raises(OperationError, match=message):
@@ -453,7 +431,6 @@ def test_marks_that_were_edited_are_named(text: str, message: str, tmp_path: Pat
 
 @pytest.mark.parametrize("text", ["K_m", "x_hat_1", "K__", "a_b_c.mcap"])
 def test_a_name_with_underlines_is_typeset(text: str, tmp_path: Path) -> None:
-    """In a reason, or as a file's: what follows the first one stands lower."""
     values = {"version": "1", "sections": [], "students": [], "recordings": []}
     values |= {"warnings": [], "remarks": [text], "notes": [f"#panic() {text}"]}
 
@@ -465,7 +442,7 @@ def test_a_name_with_underlines_is_typeset(text: str, tmp_path: Path) -> None:
 def test_ctrl_c_ends_a_compiler_that_never_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It sees no signal; a source may contain a loop."""
+    """Typst reacts to no signal, and a source may contain a loop."""
     threads, is_over = [], Event()
 
     def compile_for_ever(_: object) -> None:
@@ -484,8 +461,7 @@ def test_ctrl_c_ends_a_compiler_that_never_ends(
     assert threads != [main_thread()]
 
 
-def test_a_mistake_in_the_values_is_told_with_their_file(tmp_path: Path) -> None:
-    """And with its line there."""
+def test_a_mistake_in_the_values_is_reported_with_their_file(tmp_path: Path) -> None:
     (tmp_path / TEMPLATE).write_text('#let data = json("data.json")\n')
     (tmp_path / "data.json").write_text('{\n "a": 1\n "b": 2}\n')
 
@@ -496,7 +472,6 @@ def test_a_mistake_in_the_values_is_told_with_their_file(tmp_path: Path) -> None
 def test_a_folder_with_files_is_no_folder_for_a_source(
     without: HandoutStudy, tmp_path: Path
 ) -> None:
-    """Nothing of the student's is overwritten."""
     (tmp_path / "mine").write_text("mine")
 
     with pytest.raises(OperationError, match="contains files already; name a new folder"):
@@ -509,7 +484,6 @@ def test_a_folder_with_files_is_no_folder_for_a_source(
 def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
     three: list[Recording], without: HandoutStudy, tmp_path: Path
 ) -> None:
-    """Whatever their order; the cover says how many samples it has."""
     step, first, second = three
     stopped = replace(second, outcome=Outcome(outcome="stopped by root", samples=9, missing=0))
 
@@ -529,10 +503,9 @@ def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
 
 
 @pytest.mark.usefixtures("only_values")
-def test_the_notes_of_the_recordings_stand_on_the_cover(
+def test_the_notes_of_the_recordings_are_on_the_cover(
     three: list[Recording], without: HandoutStudy, tmp_path: Path
 ) -> None:
-    """With the run, the time and the author of each."""
     step, first, _ = three
     noted = replace(first, notes=(Note(t=1.5, text="#panic()", owner="Ada"),))
     source = tmp_path / "source"
@@ -548,10 +521,9 @@ def test_the_notes_of_the_recordings_stand_on_the_cover(
     ("lines", "reasons"),
     [(27, ["One line."]), (11, ["A line of many words. " * 100, "One line."])],
 )
-def test_no_line_of_reasons_stands_alone_on_the_last_page(
+def test_no_line_of_reasons_is_alone_on_the_last_page(
     lines: int, reasons: list[str], without: HandoutStudy, tmp_path: Path
 ) -> None:
-    """The last reasons stand with their figure though all but a line fit on the page before."""
     handout_report(without, tmp_path / "report.pdf", source=tmp_path / "source")
     values = json.loads((tmp_path / "source" / "data.json").read_text())
     *_, before, last = values["sections"]

@@ -41,7 +41,6 @@ def calibrated(r: Recording, date: str, figures: dict[str, Figure]) -> Recording
 
 
 def test_each_coefficient_has_its_two_deviations_in_their_columns(done: Study) -> None:
-    """The classic one, the robust one, and the physics' coefficient of the same name."""
     fit, d = done.best.fit, done.best.fit.theta.size
     fit = replace(fit, covariance=np.eye(d) * 0.01**2, covariance_robust=np.eye(d) * 0.03**2)
 
@@ -54,7 +53,7 @@ def test_each_coefficient_has_its_two_deviations_in_their_columns(done: Study) -
         assert row == [name, *(text.replace("-", "−") for text in expected)]
 
 
-def test_the_loss_and_the_criteria_are_told_by_their_names(done: Study) -> None:
+def test_the_loss_and_the_criteria_are_reported_by_their_names(done: Study) -> None:
     """FPE = loss (N + d)/(N - d), and AIC."""
     fit = replace(done.best.fit, loss=2.5e-5)
 
@@ -65,8 +64,7 @@ def test_the_loss_and_the_criteria_are_told_by_their_names(done: Study) -> None:
     assert f"AIC {fit.aic:.0f}".replace("-", "−") in said
 
 
-def test_each_p_value_stands_in_the_row_of_its_test(done: Study) -> None:
-    """A column a model."""
+def test_each_p_value_is_in_the_row_of_its_test(done: Study) -> None:
     arx, oe = done.estimated
     p = {"whiteness": 0.11, "ljung_box": 0.22, "missing_dynamics": 0.33, "feedback": 0.44}
     other = {"whiteness": 0.51, "ljung_box": 0.62, "missing_dynamics": 0.73, "feedback": 0.84}
@@ -82,7 +80,6 @@ def test_each_p_value_stands_in_the_row_of_its_test(done: Study) -> None:
 
 
 def test_the_fits_are_of_angle_and_rate_in_their_columns(done: Study) -> None:
-    """And the error between them in its unit."""
     best = done.best
     row = replace(best.comparison, fit_percent=99.5, rms_error=0.02, velocity_fit_percent=55.0)
 
@@ -91,8 +88,7 @@ def test_the_fits_are_of_angle_and_rate_in_their_columns(done: Study) -> None:
     assert told[0] == ["OE", "99.50\xa0%", "20\xa0mrad", "55\xa0%"]
 
 
-def test_the_facts_of_each_recording_stand_in_its_column(done: Study) -> None:
-    """Samples, length, range and what is missing, of the step and of both telegraphs."""
+def test_the_facts_of_each_recording_are_in_its_column(done: Study) -> None:
     rows = {name: values for name, *values in facts(done)}
 
     assert rows["experiment"] == ["step", "blackbox", "blackbox"]
@@ -102,12 +98,12 @@ def test_the_facts_of_each_recording_stand_in_its_column(done: Study) -> None:
     assert rows["missing samples"] == ["0", "0", "5"]
 
 
-def test_the_timing_of_a_recording_is_told_by_its_names() -> None:
-    """Jitter is of the device's clock, lateness of the host's."""
+def test_the_timing_of_a_recording_is_reported_by_its_names() -> None:
+    """Jitter is measured by the device's clock, lateness by the host's."""
     rows = dict(timing_rows([TIMING]))
 
     assert rows == {
-        "sampling time asked for": "10000\xa0µs",
+        "requested sampling time": "10000\xa0µs",
         "mean interval": "9999.50 µs",
         "standard deviation of the interval": "21\xa0µs",
         "shortest … longest interval": "9900 … 10200\xa0µs",
@@ -115,12 +111,11 @@ def test_the_timing_of_a_recording_is_told_by_its_names() -> None:
         "largest jitter": "5\xa0µs",
         "lateness p50, p99, p99.9": "11, 13, 14\xa0µs",
         "largest lateness": "15\xa0µs",
-        "missing samples, most in a row": "7, 6",
+        "missing samples, longest gap": "7, 6",
     }
 
 
-def test_what_all_recordings_share_is_told_of_the_one_that_estimates(done: Study) -> None:
-    """The step may be of another day, and of another device."""
+def test_shared_facts_are_those_of_the_estimation_recording(done: Study) -> None:
     step, *others = done.recordings
     other = replace(step, manifest=replace_device(step, "9999"))
 
@@ -136,8 +131,7 @@ def replace_device(r: Recording, uid: str) -> object:
     return msgspec.structs.replace(r.manifest, device={**r.manifest.device, "uid": uid})
 
 
-def test_of_two_calibrations_the_worse_is_told(done: Study) -> None:
-    """An angle is known no better than by the worse; one meter is none for the other's volt."""
+def test_the_worse_of_two_calibrations_is_reported(done: Study) -> None:
     step, first, second = done.recordings
     scale = "theta_1_rad_per_count"
     good = {scale: Figure(value=1e-4, std=1e-7), "driver_gain": Figure(value=1.0, std=1e-3)}
@@ -150,12 +144,11 @@ def test_of_two_calibrations_the_worse_is_told(done: Study) -> None:
             calibrated(second, "2026-11-20T04:00:00+01:00", b),
         )
         said = str(content(replace(done, recordings=recordings), [])["data"])
-        assert "of 2026-11-19 04:00 and of 2026-11-20 04:00, known to 0.5\xa0%" in said
+        assert "of 2026-11-19 04:00 and of 2026-11-20 04:00, accurate to 0.5\xa0%" in said
         assert "no meter was read" in said
 
 
 def test_how_much_of_the_estimation_data_is_hidden_is_a_percentage(done: Study) -> None:
-    """The validation data have another share."""
     share = 100 * done.estimation.missing / done.estimation.N
     assert f"{share:.1f}" != f"{100 * done.validation.missing / done.validation.N:.1f}"
 
@@ -165,7 +158,6 @@ def test_how_much_of_the_estimation_data_is_hidden_is_a_percentage(done: Study) 
 
 
 def test_the_abstract_counts_what_the_models_were_estimated_from(done: Study) -> None:
-    """And gives the best model's error and its distance from the physics."""
     best = replace(
         done.best,
         comparison=replace(done.best.comparison, rms_error=0.004),
@@ -174,13 +166,13 @@ def test_the_abstract_counts_what_the_models_were_estimated_from(done: Study) ->
 
     said = abstract(replace(done, estimated=(done.model("ARX"), best)))
 
-    assert said.startswith("From 1500 samples at 10\xa0ms an ARX and an OE model")
+    assert said.startswith("An ARX and an OE model")
+    assert "were estimated from 1500 samples at 10\xa0ms." in said
     assert "with an rms error of 4\xa0mrad" in said
     assert said.endswith("by a median of 2.5\xa0%.")
 
 
 def test_each_model_is_off_by_its_own_error(done: Study) -> None:
-    """The best first, whatever order they came in, over the time of the validation."""
     arx, oe = (
         replace(m, comparison=replace(m.comparison, rms_error=error))
         for m, error in zip(done.estimated, (0.03, 0.002), strict=True)
@@ -190,13 +182,12 @@ def test_each_model_is_off_by_its_own_error(done: Study) -> None:
     said = conclusions(replace(done, estimated=(arx, oe), reference=far))[0]
 
     assert said == (
-        "Simulated over 12 s that it has not seen, the OE model is off by 2\xa0mrad rms, the ARX "
-        "model by 30\xa0mrad, the physics of the handout by 50\xa0mrad."
+        "In a simulation of the 12 s of validation data the rms error is 2\xa0mrad (OE), "
+        "30\xa0mrad (ARX), 50\xa0mrad (the physics of the handout)."
     )
 
 
 def test_the_jitter_is_that_of_the_validation(done: Study) -> None:
-    """Three recordings have three deviations."""
     timing = tuple(replace(TIMING, std_us=std) for std in (101.0, 202.0, 303.0))
 
     said = " ".join(conclusions(replace(done, timing=timing)))
@@ -217,7 +208,6 @@ def test_the_jitter_is_that_of_the_validation(done: Study) -> None:
 def test_the_verdict_on_residuals_says_where_to_look(
     done: Study, white: float, free: float, ending: str
 ) -> None:
-    """Noise model or dynamics; only what chance may do is called chance."""
     judged = with_tests(done.best, whiteness=white, missing_dynamics=free)
 
     said = conclusions(replace(done, estimated=(judged,)))[1]

@@ -1,4 +1,4 @@
-"""A daemon that refuses for the moment only: the client asks again, and gives up in time."""
+"""A daemon that refuses for the moment: the client repeats the request, and gives up in time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from armrig.rig import client as rig_module
 from armrig.rig.client import Rig
 from armrig.rig.replies import BusyError, RefusedError
 from armrig_core import commands
-from fake_daemon import FakeDaemon
+
+from tests.clients.fake_daemon import FakeDaemon
 
 BUSY = "too many commands are waiting: try again"
 
@@ -36,7 +37,7 @@ class BusyDaemon(FakeDaemon):
 
 
 class Clock:
-    """Passes only while somebody sleeps."""
+    """Clock that advances only in sleep."""
 
     def __init__(self) -> None:
         self.now_s = 0.0
@@ -56,7 +57,6 @@ def daemon(tmp_path: Path) -> Iterator[BusyDaemon]:
 
 
 def test_a_run_goes_on_while_the_daemon_has_no_time_for_its_client(daemon: BusyDaemon) -> None:
-    """Each look that is refused is followed by another; signs are given all the while."""
     daemon.busy = {"status": 4, "renew": 1}
 
     with Rig(connect=daemon.endpoint) as rig:
@@ -70,7 +70,6 @@ def test_a_run_goes_on_while_the_daemon_has_no_time_for_its_client(daemon: BusyD
 
 
 def test_arming_waits_for_what_passes_by_itself(daemon: BusyDaemon) -> None:
-    """A rig that was plugged in a moment ago has its first sample soon."""
     daemon.busy = {"arm": 3}
 
     with Rig(connect=daemon.endpoint) as rig:
@@ -82,7 +81,7 @@ def test_arming_waits_for_what_passes_by_itself(daemon: BusyDaemon) -> None:
 def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(
     daemon: BusyDaemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A stall between two reports of the timing spoils both: the next is two seconds away."""
+    """A stall between two reports of the timing spoils both; the next is two seconds later."""
     clock = Clock()
     monkeypatch.setattr(rig_module, "time", clock)
     daemon.is_busy = lambda: clock.now_s < 2.4
@@ -97,7 +96,6 @@ def test_arming_outlasts_two_seconds_of_a_daemon_s_timing(
 
 
 def test_a_look_and_a_reset_wait_for_a_flood_of_others(daemon: BusyDaemon) -> None:
-    """Their questions use up what is answered each second; a second has many tries."""
     daemon.busy = {"status": 3, "reset": 3}
 
     with Rig(connect=daemon.endpoint) as rig:
@@ -108,7 +106,6 @@ def test_a_look_and_a_reset_wait_for_a_flood_of_others(daemon: BusyDaemon) -> No
 
 
 def test_a_calibration_waits_for_what_passes_by_itself(daemon: BusyDaemon, tmp_path: Path) -> None:
-    """A daemon that has no time for it now has time for it soon."""
     daemon.busy = {"calibrate": 3}
     file = tmp_path / "calibration.toml"
     file.write_text("[theta_1]\nrad_per_count = 1e-4\n")
@@ -122,7 +119,6 @@ def test_a_calibration_waits_for_what_passes_by_itself(daemon: BusyDaemon, tmp_p
 
 @pytest.mark.exhaustive
 def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
-    """The reason is the daemon's; what does not pass by itself is told at once."""
     daemon.busy = {"arm": 1_000_000}
 
     with Rig(connect=daemon.endpoint) as rig:
@@ -140,13 +136,11 @@ def test_arming_gives_up_in_time(daemon: BusyDaemon) -> None:
 
 
 def test_a_reset_says_whether_something_was_latched(daemon: BusyDaemon) -> None:
-    """As the daemon answers."""
     with Rig(connect=daemon.endpoint) as rig:
         assert rig.reset() is True
 
 
 def test_a_run_whose_client_is_refused_for_good_is_stopped(daemon: BusyDaemon) -> None:
-    """The run has begun by then: whatever ends the wait stops the rig."""
     daemon.refusals["status"] = "not for you"
 
     with Rig(connect=daemon.endpoint) as rig:

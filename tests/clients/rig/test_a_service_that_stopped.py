@@ -1,4 +1,4 @@
-"""A service of this machine that died or was restarted: each client says so, and what to type."""
+"""A service of this machine that died or was restarted: each client reports it with the remedy."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ import zenoh
 from armrig.cli import main
 from armrig.dashboard.feed import Feed
 from armrig.dashboard.serving import Listener
-from armrig.rig import client, remote_recorder, session, telemetry_stream
+from armrig.rig import client, remote_recording, session, telemetry_stream
 from armrig.rig.client import Rig
 from armrig.rig.collection import collect
-from armrig.rig.remote_recorder import RemoteRecorder
-from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecording
+from armrig.rig.remote_recording import STARTED_ANEW, RemoteRecorder, RemoteRecording
 from armrig.rig.remote_source import Piece
 from armrig.rig.replies import Progress
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.commands import StatusReport
 from armrig_core.endpoint import endpoint
 from armrig_core.history import Past
-from fake_daemon import FakeDaemon, step_plan
-from processes import wait_for
+
+from tests.clients.fake_daemon import FakeDaemon, step_plan
+from tests.integration.processes import wait_for
 
 SAID = (
     "the service of rig 1 has stopped; `systemctl status armrigd@1`; what was recorded is in "
@@ -97,8 +97,7 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Service]:
             service.held.clear()
 
 
-def test_a_program_is_told_on_its_open_connection_and_on_a_new_one(service: Service) -> None:
-    """In Python; another rig of the machine, which is no service, has the hint of before."""
+def test_a_program_is_notified_on_its_open_connection_and_on_a_new_one(service: Service) -> None:
     with Rig() as rig:
         service.die()
         with pytest.raises(NoReplyError) as here:
@@ -114,7 +113,7 @@ def test_a_program_is_told_on_its_open_connection_and_on_a_new_one(service: Serv
 def test_an_answer_that_never_comes_is_no_refusal(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A service that dies over a question: zenoh's word for it, Timeout, is no daemon's."""
+    """The word Timeout is zenoh's, not a daemon's."""
     monkeypatch.setattr(client, "REPLY_S", 0.1)
     service.is_silent = True
 
@@ -132,7 +131,6 @@ def test_each_command_says_so(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Where the service is gone before it is asked."""
     monkeypatch.chdir(tmp_path)
     service.die()
 
@@ -140,8 +138,7 @@ def test_each_command_says_so(
     assert capsys.readouterr().err == f"armrig: {SAID}\n"
 
 
-def test_who_listens_is_told(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By `armrig watch`, or a program."""
+def test_a_listener_is_notified(service: Service, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
     with Rig() as rig:
         service.die()
@@ -151,10 +148,9 @@ def test_who_listens_is_told(service: Service, monkeypatch: pytest.MonkeyPatch) 
     assert str(told.value) == SAID
 
 
-def test_who_collects_is_told_how_the_run_ended_too(
+def test_a_collection_reports_the_end_of_the_run_too(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the service could still say it."""
     monkeypatch.setattr(client, "REPLY_S", 0.1)
     service.outcome, service.dies_with_its_run = "the daemon was ended", True
 
@@ -168,7 +164,6 @@ def test_who_collects_is_told_how_the_run_ended_too(
 
 
 def test_the_dashboard_says_so(service: Service) -> None:
-    """On its page, until the service is there again."""
     feed = Feed()
     listener = Listener(feed, rig="1", connect=None, found=lambda: None)
     service.die()
@@ -181,7 +176,7 @@ def test_the_dashboard_says_so(service: Service) -> None:
 
 
 class _Source:
-    """What a recorder asks: silent, then started anew; the third answer ends the recorder."""
+    """Source of a recorder: silent, then restarted; the third answer ends the recorder."""
 
     def __init__(self, ended: threading.Event) -> None:
         self._ended, self._asked = ended, 0
@@ -196,12 +191,11 @@ class _Source:
 
 
 @pytest.mark.parametrize("is_long", [True, False])
-def test_who_records_is_told_and_goes_on(
+def test_a_recorder_is_notified_and_goes_on(
     service: Service, is_long: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Once, whether or not it took long until the service was there again."""
-    monkeypatch.setattr(remote_recorder, "_ASK_S", 0.0)
-    monkeypatch.setattr(remote_recorder, "_SILENCE_S", 0.0 if is_long else 60.0)
+    monkeypatch.setattr(remote_recording, "_QUERY_INTERVAL_S", 0.0)
+    monkeypatch.setattr(remote_recording, "_MAX_SILENCE_S", 0.0 if is_long else 60.0)
     told: list[str] = []
     recording = RemoteRecording(
         path=tmp_path / "a.mcap", rig="1", endpoint=service.endpoint, tell=told.append

@@ -1,4 +1,4 @@
-"""A rig through its daemon: what is asked, what comes back, and what a person is told."""
+"""A rig through its daemon: requests, answers and messages."""
 
 from __future__ import annotations
 
@@ -25,15 +25,16 @@ from armrig.rig.telemetry_stream import decoded, stream
 from armrig_core import commands, protobuf, telemetry
 from armrig_core.endpoint import endpoint, socket_directory
 from armrig_core.rehearsal import Rehearsal
-from fake_daemon import FakeDaemon
-from made_recordings import sample
+
+from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.made_recordings import sample
 
 ALIVE = """
 import sys, time
 sys.path.insert(0, sys.argv[1])
 from armrig_core import telemetry
-from fake_daemon import FakeDaemon
-from made_recordings import sample
+from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.made_recordings import sample
 with FakeDaemon(sys.argv[2]) as daemon:
     print("up", flush=True)
     for k in range(10_000):
@@ -43,7 +44,6 @@ with FakeDaemon(sys.argv[2]) as daemon:
 
 
 def test_a_service_finds_its_socket_where_systemd_says() -> None:
-    """RUNTIME_DIRECTORY, then the login's, then the temporary directory."""
     both = {"RUNTIME_DIRECTORY": "/run/armrig:/run/b", "XDG_RUNTIME_DIR": "/run/user/7"}
 
     service = socket_directory(both, uid=7, temporary="/tmp")
@@ -65,19 +65,16 @@ def test_a_socket_path_that_is_too_long_is_refused_with_a_way_out() -> None:
 
 @pytest.mark.parametrize("rig", ["", "Arm", "../1", "a b", "*"])
 def test_a_rig_id_that_cannot_be_a_key_is_refused(rig: str) -> None:
-    """Before anything is opened."""
     with pytest.raises(ValueError, match="a-z, 0-9 and -"):
         Rig(rig)
 
 
 def test_status_comes_back_as_it_was_sent(daemon: FakeDaemon, where: str) -> None:
-    """Every field of the report."""
     with Rig("1", connect=where) as rig:
         assert rig.status() == daemon.status()
 
 
 def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, where: str) -> None:
-    """Lease, counter, input and details go out; progress and the finished path come back."""
     seen: list[tuple[int, int]] = []
     with Rig("1", connect=where) as rig:
         rig.arm("me", Ts=0.02)
@@ -101,13 +98,12 @@ def test_a_run_is_sent_whole_and_waited_for(daemon: FakeDaemon, where: str) -> N
 def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(
     daemon: FakeDaemon, where: str
 ) -> None:
-    """One after each look, each with a greater number; a refusal is the end of the run."""
     daemon.polls_per_run = 4
     with Rig("1", connect=where) as rig:
         rig.arm("me")
         rig.run([1.0, 2.0], dead_man=2.0)
         rig.arm("me")
-        daemon.refusals["renew"] = "no run of this lease is in hand"
+        daemon.refusals["renew"] = "no run of this lease is planned or running"
         rig.run([1.0, 2.0], dead_man=2.0)
 
     first = [r for r in daemon.asked if isinstance(r, commands.Leased)][:4]
@@ -121,7 +117,6 @@ def test_a_run_with_a_dead_man_gives_signs_while_it_is_waited_for(
 def test_the_daemon_s_rehearsal_is_handed_over_before_the_run_is_waited_for(
     daemon: FakeDaemon, where: str
 ) -> None:
-    """So that who sees it can still stop."""
     daemon.rehearsal = Rehearsal(revolutions=3.5, alpha_rad=0.2, turned_rad=21.0)
     seen: list[Any] = []
     with Rig("1", connect=where) as rig:
@@ -133,7 +128,6 @@ def test_the_daemon_s_rehearsal_is_handed_over_before_the_run_is_waited_for(
 
 
 def test_each_command_of_a_lease_has_a_greater_number(daemon: FakeDaemon, where: str) -> None:
-    """The daemon refuses what is not newer; leaving the block gives the rig back."""
     with Rig("1", connect=where) as rig:
         rig.arm("me")
         rig.set(1.0)
@@ -145,7 +139,6 @@ def test_each_command_of_a_lease_has_a_greater_number(daemon: FakeDaemon, where:
 
 
 def test_stop_and_reset_need_no_lease(daemon: FakeDaemon, where: str) -> None:
-    """Anybody may stop the motor."""
     with Rig("1", connect=where) as rig:
         rig.stop()
         rig.reset()
@@ -153,8 +146,7 @@ def test_stop_and_reset_need_no_lease(daemon: FakeDaemon, where: str) -> None:
     assert daemon.names() == ["stop", "reset"]
 
 
-def test_who_stops_a_rig_is_named(daemon: FakeDaemon, where: str) -> None:
-    """The owner, or who is said to, or this user: the recording will say it."""
+def test_the_sender_of_a_stop_is_named(daemon: FakeDaemon, where: str) -> None:
     with Rig("1", connect=where) as rig:
         rig.stop()
         rig.arm("a student")
@@ -165,8 +157,7 @@ def test_who_stops_a_rig_is_named(daemon: FakeDaemon, where: str) -> None:
     assert stops == [getpass.getuser(), "a student", "the teacher"]
 
 
-def test_who_writes_a_note_is_named(daemon: FakeDaemon, where: str) -> None:
-    """The owner, or the author that is given, or this user; no lease is needed."""
+def test_the_author_of_a_note_is_named(daemon: FakeDaemon, where: str) -> None:
     with Rig("1", connect=where) as rig:
         assert rig.note("the belt was changed")
         rig.arm("a student")
@@ -183,7 +174,6 @@ def test_who_writes_a_note_is_named(daemon: FakeDaemon, where: str) -> None:
 
 @pytest.mark.parametrize("text", ["", " ", "\x1b[2J", "a\nb", "x" * 10_000])
 def test_a_note_that_is_not_allowed_is_not_sent(daemon: FakeDaemon, where: str, text: str) -> None:
-    """A network would drop the longest, and nobody would answer."""
     with Rig("1", connect=where) as rig, pytest.raises(ValueError, match=r"500"):
         rig.note(text)
 
@@ -193,7 +183,6 @@ def test_a_note_that_is_not_allowed_is_not_sent(daemon: FakeDaemon, where: str, 
 def test_a_daemon_that_is_older_than_notes_is_named_in_a_line(
     daemon: FakeDaemon, where: str
 ) -> None:
-    """It serves no schema of the command."""
     daemon.refusals["note"] = "command 'note': allowed are arm, disarm"
 
     with Rig("1", connect=where) as rig, pytest.raises(RefusedError) as refused:
@@ -206,7 +195,6 @@ def test_a_daemon_that_is_older_than_notes_is_named_in_a_line(
 def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One of an earlier version refuses the field: the stop is repeated without it."""
     carry_out = daemon._carry_out
 
     def earlier(request: commands.Request) -> Any:
@@ -225,7 +213,6 @@ def test_a_daemon_that_takes_no_name_is_stopped_all_the_same(
 def test_a_stop_that_is_not_confirmed_is_no_stop(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch, answer: Any
 ) -> None:
-    """Whatever else answers on that key: the person has to pull the plug."""
     monkeypatch.setattr(daemon, "_carry_out", lambda _: answer)
 
     with Rig("1", connect=where) as rig, pytest.raises(RigError, match="the answer to 'stop'"):
@@ -233,7 +220,6 @@ def test_a_stop_that_is_not_confirmed_is_no_stop(
 
 
 def test_without_arming_nothing_is_sent(daemon: FakeDaemon, where: str) -> None:
-    """It says what to do."""
     with Rig("1", connect=where) as rig, pytest.raises(RefusedError, match=r"call arm\(owner\)"):
         rig.run([1.0])
 
@@ -243,7 +229,6 @@ def test_without_arming_nothing_is_sent(daemon: FakeDaemon, where: str) -> None:
 def test_a_voltage_outside_the_rig_s_never_leaves_the_client(
     daemon: FakeDaemon, where: str
 ) -> None:
-    """The first index is named; nothing is clamped, nothing is sent."""
     with Rig("1", connect=where) as rig:
         rig.arm("me")
         with pytest.raises(ValueError, match=r"u\[1\] = 5.5 V is outside 0 … 5 V"):
@@ -257,7 +242,6 @@ def test_a_voltage_outside_the_rig_s_never_leaves_the_client(
 def test_a_voltage_outside_what_was_granted_never_leaves_the_client(
     daemon: FakeDaemon, where: str
 ) -> None:
-    """A rig may allow less than 0 to 5 V."""
     daemon.limits_v = (0.5, 4.5)
     with Rig("1", connect=where) as rig:
         rig.arm("me")
@@ -273,7 +257,6 @@ def test_a_voltage_outside_what_was_granted_never_leaves_the_client(
 def test_an_input_that_is_no_row_of_voltages_is_refused(
     u: Any, daemon: FakeDaemon, where: str
 ) -> None:
-    """It is not ravelled: nobody knows in which order it was meant."""
     with Rig("1", connect=where) as rig:
         rig.arm("me")
         with pytest.raises(ValueError, match=r"u has shape \(.*\), it must be \(N,\)"):
@@ -285,7 +268,6 @@ def test_an_input_that_is_no_row_of_voltages_is_refused(
 def test_a_run_whose_answer_was_lost_is_stopped(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C while the answer is under way: it may have begun."""
     with Rig("1", connect=where) as rig:
         rig.arm("me")
         ask = rig._ask
@@ -303,8 +285,7 @@ def test_a_run_whose_answer_was_lost_is_stopped(
     assert daemon.names() == ["arm", "run", "stop"]
 
 
-def test_a_refusal_is_told_in_the_daemons_words(daemon: FakeDaemon, where: str) -> None:
-    """What the daemon alone can know."""
+def test_a_refusal_is_reported_in_the_daemons_words(daemon: FakeDaemon, where: str) -> None:
     with Rig("1", connect=where) as rig:
         rig.arm("me")
         with pytest.raises(RefusedError, match="experiment"):
@@ -312,7 +293,6 @@ def test_a_refusal_is_told_in_the_daemons_words(daemon: FakeDaemon, where: str) 
 
 
 def test_a_run_that_ends_early_says_why_and_where(daemon: FakeDaemon, where: str) -> None:
-    """The recording is named: it holds what there was."""
     daemon.outcome = "no answer from the device for 60 ms"
     with Rig("1", connect=where) as rig:
         rig.arm("me")
@@ -324,8 +304,6 @@ def test_a_run_that_ends_early_says_why_and_where(daemon: FakeDaemon, where: str
 
 
 def test_ctrl_c_during_a_run_stops_the_rig(daemon: FakeDaemon, where: str) -> None:
-    """The motor must not go on without the one who asked for it."""
-
     def interrupted(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
@@ -337,8 +315,7 @@ def test_ctrl_c_during_a_run_stops_the_rig(daemon: FakeDaemon, where: str) -> No
     assert daemon.names() == ["arm", "run", "stop"]
 
 
-def test_nobody_at_the_endpoint_is_told_with_what_to_do(where: str) -> None:
-    """One line: not running, or not permitted."""
+def test_an_endpoint_without_a_daemon_is_reported_with_the_way_out(where: str) -> None:
     with (
         pytest.raises(NoReplyError, match="not running, or not permitted") as caught,
         Rig("1", connect=where),
@@ -350,25 +327,25 @@ def test_nobody_at_the_endpoint_is_told_with_what_to_do(where: str) -> None:
 
 
 def test_a_daemon_of_another_rig_does_not_reply(daemon: FakeDaemon, where: str) -> None:
-    """The endpoint is there, the rig is not."""
     with Rig("2", connect=where) as rig, pytest.raises(NoReplyError, match="rig 2"):
         rig.status()
 
 
-def test_an_endpoint_that_is_none_is_told_so() -> None:
-    """With an example of one."""
-    with pytest.raises(RigError, match="no zenoh endpoint, such as"), Rig("1", connect="nonsense"):
+def test_an_endpoint_that_is_none_is_reported() -> None:
+    with (
+        pytest.raises(RigError, match="not a zenoh endpoint, such as"),
+        Rig("1", connect="nonsense"),
+    ):
         pass
 
 
 def test_a_rig_is_used_in_a_with_block(where: str) -> None:
-    """Otherwise its session would never be closed."""
+    """Otherwise the session would never be closed."""
     with pytest.raises(RigError, match="with block"):
         Rig("1", connect=where).status()
 
 
 def test_live_samples_arrive_in_order(daemon: FakeDaemon, where: str) -> None:
-    """As samples, bit for bit."""
     with Rig("1", connect=where) as rig, daemon.session.declare_publisher("rig/1/sample") as out:
         samples = rig.stream("sample")
         _first(samples, out)
@@ -382,13 +359,12 @@ def test_live_samples_arrive_in_order(daemon: FakeDaemon, where: str) -> None:
 
 
 def test_a_stream_ends_when_its_daemon_goes(daemon: FakeDaemon, where: str) -> None:
-    """A listener does not wait for ever."""
     with Rig("1", connect=where) as rig, daemon.session.declare_publisher("rig/1/sample") as out:
         samples = rig.stream("sample")
         _first(samples, out)
         daemon.alive.undeclare()
 
-        with pytest.raises(NoReplyError, match="went away"):
+        with pytest.raises(NoReplyError, match="stopped"):
             for _ in samples:
                 pass
 
@@ -397,12 +373,8 @@ def test_a_stream_ends_when_its_daemon_goes(daemon: FakeDaemon, where: str) -> N
 def test_a_stream_ends_when_the_process_of_its_daemon_does(
     number: signal.Signals, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Killed or ended in order: its last word may not arrive, so silence is looked into.
-
-    One that stands still is not alive either: that it does not answer in time is no answer.
-    """
     is_alive = telemetry_stream._is_alive
-    program = [sys.executable, "-c", ALIVE, str(Path(__file__).parents[1]), where]
+    program = [sys.executable, "-c", ALIVE, str(Path(__file__).parents[3]), where]
     with subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as daemon:
         assert daemon.stdout is not None
         assert daemon.stdout.readline() == b"up\n"
@@ -410,7 +382,7 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
         assert next(samples).k >= 0
         with open_session(where, rig="1") as session, monkeypatch.context() as patched:
             was_alive = is_alive(session, "1")
-            patched.setattr(telemetry_stream, "_LOOK_S", 0.1)
+            patched.setattr(telemetry_stream, "_LOOK_TIMEOUT_S", 0.1)
             daemon.send_signal(signal.SIGSTOP)
             os.waitid(os.P_PID, daemon.pid, os.WSTOPPED)  # until its last thread stands still
             stood_alive = is_alive(session, "1")
@@ -419,7 +391,7 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
         daemon.wait()
         assert (was_alive, stood_alive) == (True, False)
 
-        with pytest.raises(NoReplyError, match="went away"):
+        with pytest.raises(NoReplyError, match="stopped"):
             for _ in samples:
                 pass
 
@@ -427,7 +399,6 @@ def test_a_stream_ends_when_the_process_of_its_daemon_does(
 def test_silence_of_a_living_daemon_is_waited_through(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An event may come after hours."""
     monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
     looked = threading.Event()
     is_alive = telemetry_stream._is_alive
@@ -452,22 +423,19 @@ def test_silence_of_a_living_daemon_is_waited_through(
 def test_a_stream_of_a_rig_that_is_not_there_ends(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Somebody answers at the endpoint, and no daemon of this rig: silence is looked into."""
     monkeypatch.setattr(telemetry_stream, "SILENCE_S", 0.0)
 
-    with pytest.raises(NoReplyError, match="rig 2: its daemon went away"):
+    with pytest.raises(NoReplyError, match="rig 2: its daemon stopped"):
         next(stream("rig/2/sample", connect=where))
 
 
 @pytest.mark.parametrize("key", ["rig/1", "rig/1/nothing", "rig/../sample", "sample"])
 def test_a_key_that_is_no_stream_is_refused(key: str) -> None:
-    """Before a session is opened."""
     with pytest.raises(ValueError, match=r"key|a-z"):
         next(stream(key))
 
 
 def test_messages_of_later_versions_are_understood() -> None:
-    """A sample with a field more, and a state, through the protobuf library."""
     later = telemetry.encode_sample(sample(5)) + b"\x79" + bytes(8)
     state = protobuf.message_class(protobuf.STATE)(phase="safe")
 
@@ -476,7 +444,6 @@ def test_messages_of_later_versions_are_understood() -> None:
 
 
 def test_an_angle_that_an_earlier_daemon_does_not_send_is_not_0_rad() -> None:
-    """What a sample or a report lacks is not known."""
     sent = protobuf.message_class(protobuf.SAMPLE)(**sample(5)._asdict())
     sent.ClearField("alpha_rad")
 
@@ -505,7 +472,7 @@ def _first(samples: Iterator[telemetry.Sample], out: zenoh.Publisher) -> None:
 
 
 def test_a_long_run_may_be_looked_at_for_longer() -> None:
-    """It is read, checked and rehearsed before it is answered: a second a million and more."""
+    """The daemon reads, checks and rehearses the run first: a second per million and more."""
     short, long = (
         longest_reply_s(commands.Run(lease="a" * 32, n=1, u=[1.0] * n)) for n in (1, 1_000_000)
     )

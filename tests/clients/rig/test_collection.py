@@ -1,4 +1,4 @@
-"""How a collection ends, and what is said of one that somebody has ended."""
+"""End of a collection, and the message after an interruption."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from armrig.rig.replies import Progress, RunEndedError
 from armrig.rig.session import NoReplyError
 from armrig_core.codes import OutcomeCode
 from armrig_core.commands import Arm, LastRun, Run, Status, StatusReport
-from fake_daemon import FakeDaemon, step_plan
 from msgspec.structs import replace
+
+from tests.clients.fake_daemon import FakeDaemon, step_plan
 
 NEW = LastRun(run_id="new", recording="new.mcap", finished=True, samples=7, outcome="stopped")
 OLD = LastRun(run_id="old", recording="old.mcap", finished=True, samples=9, outcome="complete")
@@ -30,18 +31,17 @@ OLD = LastRun(run_id="old", recording="old.mcap", finished=True, samples=9, outc
     [
         (None, None, "nothing was recorded"),
         (OLD, OLD, "nothing was recorded"),
-        (OLD, NEW, "the 7 samples until then are in new.mcap"),
-        (None, NEW, "the 7 samples until then are in new.mcap"),
+        (OLD, NEW, "the 7 samples before the stop are in new.mcap"),
+        (None, NEW, "the 7 samples before the stop are in new.mcap"),
     ],
 )
-def test_an_interrupted_run_is_told_with_its_own_recording(
+def test_an_interrupted_run_is_reported_with_its_own_recording(
     before: LastRun | None, last: LastRun | None, said: str
 ) -> None:
-    """The newest recording may be one of an earlier run."""
     rig: Any = SimpleNamespace(rig="1", status=lambda: SimpleNamespace(last_run=last))
 
     assert _interrupted_sentence(rig, before) == (
-        f"interrupted: rig 1 was told to stop (0 V); {said}"
+        f"interrupted: a stop (0 V) was sent to rig 1; {said}"
     )
 
 
@@ -64,7 +64,6 @@ class _SlowDisk(FakeDaemon):
 
 
 def test_a_collection_ends_with_the_last_sample_that_there_is(where: str) -> None:
-    """Then its progress is whole, though samples are missing, and the motor is at rest."""
     shown: list[tuple[int, int]] = []
 
     @contextmanager
@@ -108,7 +107,6 @@ class _CutOff(FakeDaemon):
 
 
 def test_a_daemon_that_ends_during_a_run_leaves_what_it_had_recorded(where: str) -> None:
-    """The message says how far the run was, where the recording is, and how to repeat it."""
     plan = step_plan("Ada", seconds=3.0)
     with _CutOff(where), pytest.raises(NoReplyError) as told:
         collect(plan, rig="1", connect=where, tell=print, shown=_unseen)
@@ -122,7 +120,6 @@ def test_a_daemon_that_ends_during_a_run_leaves_what_it_had_recorded(where: str)
 
 
 def test_a_recording_is_named_once_where_a_run_ended_early(where: str) -> None:
-    """What became of its file may be said in the daemon's own words."""
     with FakeDaemon(where) as daemon:
         daemon.outcome = "the disk is full; /nowhere/run.mcap is whole up to there"
         daemon.code = OutcomeCode.RECORDING
@@ -145,14 +142,13 @@ def test_a_recording_is_named_once_where_a_run_ended_early(where: str) -> None:
     ],
 )
 def test_a_run_is_complete_by_its_code(code: str, outcome: str, is_complete: bool) -> None:
-    """And by its sentence where a daemon of 0.1.0 sends no code."""
+    """A daemon of 0.1.0 sends no code; its sentence decides."""
     last = replace(NEW, code=code, outcome=outcome)
 
     assert last.is_complete == is_complete
 
 
 def test_a_client_of_yesterday_reads_a_run_of_today() -> None:
-    """A run that was complete says so where it looks."""
     yesterday = msgspec.defstruct("LastRun", [("run_id", str), ("outcome", str)], frozen=True)
     told = msgspec.json.encode(replace(NEW, code=OutcomeCode.COMPLETE, outcome="complete"))
 

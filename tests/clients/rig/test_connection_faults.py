@@ -1,4 +1,4 @@
-"""Who is not connected over a network is told why, by what really listens there."""
+"""A failed connection over a network has a reason, found by the program that listens."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def _listening(rig: Path, protocol: str = "tls", **tls: Any) -> Iterator[int]:
 
 
 def _told(made: Path, port: int, host: str = "localhost") -> str:
-    """Return what an operator is told whom nobody lets in."""
+    """Return the message to an operator whom the daemon refuses."""
     where = f"tls/{host}:{port}"
     with pytest.raises(NoReplyError) as refused:
         Rig("1", connect=where, certificate=made / "alice.pem").__enter__()
@@ -60,38 +60,35 @@ def _told(made: Path, port: int, host: str = "localhost") -> str:
 
 
 def test_where_nobody_listens_the_daemon_is_named(made: Path) -> None:
-    """It may not run, or not be open to the network."""
     port = _port()
 
     assert _told(made, port) == (
-        f"nobody listens at port {port} of localhost: see that armrigd runs, with [access], "
+        f"nobody listens at port {port} of localhost: check that armrigd runs, with [access], "
         "or `armrig router`"
     )
 
 
 def test_a_host_that_there_is_not_is_named(made: Path) -> None:
-    """As it was typed."""
-    assert _told(made, 7447, "lab.invalid") == "there is no host lab.invalid: see how it is spelt"
+    assert _told(made, 7447, "lab.invalid") == "there is no host lab.invalid: check its spelling"
 
 
-def test_a_name_that_is_not_in_the_certificate_is_told(made: Path) -> None:
-    """With what makes one that has it."""
+def test_a_name_that_is_not_in_the_certificate_is_reported(made: Path) -> None:
     with _listening(made / "rig-1.pem") as port:
         assert _told(made, port, "127.0.0.1").endswith("`armrig pki rig ID --host 127.0.0.1`")
 
 
 def test_another_authority_s_rig_is_no_rig_of_ours(made: Path, tmp_path: Path) -> None:
-    """Whatever its name is."""
     pki.make_authority(tmp_path / "other")
     rig = pki.issue_to_rig(tmp_path / "other", "1", ["localhost"]).path
     with _listening(rig) as port:
         assert "not of the authority that signed yours" in _told(made, port)
 
 
-def test_a_rig_whose_time_is_over_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """That it is its certificate, and not ours."""
+def test_a_rig_s_expired_certificate_is_reported(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     good = (made / "rig-1.pem").read_bytes()
-    monkeypatch.setattr(pki, "_BEFORE", timedelta(days=10))
+    monkeypatch.setattr(pki, "_CLOCK_TOLERANCE", timedelta(days=10))
     old = pki.issue_to_rig(made, "1", ["localhost"], days=-1, force=True).path.read_bytes()
     (made / "rig-1.pem").write_bytes(good)
     key, certificate, _ = re.findall(rb"-----BEGIN.*?-----END [^-]+-----\n", old, re.DOTALL)
@@ -104,8 +101,7 @@ def test_a_rig_whose_time_is_over_is_told(made: Path, monkeypatch: pytest.Monkey
         assert _told(made, port).startswith("its certificate has expired: `armrig pki renew`")
 
 
-def test_a_rig_that_refuses_our_certificate_is_told(made: Path, tmp_path: Path) -> None:
-    """It was set up with another authority for its clients."""
+def test_a_rig_that_refuses_our_certificate_is_reported(made: Path, tmp_path: Path) -> None:
     pki.make_authority(tmp_path / "other")
     other = str(tmp_path / "other" / "authority.pem")
     trusts = {"root_ca_certificate_base64": None, "root_ca_certificate": other}
@@ -114,15 +110,15 @@ def test_a_rig_that_refuses_our_certificate_is_told(made: Path, tmp_path: Path) 
 
 
 @pytest.mark.exhaustive
-def test_what_speaks_no_tls_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Such as a daemon with passwords."""
+def test_a_server_without_tls_is_reported(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(session, "LONGEST_S", 0.3)
     with _listening(made / "rig-1.pem", "tcp") as port:
         assert "does not speak TLS 1.3" in _told(made, port)
 
 
-def test_what_never_answers_is_told(made: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A program that hangs, or waits for another protocol's first word."""
+def test_a_server_that_never_answers_is_reported(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(session, "LONGEST_S", 0.3)
     alice = made / "alice.pem"
     with socket.create_server(("127.0.0.1", 0)) as hanging:
@@ -135,8 +131,7 @@ def test_what_never_answers_is_told(made: Path, monkeypatch: pytest.MonkeyPatch)
 def test_a_connection_that_goes_well_is_not_blamed(
     made: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where zenoh failed once, and the next try would not."""
-    monkeypatch.setattr(session, "_LISTENS_S", 0.2)
+    monkeypatch.setattr(session, "_ANSWER_TIMEOUT_S", 0.2)
     alice = made / "alice.pem"
     with _listening(made / "rig-1.pem") as port:
         told = why_not_connected("localhost", port, read_credential(alice, "client"), alice)
@@ -152,12 +147,10 @@ def test_a_connection_that_goes_well_is_not_blamed(
     ],
 )
 def test_an_endpoint_that_is_none_is_refused(made: Path, where: str, says: str) -> None:
-    """And one that would have zenoh look away."""
     with pytest.raises(RigError, match=says):
         Rig("1", connect=where, certificate=made / "alice.pem").__enter__()
 
 
 def test_without_a_certificate_it_says_where_one_is_named(made: Path) -> None:
-    """In the configuration, or in the environment."""
     with pytest.raises(RigError, match=r"needs your certificate: .* ARMRIG_CLIENT_CERTIFICATE"):
         Rig("1", connect="tls/localhost:7447").__enter__()

@@ -1,4 +1,4 @@
-"""What users import from `armrig.rig`, which was one module before it became a room."""
+"""Public names of `armrig.rig`, which was one module before it became a room."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import pytest
 
 
 def test_the_errors_of_a_rig_are_imported_from_the_room() -> None:
-    """`from armrig.rig import …` gives the very classes that the client raises."""
     from armrig.rig import (
         BusyError,
         NoReplyError,
@@ -30,7 +29,6 @@ def test_the_errors_of_a_rig_are_imported_from_the_room() -> None:
 
 
 def test_a_name_that_the_room_has_not_is_refused() -> None:
-    """A misspelt name is an AttributeError that says where it was looked for."""
     import armrig.rig
 
     with pytest.raises(AttributeError, match=r"'armrig\.rig' has no attribute 'Rug'"):
@@ -38,7 +36,6 @@ def test_a_name_that_the_room_has_not_is_refused() -> None:
 
 
 def test_a_module_of_the_room_does_not_load_zenoh() -> None:
-    """What is run to measure this host loads nothing that it does not use."""
     program = "import sys, armrig.lab.host; sys.exit('zenoh' in sys.modules)"
 
     done = subprocess.run([sys.executable, "-c", program], check=False)

@@ -1,4 +1,4 @@
-"""A live stream has no silent break: what is missing stands in it as a value."""
+"""A live stream has no silent break: a missing sample is a value of the stream."""
 
 from __future__ import annotations
 
@@ -15,23 +15,24 @@ import pytest
 import zenoh
 from armrig.cli import main
 from armrig.rig import live_gaps, telemetry_stream
-from armrig.rig.live_gaps import MISSED, LiveGap, gaps_between
+from armrig.rig.live_gaps import LiveGap, gaps_between
 from armrig.rig.session import open_session
 from armrig.rig.telemetry_stream import arrivals, stream
 from armrig_core import telemetry
-from fake_daemon import FakeDaemon
+from armrig_core.codes import GapCode
 from hypothesis import given
 from hypothesis import strategies as st
-from made_recordings import event, gap, sample
+
+from tests.clients.fake_daemon import FakeDaemon
+from tests.clients.made_recordings import event, gap, sample
 
 spans = st.lists(st.tuples(st.integers(0, 60), st.integers(1, 20)), max_size=8)
 
 
 @given(st.integers(0, 50), st.integers(0, 50), spans)
-def test_what_is_missing_is_told_once_and_in_order(
+def test_what_is_missing_is_reported_once_and_in_order(
     first: int, second: int, told: list[tuple[int, int]]
 ) -> None:
-    """Whatever gaps the daemon has told: those between two samples fill the break, no more."""
     gaps = [gap(k, n, 1.0) for k, n in told]
 
     found = list(gaps_between(sample(first), sample(second), gaps))
@@ -47,7 +48,7 @@ def test_what_is_missing_is_told_once_and_in_order(
 
 
 class Published:
-    """Publishes as the daemon does, once somebody listens."""
+    """Publishes as the daemon does, after the first subscription."""
 
     def __init__(self, daemon: FakeDaemon) -> None:
         self.session = daemon.session
@@ -57,7 +58,7 @@ class Published:
         self.session.put("rig/1/sample", telemetry.encode_sample(sample(k)))
 
     def gap(self, k_first: int, count: int) -> None:
-        """Tell a gap."""
+        """Publish a gap."""
         self.session.put("rig/1/gap", gap(k_first, count, 2.5).SerializeToString())
 
 
@@ -81,17 +82,16 @@ def listening(daemon: FakeDaemon, where: str) -> Iterator[tuple[Published, Itera
 
 
 def up_to(samples: Iterator[Any], k: int) -> list[Any]:
-    """Return what a stream gives up to sample k."""
+    """Return the items of a stream up to sample k."""
     values = [next(samples)]
     while getattr(values[-1], "k", -1) != k:
         values.append(next(samples))
     return values
 
 
-def test_a_gap_that_the_daemon_tells_stands_in_its_place(
+def test_a_gap_that_the_daemon_reports_is_in_its_place(
     listening: tuple[Published, Iterator[Any]],
 ) -> None:
-    """With its reason and the voltage held; before it and behind it are the samples."""
     out, samples = listening
     out.sample(1)
     out.gap(2, 3)
@@ -109,15 +109,15 @@ def test_a_gap_that_the_daemon_tells_stands_in_its_place(
         u_held_v=2.5,
         reason="link silent",
         published=False,
+        code=GapCode.UNKNOWN,
     )
     assert isinstance(missing, armrig.LiveGap)
     assert after == [sample(5), sample(6)]
 
 
-def test_samples_that_were_dropped_on_the_way_are_told(
+def test_samples_that_were_dropped_on_the_way_are_reported(
     listening: tuple[Published, Iterator[Any]],
 ) -> None:
-    """The daemon knows nothing of them: they are in its recording."""
     out, samples = listening
     for k in (1, 2, 6, 7):
         out.sample(k)
@@ -125,14 +125,13 @@ def test_samples_that_were_dropped_on_the_way_are_told(
     found = up_to(samples, 7)
 
     assert [f.k_first if isinstance(f, LiveGap) else f.k for f in found] == [1, 2, 3, 6, 7]
-    assert (found[2].count, found[2].reason, found[2].published) == (3, MISSED, True)
+    assert (found[2].count, found[2].code, found[2].published) == (3, GapCode.LISTENER_LATE, True)
 
 
-def test_a_listener_that_falls_behind_is_told_what_it_missed(
+def test_a_slow_listener_is_notified_of_its_missing_samples(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The oldest samples of a full ring: with a real session, and nobody who reads for a while."""
-    monkeypatch.setattr(telemetry_stream, "_RING", 10)
+    monkeypatch.setattr(telemetry_stream, "_RING_MESSAGES", 10)
     out, samples = Published(daemon), stream("rig/1/sample", connect=where)
     begun = threading.Event()
 
@@ -159,13 +158,12 @@ def test_a_listener_that_falls_behind_is_told_what_it_missed(
         for k in (range(f.k_first, f.k_first + f.count) if isinstance(f, LiveGap) else [f.k])
     ]
     assert counted == list(range(first.k, 10_000))
-    assert {f.reason for f in found if isinstance(f, LiveGap)} == {MISSED}
+    assert {f.code for f in found if isinstance(f, LiveGap)} == {GapCode.LISTENER_LATE}
 
 
-def test_a_daemon_that_counts_anew_misses_nothing(
+def test_a_daemon_that_counts_again_misses_nothing(
     listening: tuple[Published, Iterator[Any]],
 ) -> None:
-    """Its k begins again, which is no break."""
     out, samples = listening
     for k in (900, 901, 5, 6):
         out.sample(k)
@@ -178,7 +176,7 @@ def test_a_daemon_that_counts_anew_misses_nothing(
 
 @contextmanager
 def scripted(_: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
-    """Stand for what comes from the line, in lots that no machine makes anew each time."""
+    """Replace the line by lots, because no machine makes the same lots twice."""
     lots = iter(SCRIPT[key.rsplit("/", 1)[1]])
     yield lambda: next(lots, [])
 
@@ -190,7 +188,7 @@ SCRIPT: dict[str, list[list[Any]]] = {}
 def listed(
     daemon: FakeDaemon, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., list[Any]]:
-    """Give what returns a stream made of lots of samples, and of the gaps told with each."""
+    """Give a function that returns a stream of lots of samples, with the gaps of each lot."""
 
     def values(samples: list[list[Any]], gaps: list[list[Any]]) -> list[Any]:
         monkeypatch.setattr(telemetry_stream, "arrivals", scripted)
@@ -207,7 +205,6 @@ def listed(
 def test_a_gap_that_came_before_its_place_is_kept_until_there(
     listed: Callable[..., list[Any]],
 ) -> None:
-    """Whether it came with samples before it, or long before."""
     found = listed(
         [[sample(1), sample(2), sample(5), sample(6)], [sample(7)], [sample(9)]],
         [[gap(3, 2, 2.5), gap(8, 1, 2.5)]],
@@ -217,19 +214,18 @@ def test_a_gap_that_came_before_its_place_is_kept_until_there(
     assert [f.reason for f in found if isinstance(f, LiveGap)] == ["link silent"] * 2
 
 
-def test_a_gap_is_told_of_the_samples_before_the_daemon_counts_anew_alone(
+def test_a_gap_covers_only_samples_before_the_daemon_counts_again(
     listed: Callable[..., list[Any]],
 ) -> None:
-    """The same indices may be missing again, and that for another reason."""
     found = listed([[sample(1), sample(4)], [sample(1), sample(4), sample(5)]], [[gap(2, 2, 2.5)]])
 
-    assert [f.reason for f in found if isinstance(f, LiveGap)] == ["link silent", MISSED]
+    assert [f.code for f in found if isinstance(f, LiveGap)] == ["unknown", "listener_late"]
 
 
-def test_gaps_told_do_not_pile_up(
+def test_reported_gaps_do_not_pile_up(
     listed: Callable[..., list[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of too many the oldest are forgotten, and of too long ones."""
+    """The oldest and the too long gaps are discarded."""
     monkeypatch.setattr(live_gaps, "MOST_TOLD", 3)
     few = listed([[sample(0), sample(10)]], [[gap(k, 1, 2.5) for k in range(1, 10)]])
     monkeypatch.setattr(live_gaps, "MOST_TOLD_BYTES", 1000)
@@ -240,8 +236,8 @@ def test_gaps_told_do_not_pile_up(
     assert [(f.k_first, f.count) for f in short[1:-1]] == [(1, 7), (8, 1), (9, 1)]
 
 
-def test_a_stranger_cannot_fill_the_memory_of_who_listens(daemon: FakeDaemon, where: str) -> None:
-    """100 MB that nobody reads for a while: 16 MiB are kept, of which the newest is the last."""
+def test_a_stranger_cannot_fill_the_memory_of_a_listener(daemon: FakeDaemon, where: str) -> None:
+    """100 MB arrive without a reader: the newest 16 MiB are kept."""
     large = event(0, "x" * (1 << 20)).SerializeToString()
     last = event(0, "last").SerializeToString()
     with (
@@ -269,7 +265,6 @@ def test_a_stranger_cannot_fill_the_memory_of_who_listens(daemon: FakeDaemon, wh
 def test_watch_shows_a_gap(
     daemon: FakeDaemon, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A line with the reason, and as JSON."""
     out = Published(daemon)
     stop = threading.Event()
 
@@ -290,5 +285,5 @@ def test_watch_shows_a_gap(
         stop.set()
         thread.join()
 
-    assert sum(f"2 missing: {MISSED}" in line for line in lines) == 2
+    assert sum(f"2 missing: {GapCode.LISTENER_LATE.sentence}" in line for line in lines) == 2
     assert [value["count"] for value in values if "k_first" in value] == [2, 2]

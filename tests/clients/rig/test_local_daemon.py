@@ -24,7 +24,6 @@ def sockets(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFa
 
 
 def test_it_answers_while_it_is_needed_and_ends_when_that_fails(tmp_path: Path) -> None:
-    """Whatever is raised inside, Ctrl-C too, stops daemon and emulator."""
     log = tmp_path / "armrigd.log"
     with (
         pytest.raises(KeyboardInterrupt),
@@ -39,7 +38,6 @@ def test_it_answers_while_it_is_needed_and_ends_when_that_fails(tmp_path: Path) 
 
 
 def test_one_that_refuses_to_start_is_quoted(tmp_path: Path) -> None:
-    """Its own last line says what is wrong."""
     config = tmp_path / "armrig.toml"
     config.write_text('[rig]\nid = "child"\nname = "x"\n')
 
@@ -51,7 +49,7 @@ def test_one_that_refuses_to_start_is_quoted(tmp_path: Path) -> None:
 
 
 def test_one_whose_parent_was_killed_before_it_looked_ends_at_once() -> None:
-    """The kernel tells of a parent that ends later only."""
+    """The kernel reports only a parent that ends later."""
     program = [sys.executable, "-m", "armrig_daemon", "run", "--emulate", "--rig", RIG]
 
     done = subprocess.run([*program, "--parent", "999999999"], check=False, timeout=60)

@@ -1,4 +1,4 @@
-"""The newest of what came: never more than may be, and the oldest goes first."""
+"""The newest messages within a bound; the oldest goes first."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 @settings(max_examples=60)
 @given(st.lists(st.none() | st.integers(0, 12) | st.tuples(st.integers(0, 40)), max_size=40))
 def test_what_is_kept_is_the_newest_that_fits(steps: list[int | tuple[int] | None]) -> None:
-    """At most 4 and 20 B: by sizes added (int), after all were taken (None) or some forgotten."""
+    """At most 4 items and 20 B."""
     queue, model = Newest[tuple[int, int]](4, 20), list[tuple[int, int]]()
     for number, step in enumerate(steps):
         if step is None:

@@ -18,18 +18,19 @@ import zenoh
 from armrig.cli import main
 from armrig.recordings import published as publishing
 from armrig.recordings.published import published
-from armrig.rig import play as playing
+from armrig.rig import collection as playing
 from armrig.rig.client import Rig
+from armrig.rig.collection import play, staged
 from armrig.rig.live_gaps import LiveGap
-from armrig.rig.play import play, staged
 from armrig.rig.session import NoReplyError, RigError, open_session
 from armrig.rig.telemetry_stream import stream
 from armrig_core import telemetry
 from armrig_core.errors import FileError
 from armrig_core.topics import PLAYED, check_own_id, played_id
 from armrig_daemon.config import Rig as RigTable
-from made_recordings import event, gap, manifest, recorded, sample, timing, written
-from sampling import sampled
+
+from tests.clients.made_recordings import event, gap, manifest, recorded, sample, timing, written
+from tests.sampling import sampled
 
 N = 60
 
@@ -72,7 +73,6 @@ def nobody_listens(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_messages_are_those_recorded_in_their_order(run: Path) -> None:
-    """Bit for bit, a gap before the sample behind it."""
     found = published(run)
     messages = list(found.messages())
 
@@ -81,7 +81,7 @@ def test_the_messages_are_those_recorded_in_their_order(run: Path) -> None:
     assert sent == [telemetry.encode_sample(one) for one in samples]
     assert [m.data for m in messages if m.stream == "gap"] == [gap(20, 5, 1.0).SerializeToString()]
     order = [m.stream for m in messages]
-    assert order.index("gap") == 1 + 20  # behind the event and the first 20
+    assert order.index("gap") == 1 + 20  # after the event and the first 20
     assert order.count("event") == order.count("timing") == 1
     assert len(messages) == len(found)
     assert [m.t for m in messages] == sorted(m.t for m in messages)
@@ -89,21 +89,19 @@ def test_the_messages_are_those_recorded_in_their_order(run: Path) -> None:
 
 
 def test_a_part_is_played_alone(run: Path) -> None:
-    """By the times of the run, samples and all else."""
     messages = list(published(run, 0.1, 0.3).messages())
 
     ks = [telemetry.decode_sample(m.data).k for m in messages if m.stream == "sample"]  # type: ignore[union-attr]
     assert ks == [*range(10, 20), *range(25, 30)]
     assert [m.stream for m in messages if m.stream != "sample"] == ["gap"]
     assert [m.stream for m in published(run, 0.3).messages() if m.stream != "sample"] == ["timing"]
-    with pytest.raises(FileError, match="nothing in it to publish"):
+    with pytest.raises(FileError, match="contains nothing to publish"):
         published(run, 5.0, 6.0)
 
 
 def test_samples_are_taken_in_pieces(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each once, in their order, however many are made into messages at once."""
     whole = list(published(run).messages())
-    monkeypatch.setattr(publishing, "_AT_ONCE", 7)
+    monkeypatch.setattr(publishing, "_BLOCK_SAMPLES", 7)
 
     assert list(published(run).messages()) == whole
 
@@ -115,7 +113,7 @@ def test_samples_are_taken_in_pieces(run: Path, monkeypatch: pytest.MonkeyPatch)
 def test_a_part_begins_with_its_first_moment_and_ends_before_its_last(
     tmp_path: Path, start: float, stop: float, told: list[str]
 ) -> None:
-    """So two parts that follow each other have each message once."""
+    """Two consecutive parts therefore contain each message once."""
     messages = [sample(k) for k in range(N)]
     begins, lost = timing(20), gap(23, 2, 1.0)
     begins.t_host_ns = messages[20].t_sched_ns
@@ -131,7 +129,6 @@ def test_a_part_begins_with_its_first_moment_and_ends_before_its_last(
 
 @pytest.mark.parametrize("after_us", [-5, 0, 5])
 def test_a_gap_is_published_when_it_is_over(tmp_path: Path, after_us: int) -> None:
-    """Or just before the sample behind it, where that came sooner; at the end of the file, too."""
     lost, last = gap(3, 2, 1.0), gap(8, 2, 1.0)
     behind = sample(5)
     lost.t_to_ns = behind.t_host_ns + 1000 * after_us
@@ -151,7 +148,6 @@ def test_a_gap_is_published_when_it_is_over(tmp_path: Path, after_us: int) -> No
 def test_each_message_is_published_when_it_is_due(
     run: Path, speed: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """On a clock that only sleeping moves, in pieces that Ctrl-C may end."""
     now = [100.0]
     slept: list[float] = []
 
@@ -173,7 +169,6 @@ def test_each_message_is_published_when_it_is_due(
 def test_a_pause_of_ages_is_slept_through_in_pieces(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A time that no clock reaches is no error, and does not keep Ctrl-C out."""
     late = [sample(0), sample(1, t_host_ns=2**62)]
     run = published(written(tmp_path, recorded(late)))
     now = [0.0]
@@ -194,7 +189,6 @@ def test_a_pause_of_ages_is_slept_through_in_pieces(
 
 
 def test_a_listener_hears_what_was_recorded(run: Path, place: str) -> None:
-    """Through a real session: every sample, and the gap with the daemon's own reason."""
     where = f"unixsock-stream/{place}/p.sock"
     heard: list[Any] = []
 
@@ -221,8 +215,7 @@ def test_a_listener_hears_what_was_recorded(run: Path, place: str) -> None:
     assert (missing.k_first, missing.count, missing.reason) == (20, 5, "link silent")
 
 
-def test_who_does_not_keep_up_does_not_hold_it_up(run: Path, place: str) -> None:
-    """Messages of every stream may be dropped on their way, as a daemon's are."""
+def test_a_slow_listener_does_not_delay_the_player(run: Path, place: str) -> None:
     where = f"unixsock-stream/{place}/p.sock"
     with staged(where, "played-1") as stage, open_session(where, rig="played-1") as listener:
         heard = listener.declare_subscriber("rig/played-1/*", zenoh.handlers.FifoChannel(200))
@@ -241,7 +234,6 @@ def test_who_does_not_keep_up_does_not_hold_it_up(run: Path, place: str) -> None
 
 @pytest.mark.parametrize("mask", [0o000, 0o077])
 def test_the_group_may_listen_and_nobody_else(place: str, mask: int) -> None:
-    """As at a daemon's socket; other files of this process are made as before."""
     before = os.umask(mask)
     try:
         with staged(f"unixsock-stream/{place}/p.sock", "played-1"):
@@ -255,11 +247,10 @@ def test_the_group_may_listen_and_nobody_else(place: str, mask: int) -> None:
 
 
 def test_it_is_no_rig(place: str) -> None:
-    """No command is answered, nobody else may publish there, and its id is none of a rig's."""
     where = f"unixsock-stream/{place}/p.sock"
     with staged(where, "played-1"):
         with Rig("played-1", connect=where) as rig:
-            with pytest.raises(NoReplyError, match="a recording that is played again takes no"):
+            with pytest.raises(NoReplyError, match="a played recording takes no"):
                 rig.status()
             with pytest.raises(NoReplyError):
                 rig.arm("somebody")
@@ -277,20 +268,20 @@ def test_it_is_no_rig(place: str) -> None:
     assert [str(token) for token in tokens] == ["rig/played-1/alive"]
     assert len(schemas) == 1
     for refused in (check_own_id, lambda rig: RigTable(id=rig)):
-        with pytest.raises(ValueError, match="what begins with played- is a recording that"):
+        with pytest.raises(
+            ValueError, match="an id that begins with played- belongs to a recording that"
+        ):
             refused("played-1")
 
 
 def test_its_id_is_short_enough_and_marked_once() -> None:
-    """Also of a long one, and of what was recorded from a recording that was played."""
     assert played_id("1") == "played-1"
     assert played_id("played-1") == "played-1"
     assert len(played_id("a" * 40)) == 40
     assert played_id("a" * 40).startswith(PLAYED)
 
 
-def test_an_endpoint_that_is_taken_is_told_so(place: str) -> None:
-    """And one that is none."""
+def test_an_endpoint_that_is_taken_is_reported(place: str) -> None:
     where = f"unixsock-stream/{place}/p.sock"
     with (
         staged(where, "played-1"),
@@ -306,7 +297,6 @@ def test_an_endpoint_that_is_taken_is_told_so(place: str) -> None:
 def test_the_command_plays_to_the_end(
     run: Path, place: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """At a socket of this user's; for a person and for a program."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", place)
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
 
@@ -327,7 +317,6 @@ def test_the_command_plays_to_the_end(
 def test_a_run_begins_again_when_its_last_sample_is_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """One of a single sample is not published as fast as the machine can."""
     one = published(written(tmp_path, recorded([sample(0)])))
     slept: list[float] = []
     now = 0.0
@@ -347,7 +336,6 @@ def test_a_run_begins_again_when_its_last_sample_is_over(
 
 @pytest.mark.parametrize("number", sampled([signal.SIGINT, signal.SIGTERM]))
 def test_ctrl_c_ends_it(run: Path, place: str, number: signal.Signals) -> None:
-    """Without a trace, and the socket can be listened at again."""
     with subprocess.Popen(
         [sys.executable, "-m", "armrig", "play", str(run), "--loop", "--wait", "--json"],
         stdout=subprocess.PIPE,
@@ -362,7 +350,7 @@ def test_ctrl_c_ends_it(run: Path, place: str, number: signal.Signals) -> None:
             ks = (value.k for value in samples if not isinstance(value, LiveGap))
             while next(ks) < N - 1:
                 pass
-            assert next(ks) < N - 1  # once more from the start
+            assert next(ks) < N - 1  # again from the start
             samples.close()
             process.send_signal(number)
             out, err = process.communicate(timeout=30)
@@ -379,16 +367,15 @@ def test_ctrl_c_ends_it(run: Path, place: str, number: signal.Signals) -> None:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["--speed", "0"], "--speed 0: a number above 0 is needed"),
-        (["--speed", "inf"], "--speed inf: a number above 0 is needed"),
-        (["--from", "9"], "nothing in it to publish"),
-        (["--listen", "nonsense"], "give another with --listen"),
+        (["--speed", "0"], "--speed 0: must be more than 0"),
+        (["--speed", "inf"], "--speed inf: must be more than 0"),
+        (["--from", "9"], "contains nothing to publish"),
+        (["--listen", "nonsense"], "choose another endpoint with --listen"),
     ],
 )
-def test_what_cannot_be_played_is_told(
+def test_what_cannot_be_played_is_reported(
     run: Path, arguments: list[str], told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In a line."""
     assert main(["play", str(run), *arguments]) == 1
 
     assert told in capsys.readouterr().err
@@ -398,12 +385,11 @@ def test_what_cannot_be_played_is_told(
 def test_hostile_files_are_played_as_far_as_they_are_whole(
     tmp_path: Path, place: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Or refused in a line: a rig's id that is no key, times beyond any clock."""
     where = ["--listen", f"unixsock-stream/{place}/p.sock", "--speed", "1000"]
     whole = run_of(tmp_path).read_bytes()
     cut = written(tmp_path, whole[: len(whole) // 2], "cut.mcap")
     assert main(["play", str(cut), *where]) == 0
-    assert "what is whole is played" in capsys.readouterr().err
+    assert "the undamaged part is played" in capsys.readouterr().err
 
     far = [event(0, "x"), gap(0, 1, 1.0), sample(5)]
     far[1].count, far[1].t_to_ns = 2**64 - 1, -(2**63)

@@ -1,22 +1,22 @@
-"""What stands behind the bar of a run."""
+"""Numbers of the progress bar of a run."""
 
 from __future__ import annotations
 
 from typing import Any, NamedTuple
 
 from armrig.rig.progress import TimingNote
-from made_recordings import sample, timing
+
+from tests.clients.made_recordings import sample, timing
 
 
 class Missing(NamedTuple):
-    """What a gap record says of the samples."""
+    """Content of a gap record."""
 
     k_first: int
     count: int
 
 
 def test_missing_counts_what_the_recording_counts() -> None:
-    """Samples of the run: a gap that begins before it, or ends after it, counts with its part."""
     arrived: list[list[Any]] = [[sample(k) for k in (100, 101)]]
     gaps: list[list[Any]] = [[Missing(95, 3), Missing(102, 2), Missing(108, 5), Missing(111, 1)]]
     note = TimingNote(
@@ -27,8 +27,6 @@ def test_missing_counts_what_the_recording_counts() -> None:
 
 
 def test_the_lateness_is_the_last_second_s_and_the_queue_the_last_report_s() -> None:
-    """99 of 100 samples of the last second were not later; older ones do not count."""
-
     def late(first: int, count: int, late_us: int) -> list[Any]:
         return [
             sample(k, t_host_ns=sample(k).t_sched_ns + late_us * 1000)

@@ -1,4 +1,4 @@
-"""What a recorder makes of what comes: whole files that can be loaded, whoever answers."""
+"""Files of a recorder: each can be loaded, for any daemon."""
 
 from __future__ import annotations
 
@@ -14,17 +14,18 @@ from armrig.recordings.grid import MISSING_LIMIT
 from armrig.recordings.verification import verify
 from armrig.rig import remote_recording
 from armrig.rig.live_gaps import MOST_TOLD
-from armrig.rig.remote_recording import CUT_OFF, STARTED_ANEW, RecordedFile, RemoteRecording
+from armrig.rig.remote_recording import STARTED_ANEW, RecordedFile, RemoteRecording
 from armrig.rig.remote_source import Piece
 from armrig.rig.session import RigError
 from armrig.rig.telemetry_stream import decoded
 from armrig_core import protobuf
-from armrig_core.codes import COMPLETE
+from armrig_core.codes import COMPLETE, GapCode
 from armrig_core.history import Past
 from armrig_core.recording_file import recording_part
 from armrig_core.telemetry import Sample, encode_sample
 from mcap.reader import make_reader
-from processes import wait_for
+
+from tests.integration.processes import wait_for
 
 TS_NS = 10_000_000
 OFFSET_NS = 1_750_000_000_000_000_000
@@ -55,7 +56,7 @@ def sample_ns(number: int) -> int:
 
 
 def gap(k_first: int, count: int) -> Message:
-    """Return a gap that the daemon tells."""
+    """Return a gap record of the daemon."""
     t_ns = 5_000_000_000 + k_first * TS_NS
     return message(
         "gap",
@@ -85,7 +86,7 @@ def recording(tmp_path: Path) -> RemoteRecording:
 
 
 def files(recording: RemoteRecording) -> list[armrig.Recording]:
-    """Return what was recorded; each file can be loaded and is what it says."""
+    """Return the recorded files; each can be loaded and has the right content."""
     recording.finish(COMPLETE)
     for file in recording.done:
         found = verify(file.path)
@@ -101,7 +102,6 @@ def ks(recording: armrig.Recording) -> list[int]:
 def test_a_gap_belongs_to_the_file_that_has_a_sample_on_either_side(
     recording: RemoteRecording,
 ) -> None:
-    """One before the first sample, or behind the last, is none of the file's missing samples."""
     recording.add(piece(state(), gap(0, 5), sample(5), sample(6), gap(7, 2)))
     recording.add(piece(sample(9), gap(10, 3)))
 
@@ -112,7 +112,6 @@ def test_a_gap_belongs_to_the_file_that_has_a_sample_on_either_side(
 
 
 def test_a_break_that_no_file_can_hold_begins_another(recording: RemoteRecording) -> None:
-    """As a night without the line: both files can be loaded, and the first says what is missing."""
     behind = 6 + MISSING_LIMIT + 1
     recording.add(piece(state(), sample(5)))
     recording.add(piece(sample(behind), sample(behind + 1), lost=7))
@@ -121,25 +120,23 @@ def test_a_break_that_no_file_can_hold_begins_another(recording: RemoteRecording
 
     assert (ks(first), ks(second)) == ([5], [behind, behind + 1])
     assert first.outcome is not None
-    assert first.outcome.outcome == "200001 samples are missing behind its last"
+    assert first.outcome.outcome == "200001 samples are missing after its last"
     assert second.path.name == "monday-2.mcap"
 
 
 def test_breaks_add_up(recording: RemoteRecording) -> None:
-    """No file lacks more than it may."""
     half = MISSING_LIMIT // 2 + 2
     recording.add(piece(state(), *(sample(i * half) for i in range(5))))
 
     found = files(recording)
 
     assert [len(ks(file)) for file in found] == [2, 2, 1]
-    assert all(gap.reason == CUT_OFF for file in found for gap in file.gaps)
+    assert all(gap.code == GapCode.RECORDER_CUT_OFF for file in found for gap in file.gaps)
 
 
 def test_a_file_ends_before_it_is_too_long_to_be_loaded(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The next one goes on with the next sample."""
     monkeypatch.setattr(remote_recording, "MOST_ROWS", 10)
     recording.add(piece(state(), *(sample(k) for k in range(25))))
 
@@ -150,7 +147,6 @@ def test_a_file_ends_before_it_is_too_long_to_be_loaded(
 
 
 def test_samples_that_came_before_the_state_are_recorded(recording: RemoteRecording) -> None:
-    """With the gaps between them."""
     recording.add(piece(sample(0), gap(1, 1), sample(2)))
     recording.add(piece(state(), sample(3)))
 
@@ -161,7 +157,6 @@ def test_samples_that_came_before_the_state_are_recorded(recording: RemoteRecord
 
 
 def test_each_file_is_of_one_life_of_the_daemon(recording: RemoteRecording) -> None:
-    """Its manifest, gaps, times and counts are of that life, whatever the life before had told."""
     hour_ns = 3_600_000_000_000
     at = {"seconds": OFFSET_NS // 10**9 + 5, "nanos": 8 * TS_NS}
     hello = message("event", message="hello", timestamp=at)
@@ -181,13 +176,13 @@ def test_each_file_is_of_one_life_of_the_daemon(recording: RemoteRecording) -> N
     ] == [(0.02, {"uid": "7"}, 0), (0.05, {"uid": "8"}, hour_ns)]
     assert {f.manifest.rig for f in (first, second)} == {"1"}
     assert first.manifest.details == {"recorded_from": "there"}
-    assert [(g.k_first, g.count, g.u_held_v, g.reason) for g in first.gaps] == [
-        (6, 2, 2.5, "link silent"),
-        (9, 1, pytest.approx(nan, nan_ok=True), CUT_OFF),
+    assert [(g.k_first, g.count, g.u_held_v, g.code) for g in first.gaps] == [
+        (6, 2, 2.5, GapCode.UNKNOWN),
+        (9, 1, pytest.approx(nan, nan_ok=True), GapCode.RECORDER_CUT_OFF),
     ]
-    assert [(g.k_first, g.count, g.reason) for g in second.gaps] == [
-        (22, 1, CUT_OFF),
-        (24, 3, CUT_OFF),
+    assert [(g.k_first, g.count, g.code) for g in second.gaps] == [
+        (22, 1, GapCode.RECORDER_CUT_OFF),
+        (24, 3, GapCode.RECORDER_CUT_OFF),
     ]
     assert next((e.t, e.message) for e in first.events) == (pytest.approx(0.03, abs=1e-6), "hello")
     assert recording.done == [
@@ -207,11 +202,13 @@ def test_each_file_is_of_one_life_of_the_daemon(recording: RemoteRecording) -> N
     assert (held.t_from_ns, held.t_to_ns) == (sample_ns(6), sample_ns(8))
     assert (lost.t_from_ns, lost.t_to_ns) == (sample_ns(8) + 9, sample_ns(10) + 9)
     assert next(entry[1] for entry in raw if "event" in entry[0]) == sample_ns(8) + 9
-    assert recording.tell.__self__ == [f"{CUT_OFF}: 4 messages are lost", STARTED_ANEW]  # type: ignore[attr-defined]
+    assert recording.tell.__self__ == [
+        f"{GapCode.RECORDER_CUT_OFF.sentence}: 4 messages are lost",
+        STARTED_ANEW,
+    ]  # type: ignore[attr-defined]
 
 
 def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path: Path) -> None:
-    """Neither a whole one nor one that is unfinished: the next free number is taken."""
     for name in ("monday-2.mcap", "monday-3.mcap.active"):
         (tmp_path / name).write_bytes(b"precious")
     recording.add(piece(state(), sample(0), state(0.02), sample(1)))
@@ -243,10 +240,9 @@ def test_no_file_that_is_there_is_replaced(recording: RemoteRecording, tmp_path:
 def test_what_no_daemon_sends_is_refused(
     recording: RemoteRecording, messages: tuple[Message, ...]
 ) -> None:
-    """In a line; what came before is whole."""
     recording.add(piece(state(), sample(1), sample(2)))
 
-    with pytest.raises(RigError, match=r"no message of armrigd's|no armrigd"):
+    with pytest.raises(RigError, match=r"not a message of armrigd|not an armrigd"):
         recording.add(piece(*messages))
 
     [found] = files(recording)
@@ -255,14 +251,12 @@ def test_what_no_daemon_sends_is_refused(
 
 @pytest.mark.parametrize("offset_ns", [-1, 1 << 62, -(2**63)])
 def test_a_clock_that_no_machine_has_is_refused(recording: RemoteRecording, offset_ns: int) -> None:
-    """A file's times would not fit."""
     with pytest.raises(RigError, match="a clock offset"):
         recording.add(piece(state(), sample(1), offset_ns=offset_ns))
 
 
 @pytest.mark.parametrize("seconds", [2**62, -(2**62), 0])
 def test_an_event_of_any_time_is_recorded(recording: RemoteRecording, seconds: int) -> None:
-    """The clock of the day may have been set."""
     event = message("event", message="hello", timestamp={"seconds": seconds})
     recording.add(piece(state(), sample(1), event, sample(2)))
 
@@ -276,7 +270,6 @@ def test_an_event_of_any_time_is_recorded(recording: RemoteRecording, seconds: i
     ["[1]", "none", '{"a": "\\ud800"}', "[" * 5000, '{"a":' * 40 + "1" + "}" * 40, '{"a": 1e999}'],
 )
 def test_a_device_that_says_anything_is_recorded(recording: RemoteRecording, device: str) -> None:
-    """What fits into no manifest is left out of it."""
     recording.add(piece(state(device=device), sample(1)))
 
     [found] = files(recording)
@@ -286,17 +279,16 @@ def test_a_device_that_says_anything_is_recorded(recording: RemoteRecording, dev
 
 
 def test_messages_without_a_sampling_time_do_not_pile_up(recording: RemoteRecording) -> None:
-    """16 MB of them are no daemon's; a second of a daemon's are far fewer."""
+    """16 MB of them cannot come from a daemon, whose second is far smaller."""
     large = message("event", message="x" * 1_000_000)
 
     for _ in range(16):
         recording.add(piece(large))
-    with pytest.raises(RigError, match="its sampling time is not known"):
+    with pytest.raises(RigError, match="its sampling time is unknown"):
         recording.add(piece(large))
 
 
 def test_a_rig_that_changes_its_rate_all_the_time_is_none(recording: RemoteRecording) -> None:
-    """Each would be a file."""
     changing = [m for i in range(100) for m in (state(0.01 + i / 1000), sample(i))]
 
     with pytest.raises(RigError, match="60 files in a minute"):
@@ -306,7 +298,6 @@ def test_a_rig_that_changes_its_rate_all_the_time_is_none(recording: RemoteRecor
 
 
 def test_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
-    """The last ones are kept until a sample comes."""
     recording.add(piece(state(), sample(0)))
     recording.add(piece(*(gap(k, 1) for k in range(1, MOST_TOLD + 101))))
     assert len(recording._told) == MOST_TOLD
@@ -314,12 +305,12 @@ def test_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> Non
 
     [found] = files(recording)
 
-    assert (found.gaps[0].count, found.gaps[0].reason) == (100, CUT_OFF)
+    assert (found.gaps[0].count, found.gaps[0].code) == (100, GapCode.RECORDER_CUT_OFF)
     assert found.missing == MOST_TOLD + 100
 
 
 def test_long_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -> None:
-    """A reason of 100 kB is none of a daemon's: of such ones 1 MiB is kept."""
+    """A daemon sends no reason of 100 kB: 1 MiB of them is kept."""
     when = {"t_from_ns": 0, "t_to_ns": 0}
     reason = "x" * 100_000
     long = [message("gap", k_first=k, count=1, reason=reason, **when) for k in range(1, 30)]
@@ -329,10 +320,9 @@ def test_long_gaps_without_a_sample_do_not_pile_up(recording: RemoteRecording) -
     assert [int(told.k_first) for told in recording._told] == list(range(20, 30))
 
 
-def test_a_disk_that_is_behind_is_waited_for(
+def test_a_slow_disk_is_waited_for(
     recording: RemoteRecording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """And no message is dropped: who waits does not ask, and the daemon keeps what it has."""
     goes = threading.Event()
     sync = recording_part.Part.sync
 
@@ -381,8 +371,7 @@ def test_a_file_that_a_full_disk_has_ended_is_whole_and_listed(
     assert armrig.load(file.path).samples.size == 5
 
 
-def test_a_folder_that_is_gone_is_told(recording: RemoteRecording, tmp_path: Path) -> None:
-    """With the way out that this command has."""
+def test_a_folder_that_is_gone_is_reported(recording: RemoteRecording, tmp_path: Path) -> None:
     recording.path = tmp_path / "gone" / "monday.mcap"
 
     with pytest.raises(RigError, match=r"monday\.mcap: No such file or directory; .* by -o"):

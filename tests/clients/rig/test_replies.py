@@ -1,4 +1,4 @@
-"""What listens may be no daemon: whatever it answers is told in a line."""
+"""Any program may listen: each of its answers becomes a message of one line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from armrig.rig.session import MOST_RECEIVED, NoReplyError, RigError
 from armrig_core.codes import RefusalCode
 from armrig_core.commands import Done, LeaseGranted, Refused, StatusReport, refused
 from armrig_core.errors import MalformedReplyError
-from fake_daemon import FakeDaemon
+
+from tests.clients.fake_daemon import FakeDaemon
 
 HOSTILE = "\x1b]0;mine\x07\x1b[2Ja rig\r\x9b[red]\u202e"
 
@@ -71,21 +72,18 @@ GARBAGE = {
 
 
 @pytest.mark.parametrize("body", GARBAGE.values(), ids=GARBAGE.keys())
-def test_a_reply_that_is_none_is_told(body: bytes) -> None:
-    """Which it was, and what is wrong with it."""
+def test_a_malformed_reply_is_reported(body: bytes) -> None:
     with pytest.raises(MalformedReplyError, match=r"^the answer to 'status' "):
         reply_of("status", body, StatusReport)
 
 
 def test_a_reply_is_read() -> None:
-    """As the daemon wrote it."""
     assert reply_of("status", _status(Ts=0.02), StatusReport).Ts == 0.02
     assert reply_of("stop", b'{"done": true}', Done) == Done(done=True)
 
 
 @pytest.mark.parametrize("body", [b"{}", b'{"x": 1}', b'{"done": 1}', b"[]", b"null"])
 def test_an_answer_that_does_not_say_done_is_none(body: bytes) -> None:
-    """A stop that anybody's JSON could confirm is no stop."""
     with pytest.raises(MalformedReplyError, match="the answer to 'stop' cannot be read"):
         reply_of("stop", body, Done)
 
@@ -99,13 +97,11 @@ def test_an_answer_that_does_not_say_done_is_none(body: bytes) -> None:
         (json.dumps({"error": "x" * 1001}).encode(), "x" * 1000 + " …"),
     ],
 )
-def test_a_refusal_is_told_in_any_form(payload: bytes, error: str) -> None:
-    """Not more of it than a person reads."""
+def test_a_refusal_is_reported_in_any_form(payload: bytes, error: str) -> None:
     assert refusal_of("stop", payload).error == error
 
 
 def test_a_refusal_that_is_too_long_is_not_read() -> None:
-    """Like any other reply."""
     with pytest.raises(MalformedReplyError, match=f"at most {MOST_BYTES} B are read"):
         refusal_of("stop", b" " * (MOST_BYTES + 1))
 
@@ -117,14 +113,13 @@ def test_a_refusal_that_is_too_long_is_not_read() -> None:
         (refused(RefusalCode.HELD, "a student said: try again"), False, "held"),
         (Refused(error="new", code="a code of tomorrow", passes=True), True, "a code of tomorrow"),
         (Refused(error="busy with STOP: try again"), True, ""),
-        (Refused(error="in fault: mend it, then reset"), False, ""),
+        (Refused(error="in fault: correct the cause, then reset"), False, ""),
     ],
     ids=["passes", "does not", "a later daemon", "an earlier daemon", "another"],
 )
 def test_what_passes_by_itself_is_what_the_daemon_says(
     rogue: Rogue, where: str, body: Refused, passes: bool, code: str
 ) -> None:
-    """By a field; the sentence alone is read where an earlier daemon sends nothing else."""
     rogue.body, rogue.refuses = msgspec.json.encode(body), True
 
     with Rig(connect=where) as rig, pytest.raises(RefusedError) as refusal:
@@ -136,7 +131,6 @@ def test_what_passes_by_itself_is_what_the_daemon_says(
 
 
 def test_a_client_of_yesterday_reads_a_refusal_of_today() -> None:
-    """Its sentence is where it was, and the fields behind it are not looked at."""
     yesterday = msgspec.defstruct("Refused", [("error", str)], frozen=True)
     told = msgspec.json.encode(refused(RefusalCode.HELD, "Ada has the rig", owner="Ada"))
 
@@ -148,7 +142,6 @@ def test_a_client_of_yesterday_reads_a_refusal_of_today() -> None:
 def test_garbage_is_answered_with_one_line(
     rogue: Rogue, where: str, command: str, body: bytes, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """No traceback; nothing is said to be done, unless it was said to be."""
     rogue.body = body
 
     code = main([command, "--connect", where])
@@ -160,7 +153,7 @@ def test_garbage_is_answered_with_one_line(
     assert code == 1
     assert told.out == ""
     assert told.err.startswith("armrig: rig 1 at unixsock-stream/")
-    assert told.err.endswith("no armrigd, or one of another version\n")
+    assert told.err.endswith("not an armrigd of this version\n")
     assert told.err.count("\n") == 1
     assert told.err[:-1].isprintable()
 
@@ -168,7 +161,6 @@ def test_garbage_is_answered_with_one_line(
 def test_an_answer_that_is_beyond_all_measure_is_not_received(
     rogue: Rogue, where: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nobody has answered then."""
     monkeypatch.setattr("armrig.rig.client.REPLY_S", 1.0)
     rogue.body = b" " * (MOST_RECEIVED + (1 << 20))
 
@@ -177,7 +169,6 @@ def test_an_answer_that_is_beyond_all_measure_is_not_received(
 
 
 def test_a_lease_that_is_none_is_not_taken(rogue: Rogue, where: str) -> None:
-    """Nor one that allows more than any rig stands."""
     granted = {"lease": "0" * 32, "period_s": 0.1, "Ts": 0.01, "u_min": 0.0, "u_max": 5.0}
     with Rig(connect=where) as rig:
         for wrong in ({"lease": ""}, {"Ts": 0.0}, {"u_max": 24.0}, {"u_min": "0"}):
@@ -188,7 +179,6 @@ def test_a_lease_that_is_none_is_not_taken(rogue: Rogue, where: str) -> None:
 
 
 def test_what_a_refusal_says_does_nothing_to_a_terminal(rogue: Rogue, where: str) -> None:
-    """For programs that print the exception, too."""
     rogue.body, rogue.refuses = json.dumps({"error": HOSTILE}).encode(), True
 
     with Rig(connect=where) as rig, pytest.raises(RefusedError, match="a rig") as refused:
@@ -198,20 +188,19 @@ def test_what_a_refusal_says_does_nothing_to_a_terminal(rogue: Rogue, where: str
 
 
 @pytest.mark.parametrize("name", ["sample", "state", "event", "gap", "timing", "clock"])
-def test_a_message_that_is_none_is_told(rogue: Rogue, where: str, name: str) -> None:
-    """To who iterates, and to who asks what has come."""
+def test_a_malformed_message_is_reported(rogue: Rogue, where: str, name: str) -> None:
     with Rig(connect=where) as rig, rig.arrivals(name) as come:
         stream = rig.stream(name)
         with _publishing(rogue, name):
             with pytest.raises(RigError, match=f"of its stream '{name}' cannot be read"):
                 next(stream)
-            with pytest.raises(RigError, match="no armrigd, or one of another version"):
+            with pytest.raises(RigError, match="not an armrigd of this version"):
                 come()
 
 
 @contextmanager
 def _publishing(rogue: Rogue, name: str) -> Iterator[None]:
-    """Publish what is no message, again and again: who has just subscribed misses the first."""
+    """Publish malformed messages again and again, because a new subscriber misses the first."""
     ended = threading.Event()
 
     def publish() -> None:
@@ -230,7 +219,6 @@ def _publishing(rogue: Rogue, name: str) -> Iterator[None]:
 def test_what_a_status_says_does_nothing_to_a_terminal(
     rogue: Rogue, where: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """In words or as JSON, whose value stays what it is."""
     text = dict.fromkeys(
         ("rig", "version", "phase", "reason", "fault", "motor", "remedy", "owner"), HOSTILE
     )

@@ -1,4 +1,4 @@
-"""A client without an endpoint asks only a socket that no other user can have made."""
+"""A client without an endpoint uses only a socket that no other user can have made."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from armrig.rig.client import Rig
 from armrig.rig.live_rigs import live_rigs
 from armrig.rig.session import NoReplyError, RigError
 from armrig_core.endpoint import endpoint
-from fake_daemon import FakeDaemon
+
+from tests.clients.fake_daemon import FakeDaemon
 
 NOBODY = 65534
 
@@ -50,7 +51,6 @@ def _chown(directory: Path) -> None:
 
 
 def test_a_daemon_in_a_directory_of_ours_is_asked(directory: Path) -> None:
-    """Without an endpoint."""
     with Rig() as rig:
         assert rig.status().rig == "1"
 
@@ -58,7 +58,6 @@ def test_a_daemon_in_a_directory_of_ours_is_asked(directory: Path) -> None:
 def test_the_endpoint_of_the_configuration_comes_first(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Before that of this user's daemon."""
     ours = Rig().endpoint
     monkeypatch.setenv("ARMRIG_CLIENT_CONNECT", "tcp/lab:7447")
 
@@ -80,7 +79,6 @@ def test_a_directory_that_may_be_a_stranger_s_is_refused(
     wrong: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """By all that asks: nothing that a stranger says is shown, and nobody is told of a stop."""
     spoil(directory)
 
     with pytest.raises(RigError, match=wrong), Rig():
@@ -96,7 +94,6 @@ def test_a_directory_that_may_be_a_stranger_s_is_refused(
 
 
 def test_an_endpoint_that_is_given_is_the_user_s_own_choice(directory: Path) -> None:
-    """As that of a service of another user's."""
     directory.chmod(0o777)
 
     with Rig(connect=endpoint("1", directory)) as rig:
@@ -104,7 +101,6 @@ def test_an_endpoint_that_is_given_is_the_user_s_own_choice(directory: Path) -> 
 
 
 def test_where_there_is_no_directory_nobody_answers(directory: Path) -> None:
-    """As before a daemon was ever started."""
     directory.rename(directory.with_name("elsewhere"))
 
     with pytest.raises(NoReplyError, match="start it with `armrig lab` or `armrigd run`"), Rig():
@@ -135,7 +131,6 @@ def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def test_the_service_of_this_machine_is_found(service: Path) -> None:
-    """Where this user runs no daemon; whose folder is root's or that of the service's user."""
     for owner in (SERVICE_UID, 0):
         os.chown(service, owner, owner)
         with Rig() as rig:
@@ -144,7 +139,6 @@ def test_the_service_of_this_machine_is_found(service: Path) -> None:
 
 
 def test_one_s_own_daemon_is_asked_first(service: Path) -> None:
-    """Where it runs; what was left of one that was killed stands in nobody's way."""
     own = Path(os.environ["XDG_RUNTIME_DIR"]) / "armrig"
     own.mkdir(mode=0o700)
     with FakeDaemon(endpoint("1", own)) as daemon, Rig() as rig:
@@ -167,7 +161,6 @@ def test_one_s_own_daemon_is_asked_first(service: Path) -> None:
 def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
     service: Path, spoil: Callable[[Path], None], wrong: str, above: bool
 ) -> None:
-    """And so is the one above, in which another could be put in its place."""
     spoil(service.parent if above else service)
 
     with pytest.raises(RigError, match=wrong), Rig():
@@ -175,13 +168,13 @@ def test_a_service_s_folder_that_may_be_a_stranger_s_is_refused(
 
 
 def test_the_service_s_user_is_looked_up() -> None:
-    """Root may own its folder, and nobody else where there is no such user."""
     assert session._service_owners() >= {0}
     assert len(session._service_owners()) <= 2
 
 
-def test_who_is_not_in_the_group_is_told(service: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the name of the group, and what to type."""
+def test_a_user_outside_the_group_gets_the_reason(
+    service: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(session.os, "access", lambda path, mode: False)
 
     with pytest.raises(RigError, match="only the group armrig may operate rig 1: `sudo usermod"):
@@ -189,7 +182,6 @@ def test_who_is_not_in_the_group_is_told(service: Path, monkeypatch: pytest.Monk
 
 
 def test_a_rig_whose_daemon_is_gone_is_listed_with_the_reason(directory: Path) -> None:
-    """A daemon that was killed leaves its socket; the others are listed all the same."""
     with socket.socket(socket.AF_UNIX) as killed:
         killed.bind(str(directory / "0.sock"))
 

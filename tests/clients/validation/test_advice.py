@@ -1,4 +1,4 @@
-"""Advice in words: what is told, and what is not told of what is good."""
+"""Advice in words, and silence about good models."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from armrig.validation.advice.model_advice import _about_integrator, _about_pole
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 Vector = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ def told(found: Advice) -> set[str]:
 
 
 def test_good_data_need_no_advice_but_on_arx(plant: HandoutPlant) -> None:
-    """With noise on the angle ARX and OE disagree, and it is said which to take."""
+    """With noise on the angle ARX and OE disagree."""
     found = armrig.advice(plant.dataset(1))
 
     assert told(found) == {"ARX and OE"}
@@ -38,7 +38,7 @@ def test_good_data_need_no_advice_but_on_arx(plant: HandoutPlant) -> None:
 
 @pytest.mark.parametrize("Ts", [0.5, 7.0, 3600.0])
 def test_slow_data_are_advised_on_as_fast_ones(Ts: float) -> None:
-    """An hour a sample: the frequencies looked at are those that the data can show."""
+    """One sample per hour."""
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], 1000)
     y = np.convolve(u, [0, 0.5, 0.3, 0.1])[:1000] + 0.1 * rng.standard_normal(1000)
@@ -51,7 +51,7 @@ def test_slow_data_are_advised_on_as_fast_ones(Ts: float) -> None:
     assert "ARX and OE" in dict(judged[0])
 
 
-def test_a_poor_input_is_told(plant: HandoutPlant) -> None:
+def test_a_poor_input_is_reported(plant: HandoutPlant) -> None:
     """A single step determines no dynamics of order four."""
     u = np.where(np.arange(1000) < 100, 1.0, 4.0)
     data = Dataset(u=u, y=plant.angle(u), Ts=0.01, output="theta_1", unit="rad")
@@ -59,8 +59,8 @@ def test_a_poor_input_is_told(plant: HandoutPlant) -> None:
     assert "excitation" in told(armrig.advice(data))
 
 
-def test_outliers_are_told_with_their_place(plant: HandoutPlant) -> None:
-    """One sample, 0.2 rad off."""
+def test_outliers_are_reported_with_their_place(plant: HandoutPlant) -> None:
+    """One sample is 0.2 rad off."""
     data = plant.dataset(1)
     y = data.y.copy()
     y[1234] += 0.2
@@ -71,8 +71,7 @@ def test_outliers_are_told_with_their_place(plant: HandoutPlant) -> None:
     assert "1234" in repr(found)
 
 
-def test_a_drift_of_an_output_that_does_not_integrate_is_told() -> None:
-    """And how to remove it."""
+def test_a_drift_of_an_output_that_does_not_integrate_is_reported() -> None:
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], 2000)
     y = np.convolve(u, [0, 0.5, 0.3])[:2000] + 1e-3 * np.arange(2000)
@@ -84,14 +83,13 @@ def test_a_drift_of_an_output_that_does_not_integrate_is_told() -> None:
 
 
 def test_the_right_model_needs_no_advice(plant: HandoutPlant) -> None:
-    """The handout's own structure."""
     fit = armrig.oe(plant.dataset(1), nb=4, nf=4, integrator=True)
 
     assert told(armrig.advice(fit)) == set()
 
 
 def test_an_order_too_high_shows_in_a_pole_and_a_zero_that_cancel(plant: HandoutPlant) -> None:
-    """At two orders more most models show it, at the right order none."""
+    """Most models with two more orders show it, none with the right order."""
     data = [plant.dataset(seed, N=1500) for seed in range(3)]
     right = [overlapping(armrig.oe(d, nb=4, nf=4, integrator=True, starts="few")) for d in data]
     high = [overlapping(armrig.oe(d, nb=6, nf=6, integrator=True, starts="few")) for d in data]
@@ -100,22 +98,20 @@ def test_an_order_too_high_shows_in_a_pole_and_a_zero_that_cancel(plant: Handout
     assert sum(map(bool, high)) >= 2
 
 
-def test_an_arx_model_of_the_angle_is_told_all_that_is_wrong_with_it(plant: HandoutPlant) -> None:
-    """A negative real pole, an integrator left to chance, coloured residuals."""
+def test_an_arx_model_of_the_angle_gets_advice_on_each_fault(plant: HandoutPlant) -> None:
     found = armrig.advice(armrig.arx(plant.dataset(1), na=4, nb=4))
 
     assert {"residuals", "poles", "integrator", "structure"} <= told(found)
 
 
 def test_a_first_coefficient_that_is_nothing_points_to_a_delay(plant: HandoutPlant) -> None:
-    """Nk taken too small, with room for the last coefficient."""
+    """The chosen nk is too small."""
     fit = armrig.oe(plant.dataset(1), nb=5, nf=4, nk=0, integrator=True)
 
     assert "delay" in told(armrig.advice(fit))
 
 
 def test_what_is_neither_data_nor_a_model_is_refused() -> None:
-    """With the way out."""
     with pytest.raises(TypeError, match=r"data is a str: give a Dataset"):
         armrig.advice("run.mcap")  # type: ignore[arg-type]
 
@@ -146,8 +142,7 @@ def switched(N: int = 1500) -> Vector:
     return armrig.telegraph(N, 0.1, 0.0, 5.0, seed=1) - 2.5
 
 
-def test_what_is_wrong_with_data_is_told_alone() -> None:
-    """One cause, one warning: it is not named noise, nor an order too high."""
+def test_what_is_wrong_with_data_is_reported_alone() -> None:
     wrong = of_second_order(switched())
     y = wrong.y.copy()
     y[[100, 400, 900]] += 5.0
@@ -162,32 +157,29 @@ def test_what_is_wrong_with_data_is_told_alone() -> None:
 
 
 def test_a_sine_determines_neither_orders_nor_a_delay() -> None:
-    """Two warnings, and nothing of noise."""
     data = of_second_order(np.sin(0.3 * np.arange(1500)))
 
     assert told(armrig.advice(data)) == {"excitation", "delay"}
 
 
-def test_a_delay_is_told_with_the_nk_to_take() -> None:
-    """It is no fault of the data."""
+def test_a_delay_is_reported_with_the_nk_to_take() -> None:
     found = armrig.advice(of_second_order(switched(), nk=4))
 
     assert "nk=4" in repr(found)
     assert "delay" not in told(found)
 
 
-def test_an_output_that_does_not_answer_is_told() -> None:
-    """Noise alone: no model, and no comparison of models."""
+def test_an_output_that_does_not_answer_is_reported() -> None:
     data = Dataset(u=switched(), y=np.random.default_rng(1).standard_normal(1500), Ts=0.02)
 
     found = armrig.advice(data)
 
     assert told(found) == {"delay"}
-    assert "shows no answer to u" in repr(found)
+    assert "shows no response to u" in repr(found)
 
 
-def test_a_pole_and_a_zero_at_one_are_told_as_a_level() -> None:
-    """The model that an offset is answered by: not an integrator, not an order too high."""
+def test_a_pole_and_a_zero_at_one_are_reported_as_a_level() -> None:
+    """Such a model is the answer to an offset, not an integrator or too high an order."""
     fit = armrig.oe(of_second_order(switched(), level=5.0), nb=3, nf=3)
 
     assert "level" in told(armrig.advice(fit))
@@ -199,12 +191,11 @@ def test_a_pole_and_a_zero_at_one_are_told_as_a_level() -> None:
     [
         (of_second_order(np.sin(0.3 * np.arange(1500))), "excitation", "4 parameters of the model"),
         (of_second_order(switched(), nk=4), "delay", "nk=4"),
-        (under_control(), "feedback", "u answers to y"),
+        (under_control(), "feedback", "u depends on y"),
     ],
     ids=["sine", "delay", "feedback"],
 )
-def test_a_model_is_held_against_what_its_data_tell(data: Dataset, about: str, words: str) -> None:
-    """What a fit cannot see by itself."""
+def test_a_model_is_compared_with_its_data(data: Dataset, about: str, words: str) -> None:
     fit = armrig.oe(data, nb=2, nf=2)
 
     texts = {f.about: f.text for f in examine_fit_of(data, fit)}
@@ -213,14 +204,13 @@ def test_a_model_is_held_against_what_its_data_tell(data: Dataset, about: str, w
 
 
 def test_a_good_model_of_good_data_is_not_doubted() -> None:
-    """Nothing is said."""
     data = of_second_order(switched())
 
     assert not [*examine_fit_of(data, armrig.oe(data, nb=2, nf=2))]
 
 
 def test_a_doubtful_model_of_data_without_an_integrator_lacks_none() -> None:
-    """Only data that integrate make a search that did not converge a question of the pole at 1."""
+    """Only data that integrate raise the question of the pole at 1."""
     data = of_second_order(switched())
     doubtful = replace(armrig.oe(data, nb=2, nf=2), converged=False)
 
@@ -236,7 +226,7 @@ def test_a_doubtful_model_of_data_without_an_integrator_lacks_none() -> None:
     ],
 )
 def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, said: str) -> None:
-    """By more than 2.58 of its deviations."""
+    """The pole differs by more than 2.58 of its deviations."""
     poles = SimpleNamespace(values=np.array([pole], complex), std=np.array([std]))
     fit: Any = SimpleNamespace(integrator=False, output="theta_1", poles=lambda: poles)
 
@@ -255,8 +245,7 @@ def test_a_pole_that_differs_from_1_is_not_called_1(pole: float, std: float, sai
         ([-1.1], ["unstable", "poles"]),
     ],
 )
-def test_a_pole_that_no_rig_has_is_told_once(poles: list[complex], about: list[str]) -> None:
-    """A real one, and a pair, outside the unit circle; a negative one."""
+def test_a_pole_that_no_rig_has_is_reported_once(poles: list[complex], about: list[str]) -> None:
     found = SimpleNamespace(values=np.array(poles, complex), std=np.full(len(poles), 1e-4))
     fit: Any = SimpleNamespace(poles=lambda: found)
 
@@ -268,7 +257,6 @@ def test_a_pole_that_no_rig_has_is_told_once(poles: list[complex], about: list[s
 
 
 def test_a_name_with_a_colon_is_not_cut() -> None:
-    """The advice takes the reason as a value: it does not cut another sentence at its colon."""
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], 600)
     y = np.cumsum(u + 0.1 * rng.standard_normal(600))

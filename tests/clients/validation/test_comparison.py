@@ -21,7 +21,7 @@ from armrig.validation.residuals import _free_covariance, residuals
 from scipy.stats import chi2
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 B, F = [0, 1, 0.5], [1, -1.2, 0.6]
 
@@ -46,7 +46,7 @@ def test_the_fit_percent_is_the_textbook_s() -> None:
 
 
 def test_data_that_the_model_was_estimated_from_are_labelled() -> None:
-    """A percentage on them is no validation."""
+    """A percentage on such data is no validation."""
     seen = data(1)
     fit = oe(seen, nb=2, nf=2)
 
@@ -58,7 +58,6 @@ def test_data_that_the_model_was_estimated_from_are_labelled() -> None:
 
 
 def test_missing_samples_do_not_count() -> None:
-    """What stands where y is missing changes nothing."""
     fit, fresh = oe(data(1), nb=2, nf=2), data(2)
     valid = np.random.default_rng(0).random(fresh.N) > 0.2
     holed = Dataset(u=fresh.u, y=np.where(valid, fresh.y, 1e9), Ts=1, valid=valid)
@@ -84,7 +83,7 @@ def test_the_angle_flatters_where_the_velocity_does_not(plant: HandoutPlant) -> 
 
 
 def test_a_model_that_cannot_be_simulated_is_said_to_fit_not_at_all(plant: HandoutPlant) -> None:
-    """The textbook's first choice on an integrating angle may even be unstable; no crash."""
+    """The textbook's first choice on an integrating angle may be unstable."""
     unstable = arx(plant.dataset(1)[:400], na=6, nb=4)
     unstable_A = np.convolve(unstable.A, [1, -3.0])
     import dataclasses
@@ -100,7 +99,6 @@ def test_a_model_that_cannot_be_simulated_is_said_to_fit_not_at_all(plant: Hando
 
 
 def test_a_delay_too_large_shows_as_correlation_with_the_input() -> None:
-    """Missing dynamics are found, and found to be just that."""
     seen = data(1)
 
     right, wrong = (residuals(oe(seen, nb=2, nf=2, nk=nk), seen) for nk in (1, 2))
@@ -110,7 +108,6 @@ def test_a_delay_too_large_shows_as_correlation_with_the_input() -> None:
 
 
 def test_feedback_shows_at_negative_lags() -> None:
-    """Residuals that the input answers to are correlated with its future."""
     rng = np.random.default_rng(3)
     N = 2000
     u, y, e = np.zeros(N), np.zeros(N), 2.0 * rng.standard_normal(N)
@@ -128,7 +125,7 @@ def test_feedback_shows_at_negative_lags() -> None:
 
 
 def test_the_band_is_wider_where_residuals_and_input_are_both_coloured() -> None:
-    """P/(N R_e(0) R_u(0)), P = sum R_e(k) R_u(k); 1/N only where one of them is white."""
+    """P/(N R_e(0) R_u(0)), P = sum R_e(k) R_u(k); 1/N only if one of them is white."""
     N, a, c = 20_000, 0.1, 0.8
     rng = np.random.default_rng(4)
     u = telegraph(N, a, seed=rng)
@@ -146,7 +143,6 @@ def test_the_band_is_wider_where_residuals_and_input_are_both_coloured() -> None
 
 
 def test_experiments_are_judged_each_from_its_own_state() -> None:
-    """Merged data give the residuals of the parts."""
     fit = oe(data(1), nb=2, nf=2)
     parts = [data(2)[50:300], data(3)[70:400]]
 
@@ -157,37 +153,34 @@ def test_experiments_are_judged_each_from_its_own_state() -> None:
 
 
 def test_a_model_of_another_output_is_refused() -> None:
-    """A velocity is not compared with an angle; the way out is named."""
     angle = Dataset(u=data(1).u, y=np.cumsum(data(1).y), Ts=1, output="theta_1", unit="rad")
     fit = arx(difference(angle), na=1, nb=1)
-    said = r"of velocity \[rad/s\] and the data show theta_1 \[rad\]; .*output='velocity'"
+    said = r"is velocity \[rad/s\] and the data contain theta_1 \[rad\]; .*output='velocity'"
 
     for judged in (compare, lambda d, f: residuals(f, d), lambda d, f: f.predict(d)):
         with pytest.raises(ValueError, match=said):
             judged(angle, fit)
 
 
-def test_a_name_alone_tells_another_output() -> None:
+def test_a_name_alone_identifies_another_output() -> None:
     """Both angles are in rad."""
     theta_1, alpha = (
         Dataset(u=data(1).u, y=data(1).y, Ts=1, output=name, unit="rad")
         for name in ("theta_1", "alpha")
     )
 
-    with pytest.raises(ValueError, match=r"of theta_1 \[rad\] and the data show alpha \[rad\]"):
+    with pytest.raises(ValueError, match=r"is theta_1 \[rad\] and the data contain alpha \[rad\]"):
         residuals(oe(theta_1, nb=2, nf=2), alpha)
 
 
-def test_a_unit_alone_tells_another_output() -> None:
-    """Degrees are no radians."""
+def test_a_unit_alone_identifies_another_output() -> None:
     in_degrees = Dataset(u=data(1).u, y=data(1).y, Ts=1, unit="°")
 
-    with pytest.raises(ValueError, match=r"of y \[V\] and the data show y \[°\]"):
+    with pytest.raises(ValueError, match=r"is y \[V\] and the data contain y \[°\]"):
         compare(in_degrees, oe(data(1), nb=2, nf=2))
 
 
 def test_a_name_that_was_not_given_is_no_other_output() -> None:
-    """Plain arrays may be compared with a model of a recording."""
     named = Dataset(u=data(1).u, y=data(1).y, Ts=1, output="theta_1", unit="V")
 
     compared, plain = (compare(data(2), oe(seen, nb=2, nf=2))[0] for seen in (named, data(1)))
@@ -196,7 +189,7 @@ def test_a_name_that_was_not_given_is_no_other_output() -> None:
 
 
 def test_ljung_and_box_lessen_the_degrees_of_freedom_by_na_on_estimation_data() -> None:
-    """Q against chi-squared with L - na degrees of freedom there, with L on other data."""
+    """Q against chi-squared: L - na degrees of freedom on estimation data, L on other data."""
     L = 10
     e = np.random.default_rng(6).standard_normal((2, 500))
     seen, fresh = (Dataset(u=data(1).u[:500], y=filtered([1], [1, -0.8, 0.2], x), Ts=1) for x in e)
@@ -211,7 +204,6 @@ def test_ljung_and_box_lessen_the_degrees_of_freedom_by_na_on_estimation_data() 
 
 
 def test_every_parameter_of_the_noise_model_lessens_the_degrees_of_freedom() -> None:
-    """Those of C and D as those of A; those of F and B do not."""
     L = 12
     rng = np.random.default_rng(8)
     u, e = rng.standard_normal((2, 800))
@@ -231,7 +223,7 @@ def test_every_parameter_of_the_noise_model_lessens_the_degrees_of_freedom() -> 
 def test_the_covariance_of_the_free_parameters_gives_back_the_whole_one(
     plant: HandoutPlant,
 ) -> None:
-    """With an integrator: through F = (1 - q^-1) F̃ it is that of (b, f) again."""
+    """With an integrator: through F = (1 - q^-1) F̃ it is the covariance of (b, f) again."""
     fit = oe(plant.dataset(1), nb=3, nf=4, integrator=True)
     by_free = np.zeros((7, 6))
     by_free[:3, :3] = np.eye(3)
@@ -247,7 +239,6 @@ def test_the_covariance_of_the_free_parameters_gives_back_the_whole_one(
 
 
 def test_what_cannot_be_judged_is_refused() -> None:
-    """No model, or more lags than the data carry."""
     with pytest.raises(ValueError, match="at least one model"):
         compare(data(1))
     with pytest.raises(ValueError, match="lags=400 must be 1 to 300"):
@@ -259,7 +250,6 @@ def test_what_cannot_be_judged_is_refused() -> None:
     [(0.03, ["white", "no dynamics missing", "no feedback"]), (0.003, ["coloured", "a delay too"])],
 )
 def test_the_words_of_the_tests_are_those_of_the_report(p: float, words: list[str]) -> None:
-    """At 1 %, as everywhere."""
     tests = residuals(oe(data(1), nb=2, nf=2), data(2))
 
     said = repr(replace(tests, whiteness=p, missing_dynamics=p, feedback=p))
@@ -269,7 +259,7 @@ def test_the_words_of_the_tests_are_those_of_the_report(p: float, words: list[st
 
 @pytest.mark.parametrize("own", [True, False])
 def test_the_lagged_inputs_are_held_once(own: bool) -> None:
-    """51 lags of 100 000 samples, and some 50 more arrays as long as the data."""
+    """51 lags of 100 000 samples need about 50 more arrays of that length."""
     long = data(1, 100_000)
     fit = oe(long[:2000], nb=2, nf=2)
     fit = replace(fit, digest=long.digest) if own else fit

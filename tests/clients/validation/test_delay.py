@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import f
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 Vector = NDArray[np.float64]
 FAST, LSB = 0.002, np.deg2rad(352.0) / 1024
@@ -62,13 +62,13 @@ def test_few_samples_are_tested_with_their_degrees_of_freedom(level: float) -> N
 
 
 def unnamed(data: Dataset) -> Dataset:
-    """Return the data under a name of the output that says nothing."""
+    """Return the data with an uninformative name of the output."""
     return data.replaced(output="y", step=None)
 
 
 @pytest.mark.parametrize("samples", [0, 1, 5])
 def test_the_delay_is_found(plant: HandoutPlant, samples: int) -> None:
-    """And nk is one more, the hold's own sample."""
+    """The nk is one more, because of the hold."""
     found = armrig.delay(late(plant.dataset(1), samples))
 
     assert found.delay == samples
@@ -78,7 +78,6 @@ def test_the_delay_is_found(plant: HandoutPlant, samples: int) -> None:
 
 
 def test_a_direct_term_is_a_delay_of_minus_one() -> None:
-    """It acts within its own sample."""
     rng = np.random.default_rng(1)
     u = rng.choice([-1.0, 1.0], 1000)
     y = filtered([0.5, 0.3], [1.0, -0.7], u) + 0.1 * rng.standard_normal(1000)
@@ -105,7 +104,7 @@ def resonant(seed: int, N: int = 2000, noise: float = 1.0) -> Dataset:
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
 def test_a_plant_of_another_order_at_0_db_keeps_its_delay(seed: int) -> None:
-    """No model of a fixed order decides: one of the arm's called the first of these nk = 5."""
+    """A model of the arm's order gave nk = 5 for the first of these plants."""
     found = armrig.delay(resonant(seed))
 
     assert found.interval[0] <= 4 <= found.interval[1]
@@ -113,8 +112,7 @@ def test_a_plant_of_another_order_at_0_db_keeps_its_delay(seed: int) -> None:
 
 
 @pytest.mark.parametrize("integrates", [False, True])
-def test_data_without_noise_tell_the_delay_exactly(integrates: bool) -> None:
-    """What rounding leaves is no residual."""
+def test_data_without_noise_give_the_delay_exactly(integrates: bool) -> None:
     for seed in range(4):
         data = resonant(seed, 400, noise=0.0)
         y = np.cumsum(data.y) if integrates else data.y
@@ -124,8 +122,7 @@ def test_data_without_noise_tell_the_delay_exactly(integrates: bool) -> None:
         assert (found.nk, found.interval) == (4, (4, 4))
 
 
-def test_a_delay_and_nothing_else_is_told_exactly() -> None:
-    """No residual at all is left."""
+def test_a_pure_delay_is_found_exactly() -> None:
     u = np.random.default_rng(0).standard_normal(400)
 
     found = armrig.delay(Dataset(u=u, y=np.append(np.zeros(3), u[:-3]), Ts=1.0))
@@ -135,7 +132,6 @@ def test_a_delay_and_nothing_else_is_told_exactly() -> None:
 
 @pytest.mark.parametrize("Ts", [0.005, 0.01, 0.02])
 def test_an_unnamed_output_that_integrates_is_found_to(Ts: float) -> None:
-    """It is treated so, and both the result and its text say it."""
     data = unnamed(arm(1, Ts=Ts, N=3000))
 
     found = armrig.delay(data)
@@ -148,7 +144,6 @@ def test_an_unnamed_output_that_integrates_is_found_to(Ts: float) -> None:
 
 
 def test_an_output_that_is_said_to_integrate_needs_no_remark() -> None:
-    """Nor does one known by its name."""
     data = arm(1, Ts=0.01, N=1000)
 
     assert armrig.delay(unnamed(data), integrator=True).remarks == ()
@@ -157,7 +152,6 @@ def test_an_output_that_is_said_to_integrate_needs_no_remark() -> None:
 
 
 def test_holes_and_several_experiments_are_no_delay(plant: HandoutPlant) -> None:
-    """Through the potentiometer, in two experiments, 20 ms late."""
     parts = [
         plant.through_potentiometer(late(plant.dataset(seed, N=1500), 2), seed) for seed in (1, 2)
     ]
@@ -166,7 +160,6 @@ def test_holes_and_several_experiments_are_no_delay(plant: HandoutPlant) -> None
 
 
 def test_many_short_experiments_are_enough() -> None:
-    """None of them is as long as the lags that one long experiment has."""
     rng = np.random.default_rng(3)
     parts = []
     for _ in range(12):
@@ -180,7 +173,7 @@ def test_many_short_experiments_are_enough() -> None:
 
 
 def test_with_three_samples_in_ten_missing_the_impulse_response_is_tested() -> None:
-    """Hardly a row has all of its past outputs then, and every row counts."""
+    """Hardly a row then has all of its past outputs."""
     rng = np.random.default_rng(2)
     u = rng.standard_normal(1500)
     y = filtered([0, 0, 0, 0.5, 0.3], [1.0, -0.8], u) + 0.3 * rng.standard_normal(1500)
@@ -192,7 +185,7 @@ def test_with_three_samples_in_ten_missing_the_impulse_response_is_tested() -> N
     assert lag_tests(data, found.response, 70).N == found.response.N > 1000
 
 
-def test_the_time_that_quantisation_hides_is_told_apart(plant: HandoutPlant) -> None:
+def test_the_time_that_quantisation_hides_is_separate(plant: HandoutPlant) -> None:
     """t_q = sqrt(2 LSB / (b Δu)) with the handout's b of 98.4 rad/s² per V, a step of 5 V."""
     found = armrig.delay(plant.through_potentiometer(plant.dataset(1), 1))
 
@@ -202,8 +195,7 @@ def test_the_time_that_quantisation_hides_is_told_apart(plant: HandoutPlant) -> 
     assert "Quantisation is no delay" in found.explain()
 
 
-def test_without_quantisation_there_is_nothing_to_tell_apart(plant: HandoutPlant) -> None:
-    """No steps, no time hidden."""
+def test_without_quantisation_there_is_no_hidden_time(plant: HandoutPlant) -> None:
     found = armrig.delay(plant.dataset(1))
 
     assert found.t_q is None
@@ -211,18 +203,18 @@ def test_without_quantisation_there_is_nothing_to_tell_apart(plant: HandoutPlant
 
 
 def test_an_input_that_follows_from_its_own_past_is_refused() -> None:
-    """A constant, a sine, and twenty of them in a narrow band: nothing is claimed from these."""
+    """A constant, a sine, and twenty sines in a narrow band."""
     t, k = np.arange(1000), np.arange(1, 21)
     twenty = np.cos(2 * np.pi * np.outer(t, k) / 100 + k**2).sum(axis=1)
     noise = np.random.default_rng(1).standard_normal(1000)
 
     for u in (np.ones(1000), np.sin(0.3 * t), twenty):
-        with pytest.raises(ValueError, match="narrow a band tells no delay"):
+        with pytest.raises(ValueError, match="too narrow to find a delay"):
             armrig.delay(Dataset(u=u, y=filtered([0, 0.5], [1, -0.8], u) + noise, Ts=1.0))
 
 
 def test_a_prbs_of_a_short_period_is_enough() -> None:
-    """One of 31 samples determines 30 lags, which A and B share."""
+    """A PRBS of 31 samples determines 30 lags, which A and B share."""
     rng = np.random.default_rng(6)
     u = armrig.prbs(1000, register=5)
     y = filtered([0, 0, 0.5, 0.3], [1.0, -0.8], u) + 0.1 * rng.standard_normal(1000)
@@ -232,17 +224,15 @@ def test_a_prbs_of_a_short_period_is_enough() -> None:
     assert (found.nk, found.interval) == (2, (2, 2))
 
 
-def test_an_input_that_does_not_act_is_told() -> None:
-    """There is no first lag."""
+def test_an_input_that_does_not_act_is_reported() -> None:
     rng = np.random.default_rng(1)
     data = Dataset(u=rng.standard_normal(200), y=rng.standard_normal(200), Ts=1.0)
 
-    with pytest.raises(ValueError, match="no answer to u that can be told from noise"):
+    with pytest.raises(ValueError, match="no response to u above the noise"):
         armrig.delay(data)
 
 
-def test_the_level_of_the_tests_is_told(plant: HandoutPlant) -> None:
-    """Beside the result and in the explanation."""
+def test_the_level_of_the_tests_is_reported(plant: HandoutPlant) -> None:
     found = armrig.delay(plant.dataset(1, N=500))
 
     assert found.level == 0.001
@@ -271,8 +261,7 @@ def arm(seed: int, *, Ts: float = FAST, N: int = 4000, delayed: float = 0.0) -> 
 
 
 @pytest.mark.parametrize("samples", [0, 2])
-def test_at_a_short_sampling_time_the_shape_of_the_onset_tells(samples: int) -> None:
-    """Where the first coefficient alone is within the noise, under a name or without one."""
+def test_at_a_short_sampling_time_the_shape_of_the_onset_decides(samples: int) -> None:
     found = armrig.delay(arm(1, delayed=samples) if samples else unnamed(arm(1)))
 
     assert found.told
@@ -283,16 +272,14 @@ def test_at_a_short_sampling_time_the_shape_of_the_onset_tells(samples: int) -> 
 
 
 def test_half_a_sample_is_neither_of_its_neighbours() -> None:
-    """Neither onset explains it, and no delay is claimed."""
     found = armrig.delay(arm(2, delayed=1.5))
 
     assert found.interval == (2, 3)
     assert found.delay == 1
-    assert "nk between 2 and 3: cannot be told at this Ts and noise" in repr(found)
+    assert "nk between 2 and 3: not determined at this Ts and noise" in repr(found)
 
 
-def test_without_its_shape_an_onset_within_the_noise_is_not_told() -> None:
-    """No delay is claimed, and a direct term neither."""
+def test_without_its_shape_an_onset_within_the_noise_is_not_claimed() -> None:
     found = armrig.delay(unnamed(arm(1)), integrator=False)
 
     assert not found.told
@@ -302,7 +289,6 @@ def test_without_its_shape_an_onset_within_the_noise_is_not_told() -> None:
 
 @pytest.mark.parametrize(("Ts", "at", "high"), [(0.002, 161, 4.5), (0.001, 157, 1.5)])
 def test_one_step_read_in_steps_is_no_delay(Ts: float, at: int, high: float) -> None:
-    """What quantisation hides is not claimed."""
     u = np.where(np.arange(round(3 / Ts)) < at, 0.5, high)
     y = (np.floor(angle(u, Ts) / LSB) + 0.5) * LSB
 
@@ -313,7 +299,7 @@ def test_one_step_read_in_steps_is_no_delay(Ts: float, at: int, high: float) -> 
 
 
 def test_feedback_is_not_a_direct_term() -> None:
-    """A P controller's u(t) depends on y(t), which shows at lag 0: the rig acts from lag 1 on."""
+    """A P controller's u(t) depends on y(t), which shows at lag 0; the rig acts from lag 1 on."""
     rng, N = np.random.default_rng(5), 1500
     r, e = np.repeat(rng.uniform(-1, 1, N // 50), 50), 0.1 * rng.standard_normal(N)
     x, u, y = np.zeros((3, N))
@@ -332,7 +318,7 @@ def test_feedback_is_not_a_direct_term() -> None:
 
 
 def test_a_direct_term_and_feedback_without_delay_look_the_same() -> None:
-    """Of an input of two levels the direct term is believed; of another it is left open."""
+    """A direct term is assumed for an input of two levels; any other input leaves it open."""
     rng = np.random.default_rng(1)
 
     for u, nk in ((rng.choice([-1.0, 1.0], 1000), 0), (rng.standard_normal(1000), 1)):
@@ -343,7 +329,6 @@ def test_a_direct_term_and_feedback_without_delay_look_the_same() -> None:
 
 
 def test_a_gain_without_dynamics_is_a_direct_term() -> None:
-    """Whatever u is, for there is nothing after lag 0."""
     u, e = np.random.default_rng(1).standard_normal((2, 1000))
 
     found = armrig.delay(Dataset(u=u, y=0.5 * u + 0.1 * e, Ts=1.0))
@@ -359,7 +344,7 @@ def test_a_gain_without_dynamics_is_a_direct_term() -> None:
 def test_what_quantisation_hides_is_not_ruled_out(
     changes: int, t_q: float | None, low: int
 ) -> None:
-    """Of lags 2 to 6 at 10 ms; where u changes often an error of reading averages out."""
+    """Lags 2 to 6 at 10 ms; if u changes often, the error of a reading averages out."""
     read = _Readings(quantum=1e-3, largest_step=5.0, changes=changes, acceleration=1.0, t_q=t_q)
 
     found, remarks = _hidden_by_steps(_Onset(first=2, last=6, misfit={}), read, 0.01)
@@ -370,7 +355,7 @@ def test_what_quantisation_hides_is_not_ruled_out(
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_plant_of_relative_degree_four_has_no_dead_time(seed: int) -> None:
-    """1/(s + 1)^4 at Ts 0.2 s begins 1 : 15 : 65: one sample of delay is not shown."""
+    """1/(s + 1)^4 at Ts 0.2 s begins 1 : 15 : 65, so the data do not show one sample of delay."""
     rng = np.random.default_rng([seed, 28])
     u = armrig.telegraph(2000, 0.05, 1.0, 4.0, seed=rng)
     # Four lags of first order, exactly, for an input that is held.
@@ -386,4 +371,4 @@ def test_a_plant_of_relative_degree_four_has_no_dead_time(seed: int) -> None:
 
     assert found.nk == 1
     assert found.interval[0] <= 1 <= found.interval[1] <= 3
-    assert "An onset that is slower still looks like a delay" in found.explain()
+    assert "A slower onset looks like a delay" in found.explain()

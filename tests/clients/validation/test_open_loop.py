@@ -1,4 +1,4 @@
-"""Whether the rig ran in open loop: what is called feedback, how often, and what is not."""
+"""The test for open loop: its verdicts and their rates."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from handout_plant import HandoutPlant
+    from tests.clients.handout_plant import HandoutPlant
 
 Vector = NDArray[np.float64]
 Draw = Callable[[np.random.Generator], Vector]
@@ -43,7 +43,7 @@ def controlled(law: Callable[[int, float], float], noise: Vector) -> Dataset:
 
 
 def replayed(plant: HandoutPlant, u: Vector, rng: np.random.Generator, std: float) -> Dataset:
-    """Return what the arm does with this u when nobody looks."""
+    """Return the arm's response to this u in open loop."""
     y = plant.angle(u) + std * rng.standard_normal(u.size)
     return Dataset(u=u, y=y, Ts=0.01, output="theta_1", unit="rad")
 
@@ -61,9 +61,9 @@ def replayed(plant: HandoutPlant, u: Vector, rng: np.random.Generator, std: floa
 def test_open_loop_is_called_closed_as_often_as_the_level_says(
     plant: HandoutPlant, draw: Draw
 ) -> None:
-    """100 runs of each at 5 %; Granger's test called 27, 47, 17 and 30 % of them closed.
+    """100 runs of each at 5 %; Granger's test rejects 27, 47, 17 and 30 % of them.
 
-    The level over 1000 runs is measured by tests/benchmarks/feedback.py.
+    tests/benchmarks/feedback.py measures the level over 1000 runs.
     """
     rng = np.random.default_rng(1)
     p = np.array([sims(replayed(plant, draw(rng), rng, 5e-3)).p_value for _ in range(100)])
@@ -73,7 +73,6 @@ def test_open_loop_is_called_closed_as_often_as_the_level_says(
 
 
 def test_feedback_is_found_and_its_open_replay_is_not(plant: HandoutPlant) -> None:
-    """The same u, once as the controller made it and once played to the open rig."""
     closed = [under_feedback(seed) for seed in range(20)]
     rng = np.random.default_rng(2)
 
@@ -85,9 +84,9 @@ def test_feedback_is_found_and_its_open_replay_is_not(plant: HandoutPlant) -> No
 
 
 def test_input_of_long_ago_is_allowed_for(plant: HandoutPlant) -> None:
-    """A regulator's u has no mean power at 0 Hz: what comes tells of what was p samples ago.
+    """A regulator's u has no mean power at 0 Hz, so later samples depend on u p samples ago.
 
-    At 20 %, so that 8 of 40 are meant; without the sums of old input it is twice as many.
+    At 20 % 8 of 40 are expected; without the sums of old input there are twice as many.
     """
     rng = np.random.default_rng(5)
 
@@ -101,7 +100,7 @@ def test_input_of_long_ago_is_allowed_for(plant: HandoutPlant) -> None:
 
 
 def test_an_exact_relation_of_u_to_y_is_feedback() -> None:
-    """A P controller without a moving setpoint: u is a function of y, and y's noise is in it."""
+    """A P controller with a fixed setpoint: u is a function of y and contains its noise."""
     noise = 0.05 * np.random.default_rng(1).standard_normal(1000)
 
     for bounds in ((-np.inf, np.inf), (-0.1, 0.1)):
@@ -110,7 +109,7 @@ def test_an_exact_relation_of_u_to_y_is_feedback() -> None:
 
 
 def test_missing_outputs_keep_the_level_and_the_power(plant: HandoutPlant) -> None:
-    """Three of ten at random; a PRBS in open loop, and a controller."""
+    """Three of ten outputs are missing at random; a PRBS in open loop, and a controller."""
     rng = np.random.default_rng(4)
 
     def holed(data: Dataset) -> Dataset:
@@ -127,7 +126,6 @@ def test_missing_outputs_keep_the_level_and_the_power(plant: HandoutPlant) -> No
 
 
 def test_a_missing_output_costs_its_own_row_only(plant: HandoutPlant) -> None:
-    """A gap too long to predict through costs the past of what comes after, too."""
     whole = plant.dataset(3)
     rows = sims(whole).N
 
@@ -145,7 +143,6 @@ def test_a_missing_output_costs_its_own_row_only(plant: HandoutPlant) -> None:
 
 
 def test_nothing_is_carried_from_one_experiment_to_the_next(plant: HandoutPlant) -> None:
-    """Neither where each began to count its angle matters, nor the level of its input."""
     parts = [plant.dataset(seed, N=1000) for seed in (4, 5)]
     moved = parts[1].replaced(y=parts[1].y + 1000.0, u=parts[1].u + 100.0, step=None)
 
@@ -164,30 +161,28 @@ def test_nothing_is_carried_from_one_experiment_to_the_next(plant: HandoutPlant)
     ],
     ids=["constant", "sine", "few lines"],
 )
-def test_an_input_that_follows_from_its_own_past_cannot_tell(
+def test_an_input_that_follows_from_its_own_past_gives_no_verdict(
     plant: HandoutPlant, u: Vector, why: str
 ) -> None:
-    """No verdict, and the reason instead of one."""
     found = armrig.open_loop(replayed(plant, u, np.random.default_rng(1), 5e-3))
 
     assert found.feedback is None
     assert np.isnan(found.p_value)
-    assert repr(found).startswith("cannot tell whether there is feedback")
+    assert repr(found).startswith("no decision on feedback")
     assert why in found.explain()
     found.plot()
 
 
-def test_without_noise_it_cannot_be_told(plant: HandoutPlant) -> None:
-    """What the controller feeds back of a noise-free y it could as well have calculated."""
+def test_without_noise_there_is_no_verdict(plant: HandoutPlant) -> None:
+    """A controller could have calculated its feedback of a noise-free y in advance."""
     u = telegraph(1000, 0.05, 0.0, 5.0, seed=1)
     found = armrig.open_loop(Dataset(u=u, y=plant.angle(u), Ts=0.01))
 
     assert found.feedback is None
-    assert "without any noise" in found.explain()
+    assert "without noise" in found.explain()
 
 
 def test_the_verdict_is_that_of_the_level_asked_for(plant: HandoutPlant) -> None:
-    """On either side of p."""
     data = plant.dataset(1)
     p = sims(data).p_value
 
@@ -198,16 +193,14 @@ def test_the_verdict_is_that_of_the_level_asked_for(plant: HandoutPlant) -> None
 
 
 def test_an_explanation_says_what_was_found_and_its_limits(plant: HandoutPlant) -> None:
-    """Both ways."""
     free, fed = armrig.open_loop(plant.dataset(2)), armrig.open_loop(under_feedback(2))
 
-    assert "nothing speaks against open loop" in free.explain()
+    assert "the data do not contradict open loop" in free.explain()
     assert "no proof" in free.explain()
     assert "there is feedback" in fed.explain()
 
 
-def test_an_answer_within_the_sample_is_told_to_look_like_feedback(plant: HandoutPlant) -> None:
-    """A direct term; a controller that is a sample late is told from it."""
+def test_an_answer_within_the_sample_is_reported_to_look_like_feedback(plant: HandoutPlant) -> None:
     rng = np.random.default_rng(1)
     u = rng.standard_normal(1000)
     direct = replayed(plant, u, rng, 0.05)
@@ -224,7 +217,7 @@ def test_an_answer_within_the_sample_is_told_to_look_like_feedback(plant: Handou
 
 
 def test_memory_does_not_grow_with_the_regression() -> None:
-    """100 000 samples would be 70 MB of regressors."""
+    """100 000 samples would need 70 MB of regressors."""
     rng = np.random.default_rng(1)
     u = rng.standard_normal(100_000)
     data = Dataset(u=u, y=filtered([0.0, 1.0], [1.0, -0.9], u) + rng.standard_normal(u.size), Ts=1)
@@ -237,9 +230,8 @@ def test_memory_does_not_grow_with_the_regression() -> None:
     assert peak < 30e6
 
 
-@pytest.mark.parametrize(("N", "why"), [(60, "at least 85"), (200, "have their past beside them")])
+@pytest.mark.parametrize(("N", "why"), [(60, "at least 85"), (200, "with a complete past")])
 def test_too_few_samples_are_refused(plant: HandoutPlant, N: int, why: str) -> None:
-    """With the number that is needed; also where long gaps take the past away."""
     data = plant.dataset(1, N=N)
     valid = np.arange(N) % 24 < 12 if N == 200 else np.ones(N, dtype=bool)
 
@@ -248,13 +240,11 @@ def test_too_few_samples_are_refused(plant: HandoutPlant, N: int, why: str) -> N
 
 
 def test_an_impossible_level_is_refused(plant: HandoutPlant) -> None:
-    """It is a probability."""
     with pytest.raises(ValueError, match=r"level=5 must lie between 0 and 1"):
         armrig.open_loop(plant.dataset(1), level=5)
 
 
-def test_a_u_made_of_y_alone_is_told_as_such() -> None:
-    """No set point moves: such data tell the controller. A file's digits do not hide it."""
+def test_a_u_made_of_y_alone_is_reported_as_such() -> None:
     data = controlled(lambda _, y: -3.0 * y, 0.05 * np.random.default_rng(1).standard_normal(1000))
 
     for digits in (16, 7):
@@ -264,12 +254,12 @@ def test_a_u_made_of_y_alone_is_told_as_such() -> None:
         assert found.exact
         assert not found.may_be_direct_term
         assert "u(t) follows from y(t) exactly" in found.explain()
-        assert "tell the controller, not the rig" in found.brief()
+        assert "show the controller, not the rig" in found.brief()
     assert not armrig.open_loop(under_feedback(1)).exact
 
 
 def test_the_inputs_after_u_t_have_a_test_of_their_own() -> None:
-    """Of a white u their coefficients are independent: F is the mean of their squares over std."""
+    """For a white u the coefficients are independent: F is the mean of their squares over std."""
     from scipy.special import fdtrc
 
     for seed in (1, 4, 11):  # of small F, where the degrees of freedom matter most

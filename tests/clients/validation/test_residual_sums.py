@@ -12,8 +12,7 @@ from armrig.estimation.oe import oe
 from armrig.models.fit import Fit
 from armrig.models.prediction import prediction_errors
 from armrig.numerics.polynomial import Array, filtered
-from armrig.numerics.quantile import joint_p_value
-from armrig.numerics.whiteness import autoregression, portmanteau
+from armrig.numerics.whiteness import autoregression, joint_p_value, portmanteau
 from armrig.validation.residuals import residuals
 from scipy.stats import chi2
 
@@ -63,7 +62,6 @@ def written_out(fit: Fit, judged: Dataset, *, own: bool) -> tuple[Array, Array, 
 
 @pytest.mark.parametrize("own", [False, True])
 def test_the_input_is_tested_by_the_sums_of_the_docstring(own: bool) -> None:
-    """Lag 0 is of the past; on other data the robust deviations of theta are allowed for."""
     judged = two_experiments()
     fit = oe(judged if own else data(1, 400), nb=2, nf=2)
     fit = replace(fit, covariance_robust=9.0 * fit.covariance)
@@ -81,7 +79,6 @@ def test_the_input_is_tested_by_the_sums_of_the_docstring(own: bool) -> None:
 
 
 def test_a_direct_term_that_the_model_lacks_is_dynamics_missing() -> None:
-    """Lag 0 is the only one that shows it: it is no feedback."""
     seen = data(1, 400, B=[0.3, 1.0, 0.5])
 
     tested = residuals(arx(seen, na=4, nb=4, nk=1), seen)
@@ -91,7 +88,6 @@ def test_a_direct_term_that_the_model_lacks_is_dynamics_missing() -> None:
 
 
 def test_no_pair_of_residuals_spans_two_experiments() -> None:
-    """Ljung and Box count the pairs within each, and so does the autocorrelation."""
     judged, fit = two_experiments(), oe(data(1, 400), nb=2, nf=2)
 
     tested = residuals(fit, judged, lags=L)
@@ -108,7 +104,7 @@ def test_no_pair_of_residuals_spans_two_experiments() -> None:
 
 @pytest.mark.parametrize("own", [False, True])
 def test_whiteness_allows_for_theta_as_the_data_demand(own: bool) -> None:
-    """By its projection on the data that it is from, by its covariance on others."""
+    """By its projection on the estimation data, by its covariance on other data."""
     judged = two_experiments()
     fit = oe(judged if own else data(1, 100), nb=2, nf=2)
     known = [prediction_errors(fit, part) for part in judged.experiments()]
@@ -125,7 +121,6 @@ def test_whiteness_allows_for_theta_as_the_data_demand(own: bool) -> None:
 
 
 def test_the_allowance_is_the_widening_of_the_band() -> None:
-    """A model as sure as the data widens it little; a hundredfold deviation by as much."""
     fit, judged = oe(data(1, 400), nb=2, nf=2), data(2, 300)
     unsure = replace(fit, covariance_robust=1e4 * fit.covariance_robust)
 

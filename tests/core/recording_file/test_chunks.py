@@ -11,7 +11,7 @@ from armrig_core.recording_file.chunks import Unpacker
 
 
 def chunk(data: bytes, declared: int) -> bytes:
-    """Return a chunk without a checksum, whose zstd frame does not say how long it is."""
+    """Return a chunk without a checksum, whose zstd frame does not contain its length."""
     packer = zstandard.ZstdCompressor().compressobj()
     packed = packer.compress(data) + packer.flush()
     head = struct.pack("<QQQII", 0, 0, declared, 0, 4) + b"zstd"
@@ -20,7 +20,6 @@ def chunk(data: bytes, declared: int) -> bytes:
 
 @pytest.mark.parametrize("declared", [99, 101])
 def test_a_chunk_without_a_checksum_is_held_against_its_size(declared: int) -> None:
-    """A chunk that is a byte longer or shorter is damage; it is not cut."""
     unpacker = Unpacker(Budget(1000))
 
     assert unpacker.records(chunk(b"x" * 100, 100)) == b"x" * 100

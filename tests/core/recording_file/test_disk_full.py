@@ -22,7 +22,8 @@ from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recorder import Recording
 from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry import Sample, encode_sample
-from failing_disk import Disk
+
+from tests.daemon.failing_disk import Disk
 
 MANIFEST = Manifest(
     **{"rig": "1", "run_id": "r", "experiment": "test", "details": {}, "Ts": 0.01},
@@ -52,7 +53,7 @@ def _until_it_fails(recording: Recording, changed: threading.Event) -> None:
 
 
 def _check(path: Path, recorded: int, error: str) -> None:
-    """Check that a recording ended early, as a whole, with all that it says it has."""
+    """Check that a recording ended early, whole, with all its stated content."""
     loaded = armrig.load(path)
     assert not loaded.truncated
     assert loaded.samples["k"].tolist() == list(range(recorded))
@@ -61,8 +62,8 @@ def _check(path: Path, recorded: int, error: str) -> None:
     (file,) = [c for c in verify(path).checks if c.about == "file"]
     assert file.result == "passed"
     assert error == (
-        f"{path}: No space left on device; the recording ends there, whole up to then: "
-        "free the disk"
+        f"{path}: No space left on device; the recording ended early and is complete "
+        "up to its end: free disk space"
     )
 
 
@@ -70,7 +71,7 @@ _ON_A_SMALL_DISK = """
 import json, sys, threading
 from pathlib import Path
 sys.path[:0] = {path!r}
-import test_disk_full as here
+import tests.core.recording_file.test_disk_full as here
 folder = Path(sys.argv[1])
 changed = threading.Event()
 recording = here.Recording(
@@ -85,8 +86,8 @@ print(json.dumps({{"synced": recording.synced, "names": sorted(p.name for p in f
 
 
 def test_on_a_disk_that_runs_full_the_file_is_completed_from_the_reserve(tmp_path: Path) -> None:
-    """A file system of 3 MB: all that was flushed is there, with its outcome and its index."""
-    program = _ON_A_SMALL_DISK.format(path=[*sys.path, str(Path(__file__).parent)])
+    """A file system of 3 MB."""
+    program = _ON_A_SMALL_DISK.format(path=sys.path)
     mounted = f"mount -t tmpfs -o size=3m none {tmp_path} && exec {sys.executable} - {tmp_path}"
     unshare = shutil.which("unshare") or "/nowhere/unshare"
     if subprocess.run([unshare, "-rm", "true"], check=False, capture_output=True).returncode:
@@ -111,9 +112,8 @@ def test_on_a_disk_that_runs_full_the_file_is_completed_from_the_reserve(tmp_pat
 def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: str
 ) -> None:
-    """The reserve is given back to it; so, too, where the reserve itself cannot grow."""
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
-    monkeypatch.setattr(recording_part, "_INDEXED", 1 << 20)  # grows with each chunk
+    monkeypatch.setattr(recording_part, "_INDEX_BYTES", 1 << 20)  # grows with each chunk
     changed = threading.Event()
     disk = Disk(kind, 3)
     with disk.installed():
@@ -141,7 +141,6 @@ def test_what_was_in_hand_when_the_disk_was_full_is_kept_too(
 def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
 ) -> None:
-    """A failing disk, a limit on the file's size, or somebody who takes the reserve's room."""
     changed = threading.Event()
     recording = Recording(tmp_path / "run.mcap", MANIFEST, {}, t_first_ns=5, changed=changed.set)
     recording.add(_samples(0, 100))
@@ -163,7 +162,7 @@ def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
 
     left = tmp_path / "run.mcap.active"
     why = os.strerror(number)
-    assert recording.error == f"{left}: {why}; what was flushed is kept there"
+    assert recording.error == f"{left}: {why}; the flushed samples are kept there"
     assert armrig.load(left).samples["k"].tolist() == list(range(100))
     done = Recovery(armrig="0", now=lambda: "").recover(left)
     assert done.outcome.samples == 100
@@ -174,7 +173,6 @@ def test_where_no_room_helps_the_prefix_is_kept_for_a_recovery(
 def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n: int
 ) -> None:
-    """Its last samples, or its index, come from the reserve: nothing of it is missing."""
     monkeypatch.setattr(recorder, "FLUSH_S", 60.0)
     disk = Disk("write", n)
     with disk.installed():
@@ -190,10 +188,9 @@ def test_a_run_that_ended_just_before_the_disk_was_full_is_complete(
     assert (loaded.outcome.outcome, loaded.samples.size) == ("complete", 100)
 
 
-def test_that_the_disk_is_full_is_told_before_the_file_is_written_once_more(
+def test_a_full_disk_is_reported_before_the_file_is_written_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Which takes long: a run that nobody records is to be stopped at once."""
     changed, go_on = threading.Event(), threading.Event()
     compact = recording_part.compact
 

@@ -1,4 +1,4 @@
-"""L1: what was acknowledged survives `kill -9` at any moment."""
+"""L1: acknowledged samples survive `kill -9` at any moment."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ import subprocess
 import sys
 from pathlib import Path
 
-import killed_writer
 import pytest
+
+from tests.daemon import killed_writer
 
 KILLS = 20
 
 
 @pytest.mark.exhaustive
 def test_no_moment_to_be_killed_at_costs_what_was_acknowledged(tmp_path: Path) -> None:
-    """Twenty moments: a prefix without gaps, all that was on the disk, and a file that is whole."""
+    """Twenty moments."""
     program = [sys.executable, killed_writer.__file__, tmp_path, str(KILLS), "1"]
     subprocess.run(list(map(str, program)), check=True, timeout=300)
 

@@ -1,4 +1,4 @@
-"""Recordings: readable by others, whole up to the last flush whatever happens."""
+"""Recordings: readable by others, and whole up to the last flush after any event."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from armrig_core import protobuf
-from armrig_core.codes import COMPLETE, Ending, OutcomeCode
+from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode
 from armrig_core.manifest import OUTCOME, RUN, Manifest, manifest_of, outcome_of
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.outgoing import Outgoing
@@ -59,10 +59,18 @@ def _wait_until_flushed(recording: Recording, size: int) -> None:
 
 
 def test_another_project_s_reader_decodes_every_message(tmp_path: Path) -> None:
-    """mcap-protobuf-support, from the schemas in the file alone."""
+    """mcap-protobuf-support reads it, from the schemas in the file alone."""
     path = tmp_path / "run.mcap"
     recording = _recording(path)
-    gap = Gap(k_first=40, count=2, t_from_ns=1, t_to_ns=2, u_held_v=2.5, reason="late")
+    gap = Gap(
+        k_first=40,
+        count=2,
+        t_from_ns=1,
+        t_to_ns=2,
+        u_held_v=2.5,
+        reason="late",
+        code=GapCode.HOST_LATE,
+    )
 
     recording.add([_sample(k) for k in range(100)])
     recording.add([outgoing(gap, 0)])
@@ -83,8 +91,7 @@ def test_another_project_s_reader_decodes_every_message(tmp_path: Path) -> None:
     assert not recording.active.exists()
 
 
-def test_who_made_a_recording_is_told_when_it_is_complete(tmp_path: Path) -> None:
-    """The service sleeps until then."""
+def test_the_maker_of_a_recording_is_notified_when_it_is_complete(tmp_path: Path) -> None:
     changed = threading.Event()
     recording = _recording(tmp_path / "run.mcap", changed)
 
@@ -95,14 +102,17 @@ def test_who_made_a_recording_is_told_when_it_is_complete(tmp_path: Path) -> Non
 
 
 def test_times_are_the_sample_s_and_never_go_back(tmp_path: Path) -> None:
-    """What overtakes a sample in flight gets the time of the sample before.
-
-    What a sample overtook gets that sample's time. A sample that came before it was due was not
-    published later than it was logged.
-    """
     path = tmp_path / "run.mcap"
     recording = _recording(path)
-    late = Gap(k_first=1, count=1, t_from_ns=0, t_to_ns=15_000_000, u_held_v=0, reason="late")
+    late = Gap(
+        k_first=1,
+        count=1,
+        t_from_ns=0,
+        t_to_ns=15_000_000,
+        u_held_v=0,
+        reason="late",
+        code=GapCode.HOST_LATE,
+    )
     early = _sample(3)._replace(t_host_ns=29_999_000)
     overtaken = outgoing(replace(late, t_to_ns=19_000_000), 0)
 
@@ -134,7 +144,7 @@ def test_a_number_that_no_longer_fits_into_its_field_costs_nothing(tmp_path: Pat
 
 
 def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
-    """L1: a reader of the unfinished file finds manifest and samples; nothing was closed."""
+    """L1: a reader of the unfinished file finds manifest and samples, though nothing was closed."""
     recording = _recording(tmp_path / "run.mcap")
     header = recording.active.stat().st_size
     assert RUN.encode() in recording.active.read_bytes()  # before any sample
@@ -148,7 +158,6 @@ def test_what_was_flushed_is_on_the_disk_before_the_end(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("way", ["file", "folder", "folder above"])
 def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: str) -> None:
-    """The open file is ours, whatever it is called: it is told, and given its name there."""
     changed, directory = threading.Event(), tmp_path / "above" / "recordings"
     directory.mkdir(parents=True)
     recording = _recording(directory / "run.mcap", changed)
@@ -176,7 +185,6 @@ def test_a_recording_that_is_moved_is_finished_where_it_is(tmp_path: Path, way: 
 def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """While it is written once more, in full chunks, its folder is moved: nothing is lost."""
     directory, elsewhere = tmp_path / "recordings", tmp_path / "elsewhere"
     directory.mkdir()
 
@@ -195,10 +203,9 @@ def test_a_recording_that_is_moved_at_its_end_is_finished_where_it_is(
 
 
 @pytest.mark.parametrize("instead", [False, True])
-def test_a_recording_that_is_removed_is_told_while_the_run_goes_on(
+def test_a_recording_that_is_removed_is_reported_while_the_run_goes_on(
     tmp_path: Path, instead: bool
 ) -> None:
-    """Also where another file has its name: that one is not ours, and stays as it is."""
     changed = threading.Event()
     recording = _recording(tmp_path / "run.mcap", changed)
     recording.active.unlink()
@@ -207,18 +214,16 @@ def test_a_recording_that_is_removed_is_told_while_the_run_goes_on(
 
     assert changed.wait(30)
     assert recording.error.endswith(
-        "run.mcap.active: removed while it was written; its samples are gone"
+        "run.mcap.active: the file was removed during the recording; its samples are lost"
     )
     recording.finish(Ending(OutcomeCode.STOPPED, "stopped"))
     recording.join(30)
     assert [p.read_text() for p in tmp_path.iterdir()] == ["precious"] * instead
 
 
-def test_a_disk_that_is_full_at_the_very_end_is_told_too(
+def test_a_disk_that_is_full_at_the_very_end_is_reported_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The outcome has been taken by then: nothing waits for another."""
-
     def full(_fd: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -232,11 +237,9 @@ def test_a_disk_that_is_full_at_the_very_end_is_told_too(
     assert "No space left on device" in recording.error
 
 
-def test_whatever_fails_in_the_writer_is_told(
+def test_whatever_fails_in_the_writer_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not only what the disk says."""
-
     def broken(source: Path, target: Path) -> None:
         raise RuntimeError("unexpected")
 
@@ -250,11 +253,10 @@ def test_whatever_fails_in_the_writer_is_told(
 
 
 def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None:
-    """No file, and an error that says what to do."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
     try:
-        with pytest.raises(RecordingError, match="File too large; free the disk"):
+        with pytest.raises(RecordingError, match="File too large; free disk space"):
             _recording(tmp_path / "run.mcap")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -265,7 +267,6 @@ def test_a_recording_that_cannot_be_begun_leaves_nothing(tmp_path: Path) -> None
 def test_nobody_waits_for_a_disk_that_does_not_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Neither who begins a recording nor who ends it; what found no room is counted."""
     asked, answers = threading.Event(), threading.Event()
 
     def answer(_fd: int) -> None:
@@ -294,7 +295,6 @@ def test_nobody_waits_for_a_disk_that_does_not_answer(
 def test_a_sample_is_acknowledged_when_the_disk_has_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not when it was handed over, nor when the kernel has it; at the end all of them are."""
     monkeypatch.setattr("armrig_core.recording_file.recorder.SYNC_S", 0.05)
     monkeypatch.setattr("armrig_core.recording_file.recorder.FLUSH_S", 0.01)
     asked, answers = threading.Semaphore(0), threading.Semaphore(0)
@@ -328,7 +328,6 @@ def test_a_sample_is_acknowledged_when_the_disk_has_it(
 def test_a_disk_that_is_full_leaves_a_whole_prefix(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The file is cut to the last good flush, the error is told, and nothing hangs."""
     changed = threading.Event()
     recording = _recording(tmp_path / "run.mcap", changed)
     recording.add([_sample(k) for k in range(50)])
@@ -344,7 +343,7 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
     recording.finish(COMPLETE)
     recording.join(30)
 
-    assert "No space left on device; what was flushed is kept there" in recording.error
+    assert "No space left on device; the flushed samples are kept there" in recording.error
     assert recording.active.read_bytes()[: len(good)] == good
     assert not recording.path.exists()
 
@@ -353,10 +352,7 @@ def test_a_disk_that_is_full_leaves_a_whole_prefix(
 def test_half_a_chunk_that_found_no_more_room_is_cut_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room_again: bool
 ) -> None:
-    """The file ends with its last flush, to the byte: nothing torn is left for a reader to skip.
-
-    Nor does the other half come behind it where somebody frees the disk meanwhile.
-    """
+    """The file ends with its last flush, to the byte."""
     recording = _recording(tmp_path / "run.mcap")
     header = recording.active.stat().st_size
     recording.add([_sample(k) for k in range(50)])
@@ -379,14 +375,14 @@ def test_half_a_chunk_that_found_no_more_room_is_cut_off(
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
-    assert "File too large; what was flushed is kept there" in recording.error
+    assert "File too large; the flushed samples are kept there" in recording.error
     assert recording.active.read_bytes() == good
 
 
 def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """L1: the first whole before it is copied, the copy before it replaces it, then the name."""
+    """L1: the first file before its copy, the copy before it replaces the first, then the name."""
     synced = []
     fsync = os.fsync
 
@@ -415,8 +411,6 @@ def test_each_file_is_on_the_disk_before_the_next_step_builds_on_it(
 def test_no_room_for_the_compact_copy_keeps_the_first(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, err: Exception
 ) -> None:
-    """It is complete, only in smaller chunks."""
-
     def full(source: Path, target: Path) -> None:
         target.write_bytes(source.read_bytes()[:100])
         raise err
@@ -434,7 +428,6 @@ def test_no_room_for_the_compact_copy_keeps_the_first(
 
 
 def test_a_recording_never_overwrites_another(tmp_path: Path) -> None:
-    """The error says where, and what to do."""
     first = _recording(tmp_path / "run.mcap")
 
     with pytest.raises(RecordingError, match=r"run\.mcap\.active: File exists"):
@@ -445,7 +438,7 @@ def test_a_recording_never_overwrites_another(tmp_path: Path) -> None:
 
 
 def test_a_recording_does_not_begin_under_a_name_that_is_taken(tmp_path: Path) -> None:
-    """Once complete it would replace the file that has it."""
+    """At its end the recording would replace the other file."""
     (tmp_path / "run.mcap").write_bytes(b"precious")
 
     with pytest.raises(RecordingError, match=r"run\.mcap: File exists"):
@@ -455,7 +448,6 @@ def test_a_recording_does_not_begin_under_a_name_that_is_taken(tmp_path: Path) -
 
 
 def test_a_name_that_is_taken_meanwhile_is_not_taken_away(tmp_path: Path) -> None:
-    """The complete file keeps the name it has, and says so."""
     recording = _recording(tmp_path / "run.mcap")
     recording.add([_sample(k) for k in range(50)])
     (tmp_path / "run.mcap").write_bytes(b"precious")
@@ -464,12 +456,13 @@ def test_a_name_that_is_taken_meanwhile_is_not_taken_away(tmp_path: Path) -> Non
     recording.join(30)
 
     assert (tmp_path / "run.mcap").read_bytes() == b"precious"
-    assert recording.error.endswith("run.mcap.active: File exists; what was flushed is kept there")
+    assert recording.error.endswith(
+        "run.mcap.active: File exists; the flushed samples are kept there"
+    )
     with recording.active.open("rb") as file:
         assert len(list(make_reader(file).iter_messages())) == 50
 
 
 def test_every_stream_has_its_schema() -> None:
-    """A reader needs nothing but the file."""
     for name in (protobuf.SAMPLE, protobuf.GAP, protobuf.TIMING, protobuf.STATE, protobuf.LOG):
         assert protobuf.message_class(name).DESCRIPTOR.full_name == name

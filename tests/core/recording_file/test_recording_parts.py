@@ -12,7 +12,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig.recordings.verification import verify
-from armrig_core.codes import COMPLETE, OutcomeCode
+from armrig_core.codes import COMPLETE, GapCode, OutcomeCode
 from armrig_core.manifest import CALIBRATION, CONFIG, INPUT, Manifest
 from armrig_core.recording_file import recorder
 from armrig_core.recording_file.outgoing import Outgoing
@@ -23,8 +23,9 @@ from armrig_core.recording_file.recovery import Recovery
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.pipe import Gap
 from armrig_daemon.service.protobuf_out import outgoing
-from failing_disk import Disk
 from mcap.reader import make_reader
+
+from tests.daemon.failing_disk import Disk
 
 N, FIRST = 100, 1000
 ATTACHED = {CONFIG: b"{}", INPUT: b"u_v\n" + b"1.0\n" * N}
@@ -46,7 +47,13 @@ def _gap(first: int, count: int) -> Outgoing:
     t_ns = first * 10_000_000
     end_ns = t_ns + count * 10_000_000
     record = Gap(
-        k_first=first, count=count, t_from_ns=t_ns, t_to_ns=end_ns, u_held_v=1.0, reason="late"
+        k_first=first,
+        count=count,
+        t_from_ns=t_ns,
+        t_to_ns=end_ns,
+        u_held_v=1.0,
+        reason="late",
+        code=GapCode.HOST_LATE,
     )
     return outgoing(record, 0)
 
@@ -83,7 +90,6 @@ HOLED = [*WHOLE[:28], _gap(FIRST + 28, 4), *WHOLE[32:60], _gap(FIRST + 60, 1), *
 
 
 def test_parts_hold_what_one_file_would(tmp_path: Path) -> None:
-    """Sample by sample, with the gaps, under the name of the run; and each by itself."""
     (tmp_path / "one").mkdir()
     one = _recorded(tmp_path / "one" / "run.mcap", _each(HOLED), None)
 
@@ -107,8 +113,7 @@ def test_parts_hold_what_one_file_would(tmp_path: Path) -> None:
         assert (checks["file"], checks["samples"]) == ("passed", "passed"), path
 
 
-def test_a_part_says_which_it_is_and_ends_behind_a_sample(tmp_path: Path) -> None:
-    """A gap over the boundary is told once, in the part that follows, with all its samples."""
+def test_a_part_has_its_number_and_ends_after_a_sample(tmp_path: Path) -> None:
     _recorded(tmp_path / "run.mcap", _each(HOLED), PartLimits(30, 1 << 30))
 
     loaded = [armrig.load(tmp_path / f"run.part-000{i}.mcap") for i in (1, 2, 3, 4)]
@@ -127,8 +132,7 @@ def test_a_part_says_which_it_is_and_ends_behind_a_sample(tmp_path: Path) -> Non
     assert [[gap.k_first - FIRST for gap in r.gaps] for r in loaded] == [[28], [60], [], []]
 
 
-def test_a_gap_that_begins_where_a_part_ends_is_told_in_the_next(tmp_path: Path) -> None:
-    """The first part has no missing sample, the second has them all."""
+def test_a_gap_that_begins_where_a_part_ends_is_reported_in_the_next(tmp_path: Path) -> None:
     messages = [*WHOLE[:30], _gap(FIRST + 30, 5), *WHOLE[35:]]
 
     _recorded(tmp_path / "run.mcap", _each(messages), PartLimits(30, 1 << 30))
@@ -139,7 +143,6 @@ def test_a_gap_that_begins_where_a_part_ends_is_told_in_the_next(tmp_path: Path)
 
 
 def test_only_the_first_part_carries_the_input(tmp_path: Path) -> None:
-    """It may be long; configuration and calibration are in each."""
     _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
 
     attached = []
@@ -151,7 +154,6 @@ def test_only_the_first_part_carries_the_input(tmp_path: Path) -> None:
 
 
 def test_a_part_ends_at_its_size_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever the time; behind what was flushed by then."""
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
     begun = Part(tmp_path / "x.mcap", MANIFEST, ATTACHED, 0)
     begun.discard()
@@ -162,8 +164,7 @@ def test_a_part_ends_at_its_size_too(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert _ks(recording.kept) == list(range(FIRST, FIRST + N))
 
 
-def test_a_run_that_ends_where_a_part_is_full_has_no_empty_part_behind_it(tmp_path: Path) -> None:
-    """The last sample begins nothing."""
+def test_a_run_that_ends_with_a_full_part_has_no_empty_part(tmp_path: Path) -> None:
     _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(N // 2, 1 << 30))
 
     assert [p.name for p in part_paths(tmp_path / "run.mcap")] == [
@@ -174,7 +175,6 @@ def test_a_run_that_ends_where_a_part_is_full_has_no_empty_part_behind_it(tmp_pa
 def test_a_part_is_complete_when_the_next_one_begins(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What dies behind it takes nothing of it: it has its end and its name, and is on the disk."""
     seen, fsync, synced = [], os.fsync, []
 
     def noted(fd: int) -> None:
@@ -208,7 +208,6 @@ def test_a_part_is_complete_when_the_next_one_begins(
 def test_every_part_has_full_chunks_in_the_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """They are written once more when the run is over, not while it needs the machine."""
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
 
     _recorded(tmp_path / "run.mcap", _each(WHOLE), PartLimits(40, 1 << 30))
@@ -221,15 +220,17 @@ def test_every_part_has_full_chunks_in_the_end(
 
 
 def test_a_part_that_cannot_be_begun_ends_the_recording(tmp_path: Path) -> None:
-    """With all that came before it, in a part that is whole, and a line that says so."""
     disk = Disk("open", 2)
     with disk.installed():
         recording = _recorded(
             disk.path(tmp_path / "run.mcap"), _each(WHOLE), PartLimits(60, 1 << 30)
         )
 
-    told = f"{recording.kept}: No space left on device; part 2 cannot be begun"
-    assert recording.error == f"{told}; the recording ends there, whole up to then: free the disk"
+    told = f"{recording.kept}: No space left on device; part 2 cannot begin"
+    assert (
+        recording.error
+        == f"{told}; the recording ended early and is complete up to its end: free disk space"
+    )
     assert [p.name for p in tmp_path.iterdir()] == ["run.part-0001.mcap"]
     loaded = armrig.load(recording.kept)
     assert (loaded.truncated, loaded.samples.size, recording.synced) == (False, 60, 60)
@@ -241,7 +242,6 @@ def test_a_part_that_cannot_be_begun_ends_the_recording(tmp_path: Path) -> None:
 def test_whatever_call_fails_what_is_left_is_a_prefix(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, on: bool
 ) -> None:
-    """Every few calls of every kind, once and from then on, in three parts."""
     monkeypatch.setattr(recorder, "FLUSH_S", 0.0)
     monkeypatch.setattr(recorder, "SYNC_S", 0.0)
     batches = [WHOLE[i : i + 10] for i in range(0, N, 10)]
@@ -277,7 +277,6 @@ def test_whatever_call_fails_what_is_left_is_a_prefix(
 def test_the_parts_of_a_daemon_that_died_are_read_as_one_when_the_last_is_recovered(
     tmp_path: Path,
 ) -> None:
-    """Those before it are whole anyway."""
     recording = Recording(
         tmp_path / "run.mcap",
         MANIFEST,
@@ -306,8 +305,7 @@ def test_the_parts_of_a_daemon_that_died_are_read_as_one_when_the_last_is_recove
     assert joined.recovered is not None
 
 
-def test_only_the_name_of_a_recording_stands_for_parts(tmp_path: Path) -> None:
-    """Of another file, or of a longer name, they are no parts; the tenth follows the ninth."""
+def test_only_the_name_of_a_recording_selects_parts(tmp_path: Path) -> None:
     for name in ("run.part-0010.mcap", "run.part-0009.mcap", "run-2.part-0001.mcap"):
         (tmp_path / name).touch()
 
@@ -319,7 +317,6 @@ def test_only_the_name_of_a_recording_stands_for_parts(tmp_path: Path) -> None:
 
 
 def test_a_run_in_parts_whose_folder_is_moved_is_kept_where_it_is(tmp_path: Path) -> None:
-    """Under the name of the run, which stands for its parts there."""
     folder, elsewhere, changed = tmp_path / "a", tmp_path / "b", threading.Event()
     folder.mkdir()
     recording = Recording(

@@ -1,4 +1,4 @@
-"""What a daemon left unfinished is completed as far as it is whole, or stays as it is."""
+"""An unfinished recording is completed up to its damage, or stays as it is."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ from armrig_core.recording_file.recovery import (
 )
 from armrig_core.recording_file.unfinished import NotOursError, RecoveryError
 from armrig_core.telemetry import encode_sample
-from made_recordings import gap, manifest, recorded, sample, written
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
+
+from tests.clients.made_recordings import gap, manifest, recorded, sample, written
 
 NAME = "1-test-20261120T040000-0000abcd.mcap"
 LEFT = f"{NAME}.active"
@@ -65,7 +66,7 @@ def _kept(path: Path) -> tuple[list[int], int]:
 
 
 def _untouched(path: Path, data: bytes, why: str, recovery: Recovery = RECOVERY) -> RecoveryError:
-    """Check that a file is refused, stays as it is, and nothing is left beside it."""
+    """Check that a file is refused and unchanged, and that no other file remains."""
     before = sorted(path.parent.iterdir())
     with pytest.raises(RecoveryError, match=why) as refused:
         recovery.recover(path)
@@ -79,7 +80,6 @@ def _untouched(path: Path, data: bytes, why: str, recovery: Recovery = RECOVERY)
 def test_whatever_was_whole_is_there_afterwards_wherever_it_was_cut(
     tmp_path: Path, off: int
 ) -> None:
-    """The same samples and gaps that a reader of the cut file sees, in a file that is whole."""
     begins = _edges(DATA)
     first = next(i for i, at in enumerate(begins) if DATA[at] == Opcode.CHUNK)
     assert len(begins[first:]) > 2 * N / 5
@@ -108,7 +108,6 @@ def test_whatever_was_whole_is_there_afterwards_wherever_it_was_cut(
 def test_only_samples_that_were_due_count_as_missing(
     tmp_path: Path, part: dict[str, int], missing: int
 ) -> None:
-    """A gap may begin before the run, or its part, and end after it."""
     messages = [gap(35, 10, 1.0), *(sample(k) for k in range(45, 95)), gap(95, 20, 1.0)]
     about = manifest(k_first=40, samples=60, **part)
     data = recorded(messages, manifest=about, outcome=None)
@@ -119,7 +118,6 @@ def test_only_samples_that_were_due_count_as_missing(
 
 
 def test_another_project_s_reader_finds_every_message(tmp_path: Path) -> None:
-    """By the index at the end, which the cut file had not."""
     half = _edges(DATA)[len(_edges(DATA)) // 2]
     left = written(tmp_path, DATA[: half + 5], LEFT)
 
@@ -135,7 +133,6 @@ def test_another_project_s_reader_finds_every_message(tmp_path: Path) -> None:
 
 
 def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
-    """When, by which version, and what was cut off."""
     cut = _edges(DATA)[-20] + 7
     left = written(tmp_path, DATA[:cut], LEFT)
 
@@ -146,12 +143,11 @@ def test_the_file_says_that_it_was_recovered(tmp_path: Path) -> None:
     assert (said.when, said.armrig) == ("2026-11-20T06:00:00.000+01:00", "0.2.0")
     assert (said.kept_bytes, said.cut_off_bytes) == (cut - 7, 7)
     assert "cut off" in said.damage
-    assert "a torn write of 7 B behind them is cut off" in sentence(done)
+    assert "a torn write of 7 B after them was cut off" in sentence(done)
     assert armrig.load(written(tmp_path, DATA)).recovered is None
 
 
 def test_a_run_that_had_ended_keeps_its_outcome(tmp_path: Path) -> None:
-    """Its daemon died between the end of the file and its name."""
     ended = Outcome(outcome="stopped by a student", samples=N - 3, missing=3, code="stopped")
     left = written(tmp_path, _data(outcome=ended), LEFT)
 
@@ -162,15 +158,14 @@ def test_a_run_that_had_ended_keeps_its_outcome(tmp_path: Path) -> None:
 
 
 def test_a_torn_copy_of_a_complete_recording_stays_as_it_is(tmp_path: Path) -> None:
-    """Its outcome stands before its samples: to keep it would claim samples that are lost."""
+    """Its outcome precedes its samples, so keeping it would claim lost samples."""
     data = _data(outcome=Outcome(outcome="complete", samples=N, missing=0))
     left = written(tmp_path, data, LEFT)
 
-    _untouched(left, data, f"{N - 3} of its {N} samples are whole, .* copy it again")
+    _untouched(left, data, f"only {N - 3} of its {N} samples are readable; .* copy it again")
 
 
 def test_a_run_of_no_sample_is_a_recording_too(tmp_path: Path) -> None:
-    """Its daemon died before the first flush: how the run was made is kept."""
     nothing = recorded([], manifest=manifest(k_first=0), outcome=None, u=[1.0] * 10)
     left = written(tmp_path, nothing[: _edges(nothing)[-8]], LEFT)
 
@@ -181,7 +176,6 @@ def test_a_run_of_no_sample_is_a_recording_too(tmp_path: Path) -> None:
 
 
 def test_a_long_input_is_kept(tmp_path: Path) -> None:
-    """An attachment may be longer than any other record."""
     u = [0.123456789012345 + 1e-7 * k for k in range(500_000)]
     data = recorded([sample(0)], manifest=manifest(k_first=0, samples=len(u)), outcome=None, u=u)
     left = written(tmp_path, data[:-20], LEFT)
@@ -199,7 +193,6 @@ def test_a_long_input_is_kept(tmp_path: Path) -> None:
 def test_what_an_earlier_release_left_is_recovered_too(
     tmp_path: Path, release: str, pacing: str
 ) -> None:
-    """Its daemon died before the file had its name; every sample is there afterwards."""
     data = (DATA_OF_RELEASES / release / f"{pacing}.mcap").read_bytes()
     left = written(tmp_path, data[: -len(MAGIC)], LEFT)
     before = armrig.load(left)
@@ -214,7 +207,6 @@ def test_what_an_earlier_release_left_is_recovered_too(
 
 
 def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
-    """Its daemon holds the lock, and lives."""
     left = written(tmp_path, DATA, LEFT)
     with left.open("rb") as file:
         lock(file)
@@ -226,7 +218,6 @@ def test_a_file_that_is_being_written_is_left_alone(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["a link", "a pipe", "a folder", "a link to itself"])
 def test_what_only_looks_like_a_recording_is_not_touched(tmp_path: Path, kind: str) -> None:
-    """Nothing is read through it, and nobody waits for it."""
     left, elsewhere = tmp_path / LEFT, written(tmp_path, DATA, "elsewhere")
     match kind:
         case "a link":
@@ -238,7 +229,7 @@ def test_what_only_looks_like_a_recording_is_not_touched(tmp_path: Path, kind: s
         case _:
             left.symlink_to(left)
 
-    with pytest.raises(RecoveryError, match="not a regular file; passed over"):
+    with pytest.raises(RecoveryError, match="not a regular file; it is skipped"):
         RECOVERY.recover(left)
 
     assert elsewhere.read_bytes() == DATA
@@ -248,7 +239,6 @@ def test_what_only_looks_like_a_recording_is_not_touched(tmp_path: Path, kind: s
 def test_a_link_that_takes_the_place_of_a_file_is_not_followed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Just after it was looked at."""
     left, elsewhere = written(tmp_path, DATA, LEFT), written(tmp_path, DATA, "elsewhere")
     check = unfinished._check_regular
 
@@ -268,7 +258,7 @@ def test_a_link_that_takes_the_place_of_a_file_is_not_followed(
 def test_a_file_that_is_given_its_name_meanwhile_is_left_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its daemon ends it just before we have the lock, and another file has the name by then."""
+    """The daemon ends the file just before the lock is taken."""
     left = written(tmp_path, DATA, LEFT)
 
     def ended(_: object) -> None:
@@ -276,7 +266,7 @@ def test_a_file_that_is_given_its_name_meanwhile_is_left_alone(
         left.write_bytes(b"precious")
 
     monkeypatch.setattr(unfinished, "lock", ended)
-    with pytest.raises(NotOursError, match="another file has that name"):
+    with pytest.raises(NotOursError, match="the name now belongs to another file"):
         RECOVERY.recover(left)
 
     assert left.read_bytes() == b"precious"
@@ -293,12 +283,10 @@ def test_a_file_that_is_given_its_name_meanwhile_is_left_alone(
     ],
 )
 def test_what_is_no_recording_stays_as_it_is(tmp_path: Path, data: bytes, why: str) -> None:
-    """Whatever it is called; and it is said."""
     _untouched(written(tmp_path, data, LEFT), data, why)
 
 
 def test_a_manifest_of_another_form_stays_as_it_is(tmp_path: Path) -> None:
-    """There is such metadata, but not of ours."""
     out = BytesIO()
     writer = Writer(out)
     writer.start()
@@ -309,8 +297,7 @@ def test_a_manifest_of_another_form_stays_as_it_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", [OUTCOME, RECOVERED])
-def test_what_is_told_in_another_form_stays_as_it_is(tmp_path: Path, name: str) -> None:
-    """The manifest is ours, but not how the run ended, or was recovered before."""
+def test_a_file_with_another_form_of_metadata_stays_as_it_is(tmp_path: Path, name: str) -> None:
     out = BytesIO()
     writer = Writer(out)
     writer.start()
@@ -322,7 +309,6 @@ def test_what_is_told_in_another_form_stays_as_it_is(tmp_path: Path, name: str) 
 
 
 def test_what_belongs_to_no_channel_does_not_end_what_can_be_read(tmp_path: Path) -> None:
-    """A reader passes over it; what comes behind it is kept."""
     out = BytesIO()
     writer = Writer(out, chunk_size=100)
     writer.start()
@@ -345,15 +331,14 @@ def test_what_belongs_to_no_channel_does_not_end_what_can_be_read(tmp_path: Path
 
 
 def test_the_file_of_another_user_stays_as_it_is(tmp_path: Path) -> None:
-    """Anybody may put one into a folder that others can write to."""
     left = written(tmp_path, DATA, LEFT)
     of_another = Recovery(armrig="0", now=lambda: "", owner=os.geteuid() + 1)
 
-    _untouched(left, DATA, "another user's file; passed over", of_another)
+    _untouched(left, DATA, "another user's file; it is skipped", of_another)
 
 
 def test_the_file_of_another_rig_is_left_to_its_daemon(tmp_path: Path) -> None:
-    """Files of rig 1-b look like those of rig 1 by their names."""
+    """Files of rig 1-b look like files of rig 1 by their names."""
     data = recorded([sample(0)], manifest=manifest(rig="1-b"), outcome=None)
     left = written(tmp_path, data, "1-b-test-20261120T040000-0000abcd.mcap.active")
     for rig in ("1", "1-b", ""):
@@ -365,14 +350,12 @@ def test_the_file_of_another_rig_is_left_to_its_daemon(tmp_path: Path) -> None:
 
 
 def test_a_recording_of_that_name_is_not_written_over(tmp_path: Path) -> None:
-    """One of them may be somebody's copy."""
     written(tmp_path, b"precious", NAME)
 
-    _untouched(written(tmp_path, DATA, LEFT), DATA, f"{NAME} is there already")
+    _untouched(written(tmp_path, DATA, LEFT), DATA, f"{NAME} exists already")
 
 
 def test_a_damage_in_the_middle_takes_nothing_away(tmp_path: Path) -> None:
-    """A torn write is small. What stands behind more than that may be read some day."""
     rng = np.random.default_rng(1)
     noise = rng.integers(0, 65536, (40_000, 2)).tolist()
     samples = [sample(k, theta_1_counts=a, alpha_counts=b) for k, (a, b) in enumerate(noise)]
@@ -381,19 +364,18 @@ def test_a_damage_in_the_middle_takes_nothing_away(tmp_path: Path) -> None:
     assert len(data) > 1.2 * MOST_CUT_OFF
     data[len(data) // 10] ^= 1
 
-    _untouched(written(tmp_path, bytes(data), LEFT), bytes(data), "B stand behind it; it stays")
+    _untouched(written(tmp_path, bytes(data), LEFT), bytes(data), "B follow; the file stays")
 
     del data[MOST_CUT_OFF:]
     assert RECOVERY.recover(written(tmp_path, bytes(data), LEFT)).outcome.samples > 1000
 
 
 def test_no_room_for_the_copy_takes_nothing_away(tmp_path: Path) -> None:
-    """And it says what to do when there is room again."""
     left = written(tmp_path, DATA, LEFT)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))
     try:
-        _untouched(left, DATA, "File too large; it stays as it is: .* `armrig recover` it")
+        _untouched(left, DATA, "File too large; the file stays as it is; .* `armrig recover` it")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
@@ -401,8 +383,7 @@ def test_no_room_for_the_copy_takes_nothing_away(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("is_link", [False, True])
-def test_a_copy_that_was_begun_before_is_begun_anew(tmp_path: Path, is_link: bool) -> None:
-    """Who wrote it has died; where somebody put a link, nothing is written through it."""
+def test_a_copy_that_was_begun_before_is_begun_again(tmp_path: Path, is_link: bool) -> None:
     elsewhere = written(tmp_path, b"precious", "elsewhere")
     left, copy = written(tmp_path, DATA, LEFT), tmp_path / f"{NAME}.compact"
     if is_link:
@@ -421,7 +402,6 @@ def test_a_copy_that_was_begun_before_is_begun_anew(tmp_path: Path, is_link: boo
 def test_whatever_dies_while_it_recovers_the_next_one_finds_it_all(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, n: int
 ) -> None:
-    """Before the copy has the name, between the two renames, and behind them."""
     left, calls = written(tmp_path, DATA, LEFT), []
     replace = Path.replace
 
@@ -459,7 +439,7 @@ def test_whatever_dies_while_it_recovers_the_next_one_finds_it_all(
 def test_the_copy_is_on_the_disk_before_it_has_the_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """L1: a machine that loses its power in between has one whole recording."""
+    """L1: a machine that loses its power in between has one complete recording."""
     synced = []
     fsync = os.fsync
 
@@ -477,7 +457,6 @@ def test_the_copy_is_on_the_disk_before_it_has_the_name(
 
 
 def test_only_what_has_the_name_of_an_unfinished_recording_is_recovered(tmp_path: Path) -> None:
-    """A file that is cut off for another reason is somebody's own."""
     whole = written(tmp_path, DATA[:-500], "copy.mcap")
 
     _untouched(whole, DATA[:-500], r"ends in \.mcap\.active")
@@ -488,7 +467,7 @@ def test_only_what_has_the_name_of_an_unfinished_recording_is_recovered(tmp_path
 
 
 def test_the_files_of_a_rig_are_those_with_its_id_and_a_dash(tmp_path: Path) -> None:
-    """Rig 10 is not rig 1: neither its unfinished recordings nor its copies are touched."""
+    """Rig 10 is not rig 1."""
     names = [
         f"{rig}-test.mcap{end}" for rig in ("1", "10", "a-1") for end in (".active", ".compact")
     ]
@@ -503,8 +482,7 @@ def test_the_files_of_a_rig_are_those_with_its_id_and_a_dash(tmp_path: Path) -> 
     assert {path.name for path in tmp_path.iterdir()} == set(names) - {"1-test.mcap.compact"}
 
 
-def test_a_spoilt_attachment_is_left_out_and_told(tmp_path: Path) -> None:
-    """The samples after it stay, and the new file says what it lacks."""
+def test_a_spoilt_attachment_is_left_out_and_reported(tmp_path: Path) -> None:
     spoilt = bytearray(DATA)
     spoilt[DATA.index(b"zero_counts")] ^= 1
     before = armrig.load(written(tmp_path, bytes(spoilt), "before.mcap"))

@@ -1,4 +1,4 @@
-"""What a folder no longer keeps: whole runs of one rig, the oldest first, and nothing else."""
+"""Removal of recordings: whole runs of one rig, the oldest first, and nothing else."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import pytest
 from armrig_core.manifest import Outcome
 from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.retention import DAY_S, GB, Retention
-from made_recordings import manifest, recorded, sample, written
+
+from tests.clients.made_recordings import manifest, recorded, sample, written
 
 NOW_S = 2_000_000_000.0
 COMPLETE = Outcome(outcome="complete", samples=1, missing=0)
@@ -41,12 +42,10 @@ def _names(folder: Path) -> set[str]:
 
 
 def test_without_a_limit_nothing_is_asked(tmp_path: Path) -> None:
-    """The default of the configuration."""
     assert not _retention(tmp_path, keep_days=0.0).is_asked
 
 
 def test_a_run_goes_by_its_age_and_each_removal_is_reported(tmp_path: Path) -> None:
-    """A day before its time it stays."""
     old = _run(tmp_path, "1-a.mcap", 31)
     size = old.stat().st_size
     _run(tmp_path, "1-b.mcap", 29)
@@ -60,7 +59,6 @@ def test_a_run_goes_by_its_age_and_each_removal_is_reported(tmp_path: Path) -> N
 
 
 def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) -> None:
-    """By the end of the run, not by name."""
     runs = [_run(tmp_path, f"1-{name}.mcap", days) for name, days in (("a", 1), ("b", 3), ("c", 2))]
     size = runs[0].stat().st_size
 
@@ -71,7 +69,6 @@ def test_the_oldest_go_until_the_rest_takes_no_more_than_it_may(tmp_path: Path) 
 
 
 def test_the_newest_run_stays_whatever_its_age_and_size(tmp_path: Path) -> None:
-    """Somebody has just made it, and a limit may be too small for one."""
     _run(tmp_path, "1-a.mcap", 40)
     _run(tmp_path, "1-b.mcap", 35)
 
@@ -81,7 +78,6 @@ def test_the_newest_run_stays_whatever_its_age_and_size(tmp_path: Path) -> None:
 
 
 def test_a_long_run_goes_as_a_whole(tmp_path: Path) -> None:
-    """Not before its last part is old enough; then in one line."""
     parts = [
         _run(tmp_path, f"1-a.part-000{n}.mcap", days, outcome=outcome)
         for n, days, outcome in ((1, 40, CONTINUED), (2, 29, COMPLETE))
@@ -110,7 +106,6 @@ def _spoil(path: Path) -> None:
 def test_what_cannot_be_read_to_its_end_stays_and_is_reported_once(
     tmp_path: Path, damage: Any
 ) -> None:
-    """A changed byte among the samples counts; what is damaged makes no other run go."""
     broken = _run(tmp_path, "1-a.mcap", 40)
     damage(broken)
     _aged(broken, 40)
@@ -121,7 +116,7 @@ def test_what_cannot_be_read_to_its_end_stays_and_is_reported_once(
     (report,) = retention.apply(NOW_S)
 
     assert not report.is_removed
-    assert report.text.startswith(f"{broken}: older than 30 days, but stays: ")
+    assert report.text.startswith(f"{broken}: older than 30 days, but it stays: ")
     assert [*retention.apply(NOW_S)] == []
     assert _names(tmp_path) == {"1-a.mcap", "1-b.mcap", "1-c.mcap"}
 
@@ -130,7 +125,6 @@ def test_what_cannot_be_read_to_its_end_stays_and_is_reported_once(
 def test_a_run_that_does_not_say_how_it_ended_stays(
     tmp_path: Path, outcome: Outcome | None
 ) -> None:
-    """No outcome, or that of a part that another one follows."""
     _run(tmp_path, "1-a.part-0001.mcap", 40, outcome=outcome)
     _run(tmp_path, "1-b.mcap", 1)
 
@@ -141,7 +135,6 @@ def test_a_run_that_does_not_say_how_it_ended_stays(
 
 
 def test_a_run_with_a_part_of_another_rig_stays(tmp_path: Path) -> None:
-    """Somebody gave a file a new name."""
     _run(tmp_path, "1-a.part-0001.mcap", 40, outcome=CONTINUED)
     _run(tmp_path, "1-a.part-0002.mcap", 40, rig="2")
     _run(tmp_path, "1-b.mcap", 1)
@@ -149,11 +142,10 @@ def test_a_run_with_a_part_of_another_rig_stays(tmp_path: Path) -> None:
     (report,) = _retention(tmp_path).apply(NOW_S)
 
     assert not report.is_removed
-    assert report.text.endswith("a part of it is of another rig")
+    assert report.text.endswith("a part of it belongs to another rig")
 
 
 def test_nothing_else_in_the_folder_is_touched(tmp_path: Path) -> None:
-    """Unfinished runs, other rigs, other users' files, links, folders, notes."""
     _run(tmp_path, "1-a.mcap.active", 40)
     _run(tmp_path, "1-b.part-0001.mcap", 40, outcome=CONTINUED)
     _run(tmp_path, "1-b.part-0002.mcap.active", 40)
@@ -174,7 +166,6 @@ def test_nothing_else_in_the_folder_is_touched(tmp_path: Path) -> None:
 
 
 def test_a_file_that_somebody_holds_stays_until_it_is_free(tmp_path: Path) -> None:
-    """A recorder or a recovery has the lock."""
     path = _run(tmp_path, "1-a.mcap", 40)
     _run(tmp_path, "1-b.mcap", 1)
     retention = _retention(tmp_path)
@@ -189,7 +180,6 @@ def test_a_file_that_somebody_holds_stays_until_it_is_free(tmp_path: Path) -> No
 def test_what_a_loss_of_power_left_of_a_run_goes_the_next_time(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The first parts are removed first, so that what is left ends the run."""
     for n, outcome in ((1, CONTINUED), (2, CONTINUED), (3, COMPLETE)):
         _run(tmp_path, f"1-a.part-000{n}.mcap", 40, outcome=outcome)
     _run(tmp_path, "1-b.mcap", 1)

@@ -1,4 +1,4 @@
-"""The compact copy holds what the first holds, to the last field."""
+"""The compact copy contains the same as the first file, to the last field."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from armrig_core.recording_file.budget import DamageError
 from armrig_core.recording_file.file_lock import lock
-from armrig_core.recording_file.rewriting import CHUNK, Rewriter, compact
+from armrig_core.recording_file.rewriting import CHUNK_BYTES, Rewriter, compact
 from mcap.reader import make_reader
 from mcap.records import (
     Attachment,
@@ -57,7 +57,7 @@ def first(tmp_path: Path) -> Path:
 
 
 def _records(path: Path) -> list[object]:
-    """Return what a file says, up to its summary, which says it again."""
+    """Return the records of a file, up to its summary, which repeats them."""
     kept: list[object] = []
     with path.open("rb") as file:
         for record in StreamReader(file).records:
@@ -76,7 +76,6 @@ def _chunks(path: Path) -> list[ChunkIndex]:
 
 
 def test_every_record_is_copied_with_every_field(first: Path, tmp_path: Path) -> None:
-    """Both times, the number, the topic and its schema, and what is attached."""
     copy = tmp_path / "copy"
 
     compact(first, copy)
@@ -88,19 +87,19 @@ def test_every_record_is_copied_with_every_field(first: Path, tmp_path: Path) ->
 
 
 def test_its_chunks_are_of_the_size_that_readers_like(first: Path, tmp_path: Path) -> None:
-    """Of 1 MiB and a message at most; only the last may be less."""
+    """1 MiB and one message at most; only the last chunk may be smaller."""
     copy = tmp_path / "copy"
 
     compact(first, copy)
 
     sizes = [chunk.uncompressed_size for chunk in _chunks(copy)]
     assert len(sizes) == 3
-    assert all(CHUNK <= size < CHUNK + 2 * SIZE for size in sizes[:-1])
+    assert all(CHUNK_BYTES <= size < CHUNK_BYTES + 2 * SIZE for size in sizes[:-1])
     assert len(_chunks(first)) > 200
 
 
 def test_the_copy_is_guarded_by_a_checksum(first: Path, tmp_path: Path) -> None:
-    """Beside those of its chunks: 0 would say that there is none."""
+    """0 would mean that there is no checksum."""
     copy = tmp_path / "copy"
 
     compact(first, copy)
@@ -115,7 +114,6 @@ def test_the_copy_is_guarded_by_a_checksum(first: Path, tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_there_is_not_written_over(first: Path, tmp_path: Path) -> None:
-    """Whatever has that name is somebody's."""
     with pytest.raises(FileExistsError):
         compact(first, first)
 
@@ -124,7 +122,6 @@ def test_a_file_that_is_there_is_not_written_over(first: Path, tmp_path: Path) -
 def test_a_file_that_is_not_whole_is_not_copied_as_if_it_were(
     first: Path, tmp_path: Path, wrong: str
 ) -> None:
-    """A copy of its beginning would take its place."""
     data = bytearray(first.read_bytes())
     if wrong == "cut off":
         del data[-9:]
@@ -139,7 +136,6 @@ def test_a_file_that_is_not_whole_is_not_copied_as_if_it_were(
 def test_a_copy_is_locked_while_it_is_written(
     first: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Another daemon that starts meanwhile does not take it for one that somebody died over."""
     copy, locked = tmp_path / "copy", []
     finish = Rewriter.finish
 

@@ -1,4 +1,4 @@
-"""How a device of the emulator is made to break a rule: by a patched function."""
+"""Patches that make an emulated device break a rule."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Patch = pytest.MonkeyPatch
 
 
 class SpoiltDevice(NamedTuple):
-    """What is done to the emulator, and a rule that must find it."""
+    """A patch of the emulator, and the rule that must find it."""
 
     spoil: Callable[[Patch], None]
     found_by: str
@@ -27,7 +27,7 @@ class SpoiltDevice(NamedTuple):
 
 
 def other_handler(patch: Patch, kind: type[Message], make: Callable[[Any], Any]) -> None:
-    """Put another handler of a type in the place of its own."""
+    """Replace the handler of a type by another."""
     patch.setitem(requests._HANDLERS, kind, make(requests._HANDLERS[kind]))
 
 

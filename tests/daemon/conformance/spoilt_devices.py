@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import spoilt_frames
-import spoilt_readings
-import spoilt_setpoints
-import spoilt_states
-from spoiling import SpoiltDevice
+from tests.daemon.conformance import spoilt_frames, spoilt_readings, spoilt_setpoints, spoilt_states
+from tests.daemon.conformance.spoiling import SpoiltDevice
 
 UNPLUGGED: dict[str, Any] = {"arm": {"R_m": 1e9}}
-"""The motor does not turn the arm, whatever the code."""
+"""Settings with an open motor circuit: the motor does not turn the arm."""
 AT_A_RAIL: dict[str, Any] = {"theta_1_zero_deg": 356.0, **UNPLUGGED}
-"""theta_1 stands in its dead band, so that the guard over the rails can be tried."""
+"""Settings with theta_1 in its dead band, for the tests of the guard over the rails."""
 
 SPOILT: dict[str, SpoiltDevice] = (
     spoilt_frames.SPOILT | spoilt_states.SPOILT | spoilt_readings.SPOILT | spoilt_setpoints.SPOILT

@@ -30,7 +30,8 @@ from armrig_protocol.messages import (
     State,
     Stop,
 )
-from spoiling import Patch, SpoiltDevice, changed_answers, other_handler
+
+from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, changed_answers, other_handler
 
 
 def _no_crc(patch: Patch) -> None:
@@ -204,10 +205,10 @@ SPOILT: dict[str, SpoiltDevice] = {
     "only the high half of boot_id is drawn": SpoiltDevice(_half_a_boot_id, "another low half"),
     "EVENT has another boot": SpoiltDevice(_event_of_another_boot, "low half of boot_id"),
     "the device skips a seq": SpoiltDevice(_skips_a_seq, "seq counts them"),
-    "an old STOP is stale": SpoiltDevice(_stop_must_be_new, "whatever its seq"),
-    "an old STOP makes old frames new": SpoiltDevice(_stop_moves_back, "whatever its seq"),
+    "an old STOP is stale": SpoiltDevice(_stop_must_be_new, "with any seq"),
+    "an old STOP makes old frames new": SpoiltDevice(_stop_moves_back, "with any seq"),
     "PONG has a wrong time": SpoiltDevice(_pong_time, "in order"),
-    "HELLO does not begin k anew": SpoiltDevice(_k_not_reset, "behind a HELLO it may be any"),
-    "noise stops it": SpoiltDevice(_spoilt_stops, "Bytes at random"),
+    "HELLO does not begin k anew": SpoiltDevice(_k_not_reset, "after a HELLO it may be any"),
+    "noise stops it": SpoiltDevice(_spoilt_stops, "Random bytes"),
     "PONG finds no room behind SAMPLE": SpoiltDevice(_small_ring, "At 1 kHz"),
 }

@@ -22,7 +22,8 @@ from armrig_protocol.messages import (
     Message,
     Setpoints,
 )
-from spoiling import Patch, SpoiltDevice, changed_answers
+
+from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, changed_answers
 
 
 def _drifts(patch: Patch) -> None:
@@ -119,7 +120,7 @@ def _queue_outlives_its_run(patch: Patch) -> None:
 
 
 def _half_the_setpoint_frames(patch: Patch) -> None:
-    patch.setattr(queue, "LEAST_A_FRAME", 16)
+    patch.setattr(queue, "MIN_SETPOINTS_PER_FRAME", 16)
 
 
 def _n_of_25(patch: Patch) -> None:
@@ -159,7 +160,7 @@ def _late_repeat_steps(patch: Patch) -> None:
     def behind(self: SetpointQueue, offset: int, codes: tuple[int, ...]) -> Any:
         yield from steps(self, offset, codes)
         if not self._entries and offset == -len(codes):
-            yield self.in_force.u, 0  # what stands behind the last code of the frame
+            yield self.in_force.u, 0  # what follows the last code of the frame
 
     patch.setattr(SetpointQueue, "_steps", behind)
 
@@ -168,13 +169,13 @@ SPOILT: dict[str, SpoiltDevice] = {
     "the timer drifts": SpoiltDevice(_drifts, "to 1 us"),
     "one sample is 5 us late": SpoiltDevice(_one_late, "to 1 us"),
     "one sample is 5 us early": SpoiltDevice(_one_early, "to 1 us"),
-    "START samples at once": SpoiltDevice(_starts_at_once, "one Ts behind START"),
-    "each u is one sample late": SpoiltDevice(_one_sample_late, "every u at its k"),
-    "HOLD does not hold": SpoiltDevice(_hold_is_zero, "dry queue"),
-    "what disagrees is taken": SpoiltDevice(_overwrites, "disagrees"),
-    "a greater code does not disagree": SpoiltDevice(_more_may_disagree, "disagrees"),
-    "the queue is one too small": SpoiltDevice(_smaller_queue, "what HELLO_R says"),
-    "the queue outlives its run": SpoiltDevice(_queue_outlives_its_run, "gone with it"),
+    "START samples at once": SpoiltDevice(_starts_at_once, "one Ts after START"),
+    "each u is one sample late": SpoiltDevice(_one_sample_late, "Sample k applies u[k]"),
+    "HOLD does not hold": SpoiltDevice(_hold_is_zero, "empty queue sets"),
+    "what disagrees is taken": SpoiltDevice(_overwrites, "differ from the queue"),
+    "a greater code does not disagree": SpoiltDevice(_more_may_disagree, "differ from the queue"),
+    "the queue is one too small": SpoiltDevice(_smaller_queue, "capacity in HELLO_R"),
+    "the queue outlives its run": SpoiltDevice(_queue_outlives_its_run, "end with it"),
     "too few frames in the queue": SpoiltDevice(_half_the_setpoint_frames, "`queue`/8"),
     "n of 25 is taken": SpoiltDevice(_n_of_25, "n of 0 or above 24"),
     "n of 25 has another code": SpoiltDevice(

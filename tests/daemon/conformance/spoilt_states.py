@@ -29,7 +29,8 @@ from armrig_protocol.messages import (
     State,
     Stop,
 )
-from spoiling import Patch, SpoiltDevice, changed_answers, other_handler
+
+from tests.daemon.conformance.spoiling import Patch, SpoiltDevice, changed_answers, other_handler
 
 
 def _hello_feeds(patch: Patch) -> None:
@@ -184,21 +185,21 @@ def _slew_by_duty(patch: Patch) -> None:
 
 
 SPOILT: dict[str, SpoiltDevice] = {
-    "HELLO feeds the watchdog": SpoiltDevice(_hello_feeds, "feeds the watchdog"),
-    "a spoilt frame feeds the watchdog": SpoiltDevice(_spoilt_feeds, "feeds the watchdog"),
-    "the watchdog is 2 ms late": SpoiltDevice(_late_watchdog, "silence of `watchdog_ms`"),
-    "the watchdog is 0.2 ms early": SpoiltDevice(_early_watchdog, "silence of `watchdog_ms`"),
-    "READY goes to IDLE in a silence": SpoiltDevice(_ready_runs_out, "there is no watchdog"),
-    "no watchdog in ARMED": SpoiltDevice(_watchdog_in_run_only, "silence of `watchdog_ms`"),
-    "ARM of another boot arms": SpoiltDevice(_any_boot, "ARM carries"),
+    "HELLO feeds the watchdog": SpoiltDevice(_hello_feeds, "do not feed the watchdog"),
+    "a spoilt frame feeds the watchdog": SpoiltDevice(_spoilt_feeds, "do not feed the watchdog"),
+    "the watchdog is 2 ms late": SpoiltDevice(_late_watchdog, "silence of the host"),
+    "the watchdog is 0.2 ms early": SpoiltDevice(_early_watchdog, "silence of the host"),
+    "READY goes to IDLE in a silence": SpoiltDevice(_ready_runs_out, "the watchdog is off"),
+    "no watchdog in ARMED": SpoiltDevice(_watchdog_in_run_only, "silence of the host"),
+    "ARM of another boot arms": SpoiltDevice(_any_boot, "ARM needs"),
     "any nonce arms": SpoiltDevice(_any_nonce, "do not arm again"),
-    "one nonce for all": SpoiltDevice(_one_nonce, "draws a nonce"),
+    "one nonce for all": SpoiltDevice(_one_nonce, "has a new nonce"),
     "any token clears": SpoiltDevice(_any_token, "Only CLEAR_FAULT"),
     "the token is not in HELLO_R": SpoiltDevice(_token_not_told, "with a token"),
-    "a code is clamped": SpoiltDevice(_clamps, "is FAULT(RANGE): the EVENT"),
-    "slew looks at the rounded duty": SpoiltDevice(_slew_by_duty, "more than `slew` from the last"),
+    "a code is clamped": SpoiltDevice(_clamps, "is FAULT(RANGE): the answer"),
+    "slew looks at the rounded duty": SpoiltDevice(_slew_by_duty, "A change above `slew` from the"),
     "ARMED has a code": SpoiltDevice(_drives_when_armed, "every state but RUN"),
     "the configuration outlives STOP": SpoiltDevice(_config_stays, "STOP leads from"),
-    "config_crc is not that of CONFIG": SpoiltDevice(_wrong_config_crc, "CRC-32 of it"),
-    "STOP is OK in FAULT": SpoiltDevice(_stop_in_fault, "In FAULT a request"),
+    "config_crc is not that of CONFIG": SpoiltDevice(_wrong_config_crc, "their CRC-32"),
+    "STOP is OK in FAULT": SpoiltDevice(_stop_in_fault, "In FAULT, these requests"),
 }

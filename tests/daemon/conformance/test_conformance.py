@@ -1,4 +1,4 @@
-"""The conformance suite passes a device that does as PROTOCOL.md says, and no other."""
+"""The conformance suite passes a device that obeys PROTOCOL.md, and no other."""
 
 from __future__ import annotations
 
@@ -29,14 +29,15 @@ from armrig_protocol.messages import (
     Status,
     Stop,
 )
-from spoiling import changed_answers, other_handler
-from spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
+
+from tests.daemon.conformance.spoiling import changed_answers, other_handler
+from tests.daemon.conformance.spoilt_devices import AT_A_RAIL, SPOILT, UNPLUGGED
 
 UNO = {"queue": 256}
 LONGEST = "At 1 kHz"
 """The rule that takes as long as all others."""
 STORED = Path(__file__).with_name("results.txt")
-"""What each rule tries, and what becomes of it with each spoilt device."""
+"""Frames of each rule, and its verdict on each spoilt device."""
 
 
 def tried(
@@ -61,20 +62,18 @@ def tried(
 def test_the_emulated_device_does_what_the_protocol_says(
     settings: dict[str, float], resets: bool
 ) -> None:
-    """Whether the opening of its port resets it or not; and it is left at 0 V."""
     emulated = EmulatorSettings(boot_ms=5.0, **{**UNPLUGGED, **settings})  # type: ignore[arg-type]
 
     results = tried(emulated, resets=resets)
 
     assert [r for r in results if r.outcome == FAIL] == []
     not_tried = [r.sentence.split()[0] for r in results if r.outcome == NOT_TRIED]
-    assert not_tried == ["Where"] * (not resets) + ["`rail_ticks`"] * (settings is not AT_A_RAIL)
+    assert not_tried == ["If"] * (not resets) + ["`rail_ticks`"] * (settings is not AT_A_RAIL)
     assert len(results) == len(RULES)
 
 
 @pytest.mark.parametrize("how", SPOILT)
 def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By the rule that it breaks; the longest rule is tried where it is that one."""
     spoilt = SPOILT[how]
     spoilt.spoil(monkeypatch)
     wanted = [r for r in RULES if LONGEST not in r.sentence or spoilt.found_by in r.sentence]
@@ -91,7 +90,6 @@ def test_a_device_that_breaks_a_rule_is_found(how: str, monkeypatch: pytest.Monk
 
 
 def test_each_rule_tries_what_it_tried() -> None:
-    """The frames that are sent for it, by their types, and the sum of their bytes."""
     device = Device(EmulatorSettings(boot_ms=5.0, queue=200, baud=250_000, **AT_A_RAIL), 0)
     line, lines = Recorded(device), list[str]()
 
@@ -111,7 +109,7 @@ def test_each_rule_tries_what_it_tried() -> None:
 
 
 class Recorded(VirtualLine):
-    """Keeps what was sent."""
+    """Keeps the sent frames."""
 
     def __init__(self, device: Device) -> None:
         super().__init__(device)
@@ -147,7 +145,6 @@ def compare(name: str, found: list[str]) -> None:
 def test_a_device_is_left_neither_armed_nor_in_run(
     state: State, deaf: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By STOP; a device that does not take it gets ESTOP."""
     settings = EmulatorSettings(boot_ms=5.0)
     device = Device(settings, 0)
     host = Host(VirtualLine(device), settings.baud)
@@ -185,15 +182,14 @@ class Flooded(VirtualLine):
 @pytest.mark.parametrize(
     ("piece", "every_ms", "says"),
     [
-        (b"\x55" * (1 << 18), 1.0, "has sent more than the whole suite may take"),
-        (encode(Sample(State.RUN, *[0] * 12)), 100.0, "has taken longer than"),
+        (b"\x55" * (1 << 18), 1.0, "sent more than the whole suite allows"),
+        (encode(Sample(State.RUN, *[0] * 12)), 100.0, "took longer than"),
     ],
     ids=["bytes", "samples"],
 )
 def test_a_device_that_floods_the_line_breaks_the_rule_that_is_tried(
     piece: bytes, every_ms: float, says: str
 ) -> None:
-    """End the suite after so many bytes or so long; the device gets STOP and ESTOP."""
     line = Flooded(piece, every_ms)
     at = next(n for n, rule in enumerate(RULES) if "At 1 kHz" in rule.sentence)
 
@@ -206,7 +202,6 @@ def test_a_device_that_floods_the_line_breaks_the_rule_that_is_tried(
 
 
 def test_every_rule_has_a_section_and_a_sentence_of_its_own() -> None:
-    """So that a person finds it in PROTOCOL.md."""
     assert {rule.section for rule in RULES} == {1, 2, 3, 4, 5, 6, 7}
     assert len({rule.sentence for rule in RULES}) == len(RULES)
 
@@ -262,10 +257,9 @@ TOLD_WRONGLY: dict[str, Callable[[Any], dict[str, int]]] = {
 }
 
 
-def test_a_field_that_is_told_wrongly_breaks_the_rules_that_it_broke(
+def test_a_wrong_field_breaks_the_stored_rules(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Of each message some fields, one at a time; the rule that takes longest is left out."""
     wanted = [rule for rule in RULES if LONGEST not in rule.sentence]
     lines = []
 

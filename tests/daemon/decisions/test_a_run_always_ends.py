@@ -8,7 +8,8 @@ from __future__ import annotations
 import pytest
 from armrig_daemon.decisions.state import LinkDown, LinkUp, Phase
 from armrig_daemon.pipe import Reset, Run, RunEnded
-from virtual_bench import LEASE, Bench, codes
+
+from tests.daemon.virtual_bench import LEASE, Bench, codes
 
 
 def _playing(*, scheduled: bool) -> Bench:
@@ -31,7 +32,6 @@ def _is_over(bench: Bench) -> None:
 
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_a_run_whose_device_is_reset_ends(*, scheduled: bool) -> None:
-    """The device knows of no run any more: a stop is not answered, and nobody waits for it."""
     bench = _playing(scheduled=scheduled)
 
     bench.ports.device.reset(bench.ports.now)
@@ -42,8 +42,7 @@ def test_a_run_whose_device_is_reset_ends(*, scheduled: bool) -> None:
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_a_run_ends_where_the_link_goes_behind_the_trip(*, scheduled: bool) -> None:
-    """A cable that is pulled slowly: first no answer, then no port; the stop was on its way."""
+def test_a_run_ends_if_the_link_goes_after_the_trip(*, scheduled: bool) -> None:
     bench = _playing(scheduled=scheduled)
     sound = bench.ports.from_device
     bench.ports.from_device = lambda data: b""

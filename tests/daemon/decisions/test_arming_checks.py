@@ -1,4 +1,4 @@
-"""What must hold of the device before the motor is armed."""
+"""Conditions of the device before the motor is armed."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import HelloReply
 from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
-from decision_states import changed
-from virtual_bench import LEASE, Bench, codes
+
+from tests.daemon.decision_states import changed
+from tests.daemon.virtual_bench import LEASE, Bench, codes
 
 
 def _altered(of: type, alter: Callable[[], dict[str, int]]) -> Callable[[bytes], bytes]:
@@ -48,19 +49,19 @@ def _unmet(alter: Callable[[], dict[str, int]]) -> Bench:
 
 @pytest.mark.parametrize("state", [DeviceState.HOST, 8, 99, 255])
 def test_a_device_in_a_state_that_there_is_not_is_never_armed(state: int) -> None:
-    """Latched, with the number; who does not know its own state may drive anything."""
     rig = _unmet(lambda: {"state": state})
 
     rig.run_for(500)
 
     assert rig.phase is Phase.FAULT
-    assert f"in state {int(state)}, which the wire does not know" in rig.loop.state.reason
+    assert (
+        f"reports state {int(state)}, which the protocol does not define" in rig.loop.state.reason
+    )
     assert "in fault" in rig.arm().error
     assert rig.ports.device.state is DeviceState.IDLE
 
 
 def test_a_device_that_is_still_starting_up_is_asked_again() -> None:
-    """Nothing else is sent to it meanwhile; it is met once it is up."""
     booting = [True]
     rig = _unmet(lambda: {"state": DeviceState.BOOT} if booting[0] else {})
 
@@ -76,7 +77,6 @@ def test_a_device_that_is_still_starting_up_is_asked_again() -> None:
 
 
 def test_a_device_that_is_not_at_rest_is_not_armed_but_led_back() -> None:
-    """Samples that say RUN while nobody drives: refused, asked who it is, and at rest again."""
     rig = Bench()
     rig.ports.from_device = _altered(DeviceSample, lambda: {"state": DeviceState.RUN})
     rig.run_for(50)
@@ -90,10 +90,9 @@ def test_a_device_that_is_not_at_rest_is_not_armed_but_led_back() -> None:
 
 
 def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
-    """The age of the round trip, before the tick that would find it."""
     rig = Bench()
     stale_ns = rig.ports.now - 60_000_000
-    rig.loop.state = changed(rig.loop.state, fresh_ns=stale_ns)
+    rig.loop.state = changed(rig.loop.state, last_round_trip_ns=stale_ns)
 
     rig.order(Arm(order=9, owner="a student", lease=LEASE, ts_us=0))
     rig.loop._step(rig.ports.now, rig.ports.wait(rig.ports.now))
@@ -103,7 +102,6 @@ def test_a_device_that_has_not_answered_lately_is_not_armed() -> None:
 
 
 def test_a_device_that_was_met_but_not_sampled_yet_is_not_armed() -> None:
-    """HELLO and CONFIG are round trips, too; what the rig reads is known by a sample only."""
     rig = _unmet(dict)
     answers = rig.ports.from_device
     rig.ports.from_device = lambda data: b"" if _is_sample(data) else answers(data)
@@ -122,7 +120,6 @@ def test_a_device_that_was_met_but_not_sampled_yet_is_not_armed() -> None:
 
 
 def test_samples_of_an_earlier_link_arm_nothing() -> None:
-    """A cable that was out for a moment: the rig at its end may be another one."""
     rig = Bench()
     newest_ns = rig.loop.state.sampled_ns
     rig.ports.send(rig.ports.now, LinkDown("pulled"))
@@ -142,7 +139,6 @@ def test_samples_of_an_earlier_link_arm_nothing() -> None:
 
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_a_stop_says_why(scheduled: bool) -> None:
-    """The outcome of the run is the reason of the stop, and nothing is latched."""
     rig = Bench()
     rig.arm()
     play = Run(

@@ -1,4 +1,4 @@
-"""What the wire can carry, by the figures of PROTOCOL.md."""
+"""Capacity of the wire, by the numbers of PROTOCOL.md."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def test_what_fits_is_taken(ts_us: int, baud: int) -> None:
 
 
 def test_scheduled_mode_counts_each_direction_by_itself() -> None:
-    """1 kHz at 500 kbaud, 2 kHz at 1 Mbaud, 200 Hz at 115 200; and no more."""
+    """1 kHz at 500 kbaud, 2 kHz at 1 Mbaud, 200 Hz at 115 200."""
     for ts_us, baud in ((1000, 500_000), (500, 1_000_000), (5000, 115_200)):
         check(ts_us, baud, scheduled=True)
         assert scheduled_us(baud) > ts_us / 2
@@ -28,7 +28,6 @@ def test_scheduled_mode_counts_each_direction_by_itself() -> None:
 @pytest.mark.parametrize("scheduled", [False, True])
 @pytest.mark.parametrize("baud", [115_200, 500_000, 1_000_000])
 def test_what_is_1_us_too_short_is_refused(baud: int, scheduled: bool) -> None:
-    """The bound itself is taken: nothing is added to it, and nothing is taken off."""
     least_us = (scheduled_us if scheduled else exchange_us)(baud)
 
     check(least_us, baud, scheduled=scheduled)
@@ -37,13 +36,11 @@ def test_what_is_1_us_too_short_is_refused(baud: int, scheduled: bool) -> None:
 
 
 def test_no_baud_rate_outruns_the_converter() -> None:
-    """Two conversions are the least in either mode."""
     assert scheduled_us(100_000_000) == 208
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_each_conversion_of_an_oversampled_reading_takes_its_time(scheduled: bool) -> None:
-    """Of each channel; in exchange mode request and answer come on top."""
     least_us = 32 * 104 + (0 if scheduled else 1040)
 
     check(least_us, 500_000, scheduled=scheduled, oversampling=16)

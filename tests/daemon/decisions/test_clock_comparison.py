@@ -8,7 +8,7 @@ import pytest
 from armrig_core.volts import volts_of
 from armrig_daemon.config import Config, Device
 from armrig_daemon.decisions import clock_comparison, clockmap
-from armrig_daemon.decisions.budget import PING_US
+from armrig_daemon.decisions.budget import PING_INTERVAL_US
 from armrig_daemon.decisions.clockmap import ClockMap
 from armrig_daemon.decisions.conversion import converted, extended
 from armrig_daemon.decisions.state import Sent, State
@@ -16,8 +16,9 @@ from armrig_protocol.frame import wire_length
 from armrig_protocol.messages import Exchange, Flag, Ping, Pong
 from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
-from decision_states import changed, device_sample, rested
-from virtual_bench import Bench
+
+from tests.daemon.decision_states import changed, device_sample, rested
+from tests.daemon.virtual_bench import Bench
 
 NOW = 9_000_000_000
 WRAP = 1 << 32
@@ -36,7 +37,6 @@ def _fresh(**fields: object) -> State:
 
 
 def test_a_pong_gives_its_own_two_stamps() -> None:
-    """The time of both frames on the wire is taken off."""
     pong = Pong(3, 0, NOW - 2_000_000, 1000, 1060)
 
     after = clock_comparison.by_pong(_fresh(), NOW, pong)
@@ -50,7 +50,6 @@ def test_a_pong_gives_its_own_two_stamps() -> None:
 def test_a_sample_was_asked_for_one_conversion_before_its_trigger(
     t_us: int, rx: int, tx: int
 ) -> None:
-    """And answered one after it; the device's clock may wrap in between."""
     state = _fresh()
     assert state.device is not None
     assert state.device.skew_us == 104
@@ -76,7 +75,6 @@ def test_a_sample_was_asked_for_one_conversion_before_its_trigger(
 def test_an_oversampled_sample_was_asked_for_before_all_its_conversions(
     reported: int, asked_ns: int | None, pairs: int
 ) -> None:
-    """Where the configuration was surely in force then: a round trip never looks too short."""
     state = _fresh(**({"configuration": None} if asked_ns is None else {"asked_ns": asked_ns}))
     state = changed(state, rules=changed(state.rules, oversampling=8))
     sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
@@ -90,7 +88,6 @@ def test_an_oversampled_sample_was_asked_for_before_all_its_conversions(
 
 
 def test_oversampling_does_not_shift_the_clocks_against_each_other() -> None:
-    """In virtual time the device's clock is the host's."""
     bench = Bench(Config(device=Device(oversampling=8)))
 
     found = clockmap.estimate(bench.loop.state.clock.map)
@@ -99,7 +96,6 @@ def test_oversampling_does_not_shift_the_clocks_against_each_other() -> None:
 
 
 def test_the_device_s_clock_is_followed_through_its_wraps() -> None:
-    """From the last comparison on, not from 0."""
     state = _fresh(device_us=7 * WRAP + 100)
 
     after = clock_comparison.by_pong(state, NOW, Pong(3, 0, NOW - 2_000_000, 200, 260))
@@ -107,11 +103,10 @@ def test_the_device_s_clock_is_followed_through_its_wraps() -> None:
     assert after.clock.device_us == 7 * WRAP + 260
 
 
-@pytest.mark.parametrize(("since_ns", "compares"), [(PING_US * 1000, True), (0, False)])
+@pytest.mark.parametrize(("since_ns", "compares"), [(PING_INTERVAL_US * 1000, True), (0, False)])
 def test_samples_compare_the_clocks_no_more_often_than_pings_would(
     since_ns: int, compares: bool
 ) -> None:
-    """To the ns; and not at all where there is no device."""
     for lack in (0, 1):
         state = _fresh(compared_ns=NOW - since_ns + lack)
         sent = Sent(1, 2, 3, NOW - 2_000_000, 4)
@@ -125,8 +120,7 @@ def test_samples_compare_the_clocks_no_more_often_than_pings_would(
     ("last", "raw", "is_"),
     [(0, 0, 0), (0, 5, 5), (5, 5, 5), (WRAP - 1, 0, WRAP), (3 * WRAP + 9, 8, 4 * WRAP + 8)],
 )
-def test_a_32_bit_clock_goes_on_behind_its_wraps(last: int, raw: int, is_: int) -> None:
-    """It never goes back."""
+def test_a_32_bit_clock_goes_on_after_its_wraps(last: int, raw: int, is_: int) -> None:
     assert extended(last, raw) == is_
 
 
@@ -135,7 +129,6 @@ def test_a_32_bit_clock_goes_on_behind_its_wraps(last: int, raw: int, is_: int) 
     [(0, True, True), (Flag.ADC0_RAIL, False, True), (Flag.ADC1_RAIL, True, False)],
 )
 def test_a_sample_in_the_units_of_the_telemetry(flags: int, theta_1: bool, alpha: bool) -> None:
-    """Each field from its own source; an angle at a rail is not a number."""
     state = rested().loop.state
     calibration = state.rules.calibration
     taken = device_sample(state, y0=20_000, y1=30_000, u_k=40_000, flags=int(flags))

@@ -21,7 +21,8 @@ from armrig_daemon.decisions.clockmap import (
 )
 from hypothesis import given
 from hypothesis import strategies as st
-from sampling import sampled
+
+from tests.sampling import sampled
 
 LINK = Link(request_ns=180_000, answer_ns=260_000)  # 18 and 26 bytes at 1 Mbaud
 BOOT_NS = 1_700_000_000_123_456  # 20 days of a monotonic clock
@@ -31,20 +32,20 @@ Exchange = tuple[int, int, int, int]
 
 @dataclass(kw_only=True)
 class Rig:
-    """A device with its own clock behind a link that makes request and answer wait."""
+    """A device with its own clock and a link that delays request and answer."""
 
     seed: int
     wait_us: tuple[float, float] = (20.0, 200.0)
     """Means of the exponential waiting times of request and answer."""
     drift_ppm: float = 0.0
-    """How slow the device's clock is."""
+    """Slowness of the device's clock, in ppm."""
     drift_per_s: float = 0.0
-    """How fast that grows, in ppm/s."""
+    """Rate of change of the drift, in ppm/s."""
     first_us: float = 12_345_678.0
-    """What the device's clock shows at the start."""
+    """Time of the device's clock at the start, in µs."""
     resolution_us: int = 1
     stall_ns: int = 0
-    """How long one answer, or one request, in ten stalls."""
+    """Stall of one answer, or one request, in ten, in ns."""
     gap_s: float = 0.1
     link: Link = LINK
 
@@ -54,7 +55,7 @@ class Rig:
         self.t0_ns = self.t_ns
 
     def device_us(self, host_ns: float) -> int:
-        """Return what the device's clock shows."""
+        """Return the time of the device's clock."""
         t_us = (host_ns - self.t0_ns) / 1000
         slow = self.drift_ppm * 1e-6 * t_us + self.drift_per_s * 1e-12 * t_us * t_us / 2
         return int((self.first_us + t_us - slow) // self.resolution_us) * self.resolution_us
@@ -82,7 +83,7 @@ def follow(rig: Rig, n: int, clock: ClockMap | None = None) -> ClockMap:
 
 
 def error_ns(rig: Rig, clock: ClockMap, ahead_ns: int = 0) -> tuple[float, float]:
-    """Return the map's error at the present, or later, and what it holds it for."""
+    """Return the map's error at the present, or later, and its own deviation."""
     at_ns = rig.t_ns + ahead_ns
     device_us = rig.device_us(at_ns)
     host_ns, std_ns = host_ns_at(clock, device_us), std_ns_at(clock, device_us)
@@ -101,7 +102,7 @@ def rms(values: list[float]) -> float:
 def test_drift_and_offset_lie_within_their_own_deviations(
     wait_us: tuple[float, float], drift_ppm: float
 ) -> None:
-    """One-sided waiting times, however they are shared, do not make the map lie; 50 seeds."""
+    """One-sided waiting times of any distribution; 50 seeds."""
     offsets, drifts, errors_us, stds_us = [], [], [], []
     for seed in range(50):
         rig = Rig(seed=seed, wait_us=wait_us, drift_ppm=drift_ppm)
@@ -124,7 +125,6 @@ def test_drift_and_offset_lie_within_their_own_deviations(
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 12, 20, 50])
 def test_a_young_map_knows_that_it_knows_little(n: int) -> None:
-    """The first exchanges are covered too, before the least round trip has been seen."""
     within = 0
     for seed in range(100):
         rig = Rig(seed=seed, drift_ppm=100)
@@ -147,7 +147,7 @@ def test_the_known_asymmetry_of_the_wire_is_corrected() -> None:
 
 
 def test_the_bound_holds_for_an_asymmetry_that_nobody_knows() -> None:
-    """What always waits one way stays in the offset, at most by half the least round trip."""
+    """A constant delay one way stays in the offset, at most half the least round trip."""
     rig = Rig(seed=1, wait_us=(1.0, 1.0), link=Link(request_ns=180_000, answer_ns=1_260_000))
 
     clock = follow(rig, 300, start(LINK))
@@ -168,7 +168,7 @@ def test_a_coarse_clock_widens_the_deviation() -> None:
 
 
 def test_the_wrap_of_the_devices_clock_is_not_seen() -> None:
-    """2^32 µs pass in the middle of the exchanges."""
+    """2^32 µs pass during the exchanges."""
     rig = Rig(seed=3, drift_ppm=100, first_us=2**32 - 30e6)
     clock, last_us = start(LINK), int(rig.first_us)
     for h1, rx, tx, h4 in islice(rig.exchanges(), 600):
@@ -189,12 +189,11 @@ def test_a_reading_extends_the_last_forth_and_a_little_back(last_us: int, step_u
 
 
 def test_the_first_reading_extends_itself() -> None:
-    """Nothing before it says how often the clock has wrapped."""
     assert extend(0xFFFF_FFFF, 0xFFFF_FFFF) == 0xFFFF_FFFF
 
 
 def test_stalled_exchanges_cost_nothing() -> None:
-    """One in ten waits for 300 ms, either way: the map is as good as without."""
+    """One in ten waits for 300 ms in one direction."""
     for seed in range(20):
         rig = Rig(seed=seed, drift_ppm=100, stall_ns=300_000_000)
         clock = follow(rig, 600)
@@ -206,7 +205,7 @@ def test_stalled_exchanges_cost_nothing() -> None:
 
 
 def test_an_exchange_that_cannot_be_is_left_out() -> None:
-    """The map stays as it was where one exchange contradicts it by 10 ms."""
+    """One exchange contradicts the map by 10 ms."""
     rig = Rig(seed=4)
     clock = follow(rig, 300)
     h1, rx, tx, h4 = next(rig.exchanges())
@@ -219,7 +218,6 @@ def test_an_exchange_that_cannot_be_is_left_out() -> None:
 
 
 def test_a_jump_between_the_devices_stamps_does_not_spoil_the_least_round_trip() -> None:
-    """An answer that would have left after it came is no round trip."""
     rig = Rig(seed=4)
     clock = follow(rig, 300)
     h1, rx, tx, h4 = next(rig.exchanges())
@@ -232,7 +230,6 @@ def test_a_jump_between_the_devices_stamps_does_not_spoil_the_least_round_trip()
 @pytest.mark.parametrize("step_us", [-12_000_000, 400, -400, 30_000_000])
 @pytest.mark.parametrize("stall_ns", [0, 300_000_000])
 def test_the_map_finds_a_device_that_was_reset(step_us: int, stall_ns: int) -> None:
-    """The gate does not lock itself out; stalled exchanges, which agree with all, do not help."""
     rig = Rig(seed=5, stall_ns=stall_ns)
     clock = follow(rig, 300)
     rig.first_us += step_us
@@ -245,7 +242,6 @@ def test_the_map_finds_a_device_that_was_reset(step_us: int, stall_ns: int) -> N
 
 
 def test_stalls_between_them_do_not_hide_that_exchanges_do_not_fit() -> None:
-    """With every second exchange stalled the row of those that do not fit goes on."""
     rig = Rig(seed=6, wait_us=(5.0, 5.0))
     clock = follow(rig, 300)
     rig.first_us += 5000
@@ -257,7 +253,7 @@ def test_stalls_between_them_do_not_hide_that_exchanges_do_not_fit() -> None:
 
 
 def test_only_differences_of_the_clocks_count() -> None:
-    """Another origin of either clock gives the same map: 1e15 ns cost no digit, nor do years."""
+    """An origin of 1e15 ns costs no digit."""
     rig = Rig(seed=7, drift_ppm=100)
     exchanges = list(islice(rig.exchanges(), 600))
     moved_ns, moved_us = 10**18 + 7, 10**14 + 3
@@ -293,7 +289,6 @@ def test_days_do_not_wear_the_map_out() -> None:
 def test_a_drift_that_changes_slowly_is_followed(
     drift_per_s: float, wait_us: tuple[float, float]
 ) -> None:
-    """A warming resonator is followed without a restart, and the lag is in the deviations."""
     offsets = drifts = 0
     for seed in range(30):
         rig = Rig(seed=seed, wait_us=wait_us, drift_per_s=drift_per_s)
@@ -311,7 +306,6 @@ def test_a_drift_that_changes_slowly_is_followed(
 
 
 def test_the_deviation_grows_while_no_pong_comes() -> None:
-    """What lies ahead is told with less and less confidence, and rightly so."""
     rig = Rig(seed=9, drift_ppm=100)
     clock = follow(rig, 600)
 
@@ -326,7 +320,6 @@ def test_the_deviation_grows_while_no_pong_comes() -> None:
 
 
 def test_what_lies_ahead_allows_for_a_drift_that_changes() -> None:
-    """The lag goes on growing in the silence, and the deviation with it."""
     for seed in range(20):
         rig = Rig(seed=seed, wait_us=(3.0, 3.0), drift_per_s=0.1)
         clock = follow(rig, 1200)
@@ -336,7 +329,7 @@ def test_what_lies_ahead_allows_for_a_drift_that_changes() -> None:
 
 
 def test_after_a_silence_the_map_goes_on() -> None:
-    """Five minutes without PONG are no reset: nothing is rejected, and soon all is as before."""
+    """Five minutes without PONG are no reset."""
     rig = Rig(seed=10, drift_ppm=100)
     clock = follow(rig, 600)
     rig.t_ns += 300 * 10**9
@@ -349,7 +342,6 @@ def test_after_a_silence_the_map_goes_on() -> None:
 
 
 def test_a_silence_of_a_week_overflows_nothing() -> None:
-    """A host that was suspended goes on, with a deviation that is large and finite."""
     rig = Rig(seed=12)
     clock = follow(rig, 100)
     rig.t_ns += 7 * 86_400 * 10**9
@@ -362,7 +354,6 @@ def test_a_silence_of_a_week_overflows_nothing() -> None:
 
 
 def test_a_longer_way_is_learnt() -> None:
-    """Where all round trips grow for good, the least of the window grows with them."""
     rig = Rig(seed=11, drift_ppm=100)
     clock = follow(rig, 300)
     rig.link = Link(request_ns=680_000, answer_ns=760_000)
@@ -375,6 +366,5 @@ def test_a_longer_way_is_learnt() -> None:
 
 
 def test_a_map_without_an_exchange_says_so() -> None:
-    """No number is made up."""
     with pytest.raises(ValueError, match="PING"):
         host_ns_at(start(LINK), 0)

@@ -1,4 +1,4 @@
-"""The map of the clocks, which goes from exchange to exchange, against all of them at once."""
+"""The recursive map of the clocks, compared with a regression over all exchanges at once."""
 
 from __future__ import annotations
 
@@ -156,7 +156,6 @@ NS = [1, 2, 3, 7, 8, 9, 30, 99, 100, 101, 130]
 
 @pytest.mark.parametrize("n", NS)
 def test_the_map_is_the_regression_over_all_exchanges(n: int) -> None:
-    """Means, moments, weights and the way between the clocks, whatever the epoch."""
     found = exchanges(n)
     clock, whole = mapped(found), at_once(found)
     last = found[-1]
@@ -178,7 +177,6 @@ def test_the_map_is_the_regression_over_all_exchanges(n: int) -> None:
 @pytest.mark.parametrize("ahead_us", [-3_000_000, 0, 1, 2_000_000, 1_000_000_000])
 @pytest.mark.parametrize("n", [1, 5, 40])
 def test_the_map_says_what_the_regression_says(n: int, ahead_us: int) -> None:
-    """Host's time and its standard deviation, which grows as what is known fades."""
     found = exchanges(n)
     clock, whole = mapped(found), at_once(found)
     device_us = found[-1].rx_us + ahead_us
@@ -200,7 +198,6 @@ def test_the_map_says_what_the_regression_says(n: int, ahead_us: int) -> None:
 
 @pytest.mark.parametrize("n", [1, 5, 40])
 def test_the_estimate_says_what_the_regression_says(n: int) -> None:
-    """Offset and drift at the last exchange; what hides in them is half of the least round trip."""
     found = exchanges(n)
     clock, whole, lag = mapped(found), at_once(found), lag_after(found)
 
@@ -217,7 +214,6 @@ def test_the_estimate_says_what_the_regression_says(n: int) -> None:
 
 
 def test_a_round_trip_shorter_than_the_wire_hides_nothing() -> None:
-    """The time on the wire was overestimated: the bound is 0, not negative."""
     clock = clockmap.update(clockmap.start(LINK), 0, 5, 5, LINK.request_ns + LINK.answer_ns - 9)
 
     assert clockmap.estimate(clock).bound_ns == 0
@@ -231,7 +227,6 @@ def moved(e: Stamps, by_ns: float) -> Stamps:
 @pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize(("deviations", "fits"), [(4.95, True), (5.05, False)])
 def test_an_exchange_fits_within_five_deviations(sign: int, deviations: float, fits: bool) -> None:
-    """Of its own and of the map's, at the place where it is; else it is left out and counted."""
     *known, new = exchanges(40)
     clock = mapped(known)
     before = at_once(known, new.h1_ns)
@@ -249,8 +244,7 @@ def test_an_exchange_fits_within_five_deviations(sign: int, deviations: float, f
     assert after.round_trips[-1] == new.r  # the way is what it is
 
 
-def test_the_eighth_exchange_in_a_row_that_does_not_fit_begins_the_map_anew() -> None:
-    """With itself alone; the way between the clocks is known as before."""
+def test_the_eighth_exchange_in_a_row_that_does_not_fit_begins_the_map_again() -> None:
     found = exchanges(48)
     clock = mapped(found[:40])
     for i, e in enumerate(found[40:], 1):
@@ -267,7 +261,6 @@ def test_the_eighth_exchange_in_a_row_that_does_not_fit_begins_the_map_anew() ->
 
 @pytest.mark.parametrize("slow", [False, True])
 def test_only_one_of_the_better_half_ends_a_row_of_misfits(slow: bool) -> None:
-    """A stalled exchange agrees with anything."""
     *known, new = exchanges(41)
     clock = mapped(known)._replace(rejected=3)
     stalled = new._replace(h4_ns=new.h4_ns + 3_000_000, h1_ns=new.h1_ns - 3_000_000)
@@ -287,7 +280,6 @@ def test_only_one_of_the_better_half_ends_a_row_of_misfits(slow: bool) -> None:
 def test_a_device_clock_that_jumps_between_its_stamps_says_nothing(
     backwards_ns: int, held_us: int, counts: bool
 ) -> None:
-    """A round trip shorter than 0 by more than two of its steps, or stamps that go back."""
     h1_ns, rx_us = EPOCH_NS, EPOCH_US
     h4_ns = h1_ns + 1000 * held_us - backwards_ns
 
@@ -299,7 +291,6 @@ def test_a_device_clock_that_jumps_between_its_stamps_says_nothing(
 
 @pytest.mark.parametrize("ask", [clockmap.host_ns_at, clockmap.std_ns_at])
 def test_a_map_that_knows_nothing_says_so(ask: object) -> None:
-    """Rather than a number that nobody measured."""
     with pytest.raises(ValueError, match="knows no exchange"):
         ask(clockmap.start(LINK), 5)  # type: ignore[operator]
 

@@ -1,14 +1,14 @@
-"""L2: each k is one sample or one gap, whatever overtakes what; found by the fault simulator."""
+"""L2: each k is one sample or one gap, in any order of events; found by the fault simulator."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 
 import pytest
+from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample, decode_sample
 from armrig_daemon.config import Config, Timing
 from armrig_daemon.decisions import step
-from armrig_daemon.decisions.gaps import NO_ANSWER
 from armrig_daemon.decisions.state import (
     LinkDown,
     LinkUp,
@@ -25,8 +25,9 @@ from armrig_protocol.frame import encode
 from armrig_protocol.messages import Exchange, Flag
 from armrig_protocol.messages import Sample as DeviceSample
 from armrig_protocol.messages import State as DeviceState
-from decision_states import changed, device_sample
-from virtual_bench import LEASE, MS, Bench, codes
+
+from tests.daemon.decision_states import changed, device_sample
+from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
 RUN = [2.0] * 400
 
@@ -53,7 +54,6 @@ def assert_each_k_is_told_once(bench: Bench) -> None:
 
 
 def test_a_reset_in_a_scheduled_run_ends_it() -> None:
-    """HELLO takes the place of STOP: nothing is left to confirm, the run is told as ended."""
     bench = playing(600)
     assert bench.volts > 0
 
@@ -68,7 +68,6 @@ def test_a_reset_in_a_scheduled_run_ends_it() -> None:
 
 
 def test_a_reset_while_the_stop_is_awaited_ends_the_run() -> None:
-    """Tripped already, and then reset."""
     bench = playing(600)
     bench.ports.to_device = lambda data: b""
     bench.run_for(110)
@@ -86,7 +85,6 @@ def test_a_reset_while_the_stop_is_awaited_ends_the_run() -> None:
 
 
 def test_an_unplugged_line_while_the_stop_is_awaited_ends_the_run() -> None:
-    """The same, by the port."""
     bench = playing(600)
     bench.ports.from_device = lambda data: b""
     bench.run_for(110)
@@ -109,7 +107,10 @@ def test_an_unplugged_line_while_the_stop_is_awaited_ends_the_run() -> None:
 def test_a_gap_that_no_answer_came_to_begins_when_its_first_sample_was_due(
     scheduled: bool, period: int
 ) -> None:
-    """L2: a line is silent for 0.7 s. A scheduled run is over then, and the host's ticks go on."""
+    """L2: a line is silent for 0.7 s.
+
+    A scheduled run is over then, and the host's ticks go on.
+    """
     bench = Bench(Config(timing=Timing(Ts=0.02)))
     assert not bench.arm(5_000).error
     bench.order(Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*RUN), scheduled=scheduled))
@@ -120,7 +121,7 @@ def test_a_gap_that_no_answer_came_to_begins_when_its_first_sample_was_due(
     bench.ports.from_device = lambda data: data
     bench.run_for(300)
 
-    (gap,) = (g for g in bench.of(Gap) if g.reason == NO_ANSWER)
+    (gap,) = (g for g in bench.of(Gap) if g.code == GapCode.NO_ANSWER)
     due_ns = {s.k: s.t_sched_ns for s in bench.samples}
     assert gap.count > 20
     assert abs(due_ns[gap.k_first + gap.count] - gap.count * period - gap.t_from_ns) < period
@@ -134,8 +135,7 @@ def _take(state: State, now_ns: int, message: DeviceSample) -> list[Publish]:
     return [a for a in actions if isinstance(a, Publish)]
 
 
-def test_a_sample_that_was_told_as_a_gap_is_not_told_again() -> None:
-    """It comes late, after something newer: its k is taken."""
+def test_a_sample_that_was_reported_as_a_gap_is_not_reported_again() -> None:
     bench = Bench()
     bench.ports.from_device = lambda data: b""
     bench.run_for(11)
@@ -144,14 +144,13 @@ def test_a_sample_that_was_told_as_a_gap_is_not_told_again() -> None:
     late = device_sample(state, k=sent.k)
 
     assert len(_take(state, now, late)) == 1
-    told = changed(state, told=sent.k, sent=(sent, *state.link.sent))
+    told = changed(state, last_reported_k=sent.k, sent=(sent, *state.link.sent))
     after, actions = step.step(told, now, [Received(b"\0" + encode(late))])
     assert [a for a in actions if isinstance(a, Publish)] == []
     assert after.link.sent == state.link.sent
 
 
 def test_a_sample_of_an_old_run_does_not_begin_a_new_one() -> None:
-    """Played again while the queue is filled: the run has not started, and has no k yet."""
     bench = playing(600)
     state = bench.loop.state
     assert state.run is not None
@@ -164,7 +163,6 @@ def test_a_sample_of_an_old_run_does_not_begin_a_new_one() -> None:
 
 @pytest.mark.parametrize("ended", [False, True])
 def test_a_run_that_has_stopped_but_not_ended_is_not_sampled_by_the_host(ended: bool) -> None:
-    """Its k would be given twice: the count goes on behind the run's last sample."""
     bench = playing(600)
     stopped = changed(bench.loop.state, device_state=int(DeviceState.READY), phase=Phase.FAULT)
     state = changed(stopped, run=None) if ended else stopped

@@ -1,4 +1,4 @@
-"""Each fault has an id, a cause, what is known of the motor, and what to do."""
+"""Each fault has an id, a cause, the state of the motor, and a remedy."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from armrig_daemon.decisions.faults import REMEDIES, Id
 from armrig_daemon.decisions.state import LinkDown
 from armrig_daemon.pipe import Log, State
 from armrig_daemon.service.protobuf_out import outgoing
-from virtual_bench import Bench
+
+from tests.daemon.virtual_bench import Bench
 
 
 @pytest.fixture
@@ -21,18 +22,16 @@ def driven() -> Bench:
 
 
 def test_every_fault_has_its_remedy() -> None:
-    """None is left without one, and none is there for nothing."""
     assert set(REMEDIES) == set(Id)
 
 
-def test_a_fault_is_told_with_all_that_a_person_needs(driven: Bench) -> None:
-    """The lease runs out: id, cause, remedy; the motor's state as the device says it."""
+def test_a_fault_is_reported_with_all_that_a_person_needs(driven: Bench) -> None:
     driven.run_for(400)
 
     told = [s for s in driven.of(State) if s.fault]
     assert {s.fault for s in told} == {"lease"}
-    assert told[0].motor == "told to stop, not confirmed yet"
-    assert told[-1].motor == "at 0 V, says the device"
+    assert told[0].motor == "stop sent, not confirmed yet"
+    assert told[-1].motor == "at 0 V, as the device reports"
     assert told[-1].reason == "the lease ran out: no command from its holder"
     assert told[-1].remedy == REMEDIES[Id.LEASE]
     (log,) = [e for e in driven.of(Log) if e.level == "error"]
@@ -41,33 +40,29 @@ def test_a_fault_is_told_with_all_that_a_person_needs(driven: Bench) -> None:
     )
 
 
-def test_without_a_link_the_motor_is_not_claimed_to_stand(driven: Bench) -> None:
-    """Unplugged while it turns: the watchdog is all that is known."""
+def test_without_a_link_the_motor_is_not_reported_at_rest(driven: Bench) -> None:
     driven.ports.send(driven.ports.now, LinkDown("unplugged"))
     driven.run_for(20)
 
     assert driven.of(State)[-1].motor == (
-        "not known, for the device does not answer; its watchdog stops it within 100 ms"
+        "not known: the device does not answer; its watchdog stops it within 100 ms"
     )
 
 
-def test_a_motor_that_does_not_confirm_its_stop_is_told(driven: Bench) -> None:
-    """The way back is cut, then STOP is given up: nobody says 0 V."""
+def test_a_motor_that_does_not_confirm_its_stop_is_reported(driven: Bench) -> None:
     driven.ports.from_device = lambda data: b""
     driven.run_for(300)
 
     last = [s.motor for s in driven.of(State) if s.fault]
-    assert "told to stop, but not confirmed; its watchdog stops it within 100 ms" in last
+    assert "stop sent, but not confirmed; its watchdog stops it within 100 ms" in last
     assert last[-1].startswith("not known")
 
 
 def test_driven_means_driven(driven: Bench) -> None:
-    """While all is well the state says so."""
     assert driven.of(State)[-1].motor == "driven"
 
 
 def test_a_fault_travels_in_the_message_of_the_state(driven: Bench) -> None:
-    """Appended fields, so that older readers read on."""
     driven.run_for(400)
     record = driven.of(State)[-1]
 

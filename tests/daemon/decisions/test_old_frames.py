@@ -6,20 +6,21 @@ from armrig_core.calibration import Calibration
 from armrig_daemon.decisions import replies, sampling, step
 from armrig_daemon.decisions.faults import Id
 from armrig_daemon.decisions.state import (
-    Asked,
     Configuration,
     Link,
+    PendingRequest,
     Phase,
+    RequestKind,
     Rules,
     Send,
     State,
     Unechoed,
-    Want,
 )
 from armrig_protocol.decoder import feed
 from armrig_protocol.messages import Ack, Code, Flag, Sample, Stop
 from armrig_protocol.messages import State as DeviceState
-from decision_states import changed
+
+from tests.daemon.decision_states import changed
 
 RULES = Rules(
     code_min=0,
@@ -43,15 +44,14 @@ def _with_beats(*seqs: int) -> State:
 
 
 def test_the_echo_of_a_frame_of_ours_proves_a_round_trip() -> None:
-    """Also across the wrap of seq; what was sent later is not proven yet."""
     state = sampling.note_echo(_with_beats(65_534, 65_535, 0, 1), 0)
 
-    assert state.link.fresh_ns == 3_000_000
+    assert state.link.last_round_trip_ns == 3_000_000
     assert [b.seq for b in state.link.beats] == [1]
 
 
 def test_an_echo_ahead_of_all_that_was_sent_proves_nothing() -> None:
-    """It is of an earlier session: the device may not hear us at all (S4)."""
+    """S4: it belongs to an earlier session, and the device may not receive anything."""
     before = _with_beats(60, 61, 62, 63)
 
     assert sampling.note_echo(before, 64) == before
@@ -66,7 +66,7 @@ def _sample(echo: int) -> Sample:
 
 
 def test_an_old_frame_that_the_device_has_heard_stops_the_motor() -> None:
-    """At once: later, when as many frames were sent, its echo would look like one of ours (S4)."""
+    """S4: later, after as many frames, its echo would look like an echo of this session."""
     before = changed(
         _with_beats(60, 61, 62, 63),
         phase=Phase.ACTIVE,
@@ -84,8 +84,8 @@ def test_an_old_frame_that_the_device_has_heard_stops_the_motor() -> None:
 
 
 def test_a_device_that_drives_and_takes_no_hello_is_stopped() -> None:
-    """Old frames hold it in RUN and make HELLO stale: STOP takes effect whatever its seq (S2)."""
-    asked = Asked(Want.HELLO, 0, 1, 1, 0, False, None)
+    """S2: old frames keep the device in RUN and make HELLO stale; STOP works with any seq."""
+    asked = PendingRequest(RequestKind.HELLO, 0, 1, 1, 0, False, None)
     before = changed(step.start(RULES), phase=Phase.FAULT, link=Link(seq=2), asked=asked)
     stale = Ack(DeviceState.RUN, 9, 1, Code.STALE, 1)
 

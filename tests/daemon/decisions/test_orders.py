@@ -1,4 +1,4 @@
-"""What the service asks of the core: each refusal, from the state that it is for."""
+"""Requests of the service to the core: each refusal, in its state."""
 
 from __future__ import annotations
 
@@ -11,11 +11,21 @@ from armrig_daemon import pipe
 from armrig_daemon.config import Config, Limits
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import NO_DEVICE
-from armrig_daemon.decisions.state import ActiveRun, Event, Exit, Ordered, Phase, State, Tick, Want
+from armrig_daemon.decisions.state import (
+    ActiveRun,
+    Event,
+    Exit,
+    Ordered,
+    Phase,
+    RequestKind,
+    State,
+    Tick,
+)
 from armrig_daemon.pipe import Answer, Calibrate, Order, Quit, Reset, RunEnded
 from armrig_protocol.messages import ClearFault, Hello, Stop
 from armrig_protocol.messages import State as DeviceState
-from decision_states import (
+
+from tests.daemon.decision_states import (
     ARM,
     RUN,
     SET,
@@ -27,11 +37,11 @@ from decision_states import (
     ordered,
     rested,
 )
-from virtual_bench import LEASE, MS, Bench, codes
+from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
 
 def _refusal(bench: Bench, order: Order, state: State | None = None) -> str:
-    """Return why an order is refused; it then does nothing else."""
+    """Return the reason of a refused order, which has no other effect."""
     decided = ordered(bench, order, state)
     (answer,) = decided.told(Answer)
     assert answer.order == order.order
@@ -49,7 +59,6 @@ def test_an_order_that_is_none_of_ours_is_refused() -> None:
 
 
 def test_an_order_to_end_that_is_given_twice_is_followed_once() -> None:
-    """A second SIGTERM sends no second STOP."""
     bench = driven()
     once = ordered(bench, Quit(reason="SIGTERM"))
     again = ordered(bench, Quit(reason="SIGTERM"), once.state)
@@ -61,7 +70,6 @@ def test_an_order_to_end_that_is_given_twice_is_followed_once() -> None:
 
 @pytest.mark.parametrize("gone", [{"link": None}, {"device": None}])
 def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> None:
-    """A run that was on is told as ended before the exit."""
     bench = driven()
     state = changed(
         bench.loop.state, run=ActiveRun("r", codes(1.0), -1), outcome="unplugged", **gone
@@ -75,15 +83,15 @@ def test_without_a_device_the_end_waits_for_nobody(gone: dict[str, object]) -> N
 
 
 def test_a_rig_that_is_ending_is_not_armed() -> None:
-    """The exit is not put off."""
     bench = rested()
     assert "ending" in _refusal(bench, ARM, changed(bench.loop.state, quitting=True))
 
 
-@pytest.mark.parametrize("want", list(Want))
+@pytest.mark.parametrize("want", list(RequestKind))
 @pytest.mark.parametrize("order", [ARM, SET, RUN])
-def test_while_the_device_is_asked_something_an_order_waits(want: Want, order: Order) -> None:
-    """One request at a time: the refusal names it."""
+def test_while_the_device_is_asked_something_an_order_waits(
+    want: RequestKind, order: Order
+) -> None:
     bench = rested() if isinstance(order, pipe.Arm) else armed()
     state = awaiting(bench.loop.state, want)
 
@@ -92,7 +100,6 @@ def test_while_the_device_is_asked_something_an_order_waits(want: Want, order: O
 
 @pytest.mark.parametrize("change", [{"phase": Phase.INIT}, {"device": None}])
 def test_a_rig_is_taken_once_its_device_is_met_and_configured(change: dict[str, object]) -> None:
-    """INIT is not yet, and no device is not at all."""
     bench = rested()
 
     text = _refusal(bench, ARM, changed(bench.loop.state, **change))
@@ -101,7 +108,6 @@ def test_a_rig_is_taken_once_its_device_is_met_and_configured(change: dict[str, 
 
 
 def test_a_rig_that_is_held_is_not_taken() -> None:
-    """The refusal names who holds it; in fault, what is wrong."""
     bench = armed()
     fault = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
 
@@ -109,20 +115,21 @@ def test_a_rig_that_is_held_is_not_taken() -> None:
         _refusal(bench, ARM)
         == "a student has the rig: wait until it is free, or end it with `armrig stop`"
     )
-    assert _refusal(bench, ARM, fault) == "in fault (it ran out): mend it, then reset"
+    assert _refusal(bench, ARM, fault) == "in fault (it ran out): correct the cause, then reset"
 
 
 def test_a_round_trip_of_the_greatest_age_allowed_still_arms() -> None:
     """S4: 50 ms at Ts 10 ms, and not a nanosecond more."""
     bench = rested()
-    old = changed(bench.loop.state, fresh_ns=bench.ports.now - 50 * MS)
+    old = changed(bench.loop.state, last_round_trip_ns=bench.ports.now - 50 * MS)
 
     assert ordered(bench, ARM, old).told(Answer) == []
-    assert "no answer" in _refusal(bench, ARM, changed(old, fresh_ns=old.link.fresh_ns - 1))
+    assert "no answer" in _refusal(
+        bench, ARM, changed(old, last_round_trip_ns=old.link.last_round_trip_ns - 1)
+    )
 
 
 def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
-    """None at all, as on a new link, and none for longer than the round trip may take."""
     bench = rested()
     none = changed(bench.loop.state, sampled_ns=0)
     oldest = changed(none, sampled_ns=bench.ports.now - 50 * MS)
@@ -135,8 +142,7 @@ def test_a_rig_of_which_no_sample_is_fresh_is_not_taken() -> None:
 
 
 @pytest.mark.parametrize("state", [s for s in DeviceState if s not in (2, 3)])
-def test_a_device_that_is_not_at_rest_is_asked_who_it_is(state: DeviceState) -> None:
-    """Refused, and led back by HELLO."""
+def test_a_device_that_is_not_at_rest_gets_a_hello(state: DeviceState) -> None:
     bench = rested()
 
     decided = ordered(bench, ARM, changed(bench.loop.state, device_state=int(state)))
@@ -154,7 +160,6 @@ def _in_fault(bench: Bench, device_state: DeviceState = DeviceState.IDLE) -> Sta
 
 
 def test_a_reset_where_nothing_is_latched_is_answered_at_once() -> None:
-    """As such; nothing is asked of the device, whoever holds it."""
     bench = armed()
     decided = ordered(bench, Reset(order=8))
 
@@ -164,7 +169,6 @@ def test_a_reset_where_nothing_is_latched_is_answered_at_once() -> None:
 
 
 def test_a_reset_needs_a_device() -> None:
-    """Without one there is nothing to see that the cause is gone."""
     bench = rested()
     state = changed(_in_fault(bench), device=None)
 
@@ -172,9 +176,9 @@ def test_a_reset_needs_a_device() -> None:
 
 
 def test_a_reset_waits_for_the_stop() -> None:
-    """S6: first the motor stands, as the device says."""
+    """S6: the device must report the motor at rest."""
     bench = rested()
-    state = awaiting(_in_fault(bench), Want.STOP)
+    state = awaiting(_in_fault(bench), RequestKind.STOP)
 
     assert _refusal(bench, Reset(order=8), state) == "busy with STOP: try again"
 
@@ -189,7 +193,6 @@ def test_a_reset_waits_for_the_stop() -> None:
     ],
 )
 def test_a_reset_asks_the_device_to_leave_what_it_latched(state: DeviceState, asks: type) -> None:
-    """By its token; where only the daemon has latched, HELLO begins anew."""
     bench = rested()
     latched = changed(_in_fault(bench, state), token=12345)
 
@@ -210,7 +213,7 @@ CALIBRATE = Calibrate(order=74, calibration=OTHER)
 
 
 def test_a_calibration_is_taken_at_rest_and_changes_nothing_but_how_samples_are_shown() -> None:
-    """S1 to S6: no frame is sent, no code, no limit and no phase is another one."""
+    """S1 to S6: no frame is sent; codes, limits and phase stay."""
     bench = rested()
     before = bench.loop.state
 
@@ -223,7 +226,6 @@ def test_a_calibration_is_taken_at_rest_and_changes_nothing_but_how_samples_are_
 
 
 def test_the_next_sample_is_shown_by_the_calibration_taken() -> None:
-    """Angles of the same counts; the voltage stays that of the code."""
     bench = rested()
     assert not bench.ask(Calibrate, calibration=OTHER).error
     k = bench.loop.state.k
@@ -238,7 +240,6 @@ def test_the_next_sample_is_shown_by_the_calibration_taken() -> None:
 
 @pytest.mark.parametrize("make", [armed, driven])
 def test_a_rig_that_is_held_keeps_its_calibration(make: Callable[[], Bench]) -> None:
-    """A run has one from its first sample to its last; the refusal names who has the rig."""
     assert (
         _refusal(make(), CALIBRATE)
         == "a student has the rig: wait until it is free, or end it with `armrig stop`"
@@ -246,15 +247,16 @@ def test_a_rig_that_is_held_keeps_its_calibration(make: Callable[[], Bench]) -> 
 
 
 def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:
-    """In fault, before the device is met, on the way to an arming, and until a stop is done."""
     bench = rested()
     state = bench.loop.state
     fault = changed(state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "it ran out"))
     not_yet = "the rig is not at rest yet: try again"
 
-    assert _refusal(bench, CALIBRATE, fault) == "in fault (it ran out): mend it, then reset"
+    assert (
+        _refusal(bench, CALIBRATE, fault) == "in fault (it ran out): correct the cause, then reset"
+    )
     assert _refusal(bench, CALIBRATE, changed(state, phase=Phase.INIT)) == NO_DEVICE
-    arming = awaiting(state, Want.CONFIGURE, ARM)
+    arming = awaiting(state, RequestKind.CONFIGURE, ARM)
     assert _refusal(bench, CALIBRATE, arming) == not_yet
     assert _refusal(bench, CALIBRATE, changed(state, phase=Phase.ACTIVE)) == not_yet
 
@@ -267,7 +269,6 @@ def test_a_calibration_is_refused_while_the_rig_is_not_at_rest() -> None:
     [{"phase": Phase.SAFE}, {"phase": Phase.FAULT}, {"device": None}],
 )
 def test_a_stop_where_nothing_turns_is_done_at_once(change: dict[str, object]) -> None:
-    """Nobody waits for a device that is at 0 V, or out of our reach."""
     bench = driven()
     decided = ordered(bench, pipe.Stop(order=6), changed(bench.loop.state, **change))
 
@@ -276,9 +277,10 @@ def test_a_stop_where_nothing_turns_is_done_at_once(change: dict[str, object]) -
 
 
 def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
-    """SAFE, but a CONFIG on its way may lead to an ARM: it is taken back."""
     bench = rested()
-    decided = ordered(bench, pipe.Stop(order=6), awaiting(bench.loop.state, Want.CONFIGURE, ARM))
+    decided = ordered(
+        bench, pipe.Stop(order=6), awaiting(bench.loop.state, RequestKind.CONFIGURE, ARM)
+    )
 
     assert [type(m) for m in decided.sent] == [Stop]
     assert [(a.order, a.error) for a in decided.told(Answer)] == [(71, "not begun: stopped")]
@@ -289,7 +291,6 @@ def test_a_stop_overtakes_whatever_is_asked_at_rest() -> None:
 )
 @pytest.mark.parametrize("by", ["a trip", "another stop"])
 def test_a_stop_that_another_overtakes_is_granted(order: pipe.Stop | pipe.Disarm, by: str) -> None:
-    """Who wished for 0 V gets it, whatever else asks for it: that is no error."""
     bench = driven()
     told = ordered(bench, order)
     event: Event = Ordered(pipe.Stop(order=9))
@@ -309,7 +310,7 @@ def test_a_stop_that_another_overtakes_is_granted(order: pipe.Stop | pipe.Disarm
 
 @pytest.mark.parametrize("phase", [Phase.INIT, Phase.SAFE, Phase.FAULT])
 def test_a_lease_holds_where_the_rig_is_armed_only(phase: Phase) -> None:
-    """S5: whatever is left of it elsewhere moves nothing."""
+    """S5: elsewhere the rest of a lease moves nothing."""
     bench = armed()
     assert "not the lease" in _refusal(bench, SET, changed(bench.loop.state, phase=phase))
 
@@ -336,7 +337,6 @@ def test_a_command_renews_the_lease_from_its_own_time_on() -> None:
 
 
 def test_a_voltage_in_force_is_changed_without_another_start() -> None:
-    """Told as done at once; the next tick carries it."""
     bench = driven()
     decided = ordered(bench, SET)
 
@@ -346,7 +346,6 @@ def test_a_voltage_in_force_is_changed_without_another_start() -> None:
 
 
 def test_no_hand_on_a_running_experiment() -> None:
-    """Its input is its own."""
     bench = driven()
     state = changed(bench.loop.state, run=ActiveRun("r", codes(1.0), -1))
 
@@ -354,12 +353,10 @@ def test_no_hand_on_a_running_experiment() -> None:
 
 
 def test_no_experiment_while_the_motor_is_driven_by_hand() -> None:
-    """It would begin from another voltage than 0 V."""
     assert "driven by hand" in _refusal(driven(), RUN)
 
 
 def test_no_second_experiment_while_the_first_fills_its_queue() -> None:
-    """Armed, but not free."""
     bench = armed()
     state = changed(bench.loop.state, run=ActiveRun("first", codes(1.0), -1, scheduled=True))
 
@@ -367,12 +364,10 @@ def test_no_second_experiment_while_the_first_fills_its_queue() -> None:
 
 
 def test_an_experiment_of_no_sample_is_none() -> None:
-    """It would start the motor and never end."""
     assert "empty" in _refusal(armed(), changed(RUN, codes=b""))
 
 
 def test_a_device_without_scheduled_mode_is_not_asked_for_it() -> None:
-    """The refusal says what it can do."""
     bench = armed()
     state = bench.loop.state
     assert state.device is not None
@@ -396,7 +391,7 @@ def test_a_sampling_time_that_exchange_does_not_carry_is_not_exchanged(order: Or
 
 @pytest.mark.parametrize(("volts", "allowed"), [(1.9, True), (2.0, True), (2.1, False)])
 def test_a_step_by_hand_of_more_than_the_slew_is_refused(volts: float, allowed: bool) -> None:
-    """S1: 1 V a sample, from the 1 V that are held; said in volts."""
+    """S1: 1 V per sample, from 1 V."""
     bench = Bench(Config(limits=Limits(slew_v=1.0)))
     bench.arm()
     bench.order(pipe.Set(order=99, lease=LEASE, n=0, code=code_of(1.0)))
@@ -408,9 +403,8 @@ def test_a_step_by_hand_of_more_than_the_slew_is_refused(volts: float, allowed: 
 
 
 def test_an_experiment_is_played_by_its_own_way() -> None:
-    """Exchanged by START at once, scheduled by way of a STOP; each kept with its order."""
     bench = armed()
-    for scheduled, want in ((False, Want.START), (True, Want.STOP)):
+    for scheduled, want in ((False, RequestKind.START), (True, RequestKind.STOP)):
         order: pipe.Run = changed(RUN, scheduled=scheduled)
         asked = ordered(bench, order).state.asked
         assert asked is not None

@@ -7,14 +7,15 @@ from pathlib import Path
 import pytest
 from armrig_daemon.decisions.phases import TRANSITIONS, On, moved
 from armrig_daemon.decisions.state import Phase
-from decision_states import rested
 from msgspec.structs import replace
+
+from tests.daemon.decision_states import rested
 
 PAGE = Path(__file__).parents[3] / "docs" / "safety.md"
 
 
 def diagram() -> str:
-    """Return the table as a Mermaid diagram; a phase that stays what it is has no arrow."""
+    """Return the table as a Mermaid diagram; an unchanged phase has no arrow."""
     arrows = [
         f"    {before} --> {after}: {on.value}"
         for on, ways in TRANSITIONS.items()
@@ -25,12 +26,12 @@ def diagram() -> str:
 
 
 def test_the_page_draws_the_table() -> None:
-    """To draw it again, put the text that this test expects into the page."""
+    """To draw the table again, put the text that this test expects into the page."""
     assert diagram() in PAGE.read_text(encoding="utf-8")
 
 
 def test_only_a_reset_leads_out_of_a_fault() -> None:
-    """S6: what has tripped stays so, and is armed from safe alone."""
+    """S6: a trip latches, and only `safe` can be armed."""
     out = {on for on, ways in TRANSITIONS.items() if ways.get(Phase.FAULT, Phase.FAULT) != "fault"}
 
     assert out == {On.RESET}
@@ -40,7 +41,6 @@ def test_only_a_reset_leads_out_of_a_fault() -> None:
 
 
 def test_a_way_that_is_not_in_the_table_is_not_gone() -> None:
-    """It fails instead: the loop stops the motor and ends."""
     latched = replace(rested().loop.state, phase=Phase.FAULT)
 
     with pytest.raises(KeyError):

@@ -1,4 +1,4 @@
-"""What a device says, and what the core makes of it."""
+"""Messages of a device, and the core's reactions."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import pytest
 from armrig_daemon.decisions import setpoints
 from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.state import (
-    Beat,
     Exit,
     LinkDown,
     Phase,
+    RequestKind,
     RoundTrip,
     Sent,
     State,
-    Want,
+    Wakeup,
 )
 from armrig_daemon.pipe import Log, RunEnded
 from armrig_daemon.pipe import State as StateRecord
@@ -32,7 +32,8 @@ from armrig_protocol.messages import (
     Stop,
 )
 from armrig_protocol.messages import State as DeviceState
-from decision_states import (
+
+from tests.daemon.decision_states import (
     OURS,
     RUN,
     Decided,
@@ -44,7 +45,7 @@ from decision_states import (
     heard,
     rested,
 )
-from virtual_bench import MS
+from tests.daemon.virtual_bench import MS
 
 
 def _event(state: State, **fields: int) -> Event:
@@ -64,39 +65,39 @@ def _pong(state: State, **fields: int) -> Pong:
 
 
 def test_an_ack_of_the_very_request_proves_a_round_trip() -> None:
-    """S4: one of another frame, or a refusal, does not; nor does it make younger what was older."""
+    """S4: an ACK of another frame, or a refusal, proves nothing."""
     bench = rested()
     now = bench.ports.now
-    fresh = changed(bench.loop.state, fresh_ns=now - 40 * MS)
-    state = awaiting(fresh, Want.ARM, sent_ns=now - 3 * MS)
+    fresh = changed(bench.loop.state, last_round_trip_ns=now - 40 * MS)
+    state = awaiting(fresh, RequestKind.ARM, sent_ns=now - 3 * MS)
     assert state.asked is not None
     seq = state.asked.seq
     ack = Ack(int(DeviceState.READY), 0, TYPES[Arm], int(Code.OK), seq)
 
-    assert heard(bench, ack, state).state.link.fresh_ns == now - 3 * MS
-    younger = changed(state, fresh_ns=now - 1 * MS)
-    assert heard(bench, ack, younger).state.link.fresh_ns == now - 1 * MS
+    assert heard(bench, ack, state).state.link.last_round_trip_ns == now - 3 * MS
+    younger = changed(state, last_round_trip_ns=now - 1 * MS)
+    assert heard(bench, ack, younger).state.link.last_round_trip_ns == now - 1 * MS
     for other in (
         ack._replace(of_seq=seq + 1),
         ack._replace(of_type=TYPES[Stop]),
         ack._replace(code=int(Code.STALE)),
     ):
-        assert heard(bench, other, state).state.link.fresh_ns == now - 40 * MS
+        assert heard(bench, other, state).state.link.last_round_trip_ns == now - 40 * MS
 
 
 def test_the_answer_to_the_newest_ping_proves_a_round_trip() -> None:
-    """S4: as old as the question is; it never makes younger what was proved before."""
+    """S4: the round trip is as old as the question."""
     bench = rested()
     now = bench.ports.now
-    state = changed(bench.loop.state, ping_ns=now - 7 * MS, fresh_ns=now - 40 * MS)
+    state = changed(bench.loop.state, ping_ns=now - 7 * MS, last_round_trip_ns=now - 40 * MS)
 
     younger = heard(bench, _pong(state), state)
-    older = heard(bench, _pong(state), changed(state, fresh_ns=now - 1 * MS))
+    older = heard(bench, _pong(state), changed(state, last_round_trip_ns=now - 1 * MS))
 
     assert younger.of(RoundTrip) == [RoundTrip(7 * MS)]
-    assert younger.state.link.fresh_ns == now - 7 * MS
+    assert younger.state.link.last_round_trip_ns == now - 7 * MS
     assert younger.state.clock.compared_ns == now
-    assert older.state.link.fresh_ns == now - 1 * MS
+    assert older.state.link.last_round_trip_ns == now - 1 * MS
 
 
 def test_an_answer_to_an_older_ping_says_nothing_of_now() -> None:
@@ -111,7 +112,6 @@ def test_an_answer_to_an_older_ping_says_nothing_of_now() -> None:
 
 
 def test_a_message_that_needs_no_answer_has_none() -> None:
-    """STATUS is for a person."""
     bench = rested()
     decided = heard(bench, Status._make([int(DeviceState.READY)] + [0] * 13))
 
@@ -122,8 +122,8 @@ def test_a_message_that_needs_no_answer_has_none() -> None:
 
 
 @pytest.mark.parametrize("by", ["event", "sample"])
-def test_a_device_that_starts_anew_at_rest_is_met_again(by: str) -> None:
-    """T1: no fault, for nothing turned; a sample tells it where the EVENT was lost."""
+def test_a_device_that_restarts_at_rest_is_met_again(by: str) -> None:
+    """T1: no fault, because nothing turned; a sample reports it if the EVENT was lost."""
     bench = rested()
     state = bench.loop.state
     assert state.device is not None
@@ -141,8 +141,8 @@ def test_a_device_that_starts_anew_at_rest_is_met_again(by: str) -> None:
 
 
 @pytest.mark.parametrize("by", ["event", "sample"])
-def test_a_device_that_starts_anew_while_it_drives_is_a_fault(by: str) -> None:
-    """S6: it knows nothing of us, and so do not we of it."""
+def test_a_device_that_restarts_while_it_drives_is_a_fault(by: str) -> None:
+    """S6: the device has forgotten the run."""
     bench = driven()
     state = bench.loop.state
     assert state.device is not None
@@ -154,11 +154,10 @@ def test_a_device_that_starts_anew_while_it_drives_is_a_fault(by: str) -> None:
     assert decided.state.fault == Fault(Id.RESET, "the device was reset")
     assert decided.state.device is None
     assert decided.state.asked is not None
-    assert decided.state.asked.want is Want.HELLO
+    assert decided.state.asked.want is RequestKind.HELLO
 
 
 def test_a_reset_of_the_device_leaves_a_latched_fault_as_it_is() -> None:
-    """The first cause is the one that is told."""
     bench = rested()
     state = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
     assert state.device is not None
@@ -183,17 +182,19 @@ def test_a_reset_of_the_device_leaves_a_latched_fault_as_it_is() -> None:
         (250, 0, "250"),
     ],
 )
-def test_a_device_that_latches_is_told_with_its_own_cause(
+def test_a_device_that_latches_is_reported_with_its_own_cause(
     cause: int, detail: int, words: str
 ) -> None:
-    """S6: by its name where it has one, and the code that it refused."""
+    """S6: by its name if it has one, and the code that it refused."""
     bench = driven()
     event = _event(bench.loop.state, cause=cause, detail=detail, token=7)
     event = event._replace(state=int(DeviceState.FAULT))
 
     decided = heard(bench, event)
 
-    assert decided.state.fault == Fault(Id.DEVICE, f"the device stopped by itself: {words}")
+    text = f"the device stopped by itself: {words}"
+    assert decided.state.fault == Fault(Id.DEVICE, text, cause)
+    assert decided.told(StateRecord)[-1].device_cause == cause
     assert decided.state.link.token == 7
     assert decided.state.link.device_state == DeviceState.FAULT
 
@@ -205,10 +206,10 @@ def test_a_device_that_latches_is_told_with_its_own_cause(
 def test_a_device_that_has_stopped_itself_need_not_take_our_stop(
     at: DeviceState, waits: bool
 ) -> None:
-    """S6: it is no error, and the fault stands; while the device drives, STOP is sent again."""
+    """S6: the fault stays; while the device drives, STOP is sent again."""
     bench = driven()
     latched = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.DEVICE, "REV_LIMIT"))
-    state = awaiting(latched, Want.STOP)
+    state = awaiting(latched, RequestKind.STOP)
     refusal = Ack(int(at), 0, TYPES[Stop], int(Code.WRONG_STATE), OURS)
 
     decided = heard(bench, refusal, state)
@@ -220,7 +221,6 @@ def test_a_device_that_has_stopped_itself_need_not_take_our_stop(
 
 
 def test_a_device_that_latches_after_our_own_trip_gives_its_token_only() -> None:
-    """A reset needs it; the cause is known already."""
     bench = rested()
     state = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
     event = _event(state, token=7)._replace(state=int(DeviceState.FAULT))
@@ -235,14 +235,12 @@ def test_a_device_that_latches_after_our_own_trip_gives_its_token_only() -> None
 
 
 def test_a_run_that_is_over_already_is_not_completed_again() -> None:
-    """Whoever says so."""
     bench = rested()
 
     assert setpoints.complete(bench.loop.state, bench.ports.now) == (bench.loop.state, [])
 
 
 def test_a_queue_without_a_device_starts_nothing() -> None:
-    """It is gone: what it held says nothing any more."""
     bench = armed()
     now = bench.ports.now
     filling, _ = setpoints.begin(bench.loop.state, now, changed(RUN, scheduled=True))
@@ -252,12 +250,11 @@ def test_a_queue_without_a_device_starts_nothing() -> None:
 
     assert (gone.asked, actions) == (None, [])
     assert there.asked is not None
-    assert there.asked.want is Want.START
+    assert there.asked.want is RequestKind.START
     assert isinstance(start.data, bytes)
 
 
 def test_a_start_carries_the_length_of_the_run() -> None:
-    """The device ends by itself, whatever becomes of us."""
     bench = armed()
     now = bench.ports.now
     filling, _ = setpoints.begin(bench.loop.state, now, changed(RUN, scheduled=True))
@@ -265,7 +262,7 @@ def test_a_start_carries_the_length_of_the_run() -> None:
     started, _ = setpoints.note_queue(filling, now, 0, 2)
 
     assert started.asked is not None
-    (start,) = Decided(started, now + 50 * MS, Beat()).sent
+    (start,) = Decided(started, now + 50 * MS, Wakeup()).sent
     assert isinstance(start, Start)
     assert start.k_stop == 2
 
@@ -274,7 +271,6 @@ def test_a_start_carries_the_length_of_the_run() -> None:
 
 
 def test_a_link_that_goes_while_the_daemon_ends_does_not_hold_it_up() -> None:
-    """No STOP will be confirmed any more."""
     bench = driven()
     state = changed(bench.loop.state, quitting=True)
 
@@ -290,7 +286,7 @@ def _sent() -> Sent:
 
 @pytest.mark.parametrize("phase", [Phase.SAFE, Phase.INIT, Phase.FAULT])
 def test_a_link_that_goes_at_rest_is_no_fault(phase: Phase) -> None:
-    """S6: what was latched stays so, the rest begins anew."""
+    """S6: a latched fault stays, everything else begins again."""
     bench = rested()
     state = changed(bench.loop.state, phase=phase, pending=b"half a fra", sent=(_sent(),))
 
@@ -305,21 +301,21 @@ def test_a_link_that_goes_at_rest_is_no_fault(phase: Phase) -> None:
 
 
 def test_nothing_keeps_a_motor_on_that_is_to_stop() -> None:
-    """S4: no KEEPALIVE while it still drives; one at rest, for whoever listens there."""
+    """S4: no KEEPALIVE while the motor still drives."""
     bench = driven()
     latched = changed(bench.loop.state, phase=Phase.FAULT)
     at_rest = changed(latched, device_state=int(DeviceState.IDLE))
     now = bench.ports.now
 
-    silent = Decided(latched, now, Beat())
+    silent = Decided(latched, now, Wakeup())
     assert silent.sent == []
-    assert silent.state == changed(latched, any_ns=now)
-    assert [type(m) for m in Decided(at_rest, now, Beat()).sent] == [Keepalive]
-    assert Decided(changed(at_rest, link=None), now, Beat()).sent == []
+    assert silent.state == changed(latched, last_send_ns=now)
+    assert [type(m) for m in Decided(at_rest, now, Wakeup()).sent] == [Keepalive]
+    assert Decided(changed(at_rest, link=None), now, Wakeup()).sent == []
 
 
 def test_no_keepalive_before_the_tick_that_stops() -> None:
-    """S2: a beat comes before the tick after a pause, and would feed the watchdog for another."""
+    """S2: a wakeup precedes the tick after a pause, and would feed the watchdog again."""
     bench = driven()
     state, now = bench.loop.state, bench.ports.now
     lease = state.lease
@@ -333,16 +329,15 @@ def test_no_keepalive_before_the_tick_that_stops() -> None:
     ):
         held = changed(lease, renewed_ns=now - run_out_ns)
         paused = changed(state, tick_ns=now - paused_ns, lease=held)
-        assert bool(Decided(paused, now, Beat()).sent) == keeps
+        assert bool(Decided(paused, now, Wakeup()).sent) == keeps
     plays = changed(state, lease=changed(lease, renewed_ns=now - lease_ns - 1), run=RUN)
-    assert Decided(changed(plays, tick_ns=now), now, Beat()).sent
+    assert Decided(changed(plays, tick_ns=now), now, Wakeup()).sent
 
 
 def test_a_stop_is_a_stop_in_every_phase() -> None:
-    """What is awaited decides, not the phase: no KEEPALIVE behind a STOP on its way."""
     bench = driven()
-    state = awaiting(bench.loop.state, Want.STOP, sent_ns=bench.ports.now)
+    state = awaiting(bench.loop.state, RequestKind.STOP, sent_ns=bench.ports.now)
 
-    again = Decided(state, bench.ports.now + 20 * MS, Beat())
+    again = Decided(state, bench.ports.now + 20 * MS, Wakeup())
 
     assert [type(m) for m in again.sent] == [Stop]

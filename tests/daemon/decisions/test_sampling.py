@@ -1,8 +1,9 @@
-"""A sample that answers an EXCHANGE, and one that the device makes by itself."""
+"""A sample in answer to an EXCHANGE, and a sample that the device makes by itself."""
 
 from __future__ import annotations
 
 import pytest
+from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample
 from armrig_core.volts import applied_code, code_of
 from armrig_daemon import pipe
@@ -14,17 +15,26 @@ from armrig_daemon.decisions.state import (
     Emit,
     Phase,
     Publish,
+    RequestKind,
     RoundTrip,
     Sent,
     State,
     Unechoed,
-    Want,
 )
 from armrig_daemon.pipe import Answer, Gap, Log, RunEnded, RunStarted
 from armrig_protocol.messages import Config, Flag, Setpoints, Stop
 from armrig_protocol.messages import State as DeviceState
-from decision_states import Decided, awaiting, changed, device_sample, driven, heard, rested
-from virtual_bench import LEASE, MS, Bench, codes
+
+from tests.daemon.decision_states import (
+    Decided,
+    awaiting,
+    changed,
+    device_sample,
+    driven,
+    heard,
+    rested,
+)
+from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
 RUN, UNDERRUN = int(Flag.RUN), int(Flag.UNDERRUN)
 LATCHED = Fault(Id.LEASE, "ran out")
@@ -50,7 +60,7 @@ def _playing() -> Bench:
 
 
 def _duty(state: State, code: int) -> int:
-    """Return what the duty of the device makes of a code."""
+    """Return the code after rounding to the device's duty."""
     assert state.device is not None
     return applied_code(code, state.device.pwm_bits)
 
@@ -86,7 +96,7 @@ def _order(decided: Decided, *kinds: type) -> list[str]:
 
 @pytest.mark.parametrize("flags", [0, UNDERRUN, RUN, RUN | UNDERRUN])
 def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
-    """S5: only a device with a queue can run out of setpoints; here 0 is no code of ours either."""
+    """S5: only a device with a queue can run out of setpoints."""
     bench = driven()
     state = _asked(bench)
     commanded = _duty(state, state.link.sent[0].code) if flags & RUN else 0
@@ -102,10 +112,10 @@ def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
 
 
 def test_a_run_that_plays_wrong_codes_in_a_fault_is_stopped_again_at_once() -> None:
-    """S5, S6: it still drives by its own queue, so that STOP goes out with each such sample."""
+    """S5, S6: the device still drives by its own queue, so each such sample causes a STOP."""
     bench = _playing()
     latched = changed(bench.loop.state, phase=Phase.FAULT, fault=LATCHED)
-    stopping = awaiting(latched, Want.STOP, tries=4, sent_ns=bench.ports.now)
+    stopping = awaiting(latched, RequestKind.STOP, tries=4, sent_ns=bench.ports.now)
 
     wrong = _due(bench, stopping, u_k=9)
     right = _due(bench, stopping)
@@ -118,8 +128,8 @@ def test_a_run_that_plays_wrong_codes_in_a_fault_is_stopped_again_at_once() -> N
     assert right.state.fault == LATCHED
 
 
-def test_what_was_applied_is_what_a_gap_behind_it_was_held_at() -> None:
-    """L2: in both."""
+def test_the_applied_code_is_the_code_held_in_a_later_gap() -> None:
+    """L2."""
     bench, playing = driven(), _playing()
     state, run = _asked(bench), playing.loop.state
 
@@ -134,7 +144,7 @@ def test_what_was_applied_is_what_a_gap_behind_it_was_held_at() -> None:
 
 
 def test_an_exchange_is_as_fresh_as_its_question() -> None:
-    """S4: what it answers was sent then, whenever it comes and whatever it has heard."""
+    """S4: the answer was sent after its question, whenever it comes."""
     bench = driven()
     state = _asked(bench)
     first, now = state.link.sent[0], bench.ports.now
@@ -142,34 +152,37 @@ def test_an_exchange_is_as_fresh_as_its_question() -> None:
     decided = _answer(bench, state, u_k=_duty(state, first.code), flags=RUN)
 
     assert first.sent_ns < now
-    assert (decided.state.link.fresh_ns, decided.state.sampled_ns) == (first.sent_ns, first.sent_ns)
+    assert (decided.state.link.last_round_trip_ns, decided.state.sampled_ns) == (
+        first.sent_ns,
+        first.sent_ns,
+    )
     assert decided.of(RoundTrip) == [RoundTrip(now - first.sent_ns)]
     (publish,) = decided.of(Publish)
     assert (publish.sample.t_host_ns, publish.queued) == (first.sent_ns, -1)
 
 
 def test_a_sample_of_a_run_is_as_fresh_as_the_frame_that_it_has_heard() -> None:
-    """S4: the device made it by itself; only its echo proves that it hears us."""
+    """S4: only its echo proves that the device receives the frames."""
     bench = _playing()
     now = bench.ports.now
     state = bench.loop.state
     seq = (state.link.seq - 1) & 0xFFFF
     state = changed(
-        state, beats=(Unechoed(seq, now - 7 * MS),), fresh_ns=now - 40 * MS, sampled_ns=1
+        state, beats=(Unechoed(seq, now - 7 * MS),), last_round_trip_ns=now - 40 * MS, sampled_ns=1
     )
 
     deaf = _due(bench, state, echo=(seq - 1) & 0xFFFF, queued=5)
     hears = _due(bench, state, echo=seq, queued=5)
 
-    assert (deaf.state.link.fresh_ns, deaf.state.sampled_ns) == (now - 40 * MS, now)
-    assert (hears.state.link.fresh_ns, hears.state.sampled_ns) == (now - 7 * MS, now)
+    assert (deaf.state.link.last_round_trip_ns, deaf.state.sampled_ns) == (now - 40 * MS, now)
+    assert (hears.state.link.last_round_trip_ns, hears.state.sampled_ns) == (now - 7 * MS, now)
     assert hears.of(RoundTrip) == []
     (publish,) = hears.of(Publish)
     assert (publish.sample.t_host_ns, publish.queued) == (now, 5)
 
 
 def test_an_echo_of_what_we_have_not_sent_spoils_an_exchange_and_stops_a_run() -> None:
-    """S4: an exchange is taken by nobody; a run of ours is told, and its motor stopped."""
+    """S4."""
     bench, playing = driven(), _playing()
     state, run = _asked(bench), playing.loop.state
 
@@ -186,7 +199,7 @@ def test_an_echo_of_what_we_have_not_sent_spoils_an_exchange_and_stops_a_run() -
 
 
 def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
-    """S4: setpoints go out with each sample; once they have, an old echo looks like one of ours."""
+    """S4: setpoints follow each sample; then an old echo looks like an echo of this session."""
     bench = _playing()
     state = bench.loop.state
     assert state.run is not None
@@ -205,13 +218,15 @@ def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
 
 
 def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() -> None:
-    """S4: not even those of a run that the device has just been armed for."""
+    """S4: also for a run that the device has just been armed for."""
     bench = _playing()
     state, play = (
         bench.loop.state,
         pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(1.0)),
     )
-    arming = awaiting(changed(state, phase=Phase.ARMED, run=None, queue=None), Want.ARM, play)
+    arming = awaiting(
+        changed(state, phase=Phase.ARMED, run=None, queue=None), RequestKind.ARM, play
+    )
     sample = device_sample(state, flags=RUN)._replace(state=DeviceState.ARMED)
 
     ours = heard(bench, sample._replace(echo=state.link.seq - 1), arming)
@@ -223,7 +238,6 @@ def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() 
 
 
 def test_only_an_exchange_compares_the_clocks() -> None:
-    """A sample of a run has no time at which it was asked for."""
     bench, playing = driven(), _playing()
     state = changed(_asked(bench), compared_ns=0)
     run = changed(playing.loop.state, compared_ns=0)
@@ -237,35 +251,35 @@ def test_only_an_exchange_compares_the_clocks() -> None:
 # -- which k it has (L2) -------------------------------------------------------------------------
 
 
-def test_an_exchange_whose_k_was_told_as_a_gap_is_not_told_again() -> None:
-    """L2: overtaken; its place in the line is free, and it proves nothing."""
+def test_an_exchange_whose_k_was_reported_as_a_gap_is_not_reported_again() -> None:
+    """L2."""
     bench = driven()
     state = _asked(bench)
-    told = changed(state, told=state.link.sent[0].k)
+    told = changed(state, last_reported_k=state.link.sent[0].k)
 
     decided = _answer(bench, told, u_k=0, flags=RUN)
 
     assert decided.actions == []
     assert decided.state.link.sent == told.link.sent[1:]
-    assert decided.state.link.fresh_ns == told.link.fresh_ns
+    assert decided.state.link.last_round_trip_ns == told.link.last_round_trip_ns
 
 
 def test_a_sample_of_a_run_that_has_come_still_shows_the_state_and_the_echo() -> None:
-    """L2: it is published once, yet it is news of the device."""
+    """L2: the sample is published once."""
     bench = _playing()
     state = bench.loop.state
     assert state.run is not None
     seq = (state.link.seq - 1) & 0xFFFF
-    state = changed(state, beats=(Unechoed(seq, 17),), fresh_ns=5)
+    state = changed(state, beats=(Unechoed(seq, 17),), last_round_trip_ns=5)
 
     decided = _due(bench, state, k=state.run.due - 1, echo=seq)
 
     assert decided.actions == []
-    assert decided.state.link.fresh_ns == 17
+    assert decided.state.link.last_round_trip_ns == 17
 
 
-def test_lost_samples_are_told_with_what_each_was_commanded() -> None:
-    """L2: an exchange since it was sent; of a run nobody knows when."""
+def test_lost_samples_are_reported_with_what_each_was_commanded() -> None:
+    """L2: with the time of the exchange; the times of a run are unknown."""
     bench, playing = driven(), _playing()
     state, run = _asked(bench), playing.loop.state
     assert run.run is not None
@@ -285,25 +299,25 @@ def test_lost_samples_are_told_with_what_each_was_commanded() -> None:
 
 
 def test_an_exchange_is_published_before_the_run_that_it_ends() -> None:
-    """L2: the last sample of a run is there, and no gap, when the device has stopped with it."""
+    """L2: the last sample of a run is no gap if the device has stopped with it."""
     bench = driven()
-    state = awaiting(changed(_asked(bench), code=0), Want.STOP)
+    state = awaiting(changed(_asked(bench), code=0), RequestKind.STOP)
 
     decided = _answer(bench, state, state=int(DeviceState.IDLE))
 
     assert [s.k for s in _published(decided)] == [state.link.sent[0].k]
     assert decided.told(Gap) == []
     assert [type(m) for m in decided.sent] == [Config]
-    assert decided.state.told == state.link.sent[0].k
+    assert decided.state.last_reported_k == state.link.sent[0].k
 
 
-def test_an_exchange_ends_its_run_behind_its_own_sample() -> None:
-    """L2: published first, then the end is told."""
+def test_an_exchange_ends_its_run_after_its_own_sample() -> None:
+    """L2: published first."""
     bench = rested()
     assert not bench.arm().error
     bench.order(pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*[1.0] * 400)))
     bench.run_for(100)
-    state = awaiting(_asked(bench), Want.STOP)
+    state = awaiting(_asked(bench), RequestKind.STOP)
 
     decided = _answer(bench, state, state=int(DeviceState.IDLE))
 
@@ -312,15 +326,14 @@ def test_an_exchange_ends_its_run_behind_its_own_sample() -> None:
     assert state.link.sent[0].k not in [g.k_first for g in decided.told(Gap)]
 
 
-def test_the_first_sample_of_a_run_starts_it_and_is_published_behind_the_start() -> None:
-    """Its ACK was lost: RUN shows that START has worked, and only then the sample has a k."""
+def test_the_first_sample_of_a_run_starts_it_and_is_published_after_the_start() -> None:
     bench = _playing()
     state = bench.loop.state
     assert state.run is not None
     order = pipe.Run(order=9, lease=LEASE, n=0, run_id="r", codes=state.run.codes, scheduled=True)
     run = changed(state.run, k_first=-1, due=0)
     armed = changed(state, run=run, phase=Phase.ARMED, device_state=int(DeviceState.ARMED))
-    starting = awaiting(armed, Want.START, order, sent_ns=bench.ports.now)
+    starting = awaiting(armed, RequestKind.START, order, sent_ns=bench.ports.now)
 
     decided = _due(bench, starting, k=0, state=int(DeviceState.RUN))
 
@@ -343,19 +356,23 @@ def test_a_sample_answers_its_own_exchange_and_gives_up_those_before() -> None:
     decided = heard(bench, sample)
 
     (gap,) = decided.told(Gap)
-    assert (gap.k_first, gap.count, gap.reason) == (first.k, 1, "a frame was lost")
+    assert (gap.k_first, gap.count, gap.code) == (first.k, 1, GapCode.FRAME_LOST)
     assert (gap.t_from_ns, gap.t_to_ns) == (first.sent_ns, bench.ports.now)
     (published,) = _published(decided)
     assert (published.k, published.t_sched_ns, published.t_host_ns) == second[1:4]
     assert decided.of(RoundTrip) == [RoundTrip(bench.ports.now - second.sent_ns)]
     after = decided.state
-    assert (after.link.sent, after.link.fresh_ns, after.told) == ((), second.sent_ns, second.k)
+    assert (after.link.sent, after.link.last_round_trip_ns, after.last_reported_k) == (
+        (),
+        second.sent_ns,
+        second.k,
+    )
     assert (after.applied, after.t_us) == (held, t_us)
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_sample_of_before_is_none_though_its_k_is_awaited(known: bool) -> None:
-    """S5: the k began anew, and an old sample is played again; of a new link any stamp is new."""
+    """S5: the k began again, and an old sample is repeated."""
     bench = driven()
     state = _asked(bench)
     state = state if known else changed(state, sampled_ns=0)
@@ -367,7 +384,6 @@ def test_a_sample_of_before_is_none_though_its_k_is_awaited(known: bool) -> None
 
 
 def test_a_sample_of_no_exchange_of_ours_is_none() -> None:
-    """An old burst, or the echo of another host: nothing is published, nothing proved."""
     bench = rested()
     state = _asked(bench)
 
@@ -378,22 +394,22 @@ def test_a_sample_of_no_exchange_of_ours_is_none() -> None:
 
 
 def test_a_sample_that_has_heard_what_we_have_not_sent_is_none() -> None:
-    """S4: an old EXCHANGE that was played again asked for it, under the k of ours on its way."""
+    """S4: a repeated old EXCHANGE caused it, with the k of an exchange on its way."""
     bench = rested()
     state, now = bench.loop.state, bench.ports.now
-    ours = Sent(state.link.seq - 1, state.told + 1, now, now, 0)
-    state = changed(state, sent=(ours,), fresh_ns=now - 40 * MS)
+    ours = Sent(state.link.seq - 1, state.last_reported_k + 1, now, now, 0)
+    state = changed(state, sent=(ours,), last_round_trip_ns=now - 40 * MS)
     sample = device_sample(state, k=ours.k, echo=ours.seq)
 
-    assert heard(bench, sample, state).state.link.fresh_ns == now
+    assert heard(bench, sample, state).state.link.last_round_trip_ns == now
     old = heard(bench, sample._replace(echo=state.link.seq + 3), state)
-    assert old.state.link.fresh_ns == now - 40 * MS
+    assert old.state.link.last_round_trip_ns == now - 40 * MS
     assert old.state.link.sent == (ours,)
     assert old.of(Publish) == []
 
 
 def test_a_sample_of_a_device_that_is_not_met_is_none() -> None:
-    """S4: it proves nothing of whoever will be met next."""
+    """S4: the sample proves nothing about the next device."""
     bench = rested()
     state = _asked(bench)
     sample = device_sample(state, k=state.link.sent[0].k)
@@ -407,7 +423,7 @@ def test_a_sample_of_a_device_that_is_not_met_is_none() -> None:
 
 @pytest.mark.parametrize(("u_k", "trips"), [(0, False), (1, True)])
 def test_at_rest_the_device_applies_nothing(u_k: int, trips: bool) -> None:
-    """S5: outside RUN 0 is what is expected, whatever the code of the exchange was."""
+    """S5: outside RUN 0 is expected, whatever the code of the exchange was."""
     bench = rested()
     state = _asked(bench)
 
@@ -419,7 +435,7 @@ def test_at_rest_the_device_applies_nothing(u_k: int, trips: bool) -> None:
 
 
 def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
-    """S5: 10 bits of duty round the code; the code itself would be another."""
+    """S5: 10 bits of duty round the code."""
     bench = driven()
     state = _asked(bench)
     held = state.link.sent[0].code
@@ -435,7 +451,6 @@ def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
 
 
 def test_what_is_applied_after_a_trip_is_no_second_fault() -> None:
-    """The motor is on its way to 0 V already."""
     bench = rested()
     state = changed(_asked(bench), phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
 
@@ -451,7 +466,6 @@ def test_what_is_applied_after_a_trip_is_no_second_fault() -> None:
 def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start(
     way_is_known: bool,
 ) -> None:
-    """t_zero + i Ts: until eight exchanges have told more, and where a jump made it forgotten."""
     bench = _playing()
     clock = bench.loop.state.clock.map._replace(weight=0.0) if way_is_known else ClockMap()
     state = changed(bench.loop.state, map=clock)
@@ -466,7 +480,7 @@ def test_without_a_map_of_the_clocks_a_sample_was_due_by_the_time_of_the_start(
 
 @pytest.mark.parametrize("known", [7, 8])
 def test_eight_exchanges_make_a_map(known: int) -> None:
-    """One fewer, and the start's own time is better."""
+    """With one fewer, the start's own time is better."""
     bench = _playing()
     state = bench.loop.state
     trips = state.clock.map.round_trips
@@ -489,7 +503,7 @@ def test_eight_exchanges_make_a_map(known: int) -> None:
 def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
     flags: Flag, u: int, trips: bool
 ) -> None:
-    """S5: where no setpoint was there the device says so, and the policy's code is told."""
+    """S5: the device reports an underrun, and the policy's code is published."""
     bench = _playing()
     decided = _due(bench, bench.loop.state, flags=int(flags), u_k=u)
 
@@ -501,7 +515,7 @@ def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
         assert "no setpoint was there" in decided.told(Log)[0].message
 
 
-def test_a_sample_that_is_ahead_tells_of_those_before_it() -> None:
+def test_a_sample_that_is_ahead_reports_the_missing_ones_before_it() -> None:
     """L2: each with the voltage of its own setpoint."""
     bench = _playing()
     run = bench.loop.state.run
@@ -518,8 +532,7 @@ def test_a_sample_that_is_ahead_tells_of_those_before_it() -> None:
 
 
 @pytest.mark.parametrize("ahead", [-1, 1000])
-def test_a_sample_twice_or_behind_the_end_is_none(ahead: int) -> None:
-    """It has been published, or belongs to no run of ours."""
+def test_a_sample_twice_or_after_the_end_is_discarded(ahead: int) -> None:
     bench = _playing()
 
     assert _published(_due(bench, bench.loop.state, ahead=ahead)) == []
@@ -530,10 +543,12 @@ def test_only_what_the_device_has_heard_proves_a_round_trip() -> None:
     bench = _playing()
     state = bench.loop.state
     older, newer = Unechoed(0xFFFF, 11), Unechoed(0, 22)
-    waiting = changed(state, beats=(older, newer), fresh_ns=5)
+    waiting = changed(state, beats=(older, newer), last_round_trip_ns=5)
 
     assert sampling.note_echo(waiting, 0xFFFE) == waiting
     half_a_round_away = changed(waiting, beats=(older,))
     assert sampling.note_echo(half_a_round_away, 0x7FFF) == half_a_round_away
-    assert sampling.note_echo(waiting, 0xFFFF) == changed(waiting, beats=(newer,), fresh_ns=11)
-    assert sampling.note_echo(waiting, 0) == changed(waiting, beats=(), fresh_ns=22)
+    assert sampling.note_echo(waiting, 0xFFFF) == changed(
+        waiting, beats=(newer,), last_round_trip_ns=11
+    )
+    assert sampling.note_echo(waiting, 0) == changed(waiting, beats=(), last_round_trip_ns=22)

@@ -1,16 +1,16 @@
-"""Setpoints kept ahead of a device that paces itself: what is sent when, from built states."""
+"""Setpoints kept ahead of a device that paces itself: frames and their times, from built states."""
 
 from __future__ import annotations
 
 import pytest
+from armrig_core.codes import GapCode
 from armrig_core.volts import applied_code, code_of, volts_of
 from armrig_daemon import pipe
 from armrig_daemon.decisions import gaps, sampling, setpoints
-from armrig_daemon.decisions.budget import PING_US
+from armrig_daemon.decisions.budget import PING_INTERVAL_US
 from armrig_daemon.decisions.faults import Fault, Id
-from armrig_daemon.decisions.requests import MOST_BEATS, send
+from armrig_daemon.decisions.requests import MAX_REMEMBERED_FRAMES, send
 from armrig_daemon.decisions.state import (
-    Absent,
     ActiveRun,
     Emit,
     Ordered,
@@ -18,11 +18,11 @@ from armrig_daemon.decisions.state import (
     Publish,
     Queue,
     Received,
+    RequestKind,
     Send,
     State,
     Tick,
     Unechoed,
-    Want,
 )
 from armrig_daemon.decisions.stopping import trip
 from armrig_daemon.pipe import Answer, Gap, RunEnded, RunStarted
@@ -40,8 +40,9 @@ from armrig_protocol.messages import (
     Stop,
 )
 from armrig_protocol.messages import State as DeviceState
-from decision_states import RUN, Decided, armed, awaiting, changed, device_sample
-from virtual_bench import MS, codes
+
+from tests.daemon.decision_states import RUN, Decided, armed, awaiting, changed, device_sample
+from tests.daemon.virtual_bench import MS, codes
 
 N = SETPOINTS_PER_FRAME
 NOW = 5_000 * MS
@@ -66,13 +67,19 @@ def _running(due: int = 10, samples: int = 100, **fields: object) -> State:
     state = _state(samples, base=due, held=samples, sent=samples)
     assert state.run is not None
     run = changed(state.run, k_first=200, due=due, t_zero_ns=NOW)
-    known = {"phase": Phase.ACTIVE, "told": 199 + due, "absent": (), "k": 190, "tick_ns": NOW}
+    known = {
+        "phase": Phase.ACTIVE,
+        "last_reported_k": 199 + due,
+        "absent": (),
+        "k": 190,
+        "tick_ns": NOW,
+    }
     playing = changed(state, run=run, device_state=int(DeviceState.RUN), **known)
-    return changed(playing, **{"fresh_ns": NOW, "ping_ns": NOW, **fields})
+    return changed(playing, **{"last_round_trip_ns": NOW, "ping_ns": NOW, **fields})
 
 
 def _frames(actions: list) -> list[tuple[int, int]]:  # type: ignore[type-arg]
-    """Return (k0, n) of the frames of setpoints; each carries the run's codes, and 0 behind."""
+    """Return (k0, n) of the frames of setpoints; each has the run's codes, then zeros."""
     found = []
     for action in actions:
         assert isinstance(action, Send)
@@ -112,7 +119,6 @@ IS_IDLE = _received(Ack(int(DeviceState.IDLE), 0, 0, 0, 1))
 def test_as_many_frames_are_sent_as_there_is_room_for(
     samples: int, base: int, held: int, sent: int, frames: list[tuple[int, int]]
 ) -> None:
-    """Whole ones, at most eight at once, and the rest of a run."""
     state = _state(samples, base=base, held=held, sent=sent)
 
     after, actions = setpoints.refill(state, NOW)
@@ -124,7 +130,6 @@ def test_as_many_frames_are_sent_as_there_is_room_for(
 
 @pytest.mark.parametrize(("after_ns", "again"), [(30 * MS, False), (30 * MS + 1, True)])
 def test_what_the_device_does_not_show_in_time_is_sent_again(after_ns: int, again: bool) -> None:
-    """Go-back-N, from what it has; then the time counts anew."""
     state = _state(100, base=0, held=24, sent=100, moved_ns=NOW - after_ns)
 
     after, actions = setpoints.refill(state, NOW)
@@ -137,7 +142,6 @@ def test_what_the_device_does_not_show_in_time_is_sent_again(after_ns: int, agai
 
 @pytest.mark.parametrize(("sent", "moved_ns"), [(24, NOW), (48, 7)])
 def test_the_time_counts_from_the_first_frame_that_is_not_shown(sent: int, moved_ns: int) -> None:
-    """Not from those behind it."""
     state = _state(100, base=0, held=24, sent=sent, moved_ns=7)
     with_nothing_late = changed(state, queue=changed(state.queue, moved_ns=7))  # type: ignore[type-var]
 
@@ -152,11 +156,10 @@ def test_the_time_counts_from_the_first_frame_that_is_not_shown(sent: int, moved
     [{"queue": None}, {"run": None}, {"device": None}, {"phase": Phase.FAULT}],
 )
 def test_nothing_is_sent_where_nothing_is_to_be_played(change: dict[str, object]) -> None:
-    """Least of all to a device that is to stop."""
     state = changed(_state(), **change)
 
     assert setpoints.refill(state, NOW) == (state, [])
-    stopping = awaiting(_state(), Want.STOP)
+    stopping = awaiting(_state(), RequestKind.STOP)
     assert setpoints.refill(stopping, NOW) == (stopping, [])
 
 
@@ -165,7 +168,7 @@ def test_nothing_is_sent_where_nothing_is_to_be_played(change: dict[str, object]
     [([1.0, 2.0], False), ([1.0, 2.1], True), ([1.1], True), ([1.0] * 24 + [2.1], True)],
 )
 def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: bool) -> None:
-    """S1: neither from one frame to the next, nor from standstill; what was before it is."""
+    """S1."""
     state = _state()
     run = ActiveRun("r", codes(*volts), -1, scheduled=True)
     limited = changed(state, run=run, rules=changed(state.rules, slew=SMALL + 1))
@@ -185,7 +188,6 @@ def test_a_frame_that_leaves_the_limits_is_not_sent(volts: list[float], trips: b
 
 
 def test_a_run_begins_by_filling_at_0_v() -> None:
-    """Nothing of it has a k yet; its order is answered when it has started."""
     state = changed(_state(), run=None, queue=None)
 
     after, actions = setpoints.begin(state, NOW, ORDER)
@@ -206,28 +208,26 @@ def test_a_run_begins_by_filling_at_0_v() -> None:
 def test_a_run_starts_when_its_queue_is_full_but_for_a_frame(
     samples: int, queued: int, starts: bool
 ) -> None:
-    """Or holds the whole run."""
     state = _state(samples, sent=samples)
 
     after, _ = setpoints.note_queue(state, NOW, 0, queued)
 
-    asks = after.asked is not None and after.asked.want is Want.START
+    asks = after.asked is not None and after.asked.want is RequestKind.START
     assert asks == starts
     if after.asked is not None:
         assert after.asked.order == ORDER
-    busy, _ = setpoints.note_queue(awaiting(state, Want.ARM), NOW, 0, queued)
+    busy, _ = setpoints.note_queue(awaiting(state, RequestKind.ARM), NOW, 0, queued)
     assert busy.asked is not None
-    assert busy.asked.want is Want.ARM
+    assert busy.asked.want is RequestKind.ARM
 
 
 @pytest.mark.parametrize(("after_ns", "gives_up"), [(2_000 * MS, False), (2_000 * MS + 1, True)])
 def test_a_queue_that_does_not_fill_in_2_s_is_given_up(after_ns: int, gives_up: bool) -> None:
-    """In good order: a STOP, and whoever asked is told in its effect."""
     state = _state(sent=512, moved_ns=NOW + after_ns)
 
     after, _ = setpoints.note_queue(state, NOW + after_ns, 0, 3)
 
-    stops = after.asked is not None and after.asked.want is Want.STOP
+    stops = after.asked is not None and after.asked.want is RequestKind.STOP
     assert stops == gives_up
     assert after.outcome == ("the device does not take the setpoints" if gives_up else "")
 
@@ -239,7 +239,6 @@ def test_a_queue_that_does_not_fill_in_2_s_is_given_up(after_ns: int, gives_up: 
 def test_what_the_device_holds_is_what_its_newest_sample_says(
     base: int, queued: int, held: int, moved: bool, sent: int
 ) -> None:
-    """Growth alone winds the clock of the retries; nothing counts as unsent that it has."""
     state = _state(50, base=0, held=24, sent=50, moved_ns=7)
 
     after, _ = setpoints.note_queue(changed(state, phase=Phase.FAULT), NOW, base, queued)
@@ -251,13 +250,11 @@ def test_what_the_device_holds_is_what_its_newest_sample_says(
 
 @pytest.mark.parametrize("gone", ["queue", "run"])
 def test_without_a_run_nothing_is_counted(gone: str) -> None:
-    """A sample at rest says that 0 are held, of nothing."""
     state = changed(_state(), **{gone: None})
     assert setpoints.note_queue(state, NOW, 5, 6) == (state, [])
 
 
 def test_what_the_device_holds_makes_room_for_more() -> None:
-    """In the same step."""
     state = changed(_state(held=512, sent=512), phase=Phase.ACTIVE)
 
     _, actions = setpoints.note_queue(state, NOW, 48, 464)
@@ -268,9 +265,10 @@ def test_what_the_device_holds_makes_room_for_more() -> None:
 # -- looking after it ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("since_ns", "pings"), [(PING_US * 1000, 1), (PING_US * 1000 - 1, 0)])
+@pytest.mark.parametrize(
+    ("since_ns", "pings"), [(PING_INTERVAL_US * 1000, 1), (PING_INTERVAL_US * 1000 - 1, 0)]
+)
 def test_the_device_is_asked_for_its_clock_so_often(since_ns: int, pings: int) -> None:
-    """PING carries its own time, and is remembered."""
     state = _running(ping_ns=NOW - since_ns)
 
     after, actions = setpoints.tick(state, NOW)
@@ -280,8 +278,8 @@ def test_the_device_is_asked_for_its_clock_so_often(since_ns: int, pings: int) -
     assert after.link.ping_ns == (NOW if pings else NOW - since_ns)
 
 
-def test_a_device_that_drives_on_after_a_trip_is_told_to_stop_on_and_on() -> None:
-    """S6: and gets neither setpoint nor PING meanwhile."""
+def test_a_device_that_drives_on_after_a_trip_gets_stop_again_and_again() -> None:
+    """S6: the device gets neither setpoint nor PING meanwhile."""
     latched = _running(phase=Phase.FAULT, ping_ns=0)
 
     after, actions = setpoints.tick(latched, NOW)
@@ -292,17 +290,15 @@ def test_a_device_that_drives_on_after_a_trip_is_told_to_stop_on_and_on() -> Non
     assert waiting == (after, [])
 
 
-@pytest.mark.parametrize("want", [*Want, None])
-def test_a_device_is_to_stop_after_a_trip_or_a_stop(want: Want | None) -> None:
-    """And for no other reason."""
+@pytest.mark.parametrize("want", [*RequestKind, None])
+def test_a_device_is_to_stop_after_a_trip_or_a_stop(want: RequestKind | None) -> None:
     state = _state() if want is None else awaiting(_state(), want)
 
-    assert setpoints.is_stopping(state) == (want is Want.STOP)
+    assert setpoints.is_stopping(state) == (want is RequestKind.STOP)
     assert setpoints.is_stopping(changed(state, phase=Phase.FAULT))
 
 
 def test_a_tick_in_a_scheduled_run_looks_after_it() -> None:
-    """It sends no EXCHANGE, and skips nothing: the device paces."""
     state = _running(ping_ns=0)
 
     decided = Decided(state, NOW + 30 * MS, Tick(state.k + 3, NOW + 30 * MS))
@@ -312,21 +308,20 @@ def test_a_tick_in_a_scheduled_run_looks_after_it() -> None:
 
 
 def test_frames_without_an_echo_are_remembered_up_to_a_bound() -> None:
-    """R1: the newest; only where the device paces, for there the echo is all that proves."""
+    """R1: only where the device paces is the echo the only proof."""
     state = _running()
-    for _ in range(MOST_BEATS + 3):
+    for _ in range(MAX_REMEMBERED_FRAMES + 3):
         state, _ = send(state, NOW, b"x")
     last = (state.link.seq - 1) & 0xFFFF
 
-    assert len(state.link.beats) == MOST_BEATS
+    assert len(state.link.beats) == MAX_REMEMBERED_FRAMES
     assert state.link.beats[-1] == Unechoed(last, NOW)
     assert send(changed(state, scheduled=False, beats=()), NOW, b"x")[0].link.beats == ()
     assert send(changed(state, seq=0xFFFF), NOW, b"x")[0].link.seq == 0
-    assert state.link.any_ns == NOW
+    assert state.link.last_send_ns == NOW
 
 
 def test_without_a_link_nothing_is_sent() -> None:
-    """No frame waits for a port that may open again."""
     state = changed(_running(), link=None)
 
     assert send(state, NOW, b"x") == (state, [])
@@ -336,7 +331,6 @@ def test_without_a_link_nothing_is_sent() -> None:
 
 
 def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
-    """With what was commanded and what was applied, and how many setpoints are left."""
     state = changed(_running(), t_us=(5 << 32) - 1)
     u = applied_code(CODES[10], 10)
     sample = device_sample(
@@ -349,7 +343,7 @@ def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
     s = published.sample
     assert (s.k, s.t_host_ns, s.theta_1_counts, published.queued) == (210, NOW + 3, 5, 44)
     assert (s.u_cmd_v, s.u_applied_v) == (volts_of(CODES[10]), volts_of(u))
-    assert (after.told, after.applied, after.t_us) == (210, u, (5 << 32) + 123)
+    assert (after.last_reported_k, after.applied, after.t_us) == (210, u, (5 << 32) + 123)
     assert after.run is not None
     assert after.run.due == 11
     assert after.queue is not None
@@ -362,7 +356,7 @@ def test_a_sample_of_the_run_is_published_under_its_own_k() -> None:
     [(-1, True), (0, True), (1, False), (1 << 30, False), (1 - (1 << 31), True), (1 << 31, False)],
 )
 def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: bool) -> None:
-    """S5: played again within one boot it has the number that is due, and an older stamp."""
+    """S5: within one boot it has the number that is due, and an older stamp."""
     state = changed(_running(), t_us=(5 << 32) + 2_000)
     sample = device_sample(
         state, k=10, u_k=applied_code(CODES[10], 10), flags=int(Flag.RUN), t_us=2_000 - back_us
@@ -377,7 +371,6 @@ def test_a_sample_of_an_earlier_run_is_none_of_this_one(back_us: int, taken: boo
 
 @pytest.mark.parametrize("k", [9, 100, 99, 10])
 def test_only_samples_that_are_still_to_come_belong_to_the_run(k: int) -> None:
-    """Not one that has come, nor one behind its end."""
     state = _running()
     u = applied_code(CODES[k], 10)
     sample = device_sample(state, k=k, u_k=u, flags=int(Flag.RUN))
@@ -389,10 +382,9 @@ def test_only_samples_that_are_still_to_come_belong_to_the_run(k: int) -> None:
 
 @pytest.mark.parametrize("k_first", [-1, 0])
 def test_a_run_may_begin_at_k_0(k_first: int) -> None:
-    """Before that it has no k."""
     state = _running(due=0)
     assert state.run is not None
-    first = changed(state, run=changed(state.run, k_first=k_first), told=-1)
+    first = changed(state, run=changed(state.run, k_first=k_first), last_reported_k=-1)
     u = applied_code(CODES[0], 10)
 
     _, actions = sampling.handle(first, NOW, device_sample(state, k=0, u_k=u, flags=int(Flag.RUN)))
@@ -405,7 +397,6 @@ def test_a_run_may_begin_at_k_0(k_first: int) -> None:
     [{"run": None}, {"device": None}, {"run": ActiveRun("r", codes(1.0), -1, scheduled=True)}],
 )
 def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, object]) -> None:
-    """Nobody could say what it belongs to."""
     state = _running()
     sample = device_sample(state, k=10, flags=int(Flag.RUN))
     without = changed(state, **change)
@@ -415,8 +406,8 @@ def test_a_sample_without_a_run_that_has_started_is_none(change: dict[str, objec
 
 @pytest.mark.parametrize("bits", [8, 10, 16])
 @pytest.mark.parametrize("steps", [-1, 0, 1])
-def test_one_step_of_the_duty_beside_the_setpoint_trips(bits: int, steps: int) -> None:
-    """S5: another voltage than the one commanded, however little it differs."""
+def test_one_step_of_the_duty_off_the_setpoint_trips(bits: int, steps: int) -> None:
+    """S5: another voltage than the commanded one, however small the difference."""
     state = _running()
     assert state.device is not None
     state = changed(state, device=state.device._replace(pwm_bits=bits))
@@ -434,7 +425,7 @@ def test_one_step_of_the_duty_beside_the_setpoint_trips(bits: int, steps: int) -
 
 
 def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
-    """S5: what 10 bits of duty make of the setpoint is compared, not the setpoint."""
+    """S5: the setpoint after rounding to 10 bits of duty is compared, not the setpoint."""
     state = _running()
     assert state.device is not None
     state = changed(state, device=state.device._replace(pwm_bits=10))
@@ -449,14 +440,13 @@ def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:
 
 
 def test_a_sample_outside_run_says_nothing_of_what_was_applied() -> None:
-    """One that was under way when the run ended."""
     state = _running()
     after, _ = sampling.handle(state, NOW, device_sample(state, k=10, u_k=1, flags=0))
 
     assert after.fault is None
 
 
-def test_the_end_tells_of_all_samples_that_never_came() -> None:
+def test_the_end_reports_all_samples_that_never_came() -> None:
     """L2: each with the voltage of its own setpoint, as the duty gives it."""
     state = _running(due=97)
 
@@ -465,7 +455,7 @@ def test_the_end_tells_of_all_samples_that_never_came() -> None:
     assert actions == []
     bits = 10
     expected = [
-        Absent(200 + i, 1, "a frame was lost", applied_code(CODES[i], bits), NOW, NOW)
+        gaps.missing(200 + i, 1, GapCode.FRAME_LOST, applied_code(CODES[i], bits), NOW, NOW)
         for i in (97, 98, 99)
     ]
     assert list(after.absent) == expected
@@ -476,20 +466,19 @@ def test_the_end_tells_of_all_samples_that_never_came() -> None:
 
 
 def test_without_a_device_a_lost_sample_had_the_code_itself() -> None:
-    """How it rounds is not known any more."""
     after, _ = setpoints.complete(_running(due=98, device=None), NOW)
 
     assert [a.code for a in after.absent] == CODES[98:100]
 
 
-def test_an_outage_longer_than_what_is_told_apart_is_told_by_its_end() -> None:
+def test_an_outage_with_too_many_pieces_is_reported_by_its_end() -> None:
     """R1: the pieces are bounded."""
     state = _running(due=0, samples=1000)
     state = changed(state, run=changed(state.run, codes=codes(1.0) * 1500))  # type: ignore[type-var]
 
     after, _ = setpoints.complete(state, NOW)
 
-    assert len(after.absent) == gaps.MOST_ABSENT
+    assert len(after.absent) == gaps.MAX_MISSING_PIECES
     assert after.absent[0].k == 200 + 500
 
 
@@ -500,7 +489,6 @@ def test_an_outage_longer_than_what_is_told_apart_is_told_by_its_end() -> None:
 def test_a_run_whose_end_was_not_heard_is_over_when_it_must_be(
     due: int, after_ns: int, is_over: bool
 ) -> None:
-    """All its samples came, or t_zero + N Ts is past; before that a device at rest is a fault."""
     state = _running(due=due)
     assert state.ts_us * state.run.samples == 1000_000  # type: ignore[union-attr]
 
@@ -512,11 +500,10 @@ def test_a_run_whose_end_was_not_heard_is_over_when_it_must_be(
     if is_over:
         assert decided.state.lease is None
         assert decided.state.asked is not None
-        assert decided.state.asked.want is Want.CONFIGURE
+        assert decided.state.asked.want is RequestKind.CONFIGURE
 
 
 def test_only_the_step_from_run_to_idle_is_an_end() -> None:
-    """READY, or an IDLE that is seen a second time, is not."""
     over = _running(due=100)
 
     for before, now in ((5, 3), (3, 2)):
@@ -530,10 +517,10 @@ def test_only_the_step_from_run_to_idle_is_an_end() -> None:
 
 
 def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
-    """Its first sample comes one Ts after START was heard, which is half way to its effect."""
-    state = changed(_state(100, held=100, sent=100), ts_us=5_000, k=41, fresh_ns=0)
+    """Its first sample comes one Ts after START arrived."""
+    state = changed(_state(100, held=100, sent=100), ts_us=5_000, k=41, last_round_trip_ns=0)
     state = changed(state, code=9, outcome="of the run before", beats=(Unechoed(1, 2),))
-    asked = awaiting(state, Want.START, ORDER, sent_ns=NOW)
+    asked = awaiting(state, RequestKind.START, ORDER, sent_ns=NOW)
 
     assert asked.asked is not None
 
@@ -548,7 +535,7 @@ def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
     assert (after.run.k_first, after.run.t_zero_ns) == (42, NOW + 1 * MS + 5 * MS)
     assert after.phase is Phase.ACTIVE
     assert (after.code, after.outcome, after.link.beats) == (0, "", ())
-    assert after.link.fresh_ns == NOW
+    assert after.link.last_round_trip_ns == NOW
     assert after.queue is not None
     assert after.queue.order is None
     assert after.lease is not None
@@ -556,7 +543,6 @@ def test_a_scheduled_run_has_started_when_the_device_runs() -> None:
 
 
 def test_a_trip_while_the_queue_is_filled_refuses_the_run() -> None:
-    """When the device has stopped: with the cause of the trip."""
     latched, _ = trip(_state(), NOW, Fault(Id.PAUSE, "the host paused"))
     assert latched.asked is not None
 
@@ -568,7 +554,6 @@ def test_a_trip_while_the_queue_is_filled_refuses_the_run() -> None:
 
 
 def test_an_order_for_a_scheduled_run_goes_by_a_stop_to_its_own_configuration() -> None:
-    """For the owner's Ts; the order stays with the request all the way."""
     bench = armed()
     stop = Decided(bench.loop.state, NOW, Ordered(ORDER)).state
     assert stop.lease is not None
@@ -577,7 +562,7 @@ def test_an_order_for_a_scheduled_run_goes_by_a_stop_to_its_own_configuration() 
 
     asked = configure.state.asked
     assert asked is not None
-    assert (asked.want, asked.order) == (Want.CONFIGURE, ORDER)
+    assert (asked.want, asked.order) == (RequestKind.CONFIGURE, ORDER)
     assert (asked.ts_us, asked.scheduled) == (900, True)
     assert configure.state.lease is not None
     assert not [a for a in configure.actions if isinstance(a, Emit)]

@@ -1,4 +1,4 @@
-"""What is said at the end of a run."""
+"""The report at the end of a run."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from armrig_core.codes import RefusalCode
 from armrig_daemon.decisions.state import Emit, Queue
 from armrig_daemon.decisions.stopping import end_run
 from armrig_daemon.pipe import Answer
-from decision_states import RUN, changed, rested
+
+from tests.daemon.decision_states import RUN, changed, rested
 
 
 @pytest.mark.parametrize(
     ("outcome", "error"), [("the lease ran out", "the lease ran out"), ("", "stopped")]
 )
 def test_a_run_that_never_began_is_refused_with_a_reason(outcome: str, error: str) -> None:
-    """Whoever asked for it: an answer without an error would say that it runs."""
     state = changed(rested().loop.state, queue=Queue(RUN), outcome=outcome)
 
     state, done = end_run(state, 0)

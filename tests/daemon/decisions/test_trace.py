@@ -1,4 +1,4 @@
-"""The core decides a traced run once more, exactly as it did."""
+"""The core decides a traced run again, exactly as before."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from itertools import pairwise
 import msgspec
 import pytest
 from armrig_core.calibration import Calibration, Potentiometer
+from armrig_core.codes import GapCode
 from armrig_daemon.decisions import step as core_step
 from armrig_daemon.decisions import trace
+from armrig_daemon.decisions.gaps import missing
 from armrig_daemon.decisions.state import (
-    Absent,
-    Beat,
     Emit,
     LinkDown,
     LinkUp,
@@ -21,6 +21,7 @@ from armrig_daemon.decisions.state import (
     Send,
     ServiceGone,
     Tick,
+    Wakeup,
 )
 from armrig_daemon.pipe import (
     Answer,
@@ -35,8 +36,9 @@ from armrig_daemon.pipe import (
     Stop,
     Trace,
 )
-from decision_states import changed
-from virtual_bench import LEASE, Bench, codes
+
+from tests.daemon.decision_states import changed, driven
+from tests.daemon.virtual_bench import LEASE, Bench, codes
 
 VOLTS = [0.5, 2.0, 5.0, 1.0] * 50
 
@@ -60,8 +62,7 @@ def traced(bench: Bench, *, scheduled: bool) -> list[Trace]:
 
 
 @pytest.mark.parametrize("scheduled", [False, True])
-def test_a_run_is_decided_once_more_as_it_was(scheduled: bool) -> None:
-    """From the first state on, each step sends the very bytes that it sent."""
+def test_a_run_is_decided_again_as_it_was(scheduled: bool) -> None:
     bench = Bench()
 
     chunks = traced(bench, scheduled=scheduled)
@@ -81,7 +82,6 @@ def test_a_run_is_decided_once_more_as_it_was(scheduled: bool) -> None:
 
 
 def test_another_input_is_found_out() -> None:
-    """One code too high in the replay, and the frames part."""
     bench = Bench()
     chunks = traced(bench, scheduled=False)
     wrong = codes(*VOLTS[:100], VOLTS[100] + 0.01, *VOLTS[101:])
@@ -97,13 +97,12 @@ def test_another_input_is_found_out() -> None:
 
 
 def test_every_event_comes_back_from_its_bytes() -> None:
-    """One of each kind; of an experiment that was refused only its codes are left out."""
     bench = Bench()
     traced(bench, scheduled=True)
     book = trace.Trace(bench.loop.state)
     order = Run(order=1, lease="b" * 32, n=5, run_id="x", codes=b"12", scheduled=True)
     events = [
-        *(Tick(7, 70), Beat(), Received(b"\0\1\2"), LinkUp(), LinkDown("gone"), ServiceGone()),
+        *(Tick(7, 70), Wakeup(), Received(b"\0\1\2"), LinkUp(), LinkDown("gone"), ServiceGone()),
         Ordered(order),
     ]
 
@@ -122,7 +121,6 @@ V1_TAGS = {Arm: "Take", Disarm: "Release", Set: "Hold", Run: "Play", Stop: "Halt
 
 @pytest.mark.parametrize("kind", V1_TAGS)
 def test_an_order_in_a_trace_of_version_1_is_that_of_today(kind: type[Order]) -> None:
-    """Its tag was another word; its fields are the same."""
     of_all = {"owner": "o", "lease": "", "ts_us": 0, "n": 3, "code": 7, "run_id": "r", "codes": b""}
     order = kind(order=5, **{k: v for k, v in of_all.items() if k in kind.__struct_fields__})
     fields = msgspec.structs.asdict(order) | {"type": V1_TAGS[kind]}
@@ -134,7 +132,6 @@ def test_an_order_in_a_trace_of_version_1_is_that_of_today(kind: type[Order]) ->
 
 
 def test_a_state_in_a_trace_of_version_1_is_that_of_today() -> None:
-    """All its fields stood in one, and codes were named as voltages."""
     bench = Bench()
     traced(bench, scheduled=True)
     data = trace.written_state(bench.loop.state)
@@ -149,13 +146,11 @@ def test_a_state_in_a_trace_of_version_1_is_that_of_today() -> None:
 
 
 def test_a_trace_of_a_later_version_is_not_guessed_at() -> None:
-    """Its words may mean something else."""
     with pytest.raises(msgspec.DecodeError, match="trace of version 3: 1 to 2 are known"):
         trace.steps_of(msgspec.msgpack.encode([]), 3)
 
 
-def test_who_reads_a_recording_does_not_hold_the_rig_by_it() -> None:
-    """The lease is nowhere in the trace; that an order carried it can still be told."""
+def test_a_recording_does_not_contain_the_lease() -> None:
     bench = Bench()
     bench.arm()
     bench.order(Run(order=9, lease=LEASE, n=0, run_id="r", codes=codes(*VOLTS)))
@@ -180,7 +175,7 @@ def test_who_reads_a_recording_does_not_hold_the_rig_by_it() -> None:
 
 
 def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None:
-    """4096 bytes go through at once; what is longer is dropped, and its number with it."""
+    """4096 bytes are written at once."""
     bench = Bench()
     book = trace.Trace(bench.loop.state)
     taken = []
@@ -192,14 +187,14 @@ def test_chunks_fit_into_the_pipe_and_a_flood_leaves_a_hole_that_shows() -> None
     taken += book.rest()
 
     assert taken[0].state
-    assert all(len(c.state) + len(c.steps) <= trace.CHUNK for c in taken)
+    assert all(len(c.state) + len(c.steps) <= trace.CHUNK_BYTES for c in taken)
     numbers = [c.number for c in taken]
     assert numbers[:-1] == list(range(len(numbers) - 1))
     assert numbers[-1] > numbers[-2] + 1
 
 
 def test_a_state_and_a_long_first_step_are_two_chunks() -> None:
-    """Together they had 4.1 kB, of which a pipe that is nearly full takes but a part."""
+    """Together they had 4.1 kB, of which a pipe that is nearly full takes only a part."""
     state = Bench().loop.state
     book = trace.Trace(state)
 
@@ -212,9 +207,10 @@ def test_a_state_and_a_long_first_step_are_two_chunks() -> None:
 
 
 def test_a_state_after_a_long_outage_fits_into_a_chunk() -> None:
-    """A thousand pieces of it may be remembered; a replay needs none of them."""
     state = Bench().loop.state
-    pieces = tuple(Absent(10**9 + 2 * i, 1, "lost", 7, 10**15, 10**15) for i in range(1000))
+    pieces = tuple(
+        missing(10**9 + 2 * i, 1, GapCode.FRAME_LOST, 7, 10**15, 10**15) for i in range(1000)
+    )
 
     data = trace.written_state(changed(state, absent=pieces))
 
@@ -223,7 +219,7 @@ def test_a_state_after_a_long_outage_fits_into_a_chunk() -> None:
 
 
 def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
-    """A host that woke up late found the start and the first samples at once, in one step."""
+    """A host that woke up late found the start and the first samples in one step."""
     bench = Bench()
     assert not bench.arm(2_000).error
     bench.lateness_ns = 9_000_000
@@ -234,7 +230,7 @@ def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
     chunks = bench.of(Trace)
     first = bench.of(RunStarted)[0].k_first
     state = trace.restored(chunks[0].state, codes(*VOLTS))
-    told, published = state.told, []
+    told, published = state.last_reported_k, []
     for step in (s for c in chunks for s in trace.steps_of(c.steps)):
         state, actions = core_step.step(state, step.now_ns, step.events)
         published += [a.sample for a in actions if isinstance(a, Publish)]
@@ -242,8 +238,7 @@ def test_a_trace_knows_which_samples_came_before_its_first_step() -> None:
     assert [s.k for s in published] == list(range(told + 1, first + len(VOLTS)))
 
 
-def test_the_trace_begins_behind_the_start_and_ends_before_the_end() -> None:
-    """RunStarted, steps, RunEnded: in this order in the file."""
+def test_the_trace_begins_after_the_start_and_ends_before_the_end() -> None:
     bench = Bench()
     traced(bench, scheduled=True)
 
@@ -253,8 +248,7 @@ def test_the_trace_begins_behind_the_start_and_ends_before_the_end() -> None:
     assert [type(r) for r in bench.of(RunStarted)] == [RunStarted]
 
 
-def test_a_run_after_another_calibration_is_decided_once_more_as_it_was() -> None:
-    """It is in the first state; and one that is refused during the run fits into the steps."""
+def test_a_run_after_another_calibration_is_decided_again_as_it_was() -> None:
     bench = Bench()
     other = Calibration(theta_1=Potentiometer(zero_counts=1 / 3, rad_per_count=-1e-4))
     assert not bench.ask(Calibrate, calibration=other).error
@@ -276,3 +270,11 @@ def test_a_run_after_another_calibration_is_decided_once_more_as_it_was() -> Non
     shown = {s.k: str(s) for s in bench.samples}  # an angle in the dead band is no number
     assert len(again) > 150
     assert [shown[s.k] for s in again] == [str(s) for s in again]
+
+
+def test_the_keys_of_a_trace_outlive_the_names_of_the_fields() -> None:
+    """A trace of version 2 has these; another name of the field makes no other version."""
+    fields = msgspec.msgpack.decode(trace.written_state(driven().loop.state))
+
+    assert "told" in fields
+    assert {"any_ns", "fresh_ns"} <= fields["link"].keys()

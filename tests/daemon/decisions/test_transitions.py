@@ -10,14 +10,14 @@ from armrig_daemon.decisions.faults import Fault, Id
 from armrig_daemon.decisions.requests import NO_DEVICE, config
 from armrig_daemon.decisions.state import (
     ActiveRun,
-    Beat,
     Exit,
     Phase,
     Received,
-    Repace,
+    RequestKind,
+    SetPeriod,
     State,
     Tick,
-    Want,
+    Wakeup,
 )
 from armrig_daemon.pipe import Answer, Log, Reset, RunEnded
 from armrig_daemon.pipe import State as StateRecord
@@ -39,7 +39,8 @@ from armrig_protocol.messages import (
     Underrun,
 )
 from armrig_protocol.messages import State as DeviceState
-from decision_states import (
+
+from tests.daemon.decision_states import (
     ARM,
     OURS,
     RUN,
@@ -54,27 +55,26 @@ from decision_states import (
     ordered,
     rested,
 )
-from virtual_bench import LEASE, MS, Bench, codes
+from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
-RETRY_MS = dict.fromkeys(Want, 50) | {Want.HELLO: 100, Want.STOP: 20}
+RETRY_MS = dict.fromkeys(RequestKind, 50) | {RequestKind.HELLO: 100, RequestKind.STOP: 20}
 
 
 # -- retries -------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("want", list(Want))
-def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: Want) -> None:
-    """The same request, with a seq of its own and a try more."""
+@pytest.mark.parametrize("want", list(RequestKind))
+def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: RequestKind) -> None:
     bench = armed()
     state = awaiting(bench.loop.state, want, ARM, ts_us=10_000)
     due_ns = RETRY_MS[want] * MS
 
-    early = Decided(state, due_ns - 1, Beat())
-    late = Decided(state, due_ns, Beat())
+    early = Decided(state, due_ns - 1, Wakeup())
+    late = Decided(state, due_ns, Wakeup())
 
     assert early.actions == []
     assert early.state == state
-    kinds = dict(zip(Want, [Hello, Config, Arm, Start, Stop, ClearFault], strict=True))
+    kinds = dict(zip(RequestKind, [Hello, Config, Arm, Start, Stop, ClearFault], strict=True))
     (sent,) = late.sent
     assert type(sent) is kinds[want]
     asked = late.state.asked
@@ -83,20 +83,18 @@ def test_a_request_is_sent_again_when_its_time_has_come_and_not_before(want: Wan
     assert (asked.seq, sent.state) == (sent.seq, 0)
 
 
-@pytest.mark.parametrize("want", [want for want in Want if want is not Want.HELLO])
-def test_a_request_is_tried_five_times(want: Want) -> None:
-    """The fifth is sent; after it, the device counts as deaf to it."""
+@pytest.mark.parametrize("want", [want for want in RequestKind if want is not RequestKind.HELLO])
+def test_a_request_is_tried_five_times(want: RequestKind) -> None:
     bench = armed()
     fourth = awaiting(bench.loop.state, want, ARM, tries=4)
 
-    assert len(Decided(fourth, 50 * MS, Beat()).sent) == 1
-    given_up = Decided(awaiting(bench.loop.state, want, ARM, tries=5), 50 * MS, Beat())
+    assert len(Decided(fourth, 50 * MS, Wakeup()).sent) == 1
+    given_up = Decided(awaiting(bench.loop.state, want, ARM, tries=5), 50 * MS, Wakeup())
     (answer,) = given_up.told(Answer)
     assert answer.error == f"the device does not answer {want}"
 
 
 def test_where_nothing_was_asked_nothing_is_asked_again() -> None:
-    """Whoever calls it."""
     state = rested().loop.state
 
     assert state.asked is None
@@ -104,20 +102,19 @@ def test_where_nothing_was_asked_nothing_is_asked_again() -> None:
 
 
 def test_hello_is_asked_for_ever() -> None:
-    """T1: whenever the device comes back, it is met."""
+    """T1: the device is met whenever it comes back."""
     bench = rested()
-    again = Decided(awaiting(bench.loop.state, Want.HELLO, tries=1000), 100 * MS, Beat())
+    again = Decided(awaiting(bench.loop.state, RequestKind.HELLO, tries=1000), 100 * MS, Wakeup())
 
     assert [type(m) for m in again.sent] == [Hello]
     assert again.told(Log) == []
 
 
 def test_a_request_over_a_line_that_is_down_is_given_up() -> None:
-    """Whose wish it was is told; nothing is sent."""
     bench = rested()
-    state = changed(awaiting(bench.loop.state, Want.CONFIGURE, ARM), link=None)
+    state = changed(awaiting(bench.loop.state, RequestKind.CONFIGURE, ARM), link=None)
 
-    decided = Decided(state, 50 * MS, Beat())
+    decided = Decided(state, 50 * MS, Wakeup())
 
     assert [a.error for a in decided.told(Answer)] == ["the link is down"]
     assert decided.state.asked is None
@@ -128,11 +125,11 @@ def test_a_request_over_a_line_that_is_down_is_given_up() -> None:
 
 
 def test_a_stop_that_is_not_confirmed_is_a_fault() -> None:
-    """S6: the run is over and latched; the device's own watchdog is next, so nothing feeds it."""
+    """S6: the run is over and latched; nothing feeds the device's watchdog any more."""
     bench = driven()
     state = changed(bench.loop.state, run=ActiveRun("r", codes(1.0), -1))
 
-    decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
+    decided = Decided(awaiting(state, RequestKind.STOP, tries=5), bench.ports.now, Wakeup())
 
     fault = decided.state.fault
     assert fault is not None
@@ -144,12 +141,11 @@ def test_a_stop_that_is_not_confirmed_is_a_fault() -> None:
 
 
 def test_a_stop_that_is_not_confirmed_after_a_trip_changes_nothing_more() -> None:
-    """The cause of the trip stays the one that is told."""
     bench = rested()
     why = Fault(Id.STALE, "no answer")
     state = changed(bench.loop.state, phase=Phase.FAULT, fault=why)
 
-    decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
+    decided = Decided(awaiting(state, RequestKind.STOP, tries=5), bench.ports.now, Wakeup())
 
     assert decided.state.fault == why
     assert [log.message for log in decided.told(Log)] == ["the device does not answer STOP"]
@@ -158,25 +154,23 @@ def test_a_stop_that_is_not_confirmed_after_a_trip_changes_nothing_more() -> Non
 
 
 def test_a_stop_that_is_not_confirmed_does_not_hold_up_the_end() -> None:
-    """Five times are enough; the watchdog of the device is next."""
     bench = driven()
     state = changed(bench.loop.state, quitting=True)
 
-    decided = Decided(awaiting(state, Want.STOP, tries=5), bench.ports.now, Beat())
+    decided = Decided(awaiting(state, RequestKind.STOP, tries=5), bench.ports.now, Wakeup())
 
     assert isinstance(decided.actions[-1], Exit)
 
 
 @pytest.mark.parametrize("code", [Code.OK, Code.WRONG_STATE])
 def test_an_end_in_good_order_is_no_fault(code: Code) -> None:
-    """Several of the frames that show the device at rest may come at once."""
     bench = driven()
     state = changed(bench.loop.state, quitting=True)
     ack = Ack(state=DeviceState.IDLE, seq=0, of_seq=OURS, of_type=TYPES[Stop], code=code)
     sample = device_sample(state)._replace(state=DeviceState.IDLE)
     frames = b"\0" + b"".join(encode(frame) for frame in (ack, sample, ack))
 
-    decided = Decided(awaiting(state, Want.STOP), bench.ports.now, Received(frames))
+    decided = Decided(awaiting(state, RequestKind.STOP), bench.ports.now, Received(frames))
 
     assert [log.message for log in decided.told(Log)] == []
     assert len(decided.of(Exit)) == 1
@@ -184,9 +178,8 @@ def test_an_end_in_good_order_is_no_fault(code: Code) -> None:
     assert decided.sent == []
 
 
-@pytest.mark.parametrize("want", [Want.START, Want.ARM, Want.CONFIGURE])
-def test_a_refusal_where_the_motor_may_turn_is_a_fault(want: Want) -> None:
-    """Device and daemon are not where they believe to be: STOP, and latched."""
+@pytest.mark.parametrize("want", [RequestKind.START, RequestKind.ARM, RequestKind.CONFIGURE])
+def test_a_refusal_where_the_motor_may_turn_is_a_fault(want: RequestKind) -> None:
     bench = armed()
     state = awaiting(bench.loop.state, want, SET)
     refusal = Ack(int(DeviceState.ARMED), 0, 0, int(Code.WRONG_NONCE), OURS)
@@ -201,12 +194,11 @@ def test_a_refusal_where_the_motor_may_turn_is_a_fault(want: Want) -> None:
     assert [(a.order, a.error) for a in decided.told(Answer)] == [(SET.order, fault.cause)]
 
 
-def test_a_refusal_at_rest_is_told_and_begun_anew() -> None:
-    """SAFE: nothing is latched, HELLO finds out where the device is."""
+def test_a_refusal_at_rest_is_reported_and_begun_again() -> None:
     bench = rested()
     refusal = Ack(int(DeviceState.READY), 0, 0, 200, OURS)
 
-    decided = heard(bench, refusal, awaiting(bench.loop.state, Want.ARM, ARM))
+    decided = heard(bench, refusal, awaiting(bench.loop.state, RequestKind.ARM, ARM))
 
     assert decided.state.phase is Phase.SAFE
     assert [a.error for a in decided.told(Answer)] == ["the device refuses ARM: 200"]
@@ -223,9 +215,8 @@ def test_a_refusal_at_rest_is_told_and_begun_anew() -> None:
     ],
 )
 def test_an_ack_that_refuses_nothing_of_ours_fails_nothing(ack: Ack) -> None:
-    """STALE is overtaken by a retry, another seq is another frame; OK is seen by its effect."""
     bench = rested()
-    state = awaiting(bench.loop.state, Want.ARM, ARM)
+    state = awaiting(bench.loop.state, RequestKind.ARM, ARM)
 
     decided = heard(bench, ack, state)
 
@@ -235,40 +226,43 @@ def test_an_ack_that_refuses_nothing_of_ours_fails_nothing(ack: Ack) -> None:
 
 @pytest.mark.parametrize("code", [Code.OK, Code.WRONG_STATE])
 def test_any_frame_shows_that_a_request_has_worked(code: Code) -> None:
-    """Its state does, be it the ACK's, and of another request."""
     bench = rested()
     ack = Ack(int(DeviceState.ARMED), 0, 0, int(code), OURS if code is Code.OK else OURS + 1)
 
-    decided = heard(bench, ack, awaiting(bench.loop.state, Want.ARM, ARM))
+    decided = heard(bench, ack, awaiting(bench.loop.state, RequestKind.ARM, ARM))
 
     assert decided.state.phase is Phase.ARMED
     assert [a.order for a in decided.told(Answer)] == [ARM.order]
 
 
 @pytest.mark.parametrize("order", [Reset(order=8), None])
-def test_who_resets_a_device_that_was_found_driving_gets_it_configured(order: Reset | None) -> None:
-    """S6: only a reset leads out of the fault, by way of a STOP that has had its effect."""
+def test_a_reset_of_a_device_that_was_found_driving_configures_it(order: Reset | None) -> None:
+    """S6: only a reset leads out of the fault, after a STOP that was confirmed."""
     bench = rested()
     fault = Fault(Id.STALE, "no answer")
     state = changed(bench.loop.state, phase=Phase.FAULT, fault=fault, device_state=DeviceState.RUN)
     ack = Ack(int(DeviceState.IDLE), 0, TYPES[Stop], int(Code.OK), OURS)
 
-    decided = heard(bench, ack, awaiting(state, Want.STOP, order))
+    decided = heard(bench, ack, awaiting(state, RequestKind.STOP, order))
 
     assert [type(m) for m in decided.sent] == [Config] * (order is not None)
     assert decided.state.phase is Phase.FAULT
 
 
 def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None:
-    """S2: a START that was sent again and again makes no old command young."""
+    """S2: a START that was repeated does not make the old command younger."""
     bench = armed()
     now, state = bench.ports.now, bench.loop.state
     assert state.lease is not None
-    given = changed(state, lease=changed(state.lease, renewed_ns=now - 90 * MS), fresh_ns=now)
+    given = changed(
+        state, lease=changed(state.lease, renewed_ns=now - 90 * MS), last_round_trip_ns=now
+    )
     ack = Ack(int(DeviceState.RUN), 0, TYPES[Start], int(Code.OK), OURS)
 
-    started = heard(bench, ack, awaiting(given, Want.START, SET, sent_ns=now))
-    fresh = changed(started.state, fresh_ns=now + 10 * MS, tick_ns=now + 10 * MS, service_ns=now)
+    started = heard(bench, ack, awaiting(given, RequestKind.START, SET, sent_ns=now))
+    fresh = changed(
+        started.state, last_round_trip_ns=now + 10 * MS, tick_ns=now + 10 * MS, service_ns=now
+    )
     held = Decided(fresh, now + 10 * MS, Tick(state.k + 1, now))
     over = Decided(fresh, now + 10 * MS + 1, Tick(state.k + 1, now))
 
@@ -282,7 +276,6 @@ def test_the_lease_counts_from_the_command_however_long_its_start_took() -> None
 
 
 def test_a_device_that_has_latched_is_a_fault_of_the_device() -> None:
-    """Its EVENT was lost; the next sample says it as well."""
     bench = driven()
     (sent, *_) = _one_sent(bench)
     sample = device_sample(bench.loop.state, k=sent.k)._replace(state=int(DeviceState.FAULT))
@@ -298,36 +291,36 @@ def test_a_device_that_has_latched_is_a_fault_of_the_device() -> None:
 @pytest.mark.parametrize("state", [DeviceState.ARMED, DeviceState.RUN])
 @pytest.mark.parametrize("phase", [Phase.INIT, Phase.FAULT])
 def test_a_device_that_is_found_driving_is_stopped_first(phase: Phase, state: DeviceState) -> None:
-    """S3: another host has left it so, or the STOPs of a fault were lost, all of them."""
+    """S3: another host left it so, or every STOP of a fault was lost."""
     bench = rested()
     device = bench.loop.state.device
     assert device is not None
     fault = Fault(Id.STALE, "no answer") if phase is Phase.FAULT else None
     lost = changed(bench.loop.state, device=None, phase=phase, fault=fault)
 
-    decided = heard(bench, device._replace(state=int(state)), awaiting(lost, Want.HELLO))
+    decided = heard(bench, device._replace(state=int(state)), awaiting(lost, RequestKind.HELLO))
 
     assert [type(m) for m in decided.sent] == [Stop]
     assert (decided.state.phase, decided.state.link.device_state) == (phase, state)
 
 
 def test_a_device_that_is_met_latched_says_why() -> None:
-    """Its EVENT was told to another daemon, or lost."""
     bench = rested()
     device = bench.loop.state.device
     assert device is not None
     met = changed(bench.loop.state, device=None, phase=Phase.INIT)
     latched = device._replace(state=int(DeviceState.FAULT), cause=int(Cause.WATCHDOG))
 
-    decided = heard(bench, latched, awaiting(met, Want.HELLO))
+    decided = heard(bench, latched, awaiting(met, RequestKind.HELLO))
 
     assert decided.state.reason == (
         "the device is in FAULT: WATCHDOG, it heard nothing from this host in time"
     )
+    assert decided.state.fault.device_cause == Cause.WATCHDOG
 
 
 def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
-    """T1: also where the fault is the one that was told before: it is sampled again."""
+    """T1: also if the same fault was reported before."""
     bench = rested()
     device = bench.loop.state.device
     assert device is not None
@@ -335,7 +328,7 @@ def test_a_latched_device_that_is_known_again_is_said_to_be() -> None:
     lost = changed(bench.loop.state, device=None, phase=Phase.FAULT, fault=fault)
     reply = device._replace(state=int(DeviceState.FAULT))
 
-    decided = heard(bench, reply, awaiting(lost, Want.HELLO))
+    decided = heard(bench, reply, awaiting(lost, RequestKind.HELLO))
 
     (said,) = decided.told(StateRecord)
     assert said.device
@@ -349,8 +342,7 @@ def _one_sent(bench: Bench) -> tuple:  # type: ignore[type-arg]
     return bench.loop.state.link.sent
 
 
-def test_a_device_that_was_latched_before_is_not_told_again() -> None:
-    """At rest the same state again is no news; the trip is told once."""
+def test_a_device_that_was_latched_before_is_not_reported_again() -> None:
     bench = rested()
     latched = changed(bench.loop.state, device_state=int(DeviceState.ESTOP))
 
@@ -365,22 +357,24 @@ def test_a_device_that_was_latched_before_is_not_told_again() -> None:
     ("state", "name"), [(DeviceState.READY, "READY"), (DeviceState.IDLE, "IDLE"), (99, "99")]
 )
 def test_a_device_that_leaves_the_run_unasked_is_a_fault(state: int, name: str) -> None:
-    """S6: named where it has a name."""
+    """S6."""
     bench = driven()
     after, _ = transitions.note_state(bench.loop.state, bench.ports.now, int(state))
 
-    assert after.fault == Fault(Id.STATE, f"the device is in {name}, and nobody asked it to")
+    assert after.fault == Fault(
+        Id.STATE, f"the device is in {name}, which the daemon did not request"
+    )
 
 
 @pytest.mark.parametrize(
     ("want", "state", "cause"),
     [
-        (Want.ARM, DeviceState.ARMED, "armed without an owner"),
-        (Want.START, DeviceState.RUN, "started without an owner"),
+        (RequestKind.ARM, DeviceState.ARMED, "armed without an owner"),
+        (RequestKind.START, DeviceState.RUN, "started without an owner"),
     ],
 )
-def test_what_nobody_owns_does_not_move(want: Want, state: DeviceState, cause: str) -> None:
-    """S5: a request that has lost its order is a bug of ours, and ends at 0 V."""
+def test_what_nobody_owns_does_not_move(want: RequestKind, state: DeviceState, cause: str) -> None:
+    """S5: a request without its order is a bug, and ends at 0 V."""
     bench = armed()
     at = changed(bench.loop.state, device_state=int(DeviceState.READY))
 
@@ -388,13 +382,13 @@ def test_what_nobody_owns_does_not_move(want: Want, state: DeviceState, cause: s
 
     assert after.fault == Fault(Id.INTERNAL, cause)
     assert after.asked is not None
-    assert after.asked.want is Want.STOP
+    assert after.asked.want is RequestKind.STOP
 
 
 def test_a_motor_that_starts_without_a_lease_is_stopped() -> None:
-    """S5: whoever asked for it holds nothing any more."""
+    """S5."""
     bench = armed()
-    at = awaiting(changed(bench.loop.state, lease=None), Want.START, SET)
+    at = awaiting(changed(bench.loop.state, lease=None), RequestKind.START, SET)
 
     after, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.RUN))
 
@@ -403,25 +397,24 @@ def test_a_motor_that_starts_without_a_lease_is_stopped() -> None:
 
 @pytest.mark.parametrize("state", [s for s in DeviceState if s != DeviceState.IDLE])
 def test_a_fault_is_cleared_when_the_device_is_idle(state: DeviceState) -> None:
-    """S6: any other state says nothing of it."""
+    """S6."""
     bench = rested()
     at = changed(bench.loop.state, phase=Phase.FAULT, device_state=int(DeviceState.FAULT))
-    at = awaiting(at, Want.CLEAR, Reset(order=8))
+    at = awaiting(at, RequestKind.CLEAR, Reset(order=8))
 
     waiting, _ = transitions.note_state(at, bench.ports.now, int(state))
     cleared, _ = transitions.note_state(at, bench.ports.now, int(DeviceState.IDLE))
 
     assert waiting.asked == at.asked
     assert cleared.asked is not None
-    assert cleared.asked.want is Want.HELLO
+    assert cleared.asked.want is RequestKind.HELLO
     assert cleared.asked.order == Reset(order=8)
 
 
 @pytest.mark.parametrize("state", list(DeviceState))
 def test_a_stop_has_its_effect_where_the_motor_cannot_turn(state: DeviceState) -> None:
-    """ARMED and RUN are not stopped."""
     bench = driven()
-    at = awaiting(bench.loop.state, Want.STOP)
+    at = awaiting(bench.loop.state, RequestKind.STOP)
 
     after, _ = transitions.note_state(at, bench.ports.now, int(state))
 
@@ -443,9 +436,8 @@ def _met(bench: Bench, before: State, **fields: int) -> Decided:
 
 @pytest.mark.parametrize("state", [DeviceState.ARMED, DeviceState.RUN])
 def test_a_device_that_another_host_left_running_is_stopped_first(state: DeviceState) -> None:
-    """Then configured; whoever asks keeps his place."""
     bench = rested()
-    greeting = awaiting(changed(bench.loop.state, phase=Phase.INIT), Want.HELLO, ARM)
+    greeting = awaiting(changed(bench.loop.state, phase=Phase.INIT), RequestKind.HELLO, ARM)
 
     decided = _met(bench, greeting, state=int(state))
 
@@ -455,14 +447,14 @@ def test_a_device_that_another_host_left_running_is_stopped_first(state: DeviceS
 
 
 def test_a_device_is_met_at_the_time_of_the_question() -> None:
-    """S4: the age of the round trip counts from there; what was asked of another boot is void."""
+    """S4: the age of the round trip counts from the question."""
     bench = rested()
     waiting = _one_sent(bench)
-    greeting = awaiting(changed(bench.loop.state, sent=waiting), Want.HELLO, sent_ns=123)
+    greeting = awaiting(changed(bench.loop.state, sent=waiting), RequestKind.HELLO, sent_ns=123)
 
     met = _met(bench, greeting, token=99, state=int(DeviceState.READY))
 
-    assert met.state.link.fresh_ns == 123
+    assert met.state.link.last_round_trip_ns == 123
     assert met.state.link.sent == ()
     assert met.state.link.token == 99
     assert met.state.link.device_state == DeviceState.READY
@@ -470,10 +462,9 @@ def test_a_device_is_met_at_the_time_of_the_question() -> None:
 
 
 def test_another_boot_has_another_clock() -> None:
-    """The map of the clocks begins anew, and its samples are another's; in the same boot not."""
     bench = rested()
     bench.run_for(1000)
-    greeting = awaiting(bench.loop.state, Want.HELLO)
+    greeting = awaiting(bench.loop.state, RequestKind.HELLO)
     boot_id = bench.loop.state.clock.boot_id
 
     same, other = _met(bench, greeting).state, _met(bench, greeting, boot_id=boot_id + 1).state
@@ -499,14 +490,13 @@ def test_another_boot_has_another_clock() -> None:
         ({"state": int(DeviceState.ESTOP)}, "is in ESTOP"),
     ],
 )
-def test_a_device_that_cannot_be_driven_is_latched_and_told_once(
+def test_a_device_that_cannot_be_driven_is_latched_and_reported_once(
     fields: dict[str, int], complaint: str
 ) -> None:
-    """Asked again by a reset, it is refused with the same words; the log has them once."""
     bench = rested()
 
-    once = _met(bench, awaiting(bench.loop.state, Want.HELLO), **fields)
-    again = _met(bench, awaiting(once.state, Want.HELLO, Reset(order=8)), **fields)
+    once = _met(bench, awaiting(bench.loop.state, RequestKind.HELLO), **fields)
+    again = _met(bench, awaiting(once.state, RequestKind.HELLO, Reset(order=8)), **fields)
 
     assert once.state.fault is not None
     assert complaint in once.state.fault.cause
@@ -520,21 +510,20 @@ def test_a_device_that_cannot_be_driven_is_latched_and_told_once(
 
 @pytest.mark.parametrize("bits", [1, 16])
 def test_a_duty_of_1_to_16_bits_can_be_driven(bits: int) -> None:
-    """Both ends are allowed."""
     bench = rested()
-    met = _met(bench, awaiting(bench.loop.state, Want.HELLO), pwm_bits=bits)
+    met = _met(bench, awaiting(bench.loop.state, RequestKind.HELLO), pwm_bits=bits)
 
     assert met.state.fault is None
     assert [type(m) for m in met.sent] == [Config]
 
 
 def test_a_latched_daemon_meets_a_device_and_stays_latched() -> None:
-    """S6: a link that comes back resets nothing; only the order of a person goes on."""
+    """S6: a link that comes back resets nothing."""
     bench = rested()
     state = changed(bench.loop.state, phase=Phase.FAULT, fault=Fault(Id.LINK, "unplugged"))
 
-    back = _met(bench, awaiting(state, Want.HELLO))
-    reset = _met(bench, awaiting(state, Want.HELLO, Reset(order=8)))
+    back = _met(bench, awaiting(state, RequestKind.HELLO))
+    reset = _met(bench, awaiting(state, RequestKind.HELLO, Reset(order=8)))
 
     assert (back.state.phase, back.sent) == (Phase.FAULT, [])
     assert len(back.told(StateRecord)) == 1
@@ -547,7 +536,7 @@ def test_a_latched_daemon_meets_a_device_and_stays_latched() -> None:
 def _reply(state: State, **fields: int) -> ConfigReply:
     """Return the answer to the CONFIG that the state waits for."""
     assert state.asked is not None
-    (sent,) = Decided(state, state.asked.sent_ns + 50 * MS, Beat()).sent
+    (sent,) = Decided(state, state.asked.sent_ns + 50 * MS, Wakeup()).sent
     assert isinstance(sent, Config)
     body = sent[2:]
     reply = ConfigReply._make((3, 0, int(Code.OK), 0, config_crc(sent), *body, 77))
@@ -556,7 +545,7 @@ def _reply(state: State, **fields: int) -> ConfigReply:
 
 @pytest.mark.parametrize("scheduled", [False, True])
 def test_the_device_is_asked_for_the_rules(scheduled: bool) -> None:
-    """Rest at 0 V, and 0 V where a queue runs dry; 0 is always allowed, for it rests there."""
+    """Rest at 0 V, and 0 V if a queue runs dry."""
     rules = changed(
         rested().loop.state.rules, code_min=9, code_max=60_000, slew=5, watchdog_ms=60, turns=7
     )
@@ -597,20 +586,22 @@ def test_a_configuration_without_keys_asks_the_device_for_what_it_always_did(
 
 
 def test_an_accepted_configuration_is_known_with_when_it_was_asked_for() -> None:
-    """A sample that was asked for before it may have had another one, or none."""
     bench = rested()
-    state = awaiting(bench.loop.state, Want.CONFIGURE, ts_us=10_000, sent_ns=bench.ports.now - 7)
+    state = awaiting(
+        bench.loop.state, RequestKind.CONFIGURE, ts_us=10_000, sent_ns=bench.ports.now - 7
+    )
 
     decided = heard(bench, _reply(state), state)
 
     assert decided.state.configuration.asked_ns == bench.ports.now - 7
 
 
-def test_a_device_that_refuses_an_oversampling_is_told_with_what_to_do() -> None:
-    """It does not say which of the keys it was."""
+def test_a_device_that_refuses_an_oversampling_is_reported_with_the_way_out() -> None:
     bench = rested()
     rules = changed(bench.loop.state.rules, oversampling=16)
-    state = awaiting(changed(bench.loop.state, rules=rules), Want.CONFIGURE, ARM, ts_us=10_000)
+    state = awaiting(
+        changed(bench.loop.state, rules=rules), RequestKind.CONFIGURE, ARM, ts_us=10_000
+    )
 
     decided = heard(bench, _reply(state, code=int(Code.UNSUPPORTED)), state)
 
@@ -621,10 +612,9 @@ def test_a_device_that_refuses_an_oversampling_is_told_with_what_to_do() -> None
     )
 
 
-def test_a_refused_configuration_is_told_by_its_name() -> None:
-    """At rest: who wanted it is told, and HELLO finds out the rest."""
+def test_a_refused_configuration_is_reported_by_its_name() -> None:
     bench = rested()
-    state = awaiting(bench.loop.state, Want.CONFIGURE, ARM, ts_us=10_000)
+    state = awaiting(bench.loop.state, RequestKind.CONFIGURE, ARM, ts_us=10_000)
 
     decided = heard(bench, _reply(state, code=int(Code.BAD_VALUE)), state)
 
@@ -633,15 +623,63 @@ def test_a_refused_configuration_is_told_by_its_name() -> None:
     assert [type(m) for m in decided.sent] == [Hello]
 
 
+@pytest.mark.parametrize("order", [None, Reset(order=5)])
+def test_a_configuration_that_is_refused_at_rest_is_a_fault_and_not_requested_again(
+    order: Reset | None,
+) -> None:
+    """HELLO and CONFIG followed each other 300 times a second."""
+    bench = rested()
+    state = awaiting(bench.loop.state, RequestKind.CONFIGURE, order, ts_us=10_000)
+
+    decided = heard(bench, _reply(state, code=int(Code.UNSUPPORTED)), state)
+
+    assert decided.state.phase is Phase.FAULT
+    assert decided.state.fault.id is Id.REQUEST
+    assert decided.state.asked is None
+    assert decided.sent == []
+    assert [m.error for m in decided.told(Answer)] == [
+        "the device refuses the configuration: UNSUPPORTED"
+    ] * (order is not None)
+
+
+@pytest.mark.parametrize("order", [pipe.Stop(order=5), pipe.Disarm(order=5, lease=LEASE, n=1)])
+def test_a_stop_is_done_although_the_configuration_at_rest_is_refused(
+    order: pipe.Stop | pipe.Disarm,
+) -> None:
+    """The device has confirmed STOP before CONFIG was sent."""
+    bench = rested()
+    state = awaiting(bench.loop.state, RequestKind.CONFIGURE, order, ts_us=10_000)
+
+    decided = heard(bench, _reply(state, code=int(Code.UNSUPPORTED)), state)
+
+    assert [(m.order, m.body, m.error) for m in decided.told(Answer)] == [(5, {"done": True}, "")]
+    assert decided.state.phase is Phase.FAULT
+    assert decided.sent == []
+
+
+def test_a_device_that_refuses_its_configuration_has_a_quiet_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    refusing = "armrig_daemon.emulator.transitions.check_config"
+    monkeypatch.setattr(refusing, lambda *_, **__: Code.UNSUPPORTED)
+    bench = Bench()
+    before = bench.loop.state.link.seq
+
+    bench.run_for(1000)
+
+    assert bench.loop.state.phase is Phase.FAULT
+    assert bench.loop.state.link.seq - before <= 101  # of 100 samples at 0 V
+
+
 @pytest.mark.parametrize("order", [Reset(order=5), ARM])
 def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | Reset) -> None:
-    """Its CRC and nonce are what ARM carries; the pace is that of the new Ts.
+    """ARM carries its CRC and nonce; the pace is that of the new Ts.
 
-    S4: it does not say which CONFIG it answers, and proves no round trip to who wants to drive.
+    S4: the answer does not name its CONFIG, so it proves no round trip.
     """
     bench = rested()
     latched = changed(armed().loop.state, phase=Phase.FAULT, fault=Fault(Id.LEASE, "ran out"))
-    state = awaiting(latched, Want.CONFIGURE, order, ts_us=20_000, sent_ns=55)
+    state = awaiting(latched, RequestKind.CONFIGURE, order, ts_us=20_000, sent_ns=55)
     reply = _reply(state)
 
     decided = heard(bench, reply, state)
@@ -652,9 +690,11 @@ def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | Re
         77,
         20_000,
     )
-    assert after.link.fresh_ns == (55 if isinstance(order, Reset) else latched.link.fresh_ns)
+    assert after.link.last_round_trip_ns == (
+        55 if isinstance(order, Reset) else latched.link.last_round_trip_ns
+    )
     assert after.tick_ns == bench.ports.now
-    assert decided.of(Repace) == [Repace(20_000, state.k + 1)]
+    assert decided.of(SetPeriod) == [SetPeriod(20_000, state.k + 1)]
     if isinstance(order, Reset):
         assert (after.phase, after.asked, decided.sent) == (Phase.SAFE, None, [])
         assert (after.fault, after.lease) == (None, None)
@@ -666,48 +706,49 @@ def test_an_accepted_configuration_is_in_force_from_then_on(order: pipe.Arm | Re
 
 
 def test_a_scheduled_configuration_slows_our_own_ticks_down() -> None:
-    """The device paces; we look after it each 10 ms."""
+    """The device paces; the daemon looks after it each 10 ms."""
     bench = armed()
     bench.loop.state = changed(bench.loop.state, ts_us=5_000, pace_us=5_000)
     scheduled = changed(RUN, scheduled=True)
-    state = awaiting(bench.loop.state, Want.CONFIGURE, scheduled, ts_us=5_000, scheduled=True)
+    state = awaiting(
+        bench.loop.state, RequestKind.CONFIGURE, scheduled, ts_us=5_000, scheduled=True
+    )
     reply = _reply(state)
     assert reply.mode == Mode.SCHEDULED
 
     decided = heard(bench, reply, state)
 
     assert decided.state.scheduled
-    assert decided.of(Repace) == [Repace(10_000, state.k + 1)]
+    assert decided.of(SetPeriod) == [SetPeriod(10_000, state.k + 1)]
 
 
-def test_the_same_pace_is_not_begun_anew() -> None:
-    """Ticks go on where they were."""
+def test_the_same_pace_is_not_begun_again() -> None:
     bench = rested()
-    state = awaiting(bench.loop.state, Want.CONFIGURE, ts_us=10_000)
+    state = awaiting(bench.loop.state, RequestKind.CONFIGURE, ts_us=10_000)
 
-    assert heard(bench, _reply(state), state).of(Repace) == []
+    assert heard(bench, _reply(state), state).of(SetPeriod) == []
 
 
 def test_a_configuration_that_nobody_waits_for_is_none() -> None:
-    """Late, or another's: it changes nothing."""
     bench = rested()
-    reply = _reply(awaiting(bench.loop.state, Want.CONFIGURE, ts_us=20_000))
+    reply = _reply(awaiting(bench.loop.state, RequestKind.CONFIGURE, ts_us=20_000))
 
-    for state in (bench.loop.state, awaiting(bench.loop.state, Want.STOP)):
+    for state in (bench.loop.state, awaiting(bench.loop.state, RequestKind.STOP)):
         decided = heard(bench, reply, state)
         assert (decided.actions, decided.state) == ([], state)
 
 
 def test_a_late_answer_to_an_earlier_configuration_ends_no_run() -> None:
-    """Ours is waited for; a device that accepts another each time is given up."""
     bench = rested()
     state = changed(bench.loop.state, phase=Phase.ARMED)
-    late = _reply(awaiting(state, Want.CONFIGURE, ts_us=20_000))
-    waiting = awaiting(state, Want.CONFIGURE, ARM, ts_us=10_000, tries=4)
+    late = _reply(awaiting(state, RequestKind.CONFIGURE, ts_us=20_000))
+    waiting = awaiting(state, RequestKind.CONFIGURE, ARM, ts_us=10_000, tries=4)
 
     passed_over = heard(bench, late, waiting)
     armed = heard(bench, _reply(waiting), passed_over.state)
-    given_up = heard(bench, late, awaiting(state, Want.CONFIGURE, ARM, ts_us=10_000, tries=5))
+    given_up = heard(
+        bench, late, awaiting(state, RequestKind.CONFIGURE, ARM, ts_us=10_000, tries=5)
+    )
 
     assert (passed_over.actions, passed_over.state) == ([], waiting)
     assert isinstance(armed.sent[0], Arm)
@@ -715,15 +756,14 @@ def test_a_late_answer_to_an_earlier_configuration_ends_no_run() -> None:
 
 
 def test_an_arm_under_a_newer_nonce_is_tried_as_often_as_any_request() -> None:
-    """A device that answers CONFIG for ever does not keep us busy for ever."""
     bench = rested()
     again = _reply(
-        awaiting(bench.loop.state, Want.CONFIGURE, ts_us=bench.loop.state.ts_us)
+        awaiting(bench.loop.state, RequestKind.CONFIGURE, ts_us=bench.loop.state.ts_us)
     )._replace(config_crc=bench.loop.state.configuration.config_crc)
-    arming = awaiting(bench.loop.state, Want.ARM, ARM, tries=4)
+    arming = awaiting(bench.loop.state, RequestKind.ARM, ARM, tries=4)
 
     fifth = heard(bench, again, arming)
-    sixth = heard(bench, again, awaiting(bench.loop.state, Want.ARM, ARM, tries=5))
+    sixth = heard(bench, again, awaiting(bench.loop.state, RequestKind.ARM, ARM, tries=5))
 
     (arm,) = fifth.sent
     assert isinstance(arm, Arm)
@@ -735,17 +775,16 @@ def test_an_arm_under_a_newer_nonce_is_tried_as_often_as_any_request() -> None:
 
 @pytest.mark.parametrize("change", [{"code": 1}, {"config_crc": 1}, {"nonce": None}])
 def test_an_arm_waits_for_its_own_configuration_only(change: dict[str, int | None]) -> None:
-    """A refusal, another configuration or the same nonce again are no reason to arm again."""
     bench = rested()
     state = bench.loop.state
-    own = _reply(awaiting(state, Want.CONFIGURE, ts_us=state.ts_us))
+    own = _reply(awaiting(state, RequestKind.CONFIGURE, ts_us=state.ts_us))
     own = own._replace(config_crc=state.configuration.config_crc)
     same = {
         name: state.configuration.nonce if value is None else value
         for name, value in change.items()
     }
 
-    decided = heard(bench, own._replace(**same), awaiting(state, Want.ARM, ARM))
+    decided = heard(bench, own._replace(**same), awaiting(state, RequestKind.ARM, ARM))
 
     assert decided.sent == []
 
@@ -754,7 +793,6 @@ def test_an_arm_waits_for_its_own_configuration_only(change: dict[str, int | Non
 
 
 def test_nothing_is_armed_without_a_device() -> None:
-    """Whoever calls it."""
     bench = rested()
     state = changed(bench.loop.state, device=None)
 
@@ -765,7 +803,6 @@ def test_nothing_is_armed_without_a_device() -> None:
 
 
 def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
-    """It says its own shortest; exactly that is armed."""
     bench = rested()
     device = bench.loop.state.device
     assert device is not None
@@ -779,7 +816,6 @@ def test_a_sampling_time_that_the_device_cannot_convert_is_refused() -> None:
 
 
 def test_a_sampling_time_that_holds_no_oversampled_reading_is_refused() -> None:
-    """By the device's own figures; exactly the shortest is armed."""
     bench = rested()
     state, device = bench.loop.state, bench.loop.state.device
     assert device is not None
@@ -797,8 +833,7 @@ def test_a_sampling_time_that_holds_no_oversampled_reading_is_refused() -> None:
     assert by_host.ts_us == rules.ts_us  # until the run, exchange mode: 1872 us
 
 
-def test_the_owner_is_granted_what_he_may_do() -> None:
-    """Lease, its period, Ts and the limits, in s and V."""
+def test_the_owner_is_granted_the_limits() -> None:
     bench = rested()
 
     body = bench.arm(40_000).body

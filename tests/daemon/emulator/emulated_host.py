@@ -105,7 +105,7 @@ class Host:
         return self.now_ns + self.device.rx_backlog_ns(self.now_ns)
 
     def ask(self, kind: type[Message], *, seq: int | None = None, **fields: Any) -> list[Message]:
-        """Send, and return all that comes within 3 ms."""
+        """Send, and return all messages within 3 ms."""
         self.put(kind, seq=seq, **fields)
         return self.wait(3 * MS)
 
@@ -147,7 +147,7 @@ def only(kind: type[M], messages: list[Message]) -> M:
 
 
 def codes(messages: list[Message]) -> list[int]:
-    """Return what the ACKs say."""
+    """Return the codes of the ACKs."""
     return [m.code for m in messages if isinstance(m, Ack)]
 
 

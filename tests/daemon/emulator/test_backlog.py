@@ -1,15 +1,14 @@
-"""What a stalled reader has not taken yet."""
+"""Bytes that a stalled reader has not taken yet."""
 
 from __future__ import annotations
 
-from armrig_daemon.emulator.backlog import CAPACITY, Backlog
+from armrig_daemon.emulator.backlog import CAPACITY_BYTES, Backlog
 from hypothesis import given
 from hypothesis import strategies as st
 
 
 @given(st.lists(st.binary(min_size=1, max_size=9)), st.lists(st.integers(1, 9)))
 def test_all_leaves_in_order_however_it_is_cut(frames: list[bytes], cuts: list[int]) -> None:
-    """The line may take any part of the first piece."""
     backlog, left = Backlog(), b""
     for frame in frames:
         backlog.put(frame)
@@ -29,22 +28,20 @@ def test_all_leaves_in_order_however_it_is_cut(frames: list[bytes], cuts: list[i
 
 
 def test_64_kib_are_kept_then_whole_frames_are_dropped_and_counted() -> None:
-    """A shorter one that still fits is kept; what is kept is never cut."""
     backlog = Backlog()
-    for _ in range(CAPACITY // 36):
+    for _ in range(CAPACITY_BYTES // 36):
         backlog.put(b"x" * 36)
     assert backlog.dropped_frames == 0
 
     backlog.put(b"y" * 36)
-    backlog.put(b"z" * (CAPACITY % 36))
+    backlog.put(b"z" * (CAPACITY_BYTES % 36))
     backlog.put(b"z")
 
     assert (backlog.dropped_frames, backlog.dropped_bytes) == (2, 37)
-    assert backlog.waiting_bytes == CAPACITY == 65_536
+    assert backlog.waiting_bytes == CAPACITY_BYTES == 65_536
 
 
 def test_nobody_there_leaves_nothing() -> None:
-    """Who comes next does not get what was for another."""
     backlog = Backlog()
     backlog.put(b"abc")
 

@@ -19,14 +19,14 @@ BITS = st.integers(8, 16)
 
 
 def make_board(changes: list[Change] | None = None) -> Board:
-    """Return a board that tells `changes`."""
+    """Return a board that reports its `changes`."""
     witness = None if changes is None else changes.append
     return Board(EmulatorSettings(), 0, np.random.default_rng(0), witness)
 
 
 @given(CODES, BITS)
 def test_the_duty_is_the_nearest_and_the_report_is_its_code(code: int, bits: int) -> None:
-    """Steps d = round(u 2^n / 65535), told as round(d 65535 / 2^n), a tie going up."""
+    """Steps d = round(u 2^n / 65535), reported as round(d 65535 / 2^n), a tie going up."""
     d = duty(code, bits)
 
     assert abs(d - Fraction(code << bits, 65535)) < Fraction(1, 2)
@@ -34,8 +34,7 @@ def test_the_duty_is_the_nearest_and_the_report_is_its_code(code: int, bits: int
 
 
 @given(CODES, st.integers(0, 16).filter(lambda n: n == 0 or n >= 8))
-def test_the_report_stands_for_the_same_voltage(code: int, bits: int) -> None:
-    """Sent back, the reported code gives the very same duty."""
+def test_the_report_means_the_same_voltage(code: int, bits: int) -> None:
     assert volts(reported(code, bits), bits) == volts(code, bits)
 
 
@@ -48,7 +47,7 @@ def test_every_code_is_a_voltage_in_range(code: int, bits: int) -> None:
 
 @pytest.mark.parametrize("code", [-1, 65536])
 def test_a_code_that_is_none_does_not_reach_the_pin(code: int) -> None:
-    """S1: the model raises, and the voltage stays."""
+    """S1."""
     board = make_board()
 
     with pytest.raises(VoltageError, match=f"code {code}"):
@@ -61,7 +60,7 @@ def test_a_code_that_is_none_does_not_reach_the_pin(code: int) -> None:
 def test_a_voltage_out_of_range_does_not_reach_the_motor(
     monkeypatch: pytest.MonkeyPatch, wrong: float
 ) -> None:
-    """S1 holds even where the scale itself is wrong."""
+    """S1 holds even if the scale itself is wrong."""
     monkeypatch.setattr(board_module, "volts", lambda code, bits: wrong)
     board = make_board()
 
@@ -72,7 +71,6 @@ def test_a_voltage_out_of_range_does_not_reach_the_motor(
 
 
 def test_the_witness_sees_changes_and_nothing_else() -> None:
-    """The same voltage again is no change."""
     changes: list[Change] = []
     board = make_board(changes)
 
@@ -87,7 +85,6 @@ def test_the_witness_sees_changes_and_nothing_else() -> None:
 
 
 def test_the_arm_moves_under_the_voltage_it_had() -> None:
-    """A change acts from its own instant on, not from the one before."""
     board = make_board()
 
     board.latch(1_000_000_000, 65535, Cause.REQUEST)
@@ -98,7 +95,7 @@ def test_the_arm_moves_under_the_voltage_it_had() -> None:
 
 
 def test_an_ideal_sensor_has_no_dead_band() -> None:
-    """Potentiometers off: a turn is 65536 codes on both joints."""
+    """A turn is 65536 codes on both joints."""
     settings = EmulatorSettings(
         potentiometers=False, adc_bits=0, adc_noise_v=0.0, theta_1_zero_deg=90.0
     )
@@ -116,7 +113,6 @@ def test_an_ideal_sensor_has_no_dead_band() -> None:
 def test_a_driver_with_a_gain_and_an_offset_stays_between_its_supplies(
     code: int, gain: float, offset_v: float, terminal: float
 ) -> None:
-    """0 V is off, whatever the offset, and what is reported is still the code."""
     settings = EmulatorSettings(driver_gain=gain, driver_offset_v=offset_v)
     board = Board(settings, 0, np.random.default_rng(0))
 
@@ -127,7 +123,6 @@ def test_a_driver_with_a_gain_and_an_offset_stays_between_its_supplies(
 
 
 def test_a_share_that_was_measured_at_a_pin_drives_where_the_arm_is() -> None:
-    """Told late, it acts from the newest instant on: the arm does not go back."""
     changes: list[Change] = []
     board = make_board(changes)
     board.drive(2_000_000, 0.5, State.RUN, Cause.REQUEST)

@@ -15,7 +15,6 @@ PPM = st.floats(-500, 500)
 def test_an_instant_is_the_first_at_which_the_clock_shows_it(
     ppm: float, reset_ns: int, device_ns: int
 ) -> None:
-    """Not a nanosecond before, and at most one too much there."""
     clock = started(EmulatorSettings(clock_ppm=ppm), reset_ns)
 
     t_ns = clock.instant(device_ns)
@@ -25,7 +24,7 @@ def test_an_instant_is_the_first_at_which_the_clock_shows_it(
 
 
 def test_a_slow_oscillator_has_long_seconds() -> None:
-    """100 ppm: 100 µs a second; 0 is the given clock, from reset on."""
+    """100 ppm: 100 µs a second."""
     slow = started(EmulatorSettings(clock_ppm=100.0), 5)
 
     assert slow.instant(10**9) == 5 + 10**9 + 100_000

@@ -40,7 +40,10 @@ from armrig_protocol.messages import (
     Status,
     Stop,
 )
-from emulated_host import (
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.daemon.emulator.emulated_host import (
     BAUD,
     CONFIG,
     CONVERSION_NS,
@@ -57,14 +60,11 @@ from emulated_host import (
     events,
     only,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 # ------------------------------------------------------------------ boot
 
 
 def test_boot_ends_in_idle_and_says_so() -> None:
-    """First a 00, then EVENT(was BOOT, POWER_ON), when boot is over."""
     device = Device(QUIET, 0)
 
     (_, first), (t_ns, second) = device.advance(10 * MS)
@@ -76,7 +76,6 @@ def test_boot_ends_in_idle_and_says_so() -> None:
 
 
 def test_what_comes_during_boot_is_thrown_away() -> None:
-    """Even the rest of a frame that ends after it."""
     device = Device(QUIET, 0)
     device.receive(0, frame.encode(Hello(0, 1, 1, SCHEMA_HASH)))
     device.receive(5 * MS - 80 * US, frame.encode(Hello(0, 2, 1, SCHEMA_HASH)))
@@ -87,7 +86,6 @@ def test_what_comes_during_boot_is_thrown_away() -> None:
 
 
 def test_half_a_frame_from_boot_does_not_spoil_the_first_after_it() -> None:
-    """Nor does the device need a 00 before it."""
     device = Device(QUIET, 0)
     device.receive(0, b"\x05ab")
     device.receive(6 * MS, frame.encode(Hello(0, 1, 1, SCHEMA_HASH)))
@@ -96,7 +94,6 @@ def test_half_a_frame_from_boot_does_not_spoil_the_first_after_it() -> None:
 
 
 def test_a_reset_draws_a_new_boot_id_and_drops_to_0_v() -> None:
-    """From RUN, with the motor on; the arm keeps moving."""
     host = Host().reach(State.RUN)
     before = host.hello()
     host.ask(Exchange, k=1, u=65535)
@@ -114,7 +111,6 @@ def test_a_reset_draws_a_new_boot_id_and_drops_to_0_v() -> None:
 
 
 def test_no_two_boots_in_a_row_have_the_same_low_half(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whatever is drawn: it is all that most frames carry of it."""
     device = Device(QUIET, 0)
     low = device._boot_id & 0xFFFF
     drawn = iter([0, low, 0x7000_0000 | low, device._boot_id, 5 << 16 | (low ^ 1)])
@@ -125,8 +121,7 @@ def test_no_two_boots_in_a_row_have_the_same_low_half(monkeypatch: pytest.Monkey
     assert device._boot_id == 5 << 16 | (low ^ 1)
 
 
-def test_hello_tells_what_the_device_is() -> None:
-    """Capabilities, skew, hold and resolutions are those of the settings."""
+def test_hello_reports_the_properties_of_the_device() -> None:
     reply = Host(EmulatorSettings(baud=BAUD)).hello()
 
     can = Capability.EXCHANGE | Capability.SCHEDULED | Capability.CAL | Capability.ENABLE_LINE
@@ -142,7 +137,6 @@ def test_hello_tells_what_the_device_is() -> None:
 
 
 def test_each_configuration_that_is_accepted_has_a_nonce_of_its_own() -> None:
-    """The same one again, too; a refused one changes nothing; without one it is 0."""
     host = Host()
     assert host.configure(oversampling=0).nonce == 0
 
@@ -194,7 +188,6 @@ def test_what_armed_and_started_once_does_not_again(mode: Mode) -> None:
 
 @pytest.mark.parametrize("state", [State.ARMED, State.RUN])
 def test_a_hello_played_again_makes_no_old_frame_new_where_the_motor_may_turn(state: State) -> None:
-    """An old seq is stale there, for HELLO too, and k stays where it was."""
     host = Host().reach(state)
     host.ask(Exchange, k=7, u=0)
 
@@ -211,7 +204,7 @@ def test_a_hello_played_again_makes_no_old_frame_new_where_the_motor_may_turn(st
 
 
 def test_an_exchange_keeps_its_times() -> None:
-    """Alpha at t_r, theta_1 one conversion later, latch 12 µs on, SAMPLE when it has ended."""
+    """Alpha at t_r, theta_1 one conversion later, latch 12 µs on, SAMPLE at the end."""
     host = Host().reach(State.RUN)
 
     t_r = host.put(Exchange, k=1, u=65535)
@@ -226,7 +219,7 @@ def test_an_exchange_keeps_its_times() -> None:
 
 
 def test_a_sample_does_not_know_of_its_own_u() -> None:
-    """y_k is taken just before u_k acts: whatever u_k is, y_k is the same."""
+    """y_k is read just before u_k acts."""
     samples = []
     for u in (0, 65535):
         host = Host().reach(State.RUN)
@@ -242,7 +235,6 @@ def test_a_sample_does_not_know_of_its_own_u() -> None:
 
 
 def test_run_begins_with_the_rest_voltage() -> None:
-    """u_rest is latched by START itself."""
     host = Host().reach(State.ARMED, u_rest=32768)
 
     t_start = host.put(Start, k_stop=0)
@@ -265,7 +257,6 @@ def test_run_begins_with_the_rest_voltage() -> None:
 def test_a_code_out_of_limits_trips_and_is_not_answered(
     config: dict[str, int], u: int, cause: Cause
 ) -> None:
-    """FAULT, latched, 0 V at the instant of reception, the code in the EVENT, no SAMPLE."""
     host = Host().reach(State.RUN, **config)
     for k, code in enumerate((50, 100)):
         host.ask(Exchange, k=k, u=code)
@@ -282,7 +273,6 @@ def test_a_code_out_of_limits_trips_and_is_not_answered(
 
 
 def test_a_stop_between_exchange_and_latch_wins() -> None:
-    """What waits for its conversions when the run ends is never latched."""
     host = Host(EmulatorSettings(model_baud=False, boot_ms=5)).reach(State.RUN)
     host.changes.clear()
 
@@ -296,7 +286,6 @@ def test_a_stop_between_exchange_and_latch_wins() -> None:
 
 
 def test_an_exchange_of_an_old_run_does_not_drive_the_next() -> None:
-    """Even where a whole new run begins before its conversions have ended."""
     host = Host(EmulatorSettings(model_baud=False, boot_ms=5)).reach(State.RUN)
     boot_id, config_crc = host.hello().boot_id, 0
     host.changes.clear()
@@ -313,8 +302,7 @@ def test_an_exchange_of_an_old_run_does_not_drive_the_next() -> None:
     assert host.changes == []
 
 
-def test_a_second_exchange_waits_and_is_told_late_a_fourth_is_lost() -> None:
-    """Conversions take longer than frames here; what finds no room is counted, not taken in."""
+def test_a_second_exchange_waits_and_is_reported_late_a_fourth_is_lost() -> None:
     host = Host(EmulatorSettings(model_baud=False, boot_ms=5))
     host.hello()
     host.wait(3 * MS)
@@ -331,7 +319,6 @@ def test_a_second_exchange_waits_and_is_told_late_a_fourth_is_lost() -> None:
 
 
 def test_rails_and_turns_trip_in_run() -> None:
-    """At 5 V theta_1 turns through its dead band: the guard that is asked for latches."""
     for config, cause in (
         ({"rail_ticks": 2}, Cause.ADC_RAIL),
         ({"turns": 25}, Cause.REV_LIMIT),
@@ -354,7 +341,6 @@ def test_rails_and_turns_trip_in_run() -> None:
 
 
 def test_turns_count_from_start() -> None:
-    """A second run has all its turns again."""
     host = Host()
     for _ in range(3):
         host.reach(State.RUN, turns=25)
@@ -372,7 +358,7 @@ def test_turns_count_from_start() -> None:
 @pytest.mark.parametrize("state", [State.ARMED, State.RUN])
 @pytest.mark.parametrize("watchdog_ms", [20, 100, 250])
 def test_the_watchdog_bites_to_the_tick(state: State, watchdog_ms: int) -> None:
-    """S3: exactly watchdog_ms after the last frame taken in, not a nanosecond before."""
+    """S3: exactly watchdog_ms after the last accepted frame, not a nanosecond before."""
     host = Host().reach(state, watchdog_ms=watchdog_ms)
     last = host.put(Exchange, k=1, u=65535)
 
@@ -412,7 +398,7 @@ def test_every_frame_taken_in_feeds_the_watchdog(
 
 
 def test_a_frame_at_the_very_deadline_is_in_time() -> None:
-    """Bytes come before the watchdog where both fall on one nanosecond."""
+    """The bytes and the watchdog are due in the same nanosecond."""
     host = Host().reach(State.RUN)
     last = host.put(Keepalive)
     host.wait(last - host.now_ns + 100 * MS - 100 * US)
@@ -427,7 +413,6 @@ def test_a_frame_at_the_very_deadline_is_in_time() -> None:
 
 
 def test_ping_gives_the_device_s_clock() -> None:
-    """It is rx at the last byte, tx when the answer begins; host_ns comes back."""
     host = Host()
     host.hello()
 
@@ -437,8 +422,7 @@ def test_ping_gives_the_device_s_clock() -> None:
     assert (pong.host_ns, pong.rx_us, pong.tx_us) == (2**63 + 5, t_r // US, t_r // US)
 
 
-def test_a_spoilt_frame_is_told_once_in_the_next_sample() -> None:
-    """And never answered."""
+def test_a_spoilt_frame_is_reported_once_in_the_next_sample() -> None:
     host = Host()
     host.device.receive(host.now_ns, b"\x05abcd\0")
 
@@ -447,8 +431,8 @@ def test_a_spoilt_frame_is_told_once_in_the_next_sample() -> None:
     assert not only(Sample, host.ask(Exchange, k=2, u=0)).flags & Flag.CRC_ERR
 
 
-def test_a_frame_that_finds_no_room_is_dropped_whole_and_told() -> None:
-    """Twenty HELLOs at once give more bytes than the ring holds."""
+def test_a_frame_that_finds_no_room_is_dropped_whole_and_reported() -> None:
+    """Twenty HELLOs at once give more bytes than the ring contains."""
     host = Host()
 
     for _ in range(20):
@@ -462,7 +446,7 @@ def test_a_frame_that_finds_no_room_is_dropped_whole_and_told() -> None:
 
 
 def test_the_clocks_wrap() -> None:
-    """t_us after 71.6 min, seq after 65536 frames: both modulo, and nothing trips."""
+    """t_us after 71.6 min, seq after 65536 frames."""
     host = Host()
     host.wait(2**32 * US - 10 * MS)
     before = only(Sample, host.ask(Exchange, k=2**32 - 1, u=0))
@@ -532,7 +516,6 @@ def test_whatever_comes_the_voltage_stays_in_range_and_off_outside_run(
 def test_the_same_bytes_at_the_same_times_give_the_same_answers(
     script: list[tuple[int, bytes | Message]], looks: list[int]
 ) -> None:
-    """Same seed, noise on; how often somebody looks in between changes nothing."""
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, seed=3)
     sent = bytes_of(emulated, OPENING + script)
     outputs = []
@@ -552,10 +535,9 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
 
 @settings(max_examples=40)
 @given(SCRIPT)
-def test_who_sleeps_until_something_can_be_seen_misses_nothing(
+def test_a_sleeper_until_something_can_be_seen_misses_nothing(
     script: list[tuple[int, bytes | Message]],
 ) -> None:
-    """No byte leaves before `visible_ns`."""
     device = Device(QUIET, 0)
     for t_ns, data in [*bytes_of(QUIET, OPENING + script), (3 * S, b"")]:
         while (due_ns := device.visible_ns()) < t_ns:
@@ -567,7 +549,7 @@ def test_who_sleeps_until_something_can_be_seen_misses_nothing(
 
 
 def test_another_seed_gives_other_noise_and_another_boot_id() -> None:
-    """Else the test before would prove little."""
+    """Otherwise the test before would prove little."""
     replies = []
     for seed in (1, 2):
         host = Host(EmulatorSettings(baud=BAUD, seed=seed))

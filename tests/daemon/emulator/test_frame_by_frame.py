@@ -35,7 +35,9 @@ from armrig_protocol.messages import (
     State,
     Status,
 )
-from emulated_host import (
+from msgspec.structs import replace
+
+from tests.daemon.emulator.emulated_host import (
     CONFIG,
     CONVERSION_NS,
     EXCHANGE_NS,
@@ -49,7 +51,6 @@ from emulated_host import (
     events,
     only,
 )
-from msgspec.structs import replace
 
 SCHEDULED: dict[str, int] = {**CONFIG, "mode": Mode.SCHEDULED, "ts_us": 500}
 SESSION: list[tuple[int, bytes | Message]] = [
@@ -66,7 +67,6 @@ SESSION: list[tuple[int, bytes | Message]] = [
 
 
 def test_frame_by_frame_the_device_says_what_it_says_at_once() -> None:
-    """The same bytes at the same times; never two in one answer, none of them late."""
     sent = bytes_of(QUIET, SESSION)
     at_once, apart = Device(QUIET, 0), Device(QUIET, 0)
     one: list[tuple[int, bytes]] = []
@@ -86,8 +86,7 @@ def test_frame_by_frame_the_device_says_what_it_says_at_once() -> None:
 
 
 @pytest.mark.parametrize(("bits", "told"), [(0, 16), (10, 10)])
-def test_hello_tells_the_bits_of_what_is_read_and_driven(bits: int, told: int) -> None:
-    """Where the model rounds nothing, the code's own 16."""
+def test_hello_reports_the_bits_of_what_is_read_and_driven(bits: int, told: int) -> None:
     host = Host(EmulatorSettings(baud=1_000_000, boot_ms=5.0, adc_bits=bits, pwm_bits=bits))
 
     hello = host.hello()
@@ -95,8 +94,7 @@ def test_hello_tells_the_bits_of_what_is_read_and_driven(bits: int, told: int) -
     assert (hello.adc_bits, hello.pwm_bits) == (told, told)
 
 
-def test_status_tells_what_a_fresh_device_has_counted() -> None:
-    """Nothing but the frame that asked it; an emulator has a supply, and no stack to run out of."""
+def test_status_reports_what_a_fresh_device_has_counted() -> None:
     host = Host()
     host.hello()
 
@@ -122,7 +120,6 @@ def test_status_tells_what_a_fresh_device_has_counted() -> None:
 
 
 def test_the_end_of_a_run_is_seen_when_it_is_due() -> None:
-    """`visible_ns` does not wait for a sample behind the last one, for there is none."""
     host = Host().reach(State.ARMED, **SCHEDULED)
     host.supply(0, [10, 20, 30])
     host.wait(1 * MS)
@@ -143,10 +140,9 @@ def test_the_end_of_a_run_is_seen_when_it_is_due() -> None:
     ("u", "k", "seq", "samples"),
     [(100, 2, None, True), (101, 2, None, False), (100, 1, None, False), (100, 2, 1, False)],
 )
-def test_who_waits_for_a_sample_may_sleep_through_its_conversions(
+def test_a_wait_for_a_sample_may_sleep_through_its_conversions(
     u: int, k: int, seq: int | None, samples: bool
 ) -> None:
-    """Whatever else an EXCHANGE leads to, its answer is there at once."""
     host = Host().reach(State.RUN, u_max=100)
     host.ask(Exchange, k=1, u=50)
 
@@ -176,12 +172,10 @@ def test_who_waits_for_a_sample_may_sleep_through_its_conversions(
 def test_a_driver_has_a_gain_and_an_offset_and_ends_at_its_supply(
     volts: float, gain: float, offset: float, terminal: float
 ) -> None:
-    """0 V is off, whatever its offset; an ideal one hides nothing that is too much."""
     assert driven(volts, gain, offset) == pytest.approx(terminal)
 
 
 def test_each_reading_is_of_its_own_angle(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not of the other, and of no speed."""
     board = Board(QUIET, 0, np.random.default_rng(0))
     at_rest = board.theta_1(0)
     assert board.alpha(0) == at_rest
@@ -195,7 +189,6 @@ def test_each_reading_is_of_its_own_angle(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_the_motor_gets_what_the_driver_makes_of_the_duty() -> None:
-    """And the code that is told stays that of the duty."""
     settings = EmulatorSettings(driver_gain=0.5, driver_offset_v=0.25, pwm_bits=0)
     board = Board(settings, 0, np.random.default_rng(0))
 
@@ -206,7 +199,6 @@ def test_the_motor_gets_what_the_driver_makes_of_the_duty() -> None:
 
 @pytest.mark.parametrize("ideal", [False, True])
 def test_each_track_is_what_the_settings_say(ideal: bool) -> None:
-    """Only theta_1 turns on over its ends, but where both are ideal; then a turn is the range."""
     settings = EmulatorSettings(
         potentiometers=not ideal,
         theta_1_range_deg=340.0,
@@ -238,7 +230,6 @@ def test_each_track_is_what_the_settings_say(ideal: bool) -> None:
     [(1, [200], False), (0, [150, 200], False), (1, [200, 250], False), (1, [200, 251], True)],
 )
 def test_a_step_within_what_is_queued_counts_once(k0: int, u: list[int], trips: bool) -> None:
-    """What comes again is no step; behind it, the slew counts on."""
     host = Host().reach(State.ARMED, **{**SCHEDULED, "slew": 50, "u_rest": 100})
     host.supply(0, [150, 200])
 
@@ -249,7 +240,6 @@ def test_a_step_within_what_is_queued_counts_once(k0: int, u: list[int], trips: 
 
 
 def test_the_wire_gives_its_next_piece_before_it_has_arrived() -> None:
-    """Who watches the line sees the very bytes that will be taken in."""
     wire = Reception(0, 1_000_000)
     frame = encode(Keepalive(0, 7))
     wire.put(0, frame + encode(Setpoints(0, 8, 0, 1, 0, (5,) + (0,) * 23)))
@@ -262,7 +252,6 @@ def test_the_wire_gives_its_next_piece_before_it_has_arrived() -> None:
 
 @pytest.mark.parametrize("cut", [1, 5, 12])
 def test_a_frame_that_comes_in_two_writes_is_one(cut: int) -> None:
-    """The wire knows no writes; what comes first waits for the rest."""
     host = Host()
     data = encode(Ping(0, 1, 77))
 
@@ -275,8 +264,7 @@ def test_a_frame_that_comes_in_two_writes_is_one(cut: int) -> None:
     assert pong.host_ns == 77
 
 
-def test_who_sleeps_through_conversions_is_woken_for_what_comes_meanwhile() -> None:
-    """The answer to a PING behind an EXCHANGE leaves before its sample."""
+def test_a_sleeper_through_conversions_is_woken_for_what_comes_meanwhile() -> None:
     host = Host().reach(State.RUN)
     host.put(Exchange, k=1, u=50)
     host.put(Ping, host_ns=7)
@@ -288,7 +276,6 @@ def test_who_sleeps_through_conversions_is_woken_for_what_comes_meanwhile() -> N
 
 
 def test_on_a_wire_that_takes_no_time_an_answer_is_visible_at_once() -> None:
-    """Not a nanosecond later than it leaves."""
     host = Host(EmulatorSettings(model_baud=False, boot_ms=5.0))
 
     host.put(Ping, host_ns=7)
@@ -309,7 +296,7 @@ def _firmware() -> Firmware:
 
 
 def test_a_run_that_has_lost_its_timer_ends_at_0_v() -> None:
-    """S1: rather than go on with what nobody paces."""
+    """S1."""
     firmware = _firmware()
     firmware.state = State.RUN
     firmware.board.latch(0, 65535, Cause.REQUEST)
@@ -321,19 +308,18 @@ def test_a_run_that_has_lost_its_timer_ends_at_0_v() -> None:
 
 
 def test_no_sample_of_scheduled_mode_is_latched_without_a_queue() -> None:
-    """S5: rather no device at all than a code that nobody sent."""
+    """S5."""
     firmware = _firmware()
     firmware.pending.append(PendingSample(0, 0))
 
-    with pytest.raises(RuntimeError, match="without a queue"):
+    with pytest.raises(RuntimeError, match="needs a queue"):
         latch(firmware, 0)
 
     assert firmware.board.volts == 0.0
 
 
 @pytest.mark.parametrize("state", [State.READY, State.RUN])
-def test_an_alpha_at_its_rail_is_told_in_each_sample(state: State) -> None:
-    """Its own flag, and in RUN its own guard."""
+def test_an_alpha_at_its_rail_is_reported_in_each_sample(state: State) -> None:
     railed = EmulatorSettings(
         baud=1_000_000, boot_ms=5.0, adc_noise_v=0.0, alpha_zero_deg=0.0, pwm_bits=0, adc_bits=0
     )

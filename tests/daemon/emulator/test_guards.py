@@ -18,13 +18,11 @@ def causes(readings: list[tuple[int, int]], *, rail_ticks: int = 0, turns: int =
 
 @pytest.mark.parametrize(("y", "rail"), [(0, 1), (63, 1), (64, 0), (65471, 0), (65472, 1)])
 def test_a_rail_is_the_outermost_1024th(y: int, rail: int) -> None:
-    """On either side."""
     assert at_rail(y) == bool(rail)
 
 
 @pytest.mark.parametrize("channel", [0, 1])
 def test_rails_in_a_row_trip(channel: int) -> None:
-    """The third of three does, on either channel; one reading off the rail starts anew."""
     rail, good = (
         [(0, 30_000), (30_000, 30_000)]
         if channel == 0
@@ -40,7 +38,6 @@ def test_rails_in_a_row_trip(channel: int) -> None:
 
 
 def test_rails_do_not_trip_where_none_is_asked_for() -> None:
-    """rail_ticks 0 is no guard."""
     assert set(causes([(0, 0)] * 1000)) == {Cause.NONE}
 
 
@@ -55,5 +52,4 @@ def test_turns_are_counted_through_the_wrap_in_either_direction(direction: int) 
 
 
 def test_to_and_fro_is_no_turn() -> None:
-    """Only the way from the start counts."""
     assert set(causes([(0, 30_000), (16_000, 30_000)] * 50, turns=100)) == {Cause.NONE}

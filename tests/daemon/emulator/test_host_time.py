@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 from armrig_daemon.emulator.host_time import LOOK_NS, STALL_NS, HostTime
 from armrig_protocol.messages import Cause, Exchange, State
-from emulated_host import MS, Host, S
 from hypothesis import given
 from hypothesis import strategies as st
+
+from tests.daemon.emulator.emulated_host import MS, Host, S
 
 WATCHDOG_MS = 100
 stalls = st.lists(
@@ -17,7 +18,6 @@ stalls = st.lists(
 
 
 def test_without_tolerance_it_is_given_the_host_s_time() -> None:
-    """As a real device has it: a stall of its process is nobody's business."""
     time = HostTime(5, tolerates_stalls=False)
 
     assert time.given_ns(700 * MS) == 700 * MS
@@ -26,7 +26,6 @@ def test_without_tolerance_it_is_given_the_host_s_time() -> None:
 
 
 def test_a_stall_is_taken_off_but_for_10_ms() -> None:
-    """What a process waited for on purpose is no stall."""
     time = HostTime(0, tolerates_stalls=True)
 
     assert time.given_ns(40 * MS, due_ns=35 * MS) == 40 * MS
@@ -37,7 +36,6 @@ def test_a_stall_is_taken_off_but_for_10_ms() -> None:
 
 
 def test_nobody_waits_long_without_a_look_at_the_clock() -> None:
-    """For a stall in a long wait would pass for the wait."""
     time = HostTime(0, tolerates_stalls=True)
 
     assert time.look_ns(10**18) == LOOK_NS
@@ -46,7 +44,7 @@ def test_nobody_waits_long_without_a_look_at_the_clock() -> None:
 
 @given(stalls)
 def test_given_time_never_goes_back_nor_ahead(waits: list[tuple[int, int]]) -> None:
-    """It grows by each wait as it was meant, and by what it was late up to 10 ms."""
+    """The time grows by each wait as planned, and by at most 10 ms of delay."""
     time, now_ns, before_ns, owed_ns = HostTime(0, tolerates_stalls=True), 0, 0, 0
     for wait_ns, late_ns in waits:
         due_ns = before_ns + wait_ns
@@ -62,7 +60,6 @@ def test_given_time_never_goes_back_nor_ahead(waits: list[tuple[int, int]]) -> N
 def test_the_watchdog_is_as_long_as_ever_by_the_device_s_clock(
     waits: list[tuple[int, int]],
 ) -> None:
-    """To the nanosecond, however often its process is stalled after the last frame."""
     host, fed_ns = _running()
     time = HostTime(fed_ns, tolerates_stalls=True)
     now_ns = given_ns = fed_ns

@@ -1,4 +1,4 @@
-"""What devices unlike the default one answer, frame by frame; it is in `odd_devices.txt`."""
+"""Answers of odd devices, frame by frame; they are in `odd_devices.txt`."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ from armrig_protocol.messages import (
     Stop,
     Underrun,
 )
-from odd_bench import EMULATOR
-from said import compare
+
+from tests.clients.said import compare
+from tests.daemon.odd_bench import EMULATOR
 
 DEVICES: dict[str, dict[str, Any]] = {
     "the odd one": EMULATOR,
@@ -57,7 +58,7 @@ def _line(message: Message) -> str:
 
 
 class Heard:
-    """A host that notes all that it hears, but for PONG."""
+    """A host that notes all messages except PONG."""
 
     def __init__(self, settings: dict[str, Any]) -> None:
         given = EmulatorSettings(**settings)
@@ -113,7 +114,6 @@ def _told(settings: dict[str, Any]) -> list[str]:
 
 
 def test_what_odd_devices_answer_is_what_they_answered() -> None:
-    """CAL, oversampling, both modes, a dry queue, what disagrees, a supply that breaks down."""
     lines = [line for name, settings in DEVICES.items() for line in (f"# {name}", *_told(settings))]
 
     compare(Path(__file__).with_name("odd_devices.txt"), "\n".join(lines) + "\n")

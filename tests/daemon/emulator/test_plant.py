@@ -43,7 +43,6 @@ def test_the_initial_slope_of_the_speed_is_the_handout_s() -> None:
 
 @given(dt_ns=st.integers(0, 10 * SECOND_NS), u=st.floats(0, 5))
 def test_any_duration_is_exact(dt_ns: int, u: float) -> None:
-    """Digit by digit comes out what one exponential over the whole time gives."""
     A, B, _ = arm_matrices(HANDOUT)
     x0 = (0.3, -0.2, 1.0, 2.0)
 
@@ -55,7 +54,6 @@ def test_any_duration_is_exact(dt_ns: int, u: float) -> None:
 
 @given(first=st.integers(0, SECOND_NS), second=st.integers(0, SECOND_NS))
 def test_where_time_is_cut_does_not_matter(first: int, second: int) -> None:
-    """Two steps under the same voltage are one."""
     plant = build(HANDOUT)
 
     x = advance(plant, advance(plant, REST, 2.0, first), 2.0, second)
@@ -64,7 +62,6 @@ def test_where_time_is_cut_does_not_matter(first: int, second: int) -> None:
 
 
 def test_a_run_of_an_hour_does_not_drift() -> None:
-    """Longer than the longest digit, the angle still follows the steady speed."""
     plant = build(HANDOUT)
     x = advance(plant, REST, 1.0, 20 * SECOND_NS)
 
@@ -74,7 +71,6 @@ def test_a_run_of_an_hour_does_not_drift() -> None:
 
 
 def test_without_the_arm_the_chassis_turns_alone() -> None:
-    """Alpha stays 0, and the speed rises with J_1's own time constant."""
     plant = build(HANDOUT, arm_removed=True)
 
     x = advance(plant, REST, 1.0, 10 * MILLISECOND_NS)
@@ -85,7 +81,6 @@ def test_without_the_arm_the_chassis_turns_alone() -> None:
 
 
 def test_below_the_coulomb_torque_the_chassis_sticks() -> None:
-    """It does not even creep: after ten seconds the angle is exactly 0."""
     holding = 0.1
     plant = build(HANDOUT, coulomb_nm=holding)
 
@@ -95,7 +90,6 @@ def test_below_the_coulomb_torque_the_chassis_sticks() -> None:
 
 
 def test_above_the_coulomb_torque_the_chassis_moves() -> None:
-    """The initial slope is that of the torque left over."""
     plant = build(HANDOUT, coulomb_nm=0.1)
     u = 2 * 0.1 / HANDOUT.torque_per_volt
 
@@ -106,7 +100,6 @@ def test_above_the_coulomb_torque_the_chassis_moves() -> None:
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_stiffening_spring_breaks_the_chassis_away(side: float) -> None:
-    """Its linear part alone would be held; the initial slope is that of all of it."""
     alpha = 0.5
     linear, cubic = HANDOUT.K_lin * alpha, 5.0 * alpha**3
     plant = build(HANDOUT, coulomb_nm=linear + 0.5 * cubic, stiffening=5.0)
@@ -127,7 +120,6 @@ def test_coulomb_friction_takes_its_share_of_the_terminal_speed() -> None:
 
 
 def test_viscous_friction_takes_its_share_of_the_terminal_speed() -> None:
-    """Torque over the whole damping."""
     p = ArmParameters(b_1=0.05)
 
     x = advance(build(p), REST, 2.0, 20 * SECOND_NS)
@@ -136,7 +128,6 @@ def test_viscous_friction_takes_its_share_of_the_terminal_speed() -> None:
 
 
 def test_with_0_v_energy_only_goes() -> None:
-    """Friction and back-EMF take it; spring and splitting give none."""
     plant = build(HANDOUT, coulomb_nm=0.05, stiffening=2.0)
     x: State = (0.0, 0.6, 3.0, 0.0)
 
@@ -149,7 +140,6 @@ def test_with_0_v_energy_only_goes() -> None:
 
 
 def test_a_turning_chassis_comes_to_rest_and_stays() -> None:
-    """Once stopped, with the spring pulling by less than T_c, it does not creep."""
     plant = build(HANDOUT, coulomb_nm=0.05)
     x: State = (0.0, 0.03, 0.5, -0.5)
 
@@ -161,7 +151,7 @@ def test_a_turning_chassis_comes_to_rest_and_stays() -> None:
 
 
 def test_a_chassis_held_by_friction_lets_the_arm_swing() -> None:
-    """Stuck, the arm is a free oscillator of sqrt(K_lin / J_2): its energy stays."""
+    """The arm is then a free oscillator of sqrt(K_lin / J_2), whose energy stays."""
     plant = build(HANDOUT, coulomb_nm=1.0)
     x0 = (0.0, 0.2, 0.0, 0.0)
     period_ns = round(2 * np.pi * np.sqrt(HANDOUT.J_2 / HANDOUT.K_lin) * 1e9)
@@ -190,7 +180,6 @@ def test_halving_the_substep_divides_the_error_by_four(
 
 @pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
 def test_impossible_effects_are_refused(value: float) -> None:
-    """The message names the effect, its value and its bound."""
     with pytest.raises(ValueError, match=r"coulomb_nm=.*must be finite and >= 0"):
         build(HANDOUT, coulomb_nm=value)
     with pytest.raises(ValueError, match=r"stiffening=.*must be finite and >= 0"):
@@ -198,6 +187,5 @@ def test_impossible_effects_are_refused(value: float) -> None:
 
 
 def test_time_does_not_run_backwards() -> None:
-    """A negative duration is a mistake of the caller."""
     with pytest.raises(ValueError, match="dt_ns=-1 must be >= 0"):
         advance(build(HANDOUT), REST, 0.0, -1)

@@ -96,7 +96,7 @@ class Port:
     """A host on the port, opened as the daemon opens it."""
 
     def __init__(self, emulator: Emulator) -> None:
-        """Open it and ask for HELLO until it is answered: the device is in BOOT first."""
+        """Open it and send HELLO until it is answered, because the device is in BOOT first."""
         self.serial = serial.Serial(str(emulator.link), baudrate=BAUD, exclusive=True, timeout=0.05)
         self.pending, self.seq, self.waiting = b"", 0, list[Message]()
         end_s = time.monotonic() + PATIENCE_S
@@ -112,7 +112,7 @@ class Port:
         self.serial.write(frame.encode(kind(0, self.seq, **fields)))
 
     def find(self, kind: type[M], patience_s: float) -> M | None:
-        """Return the next message of this kind, None where none comes in time."""
+        """Return the next message of this kind, None after a timeout."""
         end_s = time.monotonic() + patience_s
         while time.monotonic() < end_s:
             while self.waiting:
@@ -158,7 +158,6 @@ class Port:
 
 
 def test_a_host_takes_the_rig_through_a_run(emulator: Emulator) -> None:
-    """HELLO, CONFIG, ARM, START, EXCHANGE, STOP, and the witness saw the voltages."""
     port = Port(emulator)
     port.run()
 
@@ -183,7 +182,6 @@ def test_a_host_takes_the_rig_through_a_run(emulator: Emulator) -> None:
 
 
 def test_opening_the_port_resets_the_device(emulator: Emulator) -> None:
-    """Each time another boot_id, and 0 V though it was running."""
     boot_ids = set()
     for _ in range(5):
         port = Port(emulator)
@@ -198,7 +196,6 @@ def test_opening_the_port_resets_the_device(emulator: Emulator) -> None:
 
 
 def test_a_port_that_is_open_already_is_not_opened_again() -> None:
-    """Who looks at the line of a running rig does not reset its device."""
     with ExitStack() as stack:
         line = Terminal(stack)
         owner = os.open(line.slave, os.O_RDWR | os.O_NOCTTY)
@@ -212,7 +209,6 @@ def test_a_port_that_is_open_already_is_not_opened_again() -> None:
 
 
 def test_a_reader_that_stalls_does_not_block_the_device(emulator: Emulator) -> None:
-    """More answers than the terminal holds; who reads again finds it alive."""
     port = Port(emulator)
     for k in range(3000):
         port.send(Exchange, k=k, u=0)
@@ -225,7 +221,7 @@ def test_a_reader_that_stalls_does_not_block_the_device(emulator: Emulator) -> N
 
 @pytest.mark.real_time
 def test_a_reader_that_stalls_loses_nothing_at_first(emulator: Emulator) -> None:
-    """1500 samples, twice what the terminal holds, come late and in order; nobody spins."""
+    """1500 samples, twice the capacity of the terminal."""
     came, idle_ns = _read_late(emulator)
 
     assert came == list(range(1500))
@@ -252,13 +248,11 @@ def _read_late(emulator: Emulator) -> tuple[list[int], int]:
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_it_and_takes_the_link_away(emulator: Emulator, number: int) -> None:
-    """Exit code 0."""
     assert emulator.stop(number) == 0
     assert not emulator.link.is_symlink()
 
 
-def test_a_link_left_behind_is_taken_over_a_file_is_not(tmp_path: Path) -> None:
-    """An emulator that was killed leaves a dead link; what is no link is nobody's to replace."""
+def test_a_remaining_link_is_taken_over_a_file_is_not(tmp_path: Path) -> None:
     (tmp_path / "rig").symlink_to("/dev/pts/none")
     (tmp_path / "file").write_text("mine")
     # The link is there from the start: wait until it points elsewhere.
@@ -278,12 +272,11 @@ def test_a_link_left_behind_is_taken_over_a_file_is_not(tmp_path: Path) -> None:
         timeout=PATIENCE_S,
     )
 
-    assert "is there and no link" in done.stderr
+    assert "exists and is not a link" in done.stderr
     assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_a_port_that_cannot_be_watched_says_why(tmp_path: Path) -> None:
-    """In the kernel's words, with no descriptor left open."""
     before = {*Path("/proc/self/fd").iterdir()}
 
     with pytest.raises(OperationError, match=r"gone: inotify: No such file or directory"):
@@ -293,7 +286,6 @@ def test_a_port_that_cannot_be_watched_says_why(tmp_path: Path) -> None:
 
 
 def test_a_port_or_trace_that_cannot_be_made_is_named(tmp_path: Path) -> None:
-    """One line, and nothing is left behind."""
     settings = EmulatorSettings()
 
     with pytest.raises(OperationError, match=r"absent/rig: No such file"):

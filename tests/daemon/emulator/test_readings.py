@@ -30,7 +30,11 @@ from armrig_protocol.messages import (
     State,
     Stop,
 )
-from emulated_host import (
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from tests.daemon.emulator.emulated_host import (
     CONFIG,
     CONVERSION_NS,
     HOLD_NS,
@@ -42,15 +46,12 @@ from emulated_host import (
     codes,
     only,
 )
-from hypothesis import given
-from hypothesis import strategies as st
-from msgspec.structs import replace
 
 CAL_REPLY_NS = 260 * US  # 26 bytes at 1 Mbaud
 
 
 def reading(host: Host, theta_1: Iterable[int], alpha: Iterable[int]) -> list[tuple[str, int]]:
-    """Let the converter read these codes in turn; return what it will have read, and when."""
+    """Let the converter read these codes in turn; return the readings, and their times."""
     read: list[tuple[str, int]] = []
     board = host.device.board
     for name, values in (("theta_1", theta_1), ("alpha", alpha)):
@@ -69,7 +70,7 @@ def reading(host: Host, theta_1: Iterable[int], alpha: Iterable[int]) -> list[tu
 
 @pytest.mark.parametrize("m", [1, 2, 3, 8])
 def test_conversions_go_in_turn_and_theta_1_s_last_is_just_before_the_latch(m: int) -> None:
-    """t_us is the trigger of that one; the first was 2 m - 1 conversions before, at EXCHANGE."""
+    """t_us is its trigger; the first conversion was 2 m - 1 conversions before, at EXCHANGE."""
     host = Host().reach(State.RUN, ts_us=5000, oversampling=m)
     read = reading(host, range(1000, 1000 + m), range(2000, 2000 + m))
     host.changes.clear()
@@ -88,7 +89,7 @@ def test_conversions_go_in_turn_and_theta_1_s_last_is_just_before_the_latch(m: i
 
 @pytest.mark.parametrize("m", [1, 3])
 def test_the_timer_s_tick_is_theta_1_s_last_trigger(m: int) -> None:
-    """Sample k at t_0 + k Ts whatever m; its first conversion is triggered before."""
+    """Sample k is at t_0 + k Ts for any m."""
     host = Host().reach(State.ARMED, mode=Mode.SCHEDULED, ts_us=1000, oversampling=m)
     t_0 = host.put(Start, k_stop=3) + 1000 * US
     read = reading(host, [1000] * 3 * m, [2000] * 3 * m)
@@ -126,7 +127,6 @@ def test_the_shortest_ts_grows_by_two_skews_with_each(
 
 
 def test_a_sample_has_the_oversampling_in_force_when_it_begins() -> None:
-    """CONFIG and STOP do not touch the one under way; without a configuration it is 1."""
     host = Host().reach(State.READY, ts_us=5000, oversampling=4)
     read = reading(host, [1000] * 20, [2000] * 20)
     host.put(Exchange, k=1, u=0)
@@ -144,7 +144,6 @@ def test_a_sample_has_the_oversampling_in_force_when_it_begins() -> None:
 
 
 def test_no_mean_is_made_across_the_dead_band() -> None:
-    """Where one of the codes is at a rail the reading is the last."""
     assert mean([65_000, 64_900, 0, 700]) == 700
     assert mean([64_900, 0, 0]) == 0
     assert mean([65_472, 500]) == 500
@@ -155,7 +154,6 @@ def test_no_mean_is_made_across_the_dead_band() -> None:
 
 @given(st.lists(st.integers(64, 65_471), min_size=1, max_size=255))
 def test_the_mean_is_the_nearest_code(read: list[int]) -> None:
-    """A tie goes up."""
     assert 0 <= 2 * (mean(read) * len(read) - sum(read)) + len(read) - 1 < 2 * len(read)
 
 
@@ -165,7 +163,6 @@ def test_the_mean_is_the_nearest_code(read: list[int]) -> None:
 @pytest.mark.parametrize("channel", [0, 1])
 @pytest.mark.parametrize("state", [State.IDLE, State.READY])
 def test_cal_reads_one_channel_n_times(state: State, channel: int) -> None:
-    """One conversion after the other, whatever the oversampling; CAL_R when the last has ended."""
     host = Host().reach(state, ts_us=5000, oversampling=4)
     read = reading(host, [100, 200, 300, 401], [5, 6, 7, 8])
 
@@ -182,7 +179,7 @@ def test_cal_reads_one_channel_n_times(state: State, channel: int) -> None:
 
 
 @given(st.lists(st.integers(0, 65_535), min_size=2, max_size=40))
-def test_cal_tells_mean_and_variance_in_256ths(read: list[int]) -> None:
+def test_cal_reports_mean_and_variance_in_256ths(read: list[int]) -> None:
     """Rounded; the variance is over n - 1."""
     found = statistics(read)
 
@@ -192,13 +189,12 @@ def test_cal_tells_mean_and_variance_in_256ths(read: list[int]) -> None:
 
 
 def test_the_variance_is_bounded_and_that_of_one_reading_is_0() -> None:
-    """2^32 - 1 is the most that the field can say."""
+    """2^32 - 1 is the maximum of the field."""
     assert statistics([0, 65_535]).variance_256 == 2**32 - 1
     assert statistics([7]) == (7 * 256, 0, 7, 7)
 
 
 def test_while_a_sample_is_converted_cal_is_refused() -> None:
-    """WRONG_STATE, and the sample is not disturbed."""
     host = Host()
     host.put(Exchange, k=1, u=0)
     host.put(Cal, channel=0, zero=0, n=1)
@@ -220,7 +216,6 @@ def test_while_a_sample_is_converted_cal_is_refused() -> None:
 def test_while_cal_is_under_way_the_converter_is_taken(
     kind: type[Message], fields: dict[str, int]
 ) -> None:
-    """EXCHANGE, CAL and ARM: WRONG_STATE, nothing changes, and CAL_R comes at its time."""
     host = Host().reach(State.READY)
     t_ns = host.put(Cal, channel=0, zero=0, n=100)
     host.wait(2 * MS)
@@ -235,7 +230,6 @@ def test_while_cal_is_under_way_the_converter_is_taken(
 
 
 def test_all_else_is_as_ever_during_cal_and_cal_goes_on() -> None:
-    """Into ESTOP, too: the motor is at 0 V there."""
     host = Host()
     host.put(Cal, channel=0, zero=0, n=300)
     host.wait(2 * MS)
@@ -253,7 +247,6 @@ def test_all_else_is_as_ever_during_cal_and_cal_goes_on() -> None:
 
 
 def test_cal_under_way_is_lost_by_a_reset() -> None:
-    """Nothing of it is left."""
     host = Host()
     host.put(Cal, channel=0, zero=0, n=300)
     host.wait(2 * MS)
@@ -265,8 +258,7 @@ def test_cal_under_way_is_lost_by_a_reset() -> None:
     assert host.ask(Hello, version=2, schema=0)
 
 
-def test_who_writes_the_bytes_need_not_wake_before_cal_ends() -> None:
-    """No byte of its answer leaves before `visible_ns`, and that is no conversion's end."""
+def test_a_writer_of_the_bytes_need_not_wake_before_cal_ends() -> None:
     host = Host()
     host.put(Cal, channel=0, zero=0, n=300)
     host.wait(2 * MS)

@@ -37,7 +37,11 @@ from armrig_protocol.messages import (
     Stop,
     Underrun,
 )
-from emulated_host import (
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from tests.daemon.emulator.emulated_host import (
     BAUD,
     CONFIG,
     CONVERSION_NS,
@@ -53,9 +57,6 @@ from emulated_host import (
     events,
     only,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from msgspec.structs import replace
 
 TS_NS = 500 * US
 SCHEDULED: dict[str, int] = {**CONFIG, "mode": Mode.SCHEDULED, "ts_us": 500, "watchdog_ms": 250}
@@ -97,10 +98,9 @@ def fed(host: Host, dt_ns: int) -> list[Message]:
 def test_a_code_out_of_range_trips_and_refuses_the_whole_frame(
     state: State, u: list[int], code: int
 ) -> None:
-    """FAULT(RANGE) at its reception, the code in the EVENT, which alone answers."""
     host = in_state(state, u_min=10, u_max=100)
 
-    t_r = host.supply(5000, u)  # behind a gap: what is ignored is looked at all the same
+    t_r = host.supply(5000, u)  # after a gap: an ignored frame is checked all the same
     answers = [m for m in host.wait(1 * MS) if not isinstance(m, Sample)]
 
     (event,) = answers
@@ -121,11 +121,10 @@ def test_a_code_out_of_range_trips_and_refuses_the_whole_frame(
         ([(0, [150]), (1, [200])], False),
         ([(0, [150]), (1, [201])], True),
         ([(0, [150, 200]), (1, [200, 251])], True),
-        ([(1, [65535])], False),  # behind a gap: no step is known
+        ([(1, [65535])], False),  # after a gap: no step is known
     ],
 )
 def test_a_step_of_more_than_slew_trips(frames: list[tuple[int, list[int]]], trips: bool) -> None:
-    """From one index to the next, u_rest before index 0, in one frame or between two."""
     host = in_state(State.ARMED, slew=50, u_rest=100)
 
     for k0, u in frames:
@@ -144,7 +143,6 @@ def test_a_step_of_more_than_slew_trips(frames: list[tuple[int, list[int]]], tri
 def test_after_an_underrun_the_slew_counts_from_what_the_motor_has(
     k0: int, u: list[int], trips: bool
 ) -> None:
-    """It has u_rest: the step back to where the host would be is too large."""
     host = in_state(State.ARMED, INSTANT, slew=50)
     host.supply(0, [40, 80])
     t_0 = host.put(Start, k_stop=0) + TS_NS
@@ -157,7 +155,6 @@ def test_after_an_underrun_the_slew_counts_from_what_the_motor_has(
 
 
 def test_the_slew_looks_at_what_comes_too_late_as_well() -> None:
-    """Index 0 is past; from u_rest to it the step is one too large."""
     for first, trips in ((50, False), (51, True)):
         host = in_state(State.ARMED, INSTANT, slew=50)
         t_0 = host.put(Start, k_stop=0) + TS_NS
@@ -182,7 +179,6 @@ def queue_after(host: Host, *frames: tuple[int, list[int]]) -> int:
 
 
 def test_the_first_frame_that_brought_a_setpoint_is_its_u_seq() -> None:
-    """A later one that agrees brings nothing new."""
     host = in_state(State.ARMED)
     host.supply(0, [1, 2])
     first = host.seq
@@ -196,7 +192,6 @@ def test_the_first_frame_that_brought_a_setpoint_is_its_u_seq() -> None:
 
 @pytest.mark.parametrize("queue", [512, 256])
 def test_what_is_beyond_the_capacity_is_dropped(queue: int) -> None:
-    """What HELLO_R says it holds; the rest of the frame can be sent again when there is room."""
     host = in_state(State.ARMED, replace(QUIET, queue=queue))
     last = queue // 24 * 24
     for k0 in range(0, last, 24):
@@ -215,7 +210,6 @@ def test_what_is_beyond_the_capacity_is_dropped(queue: int) -> None:
 
 
 def test_a_frame_more_than_an_eighth_of_the_queue_finds_no_room() -> None:
-    """Until the last entry of one of them was latched; what it brings is dropped whole."""
     host = in_state(State.ARMED, replace(QUIET, queue=256))
     for k in range(0, 64, 2):
         host.supply(k, [k, k + 1])
@@ -232,7 +226,6 @@ def test_a_frame_more_than_an_eighth_of_the_queue_finds_no_room() -> None:
 
 
 def test_the_queue_is_empty_at_arm() -> None:
-    """What was queued for a run that never began is not of the next."""
     host = in_state(State.ARMED)
     assert queue_after(host, (0, [1, 2, 3])) == 3
     host.ask(Stop)
@@ -244,7 +237,6 @@ def test_the_queue_is_empty_at_arm() -> None:
 
 @pytest.mark.parametrize(("way", "state"), [(Stop, State.IDLE), (Estop, State.ESTOP)])
 def test_stop_and_estop_empty_the_queue(way: type[Message], state: State) -> None:
-    """0 V at once, and no sample is taken any more."""
     host = in_state(State.ARMED)
     host.supply(0, [60_000] * 24)
     host.put(Start, k_stop=0)
@@ -260,7 +252,7 @@ def test_stop_and_estop_empty_the_queue(way: type[Message], state: State) -> Non
 
 @pytest.mark.parametrize("late", [False, True])
 def test_a_setpoint_is_in_time_until_the_latch(late: bool) -> None:
-    """At the latch it is; a nanosecond later it is late, dropped, and the next is in time."""
+    """A nanosecond after the latch it is late."""
     host = in_state(State.ARMED, INSTANT)
     t_0 = host.put(Start, k_stop=0) + TS_NS
 
@@ -274,7 +266,6 @@ def test_a_setpoint_is_in_time_until_the_latch(late: bool) -> None:
 
 
 def test_indices_wrap_with_k() -> None:
-    """Frames across 2^32 are queued and latched as any others."""
     host = in_state(State.ARMED, INSTANT)
     fw = host.device._fw
     host.put(Start, k_stop=0)
@@ -299,7 +290,7 @@ def test_indices_wrap_with_k() -> None:
 
 
 def test_the_first_sample_comes_one_ts_after_start() -> None:
-    """theta_1's trigger is t_0 + k Ts, alpha's before it, the latch 12 µs on, SAMPLE at its end."""
+    """The trigger of theta_1 is at t_0 + k Ts, that of alpha before it, the latch 12 µs later."""
     host = in_state(State.ARMED)
     host.supply(0, [65535, 0])
     host.wait(1 * MS)
@@ -322,7 +313,7 @@ def test_the_first_sample_comes_one_ts_after_start() -> None:
 
 
 def test_alpha_is_read_one_conversion_before_theta_1(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each held 12 µs after its trigger."""
+    """Each is held 12 µs after its trigger."""
     host = in_state(State.ARMED)
     board, read = host.device.board, []
     alpha, theta_1 = board.alpha, board.theta_1
@@ -336,7 +327,7 @@ def test_alpha_is_read_one_conversion_before_theta_1(monkeypatch: pytest.MonkeyP
 
 
 def test_a_sample_does_not_know_of_its_own_u() -> None:
-    """y_k is taken just before u_k acts: nk = 1."""
+    """y_k is read just before u_k acts: nk = 1."""
     runs = []
     for u in (0, 65535):
         host = in_state(State.ARMED)
@@ -350,7 +341,7 @@ def test_a_sample_does_not_know_of_its_own_u() -> None:
 
 @pytest.mark.parametrize("ppm", [0.0, 100.0, -100.0, 500.0, -500.0, 0.5])
 def test_nothing_drifts_by_the_device_s_clock(ppm: float) -> None:
-    """t_us is t_0 + k Ts to the µs; of given time each Ts takes 1 + ppm 1e-6."""
+    """t_us is t_0 + k Ts to the µs; in given time each Ts takes 1 + ppm 1e-6."""
     quiet = EmulatorSettings(baud=BAUD, boot_ms=5.0, adc_noise_v=0, pwm_bits=0, clock_ppm=ppm)
     host = in_state(State.ARMED, quiet)
     host.changes.clear()
@@ -373,7 +364,6 @@ def test_nothing_drifts_by_the_device_s_clock(ppm: float) -> None:
 
 @pytest.mark.parametrize("ppm", [100.0, -100.0])
 def test_all_the_device_s_times_are_by_its_clock(ppm: float) -> None:
-    """PONG, uptime, EVENT and the watchdog, as t_us."""
     host = in_state(State.ARMED, EmulatorSettings(baud=BAUD, boot_ms=5.0, clock_ppm=ppm))
     stretch = 1 + ppm * 1e-6
     came = fed(host, 20 * S)
@@ -398,7 +388,7 @@ def test_all_the_device_s_times_are_by_its_clock(ppm: float) -> None:
 
 
 def test_t_us_wraps_in_a_run() -> None:
-    """After 71.6 min; k goes on, and Ts stays."""
+    """After 71.6 min."""
     host = Host()
     host.wait(2**32 * US - 60 * MS - host.now_ns)
     host.reach(State.ARMED, **SCHEDULED)
@@ -412,8 +402,8 @@ def test_t_us_wraps_in_a_run() -> None:
     assert {b.k - a.k for a, b in pairwise(got)} == {1}
 
 
-def test_a_sample_whose_time_the_converter_is_busy_is_late_and_the_next_is_not() -> None:
-    """Two EXCHANGEs just before START keep it for 416 µs; alpha is due after 396."""
+def test_a_sample_during_a_busy_converter_is_late_and_the_next_is_not() -> None:
+    """Two EXCHANGEs just before START keep it for 416 µs; alpha is due after 396 µs."""
     host = in_state(State.ARMED, INSTANT)
     t_r = host.now_ns
     for k in (1, 2):
@@ -435,7 +425,7 @@ def test_a_sample_whose_time_the_converter_is_busy_is_late_and_the_next_is_not()
 
 
 def test_4000_of_4000_are_aligned_at_2_khz() -> None:
-    """A queue that is kept 100 samples ahead: each u_k is u[k], none is late, nothing is lost."""
+    """The queue has 100 samples ahead."""
     host = in_state(State.ARMED)
     host.supply(0, NOISE[:24])
     k0 = 24
@@ -455,7 +445,6 @@ def test_4000_of_4000_are_aligned_at_2_khz() -> None:
 
 
 def test_k_stop_is_the_end() -> None:
-    """The last input is held for its whole Ts; then 0 V, IDLE and EVENT(END)."""
     host = in_state(State.ARMED)
     host.supply(0, [0, 0, 65535, 1, 2])
     t_0 = host.put(Start, k_stop=3) + TS_NS
@@ -483,7 +472,6 @@ def test_k_stop_is_the_end() -> None:
     ],
 )
 def test_a_dry_queue_follows_its_policy(policy: int, hold: int, latched: list[int]) -> None:
-    """u_rest at once, or the last code for `hold` samples and then u_rest; flagged, counted."""
     host = in_state(State.ARMED, u_rest=2, underrun=policy, hold=hold)
     host.supply(0, [5, 6])
     seq = host.seq
@@ -498,8 +486,7 @@ def test_a_dry_queue_follows_its_policy(policy: int, hold: int, latched: list[in
     assert only(Status, host.wait(1 * S)).underruns == 4
 
 
-def test_hold_counts_anew_after_each_setpoint() -> None:
-    """It is for so many samples in a row."""
+def test_hold_counts_again_after_each_setpoint() -> None:
     host = in_state(State.ARMED, INSTANT, underrun=Underrun.HOLD, hold=2)
     t_0 = host.put(Start, k_stop=9) + TS_NS
     got: list[Sample] = []
@@ -512,7 +499,6 @@ def test_hold_counts_anew_after_each_setpoint() -> None:
 
 
 def test_what_comes_for_a_k_that_ran_dry_is_too_late() -> None:
-    """Next goes on; the rest of that frame is in time."""
     host = in_state(State.ARMED, INSTANT)
     t_0 = host.put(Start, k_stop=6) + TS_NS
     first = samples(until(host, t_0 + 2 * TS_NS + 200 * US))
@@ -525,7 +511,6 @@ def test_what_comes_for_a_k_that_ran_dry_is_too_late() -> None:
 
 
 def test_run_begins_with_the_rest_voltage() -> None:
-    """From START to the first latch, and u_km1 tells it; no frame supplied it."""
     host = in_state(State.ARMED, u_rest=1000)
     host.supply(0, [2000])
     t_r = host.put(Start, k_stop=0)
@@ -541,8 +526,7 @@ def test_run_begins_with_the_rest_voltage() -> None:
     assert (second.u_km1, second.u_k, second.u_seq) == (2000, 1000, 0)
 
 
-def test_a_sample_under_way_when_the_run_ends_tells_of_its_end() -> None:
-    """As an EXCHANGE does: state and code at its end; a waiting u is not latched."""
+def test_a_sample_under_way_when_the_run_ends_reports_its_end() -> None:
     for at_ns, u_km1 in ((HOLD_NS - 1, 500), (HOLD_NS + 1, 500)):
         host = in_state(State.ARMED, INSTANT)
         host.supply(0, [500, 60_000, 60_000])
@@ -560,8 +544,7 @@ def test_a_sample_under_way_when_the_run_ends_tells_of_its_end() -> None:
         assert [c.volts for c in host.changes] == [0.0]
 
 
-def test_a_sample_of_the_run_takes_no_place_of_an_exchange_behind_it() -> None:
-    """Two EXCHANGEs wait while it is finished, and none is lost."""
+def test_a_sample_of_the_run_takes_no_place_of_a_later_exchange() -> None:
     host = in_state(State.ARMED, INSTANT)
     until(host, host.put(Start, k_stop=0) + TS_NS + HOLD_NS)
 
@@ -572,11 +555,10 @@ def test_a_sample_of_the_run_takes_no_place_of_an_exchange_behind_it() -> None:
     assert [m.k for m in samples(host.wait(5 * MS))] == [0, 7, 8]
 
 
-# ------------------------------------------------------------------ EXCHANGE beside it
+# ------------------------------------------------------------------ EXCHANGE in addition
 
 
 def test_exchange_is_refused_in_run() -> None:
-    """WRONG_STATE; it disturbs no sample, feeds the watchdog, and is echoed."""
     host = in_state(State.ARMED)
     host.put(Start, k_stop=0)
     host.wait(2 * MS)
@@ -592,7 +574,6 @@ def test_exchange_is_refused_in_run() -> None:
 
 
 def test_k_of_a_run_and_of_exchange_have_nothing_to_do_with_each_other() -> None:
-    """A run counts from 0 whatever EXCHANGE counted, and EXCHANGE goes on where it was."""
     host = in_state(State.ARMED)
     host.ask(Exchange, k=1000, u=0)
     host.put(Start, k_stop=3)
@@ -606,7 +587,7 @@ def test_k_of_a_run_and_of_exchange_have_nothing_to_do_with_each_other() -> None
 
 
 def test_queued_setpoints_do_not_feed_the_watchdog() -> None:
-    """FAULT(WATCHDOG) on the nanosecond, with 400 setpoints left; PING keeps it off."""
+    """400 setpoints are left."""
     for pings in (False, True):
         host = in_state(State.ARMED, watchdog_ms=50)
         for k0 in range(0, 504, 24):
@@ -632,7 +613,6 @@ def test_queued_setpoints_do_not_feed_the_watchdog() -> None:
     ("config", "cause"), [({"rail_ticks": 2}, Cause.ADC_RAIL), ({"turns": 25}, Cause.REV_LIMIT)]
 )
 def test_rails_and_turns_trip_in_a_run_and_end_it(config: dict[str, int], cause: Cause) -> None:
-    """SAMPLE tells of it, the EVENT follows, and the timer stops."""
     host = in_state(State.ARMED, ts_us=3000, underrun=Underrun.HOLD, hold=255, **config)
     host.supply(0, [65535])
     host.put(Start, k_stop=0)
@@ -646,7 +626,6 @@ def test_rails_and_turns_trip_in_a_run_and_end_it(config: dict[str, int], cause:
 
 
 def test_turns_and_rails_are_not_counted_from_the_run_before() -> None:
-    """START begins anew."""
     host = Host()
     for _ in range(3):
         host.reach(State.ARMED, **{**SCHEDULED, "turns": 25, "ts_us": 3000})
@@ -674,7 +653,6 @@ FRAMES = st.lists(
 def test_whatever_happens_to_the_frames_each_u_k_is_its_own_or_flagged(
     frames: list[tuple[str, int, int]], policy: int, hold: int, rng: object
 ) -> None:
-    """Split, lost, in another order, twice: u_k is u[k] of the frame u_seq, or an UNDERRUN."""
     host = in_state(State.ARMED, u_max=60_000, underrun=policy, hold=hold)
     brought: dict[int, range] = {}
     sent: list[bytes] = []
@@ -755,7 +733,6 @@ OPENING: list[tuple[int, bytes | Message]] = [
 def test_the_same_bytes_at_the_same_times_give_the_same_answers(
     script: list[tuple[int, bytes | Message]], looks: list[int], ppm: float
 ) -> None:
-    """Noise on; how often somebody looks in between changes nothing, 0 ... 5 V and RUN only."""
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, seed=3, clock_ppm=ppm)
     sent = bytes_of(emulated, OPENING + script)
     outputs = []
@@ -776,10 +753,9 @@ def test_the_same_bytes_at_the_same_times_give_the_same_answers(
 
 @settings(max_examples=60)
 @given(SCRIPT, st.sampled_from([0.0, 500.0, -500.0]), st.booleans())
-def test_who_sleeps_until_something_can_be_seen_misses_nothing(
+def test_a_sleeper_until_something_can_be_seen_misses_nothing(
     script: list[tuple[int, bytes | Message]], ppm: float, model_baud: bool
 ) -> None:
-    """No byte leaves before `visible_ns`."""
     emulated = EmulatorSettings(baud=BAUD, boot_ms=5, clock_ppm=ppm, model_baud=model_baud)
     device = Device(emulated, 0)
     for t_ns, data in [*bytes_of(emulated, OPENING + script), (1 * S, b"")]:
@@ -792,7 +768,6 @@ def test_who_sleeps_until_something_can_be_seen_misses_nothing(
 
 
 def test_a_hello_reply_in_a_run_disturbs_no_sample() -> None:
-    """The two share the wire; t_us and k go on."""
     host = in_state(State.ARMED)
     host.put(Start, k_stop=0)
     host.wait(2 * MS)

@@ -20,14 +20,12 @@ def rng() -> np.random.Generator:
 
 
 def test_in_the_middle_of_its_track_the_wiper_has_half_the_voltage() -> None:
-    """At angle 0, with the zero in the middle."""
     assert wiper(TURNING, 0.0) == pytest.approx(0.5)
     assert wiper(ENDING, 0.0) == pytest.approx(0.5)
 
 
 @given(st.floats(-100, 100), st.integers(-20, 20))
 def test_a_shaft_that_turns_on_reads_the_same_each_turn(angle: float, turns: int) -> None:
-    """Whole turns do not show."""
     once, again = wiper(TURNING, angle), wiper(TURNING, angle + turns * tau)
     edge = {0.0, 1.0, None}
 
@@ -40,7 +38,7 @@ def test_a_shaft_that_turns_on_reads_the_same_each_turn(angle: float, turns: int
 
 
 def test_the_dead_band_is_eight_degrees_wide() -> None:
-    """Of 3600 places around the turn, 80 have no contact."""
+    """80 of 3600 places around the turn have no contact."""
     places = np.arange(3600) * (tau / 3600) + 1e-6
 
     dead = sum(wiper(TURNING, float(angle)) is None for angle in places)
@@ -49,14 +47,12 @@ def test_the_dead_band_is_eight_degrees_wide() -> None:
 
 
 def test_a_shaft_that_does_not_turn_on_stops_at_the_ends() -> None:
-    """Beyond the track the reading stays at the rail."""
     assert wiper(ENDING, pi) == 1.0
     assert wiper(ENDING, -pi) == 0.0
 
 
 @pytest.mark.parametrize("bits", [10, 12, 16])
 def test_readings_are_left_justified(bits: int) -> None:
-    """Whatever the resolution, the code is of 16 bits, and full scale is the top step."""
     step = 1 << (16 - bits)
 
     assert convert(0.5, bits, 0.0, rng()) == 0x8000
@@ -66,7 +62,7 @@ def test_readings_are_left_justified(bits: int) -> None:
 
 @given(st.floats(0, 1), st.sampled_from([10, 12, 16]))
 def test_a_reading_is_the_nearest_step(fraction: float, bits: int) -> None:
-    """It is off by half a step at most, by a whole one at the top."""
+    """The reading is off by half a step at most, by a whole step at the top."""
     code = convert(fraction, bits, 0.0, rng())
 
     error = code / 65536 - fraction
@@ -74,12 +70,11 @@ def test_a_reading_is_the_nearest_step(fraction: float, bits: int) -> None:
 
 
 def test_an_open_wiper_reads_the_rail() -> None:
-    """The pull-down takes it to 0, whatever the noise."""
     assert {convert(None, 10, 0.1, rng()) for _ in range(100)} == {0}
 
 
 def test_noise_has_the_deviation_that_was_asked_for() -> None:
-    """10 mV on 16 bits come out as 10 mV."""
+    """10 mV on 16 bits."""
     generator = rng()
 
     codes = [convert(0.5, 16, 0.010, generator) for _ in range(20_000)]
@@ -90,7 +85,6 @@ def test_noise_has_the_deviation_that_was_asked_for() -> None:
 
 
 def test_a_track_between_two_resistors_gives_less_than_the_whole_voltage() -> None:
-    """Its ends are no rails; the dead band still shows nothing."""
     pot = Potentiometer(range_rad=4.0, zero_rad=1.0, wraps=True, low=0.1, high=0.9)
 
     assert wiper(pot, -1.0) == pytest.approx(0.1)
@@ -100,7 +94,6 @@ def test_a_track_between_two_resistors_gives_less_than_the_whole_voltage() -> No
 
 
 def test_a_potentiometer_mounted_the_other_way_round_falls_when_the_angle_grows() -> None:
-    """From the same place on its track."""
     pot = Potentiometer(range_rad=4.0, zero_rad=1.0, wraps=False, sign=-1.0)
 
     assert wiper(pot, 0.0) == pytest.approx(0.25)

@@ -1,4 +1,4 @@
-"""The table [emulator]: what is taken, and how a refusal reads."""
+"""The table [emulator]: accepted values, and the words of a refusal."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from armrig_daemon.emulator.settings import EmulatorSettings, load
 
 
 def refusal(tmp_path: Path, text: str) -> str:
-    """Return what `load` says about `text`."""
+    """Return the refusal of `text` by `load`."""
     path = tmp_path / "rig.toml"
     path.write_text(text)
     with pytest.raises(InputError) as caught:
@@ -22,7 +22,6 @@ def refusal(tmp_path: Path, text: str) -> str:
 
 
 def test_an_empty_table_is_the_demo(tmp_path: Path) -> None:
-    """Potentiometers, 10 bits, PWM and noise on; friction and stiffening off."""
     path = tmp_path / "rig.toml"
     path.write_text("[rig]\nname = 'x'\n")
 
@@ -35,7 +34,6 @@ def test_an_empty_table_is_the_demo(tmp_path: Path) -> None:
 
 
 def test_keys_take_their_place(tmp_path: Path) -> None:
-    """A parameter of the arm stands beside the handout's others."""
     path = tmp_path / "rig.toml"
     path.write_text("[emulator]\nadc_bits = 12\nseed = 9\n[emulator.arm]\nJ_2 = 0.005\n")
 
@@ -69,7 +67,6 @@ def test_keys_take_their_place(tmp_path: Path) -> None:
 def test_a_value_out_of_range_is_refused(
     tmp_path: Path, key: str, value: float, allowed: str
 ) -> None:
-    """The message names file, key, value and what is allowed."""
     said = refusal(tmp_path, f"[emulator]\n{key} = {value}\n")
 
     assert "rig.toml: emulator: " in said
@@ -77,49 +74,42 @@ def test_a_value_out_of_range_is_refused(
 
 
 def test_a_wiper_beyond_its_track_is_refused(tmp_path: Path) -> None:
-    """The zero of alpha lies on alpha's track."""
     said = refusal(tmp_path, "[emulator]\nalpha_range_deg = 90.0\nalpha_zero_deg = 91.0\n")
 
-    assert "alpha_zero_deg=91.0 must lie on the track, from 0 to alpha_range_deg=90.0" in said
+    assert "alpha_zero_deg=91.0 must be on the track, from 0 to alpha_range_deg=90.0" in said
 
 
 def test_what_is_not_a_number_is_refused(tmp_path: Path) -> None:
-    """TOML can say nan."""
     assert "adc_noise_v=nan must be from 0 to 0.5" in refusal(
         tmp_path, "[emulator]\nadc_noise_v = nan\n"
     )
 
 
 def test_an_unknown_key_is_refused(tmp_path: Path) -> None:
-    """With the keys there are."""
     said = refusal(tmp_path, "[emulator]\nadc_bit = 10\n")
 
     assert "emulator.adc_bit = 10: no such key; allowed are seed, boot_ms" in said
 
 
 def test_an_unknown_parameter_of_the_arm_is_refused(tmp_path: Path) -> None:
-    """With the parameters there are."""
     said = refusal(tmp_path, "[emulator.arm]\nJ_3 = 1.0\n")
 
     assert "arm.J_3=1.0: no such key; allowed are J_1, J_2" in said
 
 
 def test_an_impossible_parameter_of_the_arm_is_refused(tmp_path: Path) -> None:
-    """With its bound."""
     assert "arm.J_1=-1.0 must be finite and > 0" in refusal(
         tmp_path, "[emulator.arm]\nJ_1 = -1.0\n"
     )
 
 
 def test_a_value_of_the_wrong_type_is_refused(tmp_path: Path) -> None:
-    """With the value that came and the type that is wanted."""
     said = refusal(tmp_path, "[emulator]\nadc_bits = 'ten'\n")
 
     assert "emulator.adc_bits = 'ten': expected `int`, got `str`" in said
 
 
 def test_a_file_that_is_no_toml_is_refused(tmp_path: Path) -> None:
-    """So is one that is not there."""
     assert "rig.toml: " in refusal(tmp_path, "[emulator\n")
     with pytest.raises(InputError, match=r"absent\.toml"):
         load(tmp_path / "absent.toml")
@@ -141,7 +131,6 @@ def test_reading_settings_loads_no_scipy() -> None:
 
 
 def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
-    """A byte order mark before UTF-8; UTF-16 is told with what to do."""
     path = tmp_path / "rig.toml"
     path.write_text("[emulator]\r\nseed = 7\r\n", encoding="utf-8-sig")
 
@@ -152,7 +141,6 @@ def test_a_file_of_a_windows_editor_is_read(tmp_path: Path) -> None:
 
 
 def test_what_is_no_file_is_not_waited_for(tmp_path: Path) -> None:
-    """A pipe that nobody writes to."""
     path = tmp_path / "rig.toml"
     os.mkfifo(path)
 

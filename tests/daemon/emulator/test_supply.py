@@ -16,8 +16,9 @@ from armrig_protocol.messages import (
     State,
     Status,
 )
-from emulated_host import MS, QUIET, STATES, US, Host, S, events, only
 from msgspec.structs import replace
+
+from tests.daemon.emulator.emulated_host import MS, QUIET, STATES, US, Host, S, events, only
 
 LOW = replace(QUIET, supply_v=3.999)
 SAGS = replace(QUIET, brown_out_s=0.33)  # BOOT ends at 5 ms: measured at 305 ms, and at 405 ms
@@ -34,7 +35,7 @@ def alive(host: Host, until_ns: int) -> list[Message]:
 
 @pytest.mark.parametrize("state", [State.ARMED, State.RUN])
 def test_a_supply_that_falls_stops_the_motor_where_it_may_turn(state: State) -> None:
-    """At the measurement that finds it, every 100 ms: FAULT(VCC_LOW), with the mV as detail."""
+    """The measurement is repeated every 100 ms: FAULT(VCC_LOW), with the mV as detail."""
     host = Host(SAGS).reach(state)
     if state is State.RUN:
         host.ask(Exchange, k=1, u=60_000)
@@ -49,8 +50,7 @@ def test_a_supply_that_falls_stops_the_motor_where_it_may_turn(state: State) -> 
 
 
 @pytest.mark.parametrize("state", [s for s in STATES if s not in (State.ARMED, State.RUN)])
-def test_where_the_motor_is_off_a_low_supply_is_told_and_no_fault(state: State) -> None:
-    """The flag alone, from the first measurement on, which ends BOOT."""
+def test_where_the_motor_is_off_a_low_supply_is_reported_and_no_fault(state: State) -> None:
     host = Host(LOW)
     assert only(Sample, host.ask(Exchange, k=0, u=0)).flags & Flag.VCC_LOW
     host.reach(state)
@@ -61,7 +61,7 @@ def test_where_the_motor_is_off_a_low_supply_is_told_and_no_fault(state: State) 
 
 
 def test_4_v_are_enough() -> None:
-    """Below 4000 mV is low."""
+    """The limit is 4000 mV."""
     host = Host(replace(QUIET, supply_v=4.0)).reach(State.RUN)
 
     assert not events(alive(host, 300 * MS))
@@ -69,14 +69,12 @@ def test_4_v_are_enough() -> None:
 
 
 def test_a_low_supply_lets_nobody_drive_for_long() -> None:
-    """ARM and START are taken; the next measurement ends it."""
     host = Host(LOW).reach(State.RUN)
 
     assert (State.RUN, State.FAULT, Cause.VCC_LOW) in events(alive(host, 110 * MS))
 
 
 def test_a_measurement_waits_for_the_converter_and_no_sample_for_it() -> None:
-    """It comes as soon as no sample is converted."""
     host = Host(SAGS).reach(State.RUN)
     alive(host, 405 * MS - 300 * US)
 
@@ -89,14 +87,12 @@ def test_a_measurement_waits_for_the_converter_and_no_sample_for_it() -> None:
     assert event.t_us > 405_000
 
 
-def test_status_tells_the_supply_measured_last() -> None:
-    """In mV."""
+def test_status_reports_the_supply_measured_last() -> None:
     assert only(Status, Host(SAGS).wait(1 * S)).vcc_mv == 3500
     assert only(Status, Host().wait(1 * S)).vcc_mv == 5000
 
 
 def test_a_supply_that_comes_back_clears_the_flag_and_not_the_fault() -> None:
-    """What latched stays latched."""
     host = Host(SAGS).reach(State.RUN)
     alive(host, 410 * MS)
     assert host.device.state is State.FAULT
@@ -110,6 +106,5 @@ def test_a_supply_that_comes_back_clears_the_flag_and_not_the_fault() -> None:
 
 
 def test_the_settings_are_bounded() -> None:
-    """A supply that no board has is refused."""
     with pytest.raises(ValueError, match="supply_v"):
         EmulatorSettings(supply_v=9)

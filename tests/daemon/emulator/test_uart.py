@@ -8,20 +8,18 @@ from hypothesis import strategies as st
 
 
 def test_a_byte_takes_ten_bits() -> None:
-    """At 1 Mbaud 16 bytes take 160 µs, at 500 kbaud twice that; without a model, nothing."""
+    """At 1 Mbaud 16 bytes take 160 µs, at 500 kbaud twice that."""
     assert wire_ns(16, 1_000_000) == 160_000
     assert wire_ns(16, 500_000) == 320_000
     assert wire_ns(16, 0) == 0
 
 
-def test_bytes_queue_behind_those_before_them() -> None:
-    """A wire that is busy is waited for; an idle one is not."""
+def test_bytes_wait_for_earlier_bytes() -> None:
     assert departure_ns(500_000, 100_000, 1, 1_000_000) == 510_000
     assert departure_ns(100_000, 500_000, 1, 1_000_000) == 510_000
 
 
 def test_a_frame_arrives_with_its_last_byte() -> None:
-    """Each piece that ends in 00 has the time of that 00, the rest that of its last byte."""
     pieces = arrivals(0, 1_000, b"ab\0\0c", 1_000_000)
 
     assert pieces == [(31_000, b"ab\0"), (41_000, b"\0"), (51_000, b"c")]
@@ -29,7 +27,6 @@ def test_a_frame_arrives_with_its_last_byte() -> None:
 
 @given(st.binary(max_size=200), st.integers(0, 10**6), st.sampled_from([0, 115_200, 500_000]))
 def test_no_byte_is_lost_and_none_overtakes(data: bytes, free_ns: int, baud: int) -> None:
-    """The pieces are the bytes, in order of time."""
     pieces = arrivals(free_ns, 1_000, data, baud)
 
     assert b"".join(piece for _, piece in pieces) == data

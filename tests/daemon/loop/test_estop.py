@@ -1,4 +1,4 @@
-"""The last word to a device, on a real pseudo-terminal with the emulated device behind it."""
+"""ESTOP to a device, on a real pseudo-terminal with the emulated device."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BAUD = 115_200
 
 @pytest.fixture
 def line() -> Iterator[tuple[int, str]]:
-    """Give the device's end of a line, and the name of ours."""
+    """Give the device's end of a line, and the name of the other end."""
     master, slave = os.openpty()
     yield master, os.ttyname(slave)
     os.close(master)
@@ -31,7 +31,7 @@ def line() -> Iterator[tuple[int, str]]:
 
 
 class Device:
-    """Reads what comes behind `pending`, and answers the n-th frame."""
+    """Device that reads the bytes after `pending`, and answers the n-th frame."""
 
     def __init__(self, master: int, answered: int, pending: bytes = b"") -> None:
         self.heard: list[object] = []
@@ -62,7 +62,7 @@ class Device:
 
 @pytest.mark.parametrize("answered", [1, 3])
 def test_three_are_sent_and_one_answer_is_enough(line: tuple[int, str], answered: int) -> None:
-    """The first two may be lost; a device that has stopped hears the others, too."""
+    """The first two may be lost."""
     with Device(line[0], answered) as device:
         assert estop(line[1], BAUD)
 
@@ -70,7 +70,6 @@ def test_three_are_sent_and_one_answer_is_enough(line: tuple[int, str], answered
 
 
 def test_half_a_frame_of_a_killed_daemon_costs_no_estop(line: tuple[int, str]) -> None:
-    """The device takes it for a spoilt frame by itself."""
     with Device(line[0], answered=2, pending=encode(Estop(0, 9))[:4]) as device:
         assert estop(line[1], BAUD)
 
@@ -80,7 +79,6 @@ def test_half_a_frame_of_a_killed_daemon_costs_no_estop(line: tuple[int, str]) -
 
 
 def test_a_device_that_does_not_answer_is_waited_for_no_longer(line: tuple[int, str]) -> None:
-    """All is sent, nothing is claimed."""
     before = time.monotonic()
     with Device(line[0], answered=0) as device:
         assert not estop(line[1], BAUD)
@@ -89,8 +87,8 @@ def test_a_device_that_does_not_answer_is_waited_for_no_longer(line: tuple[int, 
     assert time.monotonic() - before >= WITHIN_S
 
 
-def test_a_device_that_has_booted_meanwhile_is_told_again(line: tuple[int, str]) -> None:
-    """The opening of the port has reset it, and it threw away what came before it was ready."""
+def test_a_device_that_has_booted_meanwhile_gets_estop_again(line: tuple[int, str]) -> None:
+    """Opening the port reset the device, and it discarded what came before it was ready."""
     with Device(line[0], answered=4) as device:
         booted = Event(DeviceState.IDLE, 0, 1, DeviceState.BOOT, Cause.POWER_ON, 0, 0, 0)
         threading.Timer(0.2, os.write, [line[0], b"\0" + encode(booted)]).start()
@@ -101,7 +99,6 @@ def test_a_device_that_has_booted_meanwhile_is_told_again(line: tuple[int, str])
 
 
 def test_an_answer_of_another_state_is_none(line: tuple[int, str]) -> None:
-    """A device that runs on, or one that says so of a frame of before, has not stopped."""
     with Device(line[0], answered=0):
         os.write(line[0], b"\0" + encode(Ack(DeviceState.RUN, 0, TYPES[Estop], Code.OK, 0)))
 
@@ -109,7 +106,6 @@ def test_an_answer_of_another_state_is_none(line: tuple[int, str]) -> None:
 
 
 def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) -> None:
-    """A run of the daemon there goes on: its bytes are neither read nor spoilt."""
     daemon = Link(line[1], BAUD)
     os.write(line[0], b"for the daemon")
 
@@ -122,7 +118,7 @@ def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) 
 
 
 def test_a_daemon_that_is_dying_is_waited_for(line: tuple[int, str]) -> None:
-    """It gives its port back a moment after systemd has called us."""
+    """The daemon gives its port back a moment after systemd calls `armrigd estop`."""
     holder = os.open(line[1], os.O_RDWR | os.O_NOCTTY)
     fcntl.flock(holder, fcntl.LOCK_EX)
     threading.Timer(0.05, os.close, [holder]).start()
@@ -132,7 +128,6 @@ def test_a_daemon_that_is_dying_is_waited_for(line: tuple[int, str]) -> None:
 
 
 def test_a_port_that_is_not_there_is_said() -> None:
-    """At once: there is nothing to stop."""
     with pytest.raises(NoPortError, match="it is not there"):
         estop("/dev/no-such-port", BAUD)
 
@@ -149,5 +144,4 @@ def test_a_port_that_is_not_there_is_said() -> None:
     ],
 )
 def test_what_systemd_says_of_a_service_decides(environ: dict[str, str], failed: bool) -> None:
-    """Not after a stop in good order, nor where it never drove: another may hold that port."""
     assert _has_failed(environ) is failed

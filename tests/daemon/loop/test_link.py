@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import select
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from armrig_daemon.loop.link import READ, Link, LinkError
+import serial
+from armrig_daemon.loop.link import READ, Link, LinkError, TakenPortError
 
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, str]]:
-    """Give the device's end of a line, and the name of ours."""
+    """Give the device's end of a line, and the name of the other end."""
     master, slave = os.openpty()
     yield master, os.ttyname(slave)
     os.close(master)
@@ -32,7 +34,6 @@ def _all_of(read: Callable[[], bytes], fd: int, size: int) -> bytes:
 
 
 def test_bytes_pass_unchanged_both_ways(terminal: tuple[int, str]) -> None:
-    """Each of the 256: a terminal's meaning of a byte is no concern of ours."""
     master, port = terminal
     link = Link(port, 115_200)
     data = bytes(range(256))
@@ -47,7 +48,6 @@ def test_bytes_pass_unchanged_both_ways(terminal: tuple[int, str]) -> None:
 def test_what_the_line_takes_only_in_part_is_a_loss_of_the_line(
     terminal: tuple[int, str],
 ) -> None:
-    """A frame that was sent by half must not pass for sent."""
     master, port = terminal
     link = Link(port, 115_200)
     data = bytes(100_000)
@@ -60,7 +60,6 @@ def test_what_the_line_takes_only_in_part_is_a_loss_of_the_line(
 
 
 def test_a_line_with_nothing_on_it_is_not_gone(terminal: tuple[int, str]) -> None:
-    """A read that finds nothing, after a wake-up for nothing, loses no link; the end does."""
     master, port = terminal
     link = Link(port, 115_200)
 
@@ -73,7 +72,6 @@ def test_a_line_with_nothing_on_it_is_not_gone(terminal: tuple[int, str]) -> Non
 
 
 def test_no_more_is_read_at_once_than_a_record_holds(terminal: tuple[int, str]) -> None:
-    """The rest comes with the next call."""
     master, port = terminal
     link = Link(port, 115_200)
     data = bytes(range(250)) * 10
@@ -92,7 +90,6 @@ def test_no_more_is_read_at_once_than_a_record_holds(terminal: tuple[int, str]) 
 
 
 def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
-    """A second daemon is told so; once we have given it back it is not."""
     _, port = terminal
     link = Link(port, 115_200)
 
@@ -107,12 +104,38 @@ def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
 
 @pytest.mark.parametrize("what", ["a file", "a folder", "/dev/null"])
 def test_what_is_no_serial_port_is_refused(what: str, tmp_path: Path) -> None:
-    """In words, with what would be one."""
     port = what if what.startswith("/") else str(tmp_path / what)
     if what == "a file":
         Path(port).touch()
     elif what == "a folder":
         Path(port).mkdir()
 
-    with pytest.raises(LinkError, match=r" cannot be opened: it is no serial port; give that of"):
+    with pytest.raises(LinkError, match=r" cannot be opened: it is no serial port; give the rig"):
         Link(port, 9600)
+
+
+@pytest.mark.parametrize(
+    ("number", "kind", "words"),
+    [
+        (errno.EACCES, LinkError, "not permitted; add this user"),
+        (errno.EPERM, LinkError, "not permitted; add this user"),
+        (errno.EAGAIN, TakenPortError, "taken by another program"),
+        (errno.EBUSY, TakenPortError, "taken by another program"),
+        (errno.ENOTTY, LinkError, "it is no serial port"),
+        (errno.EIO, LinkError, "busy with permission"),
+    ],
+)
+def test_why_a_port_cannot_be_opened_is_known_by_its_number(
+    number: int, kind: type[LinkError], words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And not by what the library or the kernel says of it."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise serial.SerialException(number, "busy with permission")
+
+    monkeypatch.setattr(serial, "Serial", fail)
+
+    with pytest.raises(LinkError, match=words) as caught:
+        Link("/dev/null", 9600)
+
+    assert type(caught.value) is kind

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import msgspec
 from armrig_core.volts import code_of
 from armrig_daemon.config import Config
-from armrig_daemon.decisions.state import Event, Ordered, Phase, Received, Want
+from armrig_daemon.decisions.state import Event, Ordered, Phase, Received, RequestKind
 from armrig_daemon.pipe import Answer, Run, Set, Stop, Timing
-from virtual_bench import LEASE, MS, Bench, codes
+
+from tests.daemon.virtual_bench import LEASE, MS, Bench, codes
 
 
 def _answer(bench: Bench, order: int) -> Answer:
@@ -17,8 +18,8 @@ def _answer(bench: Bench, order: int) -> Answer:
     return answer
 
 
-def test_orders_of_before_a_pause_are_looked_at_behind_the_tick_that_trips() -> None:
-    """S6: a wait that was frozen tells them with the deadline that was missed meanwhile."""
+def test_orders_from_before_a_pause_are_read_after_the_tick_that_trips() -> None:
+    """S6: after a freeze the same wait returns orders and the missed deadline."""
     bench = Bench()
     bench.arm()
     bench.drive(1.0, n=1)
@@ -38,7 +39,6 @@ def test_orders_of_before_a_pause_are_looked_at_behind_the_tick_that_trips() -> 
 
 
 def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
-    """A stop is looked at when it comes, though the core's own times wait for a quiet moment."""
     bench = Bench(msgspec.convert({"timing": {"Ts": 0.5}}, Config))
     bench.run_for(2000)  # a sample of this link has come
     bench.arm()
@@ -50,7 +50,7 @@ def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
     def noisy(_: int) -> list[Event]:
         bench.ports._advance(bench.ports.now + MS // 20)
         asked = bench.loop.state.asked
-        if asked is not None and asked.want is Want.STOP:
+        if asked is not None and asked.want is RequestKind.STOP:
             stopping_ns.append(bench.ports.now)
         return [*wait(bench.ports.now), Received(b"\xff")]
 
@@ -64,7 +64,6 @@ def test_a_line_that_is_never_quiet_keeps_no_order_waiting() -> None:
 
 
 def test_a_change_of_the_period_is_no_error_of_the_device() -> None:
-    """The interval between its last sample before and its first after is in no statistics."""
     bench = Bench()
     bench.run_for(700)
 
@@ -77,7 +76,7 @@ def test_a_change_of_the_period_is_no_error_of_the_device() -> None:
 
 
 def test_a_device_that_is_asked_between_runs_is_held_against_the_asking() -> None:
-    """One that is to pace a run is asked every 10 ms before it, whatever Ts the run is to have."""
+    """Before the run the device is asked every 10 ms, for any Ts of the run."""
     bench = Bench(msgspec.convert({"limits": {"slew_v": 1.0}}, Config))
     bench.arm(ts_us=16_000)
     bench.ask(Run, lease=LEASE, n=1, run_id="r", codes=codes(3.0), scheduled=True)

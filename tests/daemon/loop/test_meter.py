@@ -1,4 +1,4 @@
-"""What the loop measures of its time, second by second."""
+"""Times that the loop measures, second by second."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ def _sample(k: int, t_device_us: int) -> Sample:
     return Sample(*(0 for _ in SAMPLE_FIELDS))._replace(k=k, t_device_us=t_device_us)
 
 
-def test_a_second_is_told_once_it_is_over_and_the_next_begins_with_nothing() -> None:
-    """Times in µs, the queue in setpoints; the collections are those so far."""
+def test_a_second_is_reported_once_it_is_over_and_the_next_begins_with_nothing() -> None:
     meter = Meter(BEGAN)
     meter.woke(30 * US, 2, 10 * US)
     meter.came_back(20 * US)
@@ -38,7 +37,6 @@ def test_a_second_is_told_once_it_is_over_and_the_next_begins_with_nothing() -> 
 
 
 def test_the_device_s_error_is_its_distance_from_the_period() -> None:
-    """Either way, over what is missing too; not from where k begins anew or the period is new."""
     meter = Meter(BEGAN)
     for k, t_us in ((1, 1000), (2, 2007), (5, 4997), (3, 9000), (4, 10_000)):
         meter.sampled(_sample(k, t_us), 1 * MS)
@@ -52,6 +50,5 @@ def test_the_device_s_error_is_its_distance_from_the_period() -> None:
     assert (told.device_tick_error_us.n, told.device_tick_error_us.max) == (4, 10.0)
 
 
-def test_of_a_clock_that_nobody_has_seen_nothing_is_told() -> None:
-    """An estimate of nothing would be an offset of 0."""
+def test_a_clock_that_was_never_compared_is_not_reported() -> None:
     assert clock_record(start(Link()), BEGAN) is None

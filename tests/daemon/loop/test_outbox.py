@@ -1,10 +1,10 @@
-"""What the loop says to a service that does not keep up."""
+"""Records of the loop to a slow service."""
 
 from __future__ import annotations
 
-from armrig_core.codes import OutcomeCode
+from armrig_core.codes import GapCode, OutcomeCode
 from armrig_core.telemetry import SAMPLE_FIELDS, Sample, decode_sample
-from armrig_daemon.loop.outbox import MOST_WAITING, Outbox
+from armrig_daemon.loop.outbox import MAX_WAITING_RECORDS, Outbox
 from armrig_daemon.pipe import Gap, Log, Record, RunEnded, take_records
 from hypothesis import given
 from hypothesis import strategies as st
@@ -42,7 +42,7 @@ def _sample(k: int) -> Sample:
 
 
 def test_samples_without_room_become_one_gap_in_their_place() -> None:
-    """L2: count and first k, both times, the voltage held last; then the samples go on."""
+    """L2: count and first k, both times, the voltage held last; then the samples follow."""
     pipe = Pipe(2)
     outbox = Outbox(pipe)  # type: ignore[arg-type]
 
@@ -60,11 +60,11 @@ def test_samples_without_room_become_one_gap_in_their_place() -> None:
         t_to_ns=4,
         u_held_v=4.0,
         reason="the service did not keep up",
+        code=GapCode.SERVICE_LATE,
     )
 
 
 def test_the_end_of_a_run_waits_for_room() -> None:
-    """It comes late, after the gap before it; it is never lost."""
     pipe = Pipe(1)
     outbox = Outbox(pipe)  # type: ignore[arg-type]
 
@@ -82,7 +82,6 @@ def test_the_end_of_a_run_waits_for_room() -> None:
 
 @given(st.lists(st.tuples(st.sampled_from(["sample", "record"]), st.integers(0, 3)), max_size=60))
 def test_every_sample_comes_through_or_is_in_a_gap(steps: list[tuple[str, int]]) -> None:
-    """In order, none twice, whenever there is room."""
     pipe = Pipe(0)
     outbox = Outbox(pipe)  # type: ignore[arg-type]
     k = 0
@@ -105,22 +104,22 @@ def test_every_sample_comes_through_or_is_in_a_gap(steps: list[tuple[str, int]])
     assert seen == list(range(k))
 
 
-def test_what_only_informs_is_dropped_where_too_much_waits_and_told() -> None:
-    """R1: a service that does not come back costs little memory; the end of a run is kept."""
+def test_what_only_informs_is_dropped_if_too_much_waits_and_reported() -> None:
+    """R1: the end of a run is kept."""
     pipe = Pipe(0)
     outbox = Outbox(pipe)  # type: ignore[arg-type]
-    for i in range(3 * MOST_WAITING):
+    for i in range(3 * MAX_WAITING_RECORDS):
         outbox.put(Log(t_host_ns=i, level="info", message="a line"))
     outbox.put(ENDED)
 
-    pipe.room = 10 * MOST_WAITING
+    pipe.room = 10 * MAX_WAITING_RECORDS
     outbox.flush()
     outbox.flush()
 
     taken = pipe.taken()
-    assert len(taken) == MOST_WAITING + 2
-    assert taken[MOST_WAITING] == ENDED
+    assert len(taken) == MAX_WAITING_RECORDS + 2
+    assert taken[MAX_WAITING_RECORDS] == ENDED
     last = taken[-1]
     assert isinstance(last, Log)
-    assert last.message.startswith(f"{2 * MOST_WAITING} messages were dropped")
+    assert last.message.startswith(f"{2 * MAX_WAITING_RECORDS} messages were dropped")
     assert last.level == "warning"

@@ -10,19 +10,16 @@ PACE = Pace(period_ns=1000, origin_ns=5000, k_origin=0)
 
 
 def test_deadlines_do_not_drift() -> None:
-    """Tick k is due k periods after the first, whatever happened between."""
     assert [PACE.due_ns(k) for k in (0, 1, 1_000_000)] == [5000, 6000, 1_000_005_000]
 
 
 def test_a_tick_in_time_is_itself() -> None:
-    """Late by less than a period is late, not missed."""
     assert PACE.current(3, PACE.due_ns(3)) == 3
     assert PACE.current(3, PACE.due_ns(3) + 999) == 3
 
 
 @given(st.integers(0, 10**6), st.integers(0, 10**9))
 def test_the_newest_tick_that_is_due_is_done(k: int, late_ns: int) -> None:
-    """After a stall there is no burst: the deadline of what is done is less than a period ago."""
     now = PACE.due_ns(k) + late_ns
 
     done = PACE.current(k, now)
@@ -31,7 +28,6 @@ def test_the_newest_tick_that_is_due_is_done(k: int, late_ns: int) -> None:
 
 
 def test_another_period_begins_one_period_from_now() -> None:
-    """The numbers go on, so that k never goes back."""
     pace = change(PACE, k=7, period_ns=300, now_ns=20_000)
 
     assert [pace.due_ns(k) for k in (7, 8)] == [20_300, 20_600]
@@ -39,7 +35,6 @@ def test_another_period_begins_one_period_from_now() -> None:
 
 @given(st.integers(0, 10**6))
 def test_another_number_for_the_next_tick_leaves_the_beat(now_ns: int) -> None:
-    """In step with the old deadlines, less than a period ahead."""
     pace = change(PACE, k=70, period_ns=1000, now_ns=now_ns)
 
     ahead_ns = pace.due_ns(70) - now_ns

@@ -27,7 +27,7 @@ MS = 1_000_000
 
 
 class _Circle:
-    """What only a collection finds."""
+    """Object that only a collection finds."""
 
     def __init__(self) -> None:
         self.itself = self
@@ -82,7 +82,6 @@ def _read(fd: int, size: int) -> bytes:
 def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
-    """A killed service: the loop may write before it reads, and must stop all the same."""
     os.close(pipes.pop("records_out"))
     for _ in range(2):
         assert not ports.put(b"a record")
@@ -93,8 +92,7 @@ def test_a_record_that_nobody_takes_does_not_hide_the_end_of_the_service(
     assert ports.wait(realtime.now_ns() + MS) == []
 
 
-def test_a_late_wakeup_is_told_as_late(ports: ProcessPorts) -> None:
-    """The time that it is, and not that which was asked for."""
+def test_a_late_wakeup_is_reported_as_late(ports: ProcessPorts) -> None:
     past = realtime.now_ns() - MS
 
     assert past + MS <= ports.sleep_until(past) <= realtime.now_ns()
@@ -103,7 +101,6 @@ def test_a_late_wakeup_is_told_as_late(ports: ProcessPorts) -> None:
 def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
-    """A piece fits into a record of the trace; the terminal tells of all of them once."""
     tty.setraw(pipes["slave"])
     sent = bytes(range(1, 251)) * 12
     os.write(pipes["master"], sent)
@@ -121,7 +118,6 @@ def test_what_comes_at_once_is_handed_on_in_pieces_and_without_another_wait(
 def test_bytes_that_come_while_others_wait_are_a_piece_of_their_own(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
-    """A step of the core gets one piece, or no record could hold it. None is lost."""
     tty.setraw(pipes["slave"])
     sent = bytes(range(1, 251)) * 12
     os.write(pipes["master"], sent)
@@ -141,7 +137,6 @@ def test_bytes_that_come_while_others_wait_are_a_piece_of_their_own(
 def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
-    """The kernel tells both at once, and once only."""
     tty.setraw(pipes["slave"])
     os.write(pipes["master"], b"last words")
     os.close(pipes.pop("master"))
@@ -153,10 +148,9 @@ def test_a_line_that_is_cut_is_read_to_its_end_and_then_said_to_be_gone(
     assert len([event for event in events if isinstance(event, LinkDown)]) == 1
 
 
-def test_a_line_that_hung_up_is_read_on_though_it_is_told_once(
+def test_a_line_that_hung_up_is_read_on_though_it_is_reported_once(
     ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its last bytes first, then its end."""
     tty.setraw(pipes["slave"])
     os.write(pipes["master"], b"last words")
     ((fd, _),) = ports._waiter.wait_until(realtime.now_ns() + 30_000 * MS)
@@ -173,7 +167,6 @@ def test_a_line_that_hung_up_is_read_on_though_it_is_told_once(
 def test_an_order_and_an_answer_that_came_together_are_both_taken(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
-    """The answer is told once: what stands beside it must not hide it."""
     tty.setraw(pipes["slave"])
     os.write(pipes["orders_in"], record_bytes(Alive()))
     os.write(pipes["master"], b"answer")
@@ -186,10 +179,10 @@ def test_an_order_and_an_answer_that_came_together_are_both_taken(
     assert {type(event) for event in events} == {Ordered, Received}
 
 
-def test_a_record_that_finds_no_room_is_not_told_as_written(
+def test_a_record_without_room_is_not_reported_as_written(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
-    """L2: what is told as written can be read, whole; what is not will be counted as missing."""
+    """L2: a written record can be read whole; any other counts as missing."""
     offered, size = 100, 4000
 
     written = [ports.put(bytes([i]) * size) for i in range(offered)]
@@ -203,7 +196,6 @@ def test_a_record_that_finds_no_room_is_not_told_as_written(
 def test_a_loop_that_fails_says_estop_three_times(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
-    """Each a frame of its own, whatever stands before it in the device's buffer."""
     half = b"half a fra"
     os.write(pipes["slave"], half)
 
@@ -216,7 +208,6 @@ def test_a_loop_that_fails_says_estop_three_times(
 def test_a_loop_that_fails_without_a_line_fails_as_it_would(
     ports: ProcessPorts, pipes: dict[str, int]
 ) -> None:
-    """Neither a line that breaks under the ESTOP nor one that is gone hides what failed."""
     os.close(pipes.pop("master"))
     ports.stop_hard()
 
@@ -225,10 +216,6 @@ def test_a_loop_that_fails_without_a_line_fails_as_it_would(
 
 
 def test_an_order_may_come_in_pieces(ports: ProcessPorts, pipes: dict[str, int]) -> None:
-    """A long one never fits into the pipe at once; what comes before it and behind it stays whole.
-
-    The loop goes on between them.
-    """
     play = Run(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)))
     data = record_bytes(Stop()) + record_bytes(play) + record_bytes(Reset())
 
@@ -243,7 +230,6 @@ def test_an_order_may_come_in_pieces(ports: ProcessPorts, pipes: dict[str, int])
 def test_a_line_that_was_lost_is_opened_again_in_its_time(
     ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not at each turn of the loop; that it cannot be is said once."""
     now_ns = realtime.now_ns()
     monkeypatch.setattr(realtime, "now_ns", lambda: now_ns)
     assert ports.now_ns() == now_ns
@@ -258,10 +244,9 @@ def test_a_line_that_was_lost_is_opened_again_in_its_time(
     assert ports.wait(now_ns) == []
 
 
-def test_a_line_that_was_opened_again_is_read_when_it_is_told(
+def test_a_line_that_was_opened_again_is_read_when_it_is_readable(
     ports: ProcessPorts, pipes: dict[str, int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """That the one before it hung up is no reason to read: a terminal takes long to say nothing."""
     os.close(pipes.pop("master"))
     now_ns = realtime.now_ns() + 30_000 * MS
     assert [type(event) for event in ports.wait(now_ns)] == [LinkDown]
@@ -277,7 +262,7 @@ def test_a_line_that_was_opened_again_is_read_when_it_is_told(
 
 
 def test_what_a_run_left_is_collected_once_and_not_looked_at_again(ports: ProcessPorts) -> None:
-    """A collection in the next run would cost it the more, the more is there."""
+    """A later collection would take longer, the more objects there are."""
     kept = [[k] for k in range(1000)]
     collections, frozen = ports.collections, gc.get_freeze_count()
 
@@ -290,7 +275,6 @@ def test_what_a_run_left_is_collected_once_and_not_looked_at_again(ports: Proces
 
 
 def test_what_a_run_left_in_a_circle_is_let_go(ports: ProcessPorts) -> None:
-    """Frozen before it is collected it would stay for ever: each run would leave more."""
     left = _Circle()
     gone = weakref.ref(left)
     del left
@@ -302,7 +286,7 @@ def test_what_a_run_left_in_a_circle_is_let_go(ports: ProcessPorts) -> None:
 
 
 def test_nothing_spins_before_the_priority_is_granted(ports: ProcessPorts) -> None:
-    """Without it a spin only takes the time of who would let us run."""
+    """Without the priority a spin takes the processor from the program that it waits for."""
     assert ports.spin_ns == 0
 
 
@@ -320,7 +304,6 @@ def emulator(tmp_path: Path) -> Iterator[socket.socket]:
 def test_a_socket_is_a_line_as_a_serial_port_is(
     pipes: dict[str, int], emulator: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """All that came is read, more than a terminal holds; lost, it is opened again in its time."""
     now_ns = realtime.now_ns()
     settings = Settings(
         rules=Config().rules(),

@@ -1,4 +1,4 @@
-"""What the kernel gives a loop, asked in processes of their own; and what a sandbox refuses."""
+"""Privileges of a loop, in processes of their own, and the refusals of a sandbox."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ pytestmark = [
 
 
 def _run(program: str) -> str:
-    """Return what a program prints that begins at SCHED_FIFO 1, as systemd's unit has it."""
+    """Return the output of a program that begins at SCHED_FIFO 1, as systemd's unit has it."""
     begin = "import os\nos.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))\n"
     program = f"{begin}from armrig_daemon.loop import realtime\n{_FILTER}{program}"
     done = subprocess.run(
@@ -66,24 +66,22 @@ print([line for line in given["refused"] if "priority" in line or "FIFO" in line
 
 
 def test_a_policy_that_systemd_has_given_is_kept_and_known() -> None:
-    """RestrictRealtime= refuses to ask for it; its priority is the configuration's."""
+    """RestrictRealtime= prevents a request for it."""
     assert _run(f"refuse({_SETSCHEDULER}){_LOOP}") == "80 True 80\n[]"
 
 
-def test_a_priority_that_cannot_be_changed_is_told_as_it_is() -> None:
-    """It is at SCHED_FIFO all the same, and spins."""
+def test_a_priority_that_cannot_be_changed_is_reported_as_it_is() -> None:
     said = _run(f"refuse({_SETSCHEDULER}, {_SETPARAM}){_LOOP}")
 
     assert said == "1 True 1\n['priority 80 (it is 1; set LimitRTPRIO=80)']"
 
 
 def test_a_priority_of_0_gives_the_policy_back() -> None:
-    """`[timing] priority = 0` leaves the loop to the ordinary policy, whatever the unit says."""
     assert _run('print(realtime.prepare(0, None)["fifo"], os.sched_getscheduler(0))') == "0 0"
 
 
 def test_all_threads_of_the_service_leave_the_policy() -> None:
-    """Those of numpy's libraries begin before, and would spin at the loop's priority."""
+    """Threads of numpy's libraries begin before, and would spin at the loop's priority."""
     threads = """
 import threading
 ends = threading.Event()
@@ -95,8 +93,7 @@ ends.set()
     assert _run(threads) == "True 0 0"
 
 
-def test_the_thread_whose_end_is_told_keeps_a_priority() -> None:
-    """That which systemd has given, or else the least: killed, it has to end at once."""
+def test_the_thread_of_the_parent_death_signal_keeps_a_priority() -> None:
     threads = """
 import threading
 ends = threading.Event()
@@ -114,7 +111,6 @@ ends.set()
 
 
 def test_a_thread_that_gets_no_priority_goes_on() -> None:
-    """A filter without sched_setscheduler, on a service of the ordinary policy."""
     threads = f"""
 import threading
 ends = threading.Event()
@@ -130,5 +126,4 @@ ends.set()
 
 
 def test_a_service_that_may_not_leave_the_policy_goes_on() -> None:
-    """A filter without sched_setscheduler; it is told, and kills nobody."""
     assert _run(f"refuse({_SETSCHEDULER})\nprint(realtime.leave_fifo())") == "False"

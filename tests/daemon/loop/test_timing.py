@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 @given(st.lists(st.integers(0, 10**10), min_size=1, max_size=300), st.floats(0.01, 1.0))
 def test_a_quantile_is_exact_to_one_thirty_second(values: list[int], q: float) -> None:
-    """Never below the true one, and above it by 1/32 at most."""
+    """It is never below the true quantile, and at most 1/32 above it."""
     histogram = Histogram()
     for value in values:
         histogram.add(value)
@@ -22,7 +22,7 @@ def test_a_quantile_is_exact_to_one_thirty_second(values: list[int], q: float) -
 
 
 def test_a_stall_counts_for_every_tick_that_it_cost() -> None:
-    """40 ms at 1 kHz are 40 late ticks, not one: 40 of 1000 show at p99."""
+    """40 ms at 1 kHz are 40 late ticks: 40 of 1000 show at p99."""
     histogram = Histogram()
     for _ in range(960):
         histogram.add(10_000)
@@ -37,7 +37,6 @@ def test_a_stall_counts_for_every_tick_that_it_cost() -> None:
 
 
 def test_nothing_counted_is_all_zero() -> None:
-    """No division, no maximum of nothing."""
     timing = Histogram().distribution(1e3)
 
     assert (timing.n, timing.p50, timing.max) == (0, 0.0, 0.0)

@@ -1,4 +1,4 @@
-"""Who is let in to the service, and who is turned away before anybody reads what he wants."""
+"""Admission of commands: the service refuses a command before it reads the content."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ OTHER = "f" * 32
 @pytest.mark.parametrize("name", sorted(LEASED))
 @pytest.mark.parametrize("lease", [LEASE, ""])
 def test_a_command_without_the_lease_in_force_is_turned_away(name: str, lease: str) -> None:
-    """Another one, none at all, no JSON; and all of them while nobody holds the rig."""
     for payload in (b'{"lease": "%s", "n": 1}' % OTHER.encode(), b"", b"\xff" * 10_000):
         found = refusal(name, payload, lease.encode())
         assert found is not None
@@ -33,13 +32,12 @@ def test_a_command_without_the_lease_in_force_is_turned_away(name: str, lease: s
     ],
 )
 def test_the_holder_is_let_in(request_: Run | Set | Renew) -> None:
-    """Long runs, too."""
     assert refusal(request_.name, msgspec.json.encode(request_), LEASE.encode()) is None
 
 
 @pytest.mark.parametrize("name", sorted({*REQUESTS, "explode"} - {"run", "calibrate"}))
 def test_no_command_but_a_run_and_a_calibration_is_long(name: str) -> None:
-    """What waits takes memory; the longest sensible command has a hundred bytes."""
+    """The longest sensible command has a hundred bytes."""
     payload = LEASE.encode().ljust(4096)
 
     assert refusal(name, payload, LEASE.encode()) is None
@@ -51,13 +49,12 @@ def test_no_command_but_a_run_and_a_calibration_is_long(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["arm", "status", "stop", "reset", "explode"])
 def test_what_needs_no_lease_is_let_in(name: str) -> None:
-    """A stop above all; and a command that there is not, which is told so inside."""
     assert refusal(name, b"", b"") is None
     assert refusal(name, b"{}", LEASE.encode()) is None
 
 
 def test_a_calibration_is_as_long_as_its_samples_may_be() -> None:
-    """R1: 1 MiB of them in base64, and 64 KiB for the rest; only one such waits."""
+    """R1: 1 MiB of them in base64, and 64 KiB for the rest."""
     longest = msgspec.json.encode(bytes(RAW_LIMIT))[2:] + bytes(1 << 16)
 
     assert refusal("calibrate", longest, b"") is None

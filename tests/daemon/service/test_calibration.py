@@ -29,7 +29,6 @@ CONFIG = Config(rig=Rig(id="2"))
 
 
 def test_it_is_taken_as_it_came_but_for_the_file_which_the_daemon_has_not_read() -> None:
-    """Where no device is known the core has its say."""
     found = checked_calibration(SENT, RAW, CONFIG, {"uid": "abc"})
 
     assert found == replace(SENT, made=replace(MADE, file=""))
@@ -41,16 +40,15 @@ def test_it_is_taken_as_it_came_but_for_the_file_which_the_daemon_has_not_read()
     ("fields", "said"),
     [
         ({"made": None}, "does not say how it was made"),
-        ({"made": replace(MADE, raw_sha256="0" * 64)}, "samples beside it are not those"),
+        ({"made": replace(MADE, raw_sha256="0" * 64)}, "samples next to it are not the samples"),
         ({"made": replace(MADE, rig="1")}, "of rig 1, device abc, and this is rig 2, device abc"),
         ({"made": replace(MADE, device_uid="d")}, "of rig 2, device d, and this is rig 2, dev"),
-        ({"made": replace(MADE, date="\x1b[2J")}, r"made.date: at most 80 characters that print"),
-        ({"made": replace(MADE, date="2" * 81)}, r"made.date: at most 80 characters that print"),
+        ({"made": replace(MADE, date="\x1b[2J")}, r"made.date: at most 80 printable characters"),
+        ({"made": replace(MADE, date="2" * 81)}, r"made.date: at most 80 printable characters"),
         ({"theta_1": Potentiometer(wraps=False)}, "theta_1.wraps = false: must be true"),
         ({"alpha": Potentiometer(wraps=True)}, "alpha.wraps = true: must be false"),
     ],
 )
 def test_what_is_not_of_this_rig_is_refused(fields: dict[str, Any], said: str) -> None:
-    """Nor does it turn off a check of arming: whether alpha wraps is the configuration's to say."""
     with pytest.raises(ValueError, match=said):
         checked_calibration(replace(SENT, **fields), RAW, CONFIG, {"uid": "abc"})

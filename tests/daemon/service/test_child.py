@@ -1,4 +1,4 @@
-"""The loop as a process of its own: how it ends, by real pipes and a real pseudo-terminal."""
+"""The loop as a process of its own: its ends, by real pipes and a real pseudo-terminal."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WITHIN_S = 30.0
 
 @pytest.fixture
 def device() -> Iterator[tuple[int, str]]:
-    """Give the device's end of a line, behind which nobody answers, and the name of ours."""
+    """Give the device's end of a line without a device, and the name of the other end."""
     master, slave = os.openpty()
     yield master, os.ttyname(slave)
     os.close(master)
@@ -72,7 +72,7 @@ def _has_ended(child: LoopChild) -> None:
 
 
 def _frames_of(master: int, least: int) -> list[Received]:
-    """Return what has come on a line, as soon as so many frames have."""
+    """Return the bytes of a line, as soon as so many frames have come."""
     pending, frames = b"", []
     while len(frames) < least or select.select([master], [], [], 0)[0]:
         assert select.select([master], [], [], WITHIN_S)[0], "the line is silent"
@@ -82,7 +82,6 @@ def _frames_of(master: int, least: int) -> list[Received]:
 
 
 def test_the_loop_is_the_child_of_a_thread_that_only_waits(device: tuple[int, str]) -> None:
-    """Whose end the kernel tells it: no other thread's work, or wait for a processor, is before."""
     child = _started(device[1])
     tasks = Path("/proc/self/task")
 
@@ -103,7 +102,6 @@ def _children(task: Path) -> list[str]:
 def test_a_signal_to_the_loop_alone_ends_it_in_good_order(
     child: LoopChild, number: signal.Signals
 ) -> None:
-    """By its own end, with STOP, and not by the signal: then only the device's watchdog is left."""
     child._process.send_signal(number)
 
     _has_ended(child)
@@ -113,7 +111,6 @@ def test_a_signal_to_the_loop_alone_ends_it_in_good_order(
 def test_a_loop_that_fails_says_estop_three_times_and_dies(
     child: LoopChild, device: tuple[int, str]
 ) -> None:
-    """Its last word to the motor: nobody has to wait for the device's watchdog."""
     master, _ = device
 
     os.write(child.orders_fd, record_bytes(Host(granted={})))
@@ -124,7 +121,7 @@ def test_a_loop_that_fails_says_estop_three_times_and_dies(
 
 
 def test_the_loop_waits_for_neither_of_its_pipes(child: LoopChild) -> None:
-    """L2: one that is full drops; a loop that waited for the service would miss its ticks."""
+    """L2: a loop that waited for the service would miss its ticks."""
     arguments = Path(f"/proc/{child._process.pid}/cmdline").read_bytes().split(b"\0")
     module = arguments.index(b"armrig_daemon.loop.process")
 
@@ -136,7 +133,6 @@ def test_the_loop_waits_for_neither_of_its_pipes(child: LoopChild) -> None:
 def test_a_loop_that_does_not_end_is_killed(
     device: tuple[int, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The device's watchdog then stops the motor; the service must end all the same."""
     monkeypatch.setattr(child_module, "EXIT_S", 0.01)
     child = _started(device[1])
     child._process.send_signal(signal.SIGSTOP)
@@ -150,7 +146,7 @@ def test_a_loop_that_does_not_end_is_killed(
 
 
 def test_the_pipes_have_room_for_seconds(child: LoopChild) -> None:
-    """1 MiB, or what the kernel allows this user: the service may be held up for so long."""
+    """1 MiB, or what the kernel allows this user."""
     out, into = os.pipe()
     with suppress(OSError):
         fcntl.fcntl(into, fcntl.F_SETPIPE_SZ, 1 << 20)

@@ -1,4 +1,4 @@
-"""Signs of a run's client: only its own, only new ones, and silence has an end."""
+"""Signs of a run's client: only its own and only new ones count, and silence has an end."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ RUN = Run(lease=LEASE, n=3, u=[1.0], dead_man=2.0)
 
 
 def test_a_client_counts_as_gone_a_period_after_its_newest_sign() -> None:
-    """The start of the run is the first."""
     presence = begun(RUN, 100.0)
 
     assert presence.gone_s == 102.0
@@ -21,7 +20,6 @@ def test_a_client_counts_as_gone_a_period_after_its_newest_sign() -> None:
 
 
 def test_a_run_without_a_dead_man_needs_nobody() -> None:
-    """A sign does no harm."""
     presence = begun(Run(lease=LEASE, n=3, u=[1.0]), 100.0)
 
     assert presence.gone_s == inf
@@ -31,12 +29,11 @@ def test_a_run_without_a_dead_man_needs_nobody() -> None:
 @pytest.mark.parametrize(
     ("sign", "complaint"),
     [
-        (Renew(lease="b" * 32, n=4), "no run of this lease is in hand"),
+        (Renew(lease="b" * 32, n=4), "no run of this lease is planned or running"),
         (Renew(lease=LEASE, n=3), "n=3 must be greater than the last, 3"),
     ],
 )
 def test_another_s_sign_and_an_old_one_are_none(sign: Renew, complaint: str) -> None:
-    """Replayed signs must not keep a run alive."""
     with pytest.raises(ValueError, match=complaint):
         renewed(begun(RUN, 100.0), sign, 101.0)
     with pytest.raises(ValueError, match="no run of this lease"):
@@ -44,7 +41,6 @@ def test_another_s_sign_and_an_old_one_are_none(sign: Renew, complaint: str) -> 
 
 
 def test_a_sign_that_is_played_again_keeps_nothing_alive() -> None:
-    """The number of the newest sign is the one to exceed, not that of the start."""
     presence = renewed(begun(RUN, 100.0), Renew(lease=LEASE, n=7), 101.0)
 
     with pytest.raises(ValueError, match="n=7 must be greater than the last, 7"):

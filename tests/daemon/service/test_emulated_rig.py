@@ -26,7 +26,6 @@ with emulated_rig.emulated(Config(), Path(sys.argv[1])):
 
 
 def test_an_emulator_does_not_outlive_a_daemon_that_dies_while_it_loads(tmp_path: Path) -> None:
-    """The kernel's promise to end it with its parent comes too late there."""
     paths = os.pathsep.join(path for path in sys.path if path)
 
     # It has the same standard output: this is at its end once both have ended.

@@ -1,4 +1,4 @@
-"""What we write is read by others: whole recordings, recovered ones, and parts of a long run."""
+"""Other programs read the recordings: whole, recovered, and in parts."""
 
 from __future__ import annotations
 
@@ -26,17 +26,18 @@ from armrig_daemon.service import runs
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from tools import require
+
+from tests.tools import require
 
 NODE = Path(__file__).parents[2] / "node"
 N, FLUSH = 400, 50
-TORN = 1_500  # B: some of the samples of the last flush, and the index behind them
+TORN = 1_500  # B: some of the samples of the last flush, and the index after them
 _PART = PartLimits(samples=150, size=1 << 30)
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Return recordings of the daemon's, made in virtual time, by what is special about them."""
+    """Return recordings of the daemon, made in virtual time, by their special property."""
     folder = tmp_path_factory.mktemp("files")
     u = armrig.telegraph(N, 0.05, low=0.5, high=4.5, seed=1).tolist()
     service = VirtualService(Config(), folder, seed=1)
@@ -51,7 +52,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 
 def _recovered(folder: Path, recording: armrig.Recording) -> Path:
-    """Return what a daemon leaves that dies within a write, recovered."""
+    """Return the recording of a daemon that died within a write, recovered."""
     about = {CONFIG: b"{}", CALIBRATION: b"{}", INPUT: b"u_v\n1.0\n"}
     part = Part(folder / "recovered.mcap", recording.manifest, about, 0)
     for i, values in enumerate(recording.samples.tolist(), 1):
@@ -76,7 +77,7 @@ def _attachments(name: str) -> set[str]:
 
 
 def _check(topics: dict[str, int], samples: dict[str, Any], path: Path) -> None:
-    """Check what somebody found against what is read by ourselves."""
+    """Check another program's result against armrig's own reading."""
     ours = read(path, RECORDED)
     assert ours is not None
     counts = {"sample": ours.samples.size, **{s: len(m) for s, m in ours.messages.items()}}
@@ -87,7 +88,7 @@ def _check(topics: dict[str, int], samples: dict[str, Any], path: Path) -> None:
 
 
 def test_mcap_for_python_with_its_protobuf_support_reads_it(files: dict[str, Path]) -> None:
-    """mcap-protobuf-support: from the schemas in the file alone."""
+    """mcap-protobuf-support, from the schemas in the file alone."""
     for name, path in files.items():
         topics: Counter[str] = Counter()
         samples: list[Any] = []
@@ -111,7 +112,7 @@ def test_mcap_for_python_with_its_protobuf_support_reads_it(files: dict[str, Pat
 
 
 def test_mcap_for_javascript_reads_it(files: dict[str, Path]) -> None:
-    """@mcap/core, which viewers are built on: by the index, and from front to back."""
+    """@mcap/core, by the index, and from front to back."""
     require("node")
     if not (NODE / "node_modules/@mcap/core").is_dir():
         pytest.skip("no @mcap/core: npm install --prefix tests/node")
@@ -136,7 +137,7 @@ def test_mcap_for_javascript_reads_it(files: dict[str, Path]) -> None:
 
 @pytest.mark.parametrize("kind", ["recovered", "part 2"])
 def test_the_independent_doctor_finds_nothing(files: dict[str, Path], kind: str) -> None:
-    """`pymcap-cli doctor`: no error, no warning; its one remark is that it does not know armrig."""
+    """`pymcap-cli doctor`: its one remark is that it does not know armrig."""
     doctor = subprocess.run(
         [Path(sys.executable).with_name("pymcap-cli"), "doctor", files[kind]],
         capture_output=True,

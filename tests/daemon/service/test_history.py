@@ -24,7 +24,6 @@ def asked(history: History, first: int) -> tuple[int, list[bytes]]:
 
 
 def test_messages_are_given_from_a_number_on() -> None:
-    """Behind the last there are none, and before the first it begins with the oldest."""
     history = History(LIFE)
     for k in range(5):
         history.add("sample", bytes([k]))
@@ -37,7 +36,6 @@ def test_messages_are_given_from_a_number_on() -> None:
 
 
 def test_no_more_is_kept_than_allowed() -> None:
-    """In bytes: the oldest go, and the numbers tell it."""
     history = History(LIFE, most_bytes=100)
     for k in range(50):
         history.add("gap", bytes([k]) * 30)
@@ -48,7 +46,6 @@ def test_no_more_is_kept_than_allowed() -> None:
 
 
 def test_an_answer_has_a_length() -> None:
-    """The rest is asked for next."""
     history = History(LIFE)
     for _ in range(1000):
         history.add("event", bytes(1000))
@@ -60,7 +57,7 @@ def test_an_answer_has_a_length() -> None:
 
 @pytest.fixture
 def session() -> Iterator[tuple[Session, zenoh.Session]]:
-    """Give the daemon's session, and that of somebody who connects."""
+    """Give the daemon's session and a client's."""
     with tempfile.TemporaryDirectory(prefix="armrig-") as directory:
         where = f"unixsock-stream/{Path(directory) / '1.sock'}"
         with Session(where, "1", lambda: None) as ours, open_session(where, rig="1") as theirs:
@@ -68,12 +65,11 @@ def session() -> Iterator[tuple[Session, zenoh.Session]]:
 
 
 def replies(session: zenoh.Session, payload: bytes | None) -> list[zenoh.Reply]:
-    """Return what is answered."""
+    """Return the replies."""
     return list(session.get("rig/1/history", payload=payload, timeout=30))
 
 
 def test_what_was_published_is_answered(session: tuple[Session, zenoh.Session]) -> None:
-    """All streams in one row."""
     ours, theirs = session
     ours.put("sample", b"one")
     ours.put("gap", b"two")
@@ -91,15 +87,15 @@ def test_what_was_published_is_answered(session: tuple[Session, zenoh.Session]) 
 def test_a_question_that_is_none_is_refused(
     session: tuple[Session, zenoh.Session], payload: bytes
 ) -> None:
-    """In a line that says how to ask."""
     [reply] = replies(session[1], payload)
 
     assert reply.err is not None
     assert 'ask with {\\"first\\": 0}' in reply.err.payload.to_bytes().decode()
 
 
-def test_who_asks_too_much_is_told_so(session: tuple[Session, zenoh.Session]) -> None:
-    """As of any question that needs no lease: the burst is answered, not the flood."""
+def test_too_many_requests_are_refused_with_the_reason(
+    session: tuple[Session, zenoh.Session],
+) -> None:
     _, theirs = session
     answers = [theirs.get("rig/1/history", timeout=30) for _ in range(1000)]
     told = [reply for answer in answers for reply in answer]

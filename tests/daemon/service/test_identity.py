@@ -1,4 +1,4 @@
-"""Nobody says of himself what only the daemon has checked."""
+"""No client can claim what only the daemon has checked."""
 
 from __future__ import annotations
 
@@ -20,8 +20,7 @@ from armrig_daemon.service.identity import signed
         ("a" * 81, "", "a" * 80),
     ],
 )
-def test_who_asks_is_told_with_what_was_checked(said: str, by: str, told: str) -> None:
-    """What he says is bounded and prints; what was checked stands after it in round brackets."""
+def test_a_client_is_named_with_what_was_checked(said: str, by: str, told: str) -> None:
     assert signed(said, by) == told
 
 
@@ -35,7 +34,7 @@ class _Unread(str):
 
 
 def test_of_a_name_of_any_length_the_beginning_is_read() -> None:
-    """8 MB of what does not print held up the service for half a second, and a stop with it."""
+    """8 MB of unprintable characters delayed the service, and a stop, for half a second."""
     assert signed(_Unread(" " + "\x01" * 1000), "user bob") == "\\x01" * 20 + " (user bob)"
 
 
@@ -55,7 +54,6 @@ def test_of_a_name_of_any_length_the_beginning_is_read() -> None:
     ],
 )
 def test_what_one_says_of_oneself_has_no_round_brackets(said: str) -> None:
-    """Nor what looks like them: they say what the daemon has checked."""
     told = signed(said, "")
 
     assert not set(told) & set(

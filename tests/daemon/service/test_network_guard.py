@@ -1,8 +1,8 @@
-"""A network whose strangers take too many files is shut for a while; the Unix socket goes on."""
+"""A network with too many open files is shut for a while; the Unix socket goes on."""
 
 from __future__ import annotations
 
-from armrig_daemon.service.network_guard import MANY, SHUT_S, TOO_MANY, NetworkGuard
+from armrig_daemon.service.network_guard import MAX_FILES, MAX_IDLE_FILES, SHUT_S, NetworkGuard
 
 
 class Network:
@@ -23,20 +23,18 @@ class Network:
 
 
 def test_a_network_that_is_used_as_it_should_stays_open() -> None:
-    """However long."""
     network = Network()
     guard = network.guard()
-    network.files = MANY
+    network.files = MAX_IDLE_FILES
 
     assert [guard.look(s, is_busy=False) for s in range(100)] == [None] * 100
     assert network.done == []
 
 
 def test_too_many_connections_are_ended_and_the_network_opened_again() -> None:
-    """Once, with a line each time."""
     network = Network()
     guard = network.guard()
-    network.files = MANY + 1
+    network.files = MAX_IDLE_FILES + 1
 
     shut = guard.look(0.0, is_busy=False)
     network.files = 25
@@ -45,7 +43,7 @@ def test_too_many_connections_are_ended_and_the_network_opened_again() -> None:
 
     assert shut is not None
     assert shut[0] == "error"
-    assert f"{MANY + 1} files are open" in shut[1]
+    assert f"{MAX_IDLE_FILES + 1} files are open" in shut[1]
     assert between == [None, None]
     assert opened == ("info", "[access] the network is open again")
     assert network.done == ["shut", "open"]
@@ -53,22 +51,20 @@ def test_too_many_connections_are_ended_and_the_network_opened_again() -> None:
 
 
 def test_a_run_is_cut_off_only_before_no_file_is_left() -> None:
-    """Whoever drives over the network keeps his link as long as the rig's own machine is served."""
     network = Network()
     guard = network.guard()
-    network.files = TOO_MANY
+    network.files = MAX_FILES
     assert guard.look(0.0, is_busy=True) is None
 
-    network.files = TOO_MANY + 1
+    network.files = MAX_FILES + 1
     assert guard.look(1.0, is_busy=True) is not None
     assert network.done == ["shut"]
 
 
 def test_a_network_that_cannot_be_opened_again_is_tried_later() -> None:
-    """Another program may have taken the port: told each time."""
     network = Network()
     guard = network.guard()
-    network.files, network.fault = MANY + 1, "another program listens there"
+    network.files, network.fault = MAX_IDLE_FILES + 1, "another program listens there"
     guard.look(0.0, is_busy=False)
 
     assert guard.look(SHUT_S, is_busy=False) == ("error", "another program listens there")

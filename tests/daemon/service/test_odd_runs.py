@@ -1,4 +1,4 @@
-"""What an odd rig's runs leave on the disk, in virtual time; it is in `odd_runs.txt`."""
+"""Recordings of an odd rig's runs, in virtual time; they are in `odd_runs.txt`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,15 @@ from armrig_core.commands import Run
 from armrig_core.errors import OperationError
 from armrig_daemon.service.virtual_service import LEASE, VirtualService
 from mcap.reader import make_reader
-from odd_bench import CONFIG, show
-from said import compare
+
+from tests.clients.said import compare
+from tests.daemon.odd_bench import CONFIG, show
 
 RAMP = [0.25 + 0.02 * k for k in range(180)]
 
 
 def _lines(path: Path) -> Iterator[str]:
-    """Give what a recording says: its records, its parts, some rows of its samples."""
+    """Give the content of a recording: its records, its parts, some rows of its samples."""
     recording = armrig.load(path)
     yield f"+ {path.name}"
     with path.open("rb") as file:
@@ -41,7 +42,6 @@ def _lines(path: Path) -> Iterator[str]:
 
 
 def test_what_an_odd_rig_s_runs_leave_is_what_they_left(tmp_path: Path) -> None:
-    """One in parts, of several minutes' limit; one that the host paces; one that trips."""
     rig = VirtualService(msgspec.structs.replace(CONFIG), tmp_path, seed=2_000_000_000)
     runs: list[dict[str, Any]] = [
         {"u": RAMP, "experiment": "ramp", "details": {"a": [1, {"b": None}]}},

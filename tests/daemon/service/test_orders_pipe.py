@@ -1,4 +1,4 @@
-"""The service's ends of the loop's pipes: nothing is lost, nothing torn, nobody waited for."""
+"""The service's ends of the loop's pipes: nothing is lost or torn, and no end blocks."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 from armrig_daemon.pipe import Alive, Host, Log, Run, record_bytes
-from loop_ends import LoopEnds
+
+from tests.daemon.loop_ends import LoopEnds
 
 RUN = Run(lease="a" * 32, n=1, run_id="r", codes=bytes(range(256)) * 1000)
 
@@ -21,7 +22,6 @@ def loop() -> Iterator[LoopEnds]:
 
 
 def test_orders_that_find_no_room_wait_and_come_whole_and_in_order(loop: LoopEnds) -> None:
-    """A long experiment is more than the pipe holds; a frozen loop does not freeze us."""
     assert not os.get_blocking(loop.child.orders_fd)
 
     loop.child.order(RUN)
@@ -36,7 +36,6 @@ def test_orders_that_find_no_room_wait_and_come_whole_and_in_order(loop: LoopEnd
 
 
 def test_orders_to_a_loop_that_is_gone_wait_for_nothing(loop: LoopEnds) -> None:
-    """Its end is seen at its records; what is not taken must not keep us awake."""
     loop.read_no_more()
 
     loop.child.order(RUN)
@@ -45,7 +44,6 @@ def test_orders_to_a_loop_that_is_gone_wait_for_nothing(loop: LoopEnds) -> None:
 
 
 def test_records_come_whole_however_the_pipe_cuts_them(loop: LoopEnds) -> None:
-    """Each once, as soon as its last byte is there; then the end of the pipe, once it ends."""
     records = [Log(t_host_ns=1, level="info", message="a word"), Host(granted={"fifo": 1})]
     data = b"".join(map(record_bytes, records))
 

@@ -1,4 +1,4 @@
-"""Pressure stall information, and what a host that was too busy is told."""
+"""Pressure stall information, and the messages about a busy host."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from math import isnan
 from pathlib import Path
 
 import pytest
-from armrig_core.codes import RefusalCode
+from armrig_core.codes import COMPLETE, Ending, OutcomeCode, RefusalCode
 from armrig_daemon.pipe import Distribution, State, Timing
 from armrig_daemon.service import pressure
+from armrig_protocol.messages import Cause
 from msgspec.structs import replace
 
 QUIET = Distribution(p50=0, p90=0, p99=0, p999=0, max=0, n=100, missed=0)
@@ -36,8 +37,9 @@ def test_the_share_is_that_of_the_time_since_the_last_look(
 
 
 @pytest.mark.parametrize("text", ["", "some avg10=0.00\n", None])
-def test_a_kernel_that_does_not_tell_is_no_error(tmp_path: Path, text: str | None) -> None:
-    """NaN says that it is not known."""
+def test_a_kernel_without_pressure_information_is_no_error(
+    tmp_path: Path, text: str | None
+) -> None:
     path = tmp_path / "cpu"
     if text is not None:
         path.write_text(text)
@@ -59,7 +61,7 @@ def test_a_kernel_that_does_not_tell_is_no_error(tmp_path: Path, text: str | Non
 def test_a_host_that_pauses_again_and_again_is_not_armed(
     p99_us: float, watchdog_ms: int, *, refused: bool
 ) -> None:
-    """More than 1 % of its ticks beyond the watchdog, or 100 ms; once alone is no reason."""
+    """More than 1 % of its ticks are later than the watchdog, or 100 ms."""
     timing = _timing(replace(QUIET, p99=p99_us, p999=150_000.0, max=150_000.0))
 
     assert bool(pressure.untimely(timing, watchdog_ms, "load 3 on 2 processors")) is refused
@@ -67,7 +69,6 @@ def test_a_host_that_pauses_again_and_again_is_not_armed(
 
 
 def test_a_host_that_woke_late_may_be_armed_a_second_later() -> None:
-    """The client asks again by itself; what is told names lateness, what is allowed, and load."""
     timing = _timing(replace(QUIET, p99=264e3, p999=264e3, max=264e3, missed=26))
 
     refusal = pressure.untimely(timing, 250, "load 3 on 2 processors")
@@ -85,28 +86,31 @@ def test_a_host_that_woke_late_may_be_armed_a_second_later() -> None:
 @pytest.mark.parametrize(
     ("fault", "cause", "named"),
     [
-        ("pause", "the host paused for 264 ms", True),
-        ("stale", "no answer for 120 ms", True),
-        ("missed", "9 ticks missed", True),
-        ("device", "the device stopped by itself: WATCHDOG", True),
-        ("device", "the device stopped by itself: TURNS", False),
-        ("link", "the port is gone", False),
+        ("pause", Cause.NONE, True),
+        ("stale", Cause.NONE, True),
+        ("missed", Cause.NONE, True),
+        ("device", Cause.WATCHDOG, True),
+        ("device", Cause.REV_LIMIT, False),
+        ("link", Cause.NONE, False),
     ],
 )
-def test_a_run_that_load_may_have_ended_says_the_load(fault: str, cause: str, named: bool) -> None:
-    """Behind what ended it, with where to look; nothing where load ends no run."""
-    said = pressure.outcome(cause, _state(fault, cause), "load 3 on 2 processors")
+def test_a_run_that_load_may_have_ended_says_the_load(
+    fault: str, cause: Cause, named: bool
+) -> None:
+    ended = Ending(OutcomeCode.FAULT, "why: no WATCHDOG")
+
+    said = pressure.with_load(ended, _state(fault, cause), "load 3 on 2 processors")
 
     load = " (load 3 on 2 processors; see `armrig doctor`)" if named else ""
-    assert said == cause + load
+    assert said == (OutcomeCode.FAULT, ended.text + load)
 
 
 def test_a_run_that_something_else_ended_says_nothing_of_load() -> None:
-    """A stop before the fault; no fault at all."""
-    late = _state("pause", "the host paused for 264 ms")
+    late = _state("pause")
+    stopped = Ending(OutcomeCode.STOPPED, late.reason)
 
-    assert pressure.outcome("stopped", late, "load 3") == "stopped"
-    assert pressure.outcome("complete", _state("", ""), "load 3") == "complete"
+    assert pressure.with_load(stopped, late, "load 3") == stopped
+    assert pressure.with_load(COMPLETE, _state(""), "load 3") == COMPLETE
 
 
 @pytest.mark.parametrize(
@@ -117,10 +121,9 @@ def test_a_run_that_something_else_ended_says_nothing_of_load() -> None:
         (None, ""),
     ],
 )
-def test_the_load_is_told_in_words(
+def test_the_load_is_reported_in_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str | None, share: str
 ) -> None:
-    """Mean of the last minute, processors, and the kernel's own share where it tells one."""
     path = tmp_path / "cpu"
     if text is not None:
         path.write_text(text)
@@ -130,17 +133,15 @@ def test_the_load_is_told_in_words(
     assert pressure.load(path) == f"load 3.4 on 2 processors{share}"
 
 
-def test_a_load_that_is_not_told_is_no_error(
+def test_a_load_that_is_not_reported_is_no_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A run ends all the same."""
-
     def untold() -> tuple[float, float, float]:
         raise OSError
 
     monkeypatch.setattr(pressure.os, "getloadavg", untold)
 
-    assert pressure.load(tmp_path / "cpu") == "load not told by this kernel"
+    assert pressure.load(tmp_path / "cpu") == "load not reported by this kernel"
 
 
 def _timing(lateness_us: Distribution) -> Timing:
@@ -153,8 +154,14 @@ def _timing(lateness_us: Distribution) -> Timing:
     )
 
 
-def _state(fault: str, cause: str) -> State:
-    phase = "fault" if fault else "safe"
+def _state(fault: str, cause: Cause = Cause.NONE) -> State:
     return State(
-        t_host_ns=0, phase=phase, reason=cause, owner="", ts_us=10_000, device={}, fault=fault
+        t_host_ns=0,
+        phase="fault" if fault else "safe",
+        reason="the host paused for 264 ms",
+        owner="",
+        ts_us=10_000,
+        device={},
+        fault=fault,
+        device_cause=cause,
     )

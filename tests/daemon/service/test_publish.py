@@ -20,7 +20,7 @@ from armrig_daemon.service.token_bucket import BURST
 
 WITHIN_S = 30.0
 SPREAD_S = 0.5
-"""What a stranger declares is with the others long before, where it gets there at all."""
+"""Time in which a stranger's declaration reaches the others, if it does."""
 FORGED, OURS = b"forged", b"ours"
 MODES = ["client", "peer", "router"]
 
@@ -34,7 +34,7 @@ def where() -> Iterator[str]:
 
 @pytest.fixture
 def session(where: str) -> Iterator[Session]:
-    """Give the session of a service that does nothing by itself."""
+    """Give the session of a passive service."""
     with Session(where, "1", lambda: None) as opened:
         yield opened
 
@@ -60,7 +60,6 @@ def _until(what: Callable[[], object]) -> None:
 def test_nobody_else_publishes_what_a_watcher_hears(
     session: Session, where: str, mode: str
 ) -> None:
-    """Whatever he declares, and whosever he says that his samples are."""
     ours = session._listeners[0]._publishers["sample"]
     with _connected(where) as watcher, _connected(where, mode) as stranger:
         heard: list[bytes] = []
@@ -73,8 +72,8 @@ def test_nobody_else_publishes_what_a_watcher_hears(
             publisher.put(FORGED)
             stranger.put("rig/1/sample", FORGED, source_info=zenoh.SourceInfo(ours.id, sn))
             stranger.delete("rig/1/sample")
-            time.sleep(0.01)  # else his own end of the line may drop them
-        # A question of his comes behind all of them: then they have been dealt with.
+            time.sleep(0.01)  # otherwise the sender's end of the line may drop them
+        # The sender's query comes after all of them: they have been processed by then.
         list(stranger.get("rig/1/schema/armrig.v1.Sample", timeout=WITHIN_S))
         session.put("sample", OURS)
         _until(lambda: OURS in heard)
@@ -84,7 +83,6 @@ def test_nobody_else_publishes_what_a_watcher_hears(
 
 @pytest.mark.parametrize("mode", MODES)
 def test_nobody_else_answers_a_question(session: Session, where: str, mode: str) -> None:
-    """Nor hears it, with the lease that it may carry: not even with a queryable of the command."""
     overheard: list[str] = []
 
     def forge(query: zenoh.Query) -> None:
@@ -112,8 +110,7 @@ def test_nobody_else_answers_a_question(session: Session, where: str, mode: str)
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_nobody_else_stands_for_a_daemon(session: Session, where: str, mode: str) -> None:
-    """Who listens goes by its token: with the daemon's gone there is none."""
+def test_nobody_else_can_impersonate_a_daemon(session: Session, where: str, mode: str) -> None:
     with _connected(where) as client, _connected(where, mode) as stranger:
 
         def alive() -> int:
@@ -135,7 +132,7 @@ LEASE = "0123456789abcdef" * 2
 
 @contextmanager
 def _answering(session: Session) -> Iterator[Counter[str]]:
-    """Answer all that gets in, and count it, as the service's thread does."""
+    """Answer all admitted requests, and count them, as the service's thread does."""
     let_in: Counter[str] = Counter()
     ended = threading.Event()
 
@@ -156,7 +153,7 @@ def _answering(session: Session) -> Iterator[Counter[str]]:
 
 
 class _Asking:
-    """Asks without waiting for the answers, and counts them: "" is one that is no refusal."""
+    """Asks without waiting for the answers, and counts them: "" is an answer without refusal."""
 
     def __init__(self, asking: zenoh.Session) -> None:
         self._session = asking
@@ -192,7 +189,6 @@ def unfilled(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_flood_is_answered_up_to_a_bound(
     session: Session, where: str, key: str, name: str
 ) -> None:
-    """Each one is answered: those beyond the bound with a refusal, before anybody reads them."""
     with _answering(session) as let_in, _connected(where) as stranger:
         asking = _Asking(stranger)
         for _ in range(2 * BURST):
@@ -206,7 +202,6 @@ def test_a_flood_is_answered_up_to_a_bound(
 
 @pytest.mark.usefixtures("unfilled")
 def test_names_that_there_are_not_share_one_bound(session: Session, where: str) -> None:
-    """Else each would have one of its own, and there is no end to names."""
     with _answering(session), _connected(where) as stranger:
         asking = _Asking(stranger)
         for k in range(2 * BURST):
@@ -219,7 +214,6 @@ def test_names_that_there_are_not_share_one_bound(session: Session, where: str) 
 
 @pytest.mark.usefixtures("unfilled")
 def test_a_flood_holds_up_no_stop_and_nothing_of_the_holder_s(session: Session, where: str) -> None:
-    """They are not counted, neither with the flood nor by themselves."""
     session.lease = LEASE.encode()
     ended = threading.Event()
     with (

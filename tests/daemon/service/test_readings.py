@@ -1,4 +1,4 @@
-"""Which readings keep a rig from being armed, and which do not."""
+"""Readings that prevent arming, and readings that do not."""
 
 from __future__ import annotations
 
@@ -48,13 +48,11 @@ def _objection(readings: Readings, *, alpha_is_read: bool = True) -> str:
 
 
 def test_a_rig_at_rest_may_be_armed() -> None:
-    """A reading that does not move is what a still shaft gives; so is a dead band's."""
     assert _objection(_after(1000)) == ""
     assert _objection(_after(1000, y0=0, flags=Flag.ADC0_RAIL)) == ""
 
 
 def test_a_rig_of_which_nothing_was_read_yet_is_not_armed() -> None:
-    """One sample is enough to know that there is something to be read."""
     assert _objection(Readings()) == "no sample has come from the rig yet: try again"
     assert _objection(_after(1)) == ""
 
@@ -63,7 +61,7 @@ def test_alpha_at_the_end_of_its_range_is_named() -> None:
     """For 0.2 s; one sample there is a spike."""
     railed = _after(30, flags=Flag.ADC1_RAIL)
 
-    assert _objection(railed).startswith("alpha reads 0 of 65535, the end of its range: see")
+    assert _objection(railed).startswith("alpha reads 0 of 65535, the end of its range: check")
     assert _objection(_after(10, flags=Flag.ADC1_RAIL)) == ""
     assert _objection(railed, alpha_is_read=False) == ""
     assert _objection(_after(1, before=railed)) == ""
@@ -71,7 +69,7 @@ def test_alpha_at_the_end_of_its_range_is_named() -> None:
 
 @pytest.mark.parametrize("jitter", [0, 1])
 def test_a_theta_1_that_stays_while_the_motor_is_driven_is_named(jitter: int) -> None:
-    """3 V for 2 s are a turn of the model, with noise or without."""
+    """3 V for 2 s turn the model once."""
     readings = Readings()
     for k in range(200):
         readings = _after(1, u=3.0, y0=20_000 + 64 * (k % 2) * jitter, before=readings)
@@ -83,7 +81,6 @@ def test_a_theta_1_that_stays_while_the_motor_is_driven_is_named(jitter: int) ->
 
 
 def test_a_theta_1_that_moves_is_not_stuck() -> None:
-    """Neither in a run, nor in its dead band, nor once it was turned by hand."""
     stuck = _after(200, u=3.0)
 
     assert _objection(_after(1000, u=3.0, step=40)) == ""
@@ -92,13 +89,11 @@ def test_a_theta_1_that_moves_is_not_stuck() -> None:
 
 
 def test_a_voltage_that_may_not_overcome_the_friction_proves_nothing() -> None:
-    """Nor do samples with whole turns between them."""
     assert _objection(_after(5000, u=1.0)) == ""
     assert _objection(_after(100, ts_ms=1000, u=5.0)) == ""
 
 
 def test_the_newest_angle_is_the_start_of_a_rehearsal() -> None:
-    """Unknown in the dead band, and before the first sample."""
     assert theta_1_rad(_after(1)) == 0.5
     assert theta_1_rad(_after(1, flags=Flag.ADC0_RAIL)) is None
     assert theta_1_rad(Readings()) is None
@@ -113,7 +108,6 @@ def _sample(t_ms: float, *, y0: int = 20_000, u: float = 0.0, flags: int = 0) ->
 def test_alpha_may_be_at_its_end_for_less_than_a_fifth_of_a_second(
     t_ms: float, named: bool
 ) -> None:
-    """From the last sample inside its range on, to the ns; the first sample counts as inside."""
     for flags in (0, int(Flag.ADC1_RAIL)):
         readings = updated(updated(Readings(), _sample(0)), _sample(10, flags=0))
         if flags:
@@ -124,7 +118,6 @@ def test_alpha_may_be_at_its_end_for_less_than_a_fifth_of_a_second(
 
 @pytest.mark.parametrize(("turn", "named"), [(0.9999, False), (1.0, True)])
 def test_a_whole_turn_of_driving_is_what_it_takes(turn: float, named: bool) -> None:
-    """Not a moment less."""
     driven = Readings(newest=_sample(0), volt_s=turn)
 
     assert bool(objection(driven, turns_per_volt_s=1.0, alpha_is_read=True)) == named
@@ -132,7 +125,6 @@ def test_a_whole_turn_of_driving_is_what_it_takes(turn: float, named: bool) -> N
 
 @pytest.mark.parametrize(("counts", "moved"), [(256, False), (257, True), (-256, False)])
 def test_readings_within_256_counts_are_one_place(counts: int, moved: bool) -> None:
-    """Smallest and greatest are of one place: from where it was left, all begins anew."""
     before = updated(updated(Readings(), _sample(0, u=3.0)), _sample(10, u=3.0))
 
     after = updated(before, _sample(20, y0=20_000 + counts))
@@ -152,7 +144,6 @@ def test_readings_within_256_counts_are_one_place(counts: int, moved: bool) -> N
 def test_only_what_turns_a_free_motor_counts_as_driving(
     apart_ms: float, volts: float, volt_s: float
 ) -> None:
-    """More than the friction takes, over no longer than a turn could hide in."""
     first = updated(Readings(), _sample(1000, u=volts))
 
     assert updated(first, _sample(1000 + apart_ms)).volt_s == pytest.approx(volt_s)

@@ -1,4 +1,4 @@
-"""What the service knows of its rig, and what keeps it from being armed."""
+"""The service's view of its rig, and its reasons against arming."""
 
 from __future__ import annotations
 
@@ -20,20 +20,18 @@ TURNS_ON = Calibration(alpha=Potentiometer(wraps=True))
 
 @pytest.fixture
 def rig(tmp_path: Path) -> RigView:
-    """Return the view of a rig of which nothing has been told."""
+    """Return the view of a rig without any report."""
     return RigView(Config(), "unixsock-stream/s", tmp_path)
 
 
 def test_before_the_loop_has_spoken_nothing_is_known(rig: RigView) -> None:
-    """It is asked for its status all the same."""
     status = rig.status(None)
 
     assert not rig.is_known
     assert (status.phase, status.owner, status.host, status.Ts) == ("init", "", {}, 0.01)
 
 
-def test_a_status_is_of_the_newest_that_the_loop_told(rig: RigView) -> None:
-    """The state, and what this host gave the loop."""
+def test_a_status_has_the_newest_report_of_the_loop(rig: RigView) -> None:
     rig.note_state(State(t_host_ns=1, phase="safe", reason="", owner="", ts_us=0, device={}))
     rig.note_host(Host(granted={"fifo": 80}))
     rig.note_state(HELD)
@@ -56,7 +54,6 @@ def test_a_status_is_of_the_newest_that_the_loop_told(rig: RigView) -> None:
 def test_alpha_at_the_end_of_its_range_keeps_from_arming_where_there_is_one(
     config: Config, is_kept: bool, tmp_path: Path
 ) -> None:
-    """A rig without its arm has nothing there, and one that turns on passes through it."""
     rig = RigView(config, "nowhere", tmp_path)
     for k, flags in enumerate((0, Flag.ADC1_RAIL)):
         rig.note_sample(Sample(k, k * S, k * S, k * S // 1000, 0.0, 0.0, 0.0, 0.0, 0, 0, flags))
@@ -69,7 +66,6 @@ def test_alpha_at_the_end_of_its_range_keeps_from_arming_where_there_is_one(
 def test_a_second_s_timing_is_published_with_what_the_machine_was_doing(
     rig: RigView, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The loop does not know of it."""
     none = Distribution(p50=0, p90=0, p99=0, p999=0, max=0, n=0, missed=0)
     loop = dict.fromkeys(
         ("wake_lateness_us", "device_tick_error_us", "link_round_trip_us", "queue_depth"), none

@@ -1,4 +1,4 @@
-"""Which run is in hand, what belongs into its recording, and what is said of it at its end."""
+"""The current run: its samples in the recording, and its report at the end."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from armrig_core.codes import COMPLETE, Ending, OutcomeCode
+from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode
 from armrig_core.commands import Run
 from armrig_core.manifest import OUTCOME, outcome_of
 from armrig_core.recording_file.outgoing import Outgoing
@@ -25,7 +25,7 @@ STATE = State(t_host_ns=0, phase="active", reason="", owner="a test", ts_us=10_0
 FIRST, END = 100, 110
 T_NS = 5_000
 NEARLY_FULL = SimpleNamespace(f_bavail=3000, f_bfree=10**8, f_blocks=10**9, f_frsize=1000)
-"""3 MB for us; what is kept for root does not count."""
+"""3 MB for ordinary users; the reserve of root does not count."""
 
 
 @pytest.fixture
@@ -49,7 +49,15 @@ def _sample(k: int) -> Outgoing:
 
 
 def _gap(first: int, count: int) -> Gap:
-    return Gap(k_first=first, count=count, t_from_ns=1, t_to_ns=2, u_held_v=0.0, reason="late")
+    return Gap(
+        k_first=first,
+        count=count,
+        t_from_ns=1,
+        t_to_ns=2,
+        u_held_v=0.0,
+        reason="late",
+        code=GapCode.HOST_LATE,
+    )
 
 
 def _missing_in_file(path: Path) -> int:
@@ -59,7 +67,6 @@ def _missing_in_file(path: Path) -> int:
 
 
 def test_only_the_samples_of_the_run_belong_into_its_recording(runs: Runs) -> None:
-    """Neither the one before nor the one behind."""
     assert not runs.includes_sample(FIRST)
 
     _begin(runs)
@@ -82,7 +89,7 @@ def test_only_the_samples_of_the_run_belong_into_its_recording(runs: Runs) -> No
     ],
 )
 def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missing: int) -> None:
-    """L2: to the file and to a person the same; one that lies beside the run is none of it."""
+    """L2."""
     path = _begin(runs)
 
     assert runs.includes(gap) == (missing > 0)
@@ -94,8 +101,7 @@ def test_of_a_gap_the_samples_of_the_run_are_missing(runs: Runs, gap: Gap, missi
     assert _missing_in_file(path) == missing
 
 
-def test_what_one_run_missed_is_not_told_of_the_next(runs: Runs) -> None:
-    """It begins with nothing missing."""
+def test_what_one_run_missed_is_not_reported_for_the_next(runs: Runs) -> None:
     _begin(runs)
     runs.add([outgoing(_gap(FIRST, 3), 0)])
     runs.end(Ending(OutcomeCode.STOPPED, "stopped"))
@@ -109,7 +115,6 @@ def test_what_one_run_missed_is_not_told_of_the_next(runs: Runs) -> None:
 
 
 def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
-    """Else the silence of its client would stop what somebody drives by hand behind it."""
     _begin(runs)
     assert runs.client_gone_s < inf
 
@@ -120,7 +125,6 @@ def test_a_run_that_is_over_waits_for_no_client(runs: Runs) -> None:
 
 
 def test_a_client_goes_once(runs: Runs) -> None:
-    """Its run is stopped by one order, and not by one at each look."""
     _begin(runs)
 
     assert runs.client_gone() == (
@@ -134,7 +138,6 @@ def test_a_client_goes_once(runs: Runs) -> None:
 
 
 def test_only_the_run_that_was_refused_is_forgotten(runs: Runs) -> None:
-    """A late refusal of one before takes nothing from the one that is planned."""
     order, _ = runs.plan(REQUEST, 0.01)
 
     runs.forget("another")
@@ -147,8 +150,7 @@ def test_only_the_run_that_was_refused_is_forgotten(runs: Runs) -> None:
 
 
 def test_a_run_that_nobody_asked_for_is_not_recorded(runs: Runs, tmp_path: Path) -> None:
-    """Not under the name, the input and the manifest of another."""
-    with pytest.raises(LookupError, match="run another was not asked for"):
+    with pytest.raises(LookupError, match="run another was not requested"):
         _begin(runs, "another")
 
     assert list(tmp_path.iterdir()) == []
@@ -159,28 +161,26 @@ def test_a_run_that_nobody_asked_for_is_not_recorded(runs: Runs, tmp_path: Path)
 def test_a_recording_that_would_fill_the_disk_is_not_begun(
     runs: Runs, monkeypatch: pytest.MonkeyPatch, samples: int, fits: bool
 ) -> None:
-    """200 B a sample and 1 MiB; asked before the motor turns."""
+    """200 B a sample and 1 MiB."""
     monkeypatch.setattr("armrig_core.recording_file.recorder.os.statvfs", lambda _: NEARLY_FULL)
     request = Run(lease="a" * 32, n=1, u=[0.0] * samples)
 
     if fits:
         runs.plan(request, 0.01)
     else:
-        with pytest.raises(ValueError, match="3 MB free, 3 MB needed; free the disk"):
+        with pytest.raises(ValueError, match="3 MB free, 3 MB needed; free disk space"):
             runs.plan(request, 0.01)
     assert runs.is_idle != fits
 
 
 def test_the_first_step_is_one_from_0_v(tmp_path: Path) -> None:
-    """The motor stands when a run begins."""
     runs = Runs(Config(limits=Limits(slew_v=0.5)), tmp_path, lambda: None)
 
     with pytest.raises(ValueError, match=r"u\[0\] steps by 1 V: at most 0.5 V"):
         runs.plan(REQUEST, 0.01)
 
 
-def test_what_is_told_before_the_first_sample_is_of_its_time_at_the_latest(runs: Runs) -> None:
-    """And not of the beginning of all time, which a reader would show as a run of hours."""
+def test_an_event_before_the_first_sample_is_of_its_time_at_the_latest(runs: Runs) -> None:
     path = _begin(runs)
     sample = Sample(FIRST, T_NS, T_NS + 9, FIRST, 0.1, 0.2, 1.0, 1.0, 1, 2, 3)
     told = outgoing(STATE, 0)._replace(t_host_ns=T_NS + 3, t_sched_ns=T_NS + 3)
@@ -194,8 +194,7 @@ def test_what_is_told_before_the_first_sample_is_of_its_time_at_the_latest(runs:
     assert times == [T_NS, T_NS + 9]
 
 
-def test_a_run_is_told_as_finished_once_its_recording_is_complete(runs: Runs) -> None:
-    """Who waits for it goes by that, and finds the recording under its own name."""
+def test_a_run_is_reported_as_finished_once_its_recording_is_complete(runs: Runs) -> None:
     path = _begin(runs)
     runs.end(COMPLETE)
     assert runs.last is not None
@@ -211,7 +210,6 @@ def test_a_run_is_told_as_finished_once_its_recording_is_complete(runs: Runs) ->
 def test_what_a_full_disk_does_to_the_run_is_configured(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, stops: bool
 ) -> None:
-    """It is stopped, or plays on unrecorded, which is said once; its outcome tells in any case."""
     why = "No space left on device"
     flush = Part.flush
 

@@ -1,4 +1,4 @@
-"""What is looked at when a run is planned, and what goes with it."""
+"""Checks and attachments of a planned run."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ def _runs(directory: Path, config: Config) -> Runs:
 def test_an_input_outside_a_limit_is_refused_and_nothing_is_planned(
     limits: Limits, complaint: str, tmp_path: Path
 ) -> None:
-    """Each by itself; the next run is not in its way."""
     runs = _runs(tmp_path, Config(limits=limits))
 
     for _ in range(2):
@@ -44,7 +43,6 @@ def test_an_input_outside_a_limit_is_refused_and_nothing_is_planned(
 
 
 def test_the_answer_carries_the_rehearsal_on_the_configured_rig(tmp_path: Path) -> None:
-    """Without limits nothing is refused; the figures are told all the same."""
     arm = ArmSettings(J_2=0.01)
 
     _, answer = _runs(tmp_path, Config(arm=arm)).plan(REQUEST, 0.02, theta_1_rad=1.0)
@@ -55,7 +53,6 @@ def test_the_answer_carries_the_rehearsal_on_the_configured_rig(tmp_path: Path) 
 
 
 def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
-    """The limit of alpha has nothing to hold."""
     config = Config(arm=ArmSettings(removed=True), limits=Limits(alpha_rad=0.001))
 
     _, answer = _runs(tmp_path, config).plan(REQUEST, 0.01)
@@ -65,7 +62,7 @@ def test_a_rig_without_its_arm_deflects_nothing(tmp_path: Path) -> None:
 
 
 def test_the_loop_hears_of_us_between_the_steps_of_a_long_plan(tmp_path: Path) -> None:
-    """Checked, rehearsed, made text, made codes: millions of samples take a second each."""
+    """Checking, rehearsing and encoding take a second per million samples each."""
     calls: list[None] = []
 
     _runs(tmp_path, Config()).plan(REQUEST, 0.01, alive=lambda: calls.append(None))
@@ -74,7 +71,6 @@ def test_the_loop_hears_of_us_between_the_steps_of_a_long_plan(tmp_path: Path) -
 
 
 def test_the_input_is_attached_to_the_last_bit(tmp_path: Path) -> None:
-    """One voltage a line, as `recorded_input` reads it."""
     u = [0.1, 1 / 3, 5.0, 0, 1e-9, 4.9999999999999991]
     runs = _runs(tmp_path, Config())
 
@@ -100,7 +96,7 @@ def test_the_input_is_attached_to_the_last_bit(tmp_path: Path) -> None:
 def test_a_run_that_one_file_may_hold_is_in_one_file(
     config: RecordingConfig, samples: int, Ts: float, limits: PartLimits | None
 ) -> None:
-    """By the configured limits: an hour at 1 kHz by default."""
+    """An hour at 1 kHz by default."""
     assert part_limits(config, samples, Ts) == limits
 
 
@@ -115,10 +111,9 @@ def test_a_run_that_one_file_may_hold_is_in_one_file(
         ("the disk is full", "it was moved", False, "it was moved", "the disk is full; the run p"),
     ],
 )
-def test_what_becomes_of_a_recording_in_hand_is_told(
+def test_the_state_of_the_current_recording_is_reported(
     error: str, moved: str, stop_when_full: bool, disturbed: str, unrecorded: str, tmp_path: Path
 ) -> None:
-    """What was taken and what is on the disk are two numbers; what is told once is told once."""
     config = Config(recording=RecordingConfig(stop_when_full=stop_when_full))
     runs = Runs(config, tmp_path, lambda: None)
     recording: Any = SimpleNamespace(

@@ -1,4 +1,4 @@
-"""What the service says to whoever reads its log."""
+"""Lines of the service's log."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from armrig_daemon.service.systemd import journal_entry, send_to_journal
 
 
 def test_a_line_of_the_log_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    """What a client, a device or a file has put into it does nothing to a terminal."""
     print_line("info", "held by a\x1b[2J\nkernel: all is well\x9b")
 
     assert capsys.readouterr().err == (
@@ -35,23 +34,20 @@ def test_a_line_of_the_log_is_one_line(capsys: pytest.CaptureFixture[str]) -> No
     ("level", "prefix"), [("error", "<3>"), ("warning", "<4>"), ("info", "<6>"), ("new", "<5>")]
 )
 def test_a_line_for_the_journal_begins_with_its_priority(level: str, prefix: str) -> None:
-    """So that `journalctl -p warning` finds it."""
     stderr = os.fstat(2)
 
     assert journal_prefix(level, stderr, f"{stderr.st_dev}:{stderr.st_ino}") == prefix
 
 
 def test_a_line_that_the_journal_does_not_read_has_no_priority() -> None:
-    """Standard error was sent elsewhere, into a file: the variable still stands."""
     stderr = os.fstat(2)
 
     assert journal_prefix("error", stderr, f"{stderr.st_dev}:{stderr.st_ino + 1}") is None
 
 
-def test_to_the_journal_a_line_does_not_say_who_says_it(
+def test_a_line_for_the_journal_does_not_name_its_program(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The journal knows the unit."""
     stderr = os.fstat(2)
     monkeypatch.setenv("JOURNAL_STREAM", f"{stderr.st_dev}:{stderr.st_ino}")
 
@@ -72,14 +68,13 @@ def test_to_the_journal_a_line_does_not_say_who_says_it(
 def test_a_state_is_one_line_for_systemctl(
     phase: str, reason: str, owner: str, line: str, sentence: str
 ) -> None:
-    """A line break in a reason would be read as another field."""
     told = State(t_host_ns=0, phase=phase, reason=reason, owner=owner, ts_us=0, device={})
 
     assert state_sentence(msgspec.structs.replace(told, remedy="mend"), line) == sentence
 
 
 def _fields(entry: bytes) -> dict[str, str]:
-    """Return what stands in an entry, as the journal reads it."""
+    """Return the fields of an entry, as the journal reads them."""
     found = {}
     while entry:
         name, _, rest = entry.partition(b"\n")
@@ -114,12 +109,11 @@ def journal(
         yield listening, path
 
 
-def test_the_journal_is_told_what_a_line_is_about(
+def test_the_journal_gets_the_subject_of_a_line(
     capfd: pytest.CaptureFixture[str],
     journal: tuple[socket.socket, Path],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """As fields of its own, those that are empty left out; standard error is silent then."""
     _connect_stderr_to_journal(monkeypatch)
     about = {"rig": "1", "run": "", "owner": "group 3", "command": "stop"}
 
@@ -136,10 +130,9 @@ def test_the_journal_is_told_what_a_line_is_about(
     assert capfd.readouterr().err == ""
 
 
-def test_nobody_writes_a_field_of_his_own_into_the_journal(
+def test_no_client_writes_a_field_into_the_journal(
     journal: tuple[socket.socket, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever a client says of himself stays in its field; a terminal is not moved by it."""
     _connect_stderr_to_journal(monkeypatch)
     print_line("info", "arm", {"owner": "me\nARMRIG_OWNER=alice\nPRIORITY\n\x1b[2J"})
 
@@ -149,7 +142,6 @@ def test_nobody_writes_a_field_of_his_own_into_the_journal(
 
 
 def test_an_entry_keeps_what_has_lines_of_its_own() -> None:
-    """By its length: nothing in it ends it."""
     assert _fields(journal_entry("error", "a\nMESSAGE=b\n", {}))["MESSAGE"] == "a\nMESSAGE=b\n"
 
 
@@ -158,7 +150,6 @@ def test_a_journal_that_takes_nothing_is_not_waited_for(
     journal: tuple[socket.socket, Path],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """It is full, or gone: the line goes to standard error, with its priority."""
     _connect_stderr_to_journal(monkeypatch)
     filled = 0
     while send_to_journal(journal_entry("info", "more", {}), str(journal[1])):
@@ -185,15 +176,13 @@ NOBODY_ELSE = "Inter-| Receive\n face |bytes\n    lo:       0 0 0\n"
         ("tcp/[::1]:7447", NOBODY_ELSE, False),
     ],
 )
-def test_who_listens_where_nobody_comes_by_is_told(
+def test_a_listener_in_an_isolated_network_is_reported(
     endpoint: str, devices: str, *, is_told: bool
 ) -> None:
-    """A sandbox with a network of its own: it has a loopback, which leads nowhere."""
     assert bool(unreachable(endpoint, devices)) == is_told
 
 
-def test_a_sandbox_without_networks_is_told_with_what_opens_it() -> None:
-    """The kernel says that it has no such addresses."""
+def test_a_sandbox_without_networks_is_reported_with_the_setting_that_opens_it() -> None:
     err = RuntimeError("Address family not supported by protocol (os error 97)")
 
     said = network_error("tls/0.0.0.0:7447", err)

@@ -1,4 +1,4 @@
-"""The service between its clients and the loop: what it orders by itself, and what it lets go."""
+"""The service between its clients and the loop: its own orders, and its refusals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import msgspec
 import pytest
 from armrig.rig.session import open_session
 from armrig_core.calibration import Calibration, Made, Potentiometer
-from armrig_core.codes import COMPLETE, Ending, OutcomeCode, RefusalCode
+from armrig_core.codes import COMPLETE, Ending, GapCode, OutcomeCode, RefusalCode
 from armrig_core.commands import Arm, Disarm, Note, Renew, Run, Set, Stop
 from armrig_core.commands import Calibrate as AskedCalibrate
 from armrig_core.commands import Reset as AskedReset
@@ -48,10 +48,11 @@ from armrig_daemon.service import publish
 from armrig_daemon.service.client_watchdog import begun
 from armrig_daemon.service.publish import Kind, Session
 from armrig_daemon.service.service import Service
-from loop_ends import LoopEnds
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from odd_bench import CONFIG
+
+from tests.daemon.loop_ends import LoopEnds
+from tests.daemon.odd_bench import CONFIG
 
 LEASE = "a" * 32
 FREE = State(t_host_ns=0, phase="safe", reason="", owner="", ts_us=0, device={})
@@ -59,7 +60,15 @@ RUN = Run(lease=LEASE, n=3, u=[1.0] * 3)
 EVEN = Distribution(p50=1.0, p90=1.0, p99=1.0, p999=1.0, max=1.0, n=100, missed=0)
 TOLD_IN_A_RUN = {
     "event": Log(t_host_ns=1, level="info", message="told"),
-    "gap": Gap(k_first=1, count=1, t_from_ns=1, t_to_ns=2, u_held_v=0.0, reason="late"),
+    "gap": Gap(
+        k_first=1,
+        count=1,
+        t_from_ns=1,
+        t_to_ns=2,
+        u_held_v=0.0,
+        reason="late",
+        code=GapCode.HOST_LATE,
+    ),
     "state": msgspec.structs.replace(FREE, owner="a test"),
     "timing": Timing(
         t_host_ns=1,
@@ -81,7 +90,7 @@ TOLD_IN_A_RUN = {
 
 
 class Between:
-    """A service in its place, with a client's session and the loop's ends beside it."""
+    """A service with a client's session and the loop's ends."""
 
     def __init__(self, directory: Path, config: Config | None = None) -> None:
         self.loop = LoopEnds()
@@ -102,7 +111,7 @@ class Between:
         return replies
 
     def begin_run(self) -> str:
-        """Have a run asked for, taken by the loop, and begun."""
+        """Have a run requested, accepted by the loop, and begun."""
         self.ask(RUN)
         self.commands.serve()
         *signs, play = self.loop.orders()
@@ -122,7 +131,7 @@ class Between:
 
 @pytest.fixture
 def between(tmp_path: Path) -> Iterator[Between]:
-    """Return a service that is in no loop of its own: it does what a test has it do."""
+    """Return a service without a loop, which acts on the test's calls."""
     between = Between(tmp_path)
     yield between
     between.close()
@@ -130,7 +139,7 @@ def between(tmp_path: Path) -> Iterator[Between]:
 
 @pytest.fixture
 def narrow(tmp_path: Path) -> Iterator[Between]:
-    """Return such a service of a rig with narrow limits on a slow line."""
+    """Return such a service for a rig with narrow limits on a slow line."""
     between = Between(tmp_path, CONFIG)
     yield between
     between.close()
@@ -159,14 +168,14 @@ def _sample(k: int) -> bytes:
 
 
 def test_the_loop_hears_from_the_service_each_second(between: Between) -> None:
-    """Else it takes the service for frozen, and stops the motor."""
+    """Otherwise the loop takes the service for frozen, and stops the motor."""
     between.service._each_second()
 
     assert between.loop.orders() == [Alive()]
 
 
 def test_the_loop_hears_from_the_service_while_a_run_is_planned(between: Between) -> None:
-    """Millions of samples take seconds, at 0 V: longer than a frozen service may be silent."""
+    """Millions of samples take longer than a frozen service may be silent."""
     between.ask(RUN)
     between.commands.serve()
 
@@ -176,19 +185,17 @@ def test_the_loop_hears_from_the_service_while_a_run_is_planned(between: Between
 
 
 def test_a_run_that_cannot_be_recorded_is_stopped(between: Between) -> None:
-    """The motor must not turn for nothing: here for a run that nobody asked for."""
     between.service._handle([RunStarted(run_id="another", k_first=0, count=1, t_host_ns=0)])
 
     assert between.loop.orders() == [pipe.Stop()]
 
 
 def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> None:
-    """Who asked is told, and the next may be asked for."""
     replies = between.ask(RUN)
     between.commands.serve()
     *_, play = between.loop.orders()
 
-    between.service._handle([Answer(order=play.order, error="not now")])
+    between.service._handle([Answer(order=play.order, error="not now", code=RefusalCode.BY_HAND)])
 
     assert _refusal(replies) == "not now"
     assert between.service._runs.is_idle
@@ -197,7 +204,6 @@ def test_a_run_that_the_loop_refuses_is_in_nobody_s_way(between: Between) -> Non
 def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It is refused within its time; an answer that comes later is nobody's."""
     monkeypatch.setattr("armrig_daemon.service.commands.ANSWER_S", -1.0)
     replies = between.ask(RUN)
     between.commands.serve()
@@ -205,15 +211,13 @@ def test_a_run_that_the_loop_does_not_answer_is_in_nobody_s_way(
 
     between.service._each_second()
 
-    assert (
-        _refusal(replies) == "the loop did not answer within 3 s: ask again, or start armrigd anew"
-    )
+    assert _refusal(replies) == "the loop did not answer within 3 s: try again, or restart armrigd"
     assert between.service._runs.is_idle
     between.service._handle([Answer(order=play.order)])
 
 
 def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Between) -> None:
-    """L1: they lie before it in the pipe; a sample beside the run's own is no part of it."""
+    """L1: the samples precede the end in the pipe."""
     run_id = between.begin_run()
 
     ended = RunEnded(run_id=run_id, outcome="complete", outcome_code=OutcomeCode.COMPLETE)
@@ -224,7 +228,6 @@ def test_samples_that_come_with_the_end_of_their_run_are_recorded(between: Betwe
 
 
 def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> None:
-    """Its holder is a stranger like any other, at zenoh's door."""
     between.service._handle([msgspec.structs.replace(FREE, owner="a test")])
     assert between.service._session.lease == LEASE.encode()
 
@@ -233,7 +236,6 @@ def test_a_lease_that_the_loop_has_ended_lets_nobody_in(between: Between) -> Non
 
 
 def test_a_sampling_time_that_the_wire_cannot_carry_is_not_armed_with(between: Between) -> None:
-    """Nor one that the device could not count."""
     with pytest.raises(ValueError, match=r"Ts=0\.0001 s cannot be carried"):
         between.commands._ts_us(0.0001)
     with pytest.raises(ValueError, match="a whole number of microseconds"):
@@ -244,7 +246,6 @@ def test_a_sampling_time_that_the_wire_cannot_carry_is_not_armed_with(between: B
 def test_a_sampling_time_that_holds_no_oversampled_reading_is_not_armed_with(
     between: Between,
 ) -> None:
-    """Before the loop is asked, which knows the device's own figures."""
     config = between.commands._config
     device = msgspec.structs.replace(config.device, oversampling=30)
     between.commands._config = msgspec.structs.replace(config, device=device)
@@ -254,20 +255,18 @@ def test_a_sampling_time_that_holds_no_oversampled_reading_is_not_armed_with(
 
 
 def test_a_command_too_many_is_refused_at_once(between: Between) -> None:
-    """R1: what waits is bounded, and nobody waits in silence."""
-    for _ in range(publish.MOST_WAITING):
+    """R1."""
+    for _ in range(publish.MAX_WAITING):
         between.ask(RUN)
 
     assert _refusal(between.ask(RUN)) == "too many commands are waiting: try again"
     waiting = list(between.service._session.waiting(Kind.LEASED))
-    assert len(waiting) == publish.MOST_WAITING
+    assert len(waiting) == publish.MAX_WAITING
 
 
 def test_a_disk_that_refuses_a_recording_stops_its_run(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The writer's thread wakes the service, which has the motor stopped."""
-
     def full(_fd: int) -> None:
         raise OSError(28, "No space left on device")
 
@@ -292,7 +291,6 @@ def test_a_disk_that_refuses_a_recording_stops_its_run(
 def test_a_run_that_the_core_is_sure_to_refuse_is_not_ordered(
     between: Between, phase: str, n: int, complaint: str
 ) -> None:
-    """Nor rehearsed, which takes its time."""
     between.service._handle([msgspec.structs.replace(FREE, phase=phase, owner="a test")])
     between.commands._n = n
 
@@ -306,7 +304,6 @@ def test_a_run_that_the_core_is_sure_to_refuse_is_not_ordered(
 def test_a_run_is_planned_as_the_newest_lease_was_granted(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At its sampling time, and with numbers of its own; nothing is left of the lease before."""
     planned: list[float] = []
     monkeypatch.setattr(between.commands, "_objection", lambda: None)
     monkeypatch.setattr(between.service._runs, "plan", lambda _, Ts, *__: planned.append(Ts))
@@ -324,7 +321,6 @@ def test_a_run_is_planned_as_the_newest_lease_was_granted(
 
 
 def test_a_number_that_the_loop_has_taken_is_old(between: Between) -> None:
-    """Whatever the command was that it came with."""
     between.ask(Set(lease=LEASE, n=5, u=0.5))
     between.commands.serve()
     (order,) = between.loop.orders()
@@ -337,7 +333,6 @@ def test_a_number_that_the_loop_has_taken_is_old(between: Between) -> None:
 
 
 def test_more_signals_do_not_put_off_the_end_of_a_frozen_loop(between: Between) -> None:
-    """The first one says when it is killed."""
     signal.raise_signal(signal.SIGTERM)
     between.service._woken()
     kill_at_s = between.service._kill_at
@@ -354,7 +349,7 @@ def test_more_signals_do_not_put_off_the_end_of_a_frozen_loop(between: Between) 
 def test_a_loop_that_still_loads_has_more_time_to_end(
     between: Between, records: list[Any], within_s: float
 ) -> None:
-    """A loop whose program is loaded must end within 2 s: a frozen loop is killed."""
+    """A loop that has loaded must end within 2 s."""
     between.service._handle(records)
 
     signal.raise_signal(signal.SIGTERM)
@@ -368,7 +363,7 @@ def test_a_loop_that_still_loads_has_more_time_to_end(
 def test_a_signal_that_comes_with_the_loop_s_end_is_an_end_in_good_order(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Ctrl-C goes to both: the loop may have ended before we have looked."""
+    """Ctrl-C reaches both processes, so the loop may end first."""
     monkeypatch.setattr(between.loop.child, "records", lambda: signal.raise_signal(signal.SIGINT))
     os.write(between.loop.records_fd, b"the end")
 
@@ -380,7 +375,7 @@ def test_a_signal_that_comes_with_the_loop_s_end_is_an_end_in_good_order(
 def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else a service that was busy for a period would stop the run of a client that is there."""
+    """Otherwise a busy service would stop the run of a client that is alive."""
     between.begin_run()
     between.service._runs._presence = begun(msgspec.structs.replace(RUN, dead_man=2.0), 0.0)
     between.ask(Renew(lease=LEASE, n=4))
@@ -398,7 +393,6 @@ def test_a_sign_that_waited_is_taken_before_its_client_counts_as_gone(
 def test_what_is_due_each_second_is_done_once_a_second(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """However often the loop has something to say."""
     now_s = 0.0
 
     def records() -> list[bytes] | None:
@@ -416,11 +410,9 @@ def test_what_is_due_each_second_is_done_once_a_second(
     assert between.loop.orders() == [Alive()] * 5
 
 
-def test_a_command_that_fails_by_our_own_fault_is_refused_and_told(
+def test_a_command_that_fails_by_our_own_fault_is_refused_and_reported(
     between: Between, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Who asked learns of it, and so does the log."""
-
     def broken(*_: object) -> None:
         raise RuntimeError("unexpected")
 
@@ -434,10 +426,9 @@ def test_a_command_that_fails_by_our_own_fault_is_refused_and_told(
     assert f"error: {told}" in capsys.readouterr().err
 
 
-def test_what_the_loop_was_not_granted_is_told(
+def test_what_the_loop_was_not_granted_is_reported(
     between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """To who reads the log, and to who asks."""
     granted = {"fifo": False, "refused": ["SCHED_FIFO"]}
 
     between.service._handle([Host(granted=granted)])
@@ -446,8 +437,7 @@ def test_what_the_loop_was_not_granted_is_told(
     assert between.service._rig.status(None).host == granted
 
 
-def test_what_the_loop_tells_in_a_run_stands_in_its_recording(between: Between) -> None:
-    """Each in its stream, beside the line that names the recording."""
+def test_what_the_loop_reports_in_a_run_is_in_its_recording(between: Between) -> None:
     between.begin_run()
 
     between.service._handle([_sample(0), *TOLD_IN_A_RUN.values()])
@@ -459,7 +449,6 @@ def test_what_the_loop_tells_in_a_run_stands_in_its_recording(between: Between) 
 
 
 def test_a_recording_s_clock_is_set_when_it_begins(between: Between) -> None:
-    """Somebody may have set the time of day since the service was started."""
     between.service._offset_ns = 0
 
     between.begin_run()
@@ -470,8 +459,8 @@ def test_a_recording_s_clock_is_set_when_it_begins(between: Between) -> None:
 
 
 def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: Between) -> None:
-    """R1: between two lots the service looks at the loop; what it says itself waits behind 64."""
-    for n in range(publish.MOST_WAITING):
+    """R1: between two lots the service looks at the loop; at most 64 orders wait."""
+    for n in range(publish.MAX_WAITING):
         between.ask(Set(lease=LEASE, n=n, u=0.0))
 
     lots = []
@@ -501,7 +490,6 @@ def test_orders_are_passed_on_in_small_lots_and_a_bounded_number_waits(between: 
 def test_a_command_is_the_loop_s_to_carry_out_and_to_answer(
     between: Between, request_: Any, order: Any
 ) -> None:
-    """With its lease and its number, which the core judges."""
     replies = between.ask(request_)
     between.commands.serve()
     assert between.loop.orders() == [order]
@@ -538,7 +526,6 @@ def _calibrated(between: Between) -> Any:
 def test_a_calibration_is_in_force_once_the_loop_has_taken_it(
     between: Between, tmp_path: Path
 ) -> None:
-    """Said, shown by the status, and carried by the next run: itself, its samples, its hash."""
     before = between.service._rig.status(None)
     replies = _calibrated(between)
     assert between.service._rig.status(None) == before
@@ -564,7 +551,6 @@ def test_a_calibration_is_in_force_once_the_loop_has_taken_it(
 
 
 def test_of_two_calibrations_the_second_is_in_force(between: Between, tmp_path: Path) -> None:
-    """Whole: nothing of the first is left in the status, or in the recording of the next run."""
     made = msgspec.structs.replace(
         MEASURED.made, date="2026-11-21", raw_sha256=hashlib.sha256(b"second").hexdigest()
     )
@@ -591,11 +577,10 @@ def test_of_two_calibrations_the_second_is_in_force(between: Between, tmp_path: 
 
 
 def test_a_calibration_that_the_core_refuses_is_not_in_force(between: Between) -> None:
-    """Its sender hears the core's reason."""
     before = between.service._rig.status(None)
     replies = _calibrated(between)
 
-    between.service._handle([Answer(order=1, error="anna has the rig")])
+    between.service._handle([Answer(order=1, error="anna has the rig", code=RefusalCode.HELD)])
 
     assert b"anna has the rig" in next(iter(replies)).err.payload.to_bytes()
     assert between.service._rig.status(None) == before
@@ -604,7 +589,6 @@ def test_a_calibration_that_the_core_refuses_is_not_in_force(between: Between) -
 def test_a_calibration_that_is_taken_late_is_in_force_all_the_same(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its sender has been told that the loop does not answer; the loop converts by it now."""
     monkeypatch.setattr("armrig_daemon.service.commands.ANSWER_S", -1.0)
     replies = _calibrated(between)
     between.commands.refuse_overdue()
@@ -645,7 +629,6 @@ def test_one_calibration_waits_at_most(between: Between) -> None:
 def test_what_a_rig_s_own_limits_forbid_is_refused(
     narrow: Between, request_: Any, refusal: str
 ) -> None:
-    """By the limits of its configuration and by its line; the loop hears of none of it."""
     _ready(narrow)
     replies = narrow.ask(request_)
     narrow.commands.serve()
@@ -655,7 +638,6 @@ def test_what_a_rig_s_own_limits_forbid_is_refused(
 
 
 def test_a_voltage_held_by_hand_may_step_as_far_as_it_will(narrow: Between) -> None:
-    """The limit of a step is one from sample to sample of a run; the range is its own."""
     _ready(narrow)
     narrow.ask(Set(lease=LEASE, n=4, u=4.4))
     narrow.commands.serve()
@@ -672,7 +654,7 @@ def test_a_voltage_held_by_hand_may_step_as_far_as_it_will(narrow: Between) -> N
 def test_a_note_is_in_the_recording_by_a_field_and_the_loop_never_hears_of_it(
     between: Between, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """S5: each is written with its author and when it came, also where two have one text."""
+    """S5: each is written with its author and time, also if two have one text."""
     between.begin_run()
     before_ns = time.monotonic_ns()
     replies = [between.ask(Note(text="note 1: *touched*", owner="Ada")) for _ in range(2)]
@@ -697,7 +679,6 @@ def test_a_note_is_in_the_recording_by_a_field_and_the_loop_never_hears_of_it(
 
 
 def test_a_note_outside_a_run_is_answered_that_no_recording_has_it(between: Between) -> None:
-    """It is published all the same; somebody without a name is one on this machine."""
     replies = between.ask(Note(text="the belt was changed"))
 
     between.commands.serve()
@@ -713,7 +694,7 @@ def test_a_note_outside_a_run_is_answered_that_no_recording_has_it(between: Betw
 def test_a_flood_of_notes_leaves_twenty_and_two_a_second(
     between: Between, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """R1: the others are refused for the moment; the recording and the log grow by no more."""
+    """R1: the others are refused for the moment."""
     now_s = time.monotonic()
     monkeypatch.setattr("armrig_daemon.service.commands.time.monotonic", lambda: now_s)
     asked = [between.ask(Note(text=f"{i}")) for i in range(21)]
@@ -733,6 +714,6 @@ def test_a_flood_of_notes_leaves_twenty_and_two_a_second(
 
 
 def _ready(between: Between) -> None:
-    """Have the loop tell a state and a sample, as of a rig that may be armed."""
+    """Have the loop report a state and a sample of a rig that may be armed."""
     between.service._handle([FREE, _sample(1)])
     between.commands.note_lease(LEASE)

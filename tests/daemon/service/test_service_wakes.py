@@ -19,10 +19,9 @@ def service(tmp_path: Path) -> Iterator[Service]:
     service._signals.close()
 
 
-def test_who_comes_while_the_service_looks_does_not_silence_who_comes_later(
+def test_a_client_that_comes_while_the_service_looks_does_not_silence_a_later_one(
     service: Service, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its sign is read with those before it; the next one must be given all the same."""
     reader, wake = service._signals._reader, service._signals.wake
 
     class Interrupted:

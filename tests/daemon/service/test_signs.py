@@ -16,7 +16,8 @@ from armrig_daemon.service.commands import Commands
 from armrig_daemon.service.publish import Session
 from armrig_daemon.service.rig_view import RigView
 from armrig_daemon.service.runs import Runs
-from loop_ends import LoopEnds
+
+from tests.daemon.loop_ends import LoopEnds
 
 LEASE = "a" * 32
 PERIOD_S = 2.0
@@ -24,7 +25,7 @@ RUN = Run(lease=LEASE, n=3, u=[1.0], dead_man=PERIOD_S)
 
 
 def test_a_sign_that_waited_for_the_service_is_of_when_it_came(tmp_path: Path) -> None:
-    """Else a client that died while the service was busy would count as alive for longer."""
+    """Otherwise a client that died while the service was busy would count as alive for longer."""
     endpoint = f"unixsock-stream/{tmp_path}/s"
     has_come = threading.Event()
     sign = msgspec.json.encode(Renew(lease=LEASE, n=4))

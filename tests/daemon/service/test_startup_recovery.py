@@ -1,4 +1,4 @@
-"""What was left unfinished is recovered by a thread beside the service."""
+"""A thread of the service recovers unfinished recordings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from armrig_core.recording_file.file_lock import lock
 from armrig_core.recording_file.rewriting import Rewriter
 from armrig_daemon.config import Recording
 from armrig_daemon.service.startup_recovery import StartupRecovery
-from made_recordings import manifest, recorded, sample, written
+
+from tests.clients.made_recordings import manifest, recorded, sample, written
 
 N = 30
 DATA = recorded(
@@ -29,8 +30,7 @@ def _names(directory: Path) -> list[str]:
     return sorted(path.name for path in directory.iterdir())
 
 
-def test_each_is_recovered_or_told_and_none_keeps_the_others(tmp_path: Path) -> None:
-    """A pipe, an empty file and one that is being written stand before one that is whole."""
+def test_each_is_recovered_or_reported_and_none_keeps_the_others(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "1-a.mcap.active")
     written(tmp_path, b"", "1-b.mcap.active")
     written(tmp_path, DATA, "2-c.mcap.active")
@@ -59,7 +59,6 @@ def test_each_is_recovered_or_told_and_none_keeps_the_others(tmp_path: Path) -> 
 def test_what_is_another_s_stays_as_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whose: str
 ) -> None:
-    """A user's is told, as nobody else would recover it; a rig's is its own daemon's concern."""
     if whose == "another user":
         data, user = DATA, os.geteuid()
         monkeypatch.setattr(os, "geteuid", lambda: user + 1)
@@ -72,13 +71,12 @@ def test_what_is_another_s_stays_as_it_is(
     left_over.join(30)
 
     lines = [line.text for line in left_over.lines()]
-    told = f"{left}: another user's file; passed over"
+    told = f"{left}: another user's file; it is skipped"
     assert lines == ([told] if whose == "another user" else [])
     assert left.read_bytes() == data
 
 
 def test_it_rests_while_a_run_is_in_hand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the next record on, until it may go on."""
     written(tmp_path, DATA, "1-a.mcap.active")
     left_over = StartupRecovery(tmp_path, "1", lambda: None)
     begun = threading.Event()
@@ -101,7 +99,7 @@ def test_it_rests_while_a_run_is_in_hand(tmp_path: Path, monkeypatch: pytest.Mon
     assert _names(tmp_path) == ["1-a.mcap"]
 
 
-def test_a_name_of_any_bytes_is_told_as_text(tmp_path: Path) -> None:
+def test_a_name_of_any_bytes_is_reported_as_text(tmp_path: Path) -> None:
     """A message is UTF-8."""
     Path(os.fsdecode(bytes(tmp_path) + b"/1-\xff.mcap.active")).write_bytes(b"")
     left_over = StartupRecovery(tmp_path, "1", lambda: None)
@@ -116,7 +114,6 @@ def test_a_name_of_any_bytes_is_told_as_text(tmp_path: Path) -> None:
 def test_a_file_that_fails_unexpectedly_does_not_keep_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whatever it is, it is told."""
     for name in "ab":
         written(tmp_path, DATA, f"1-{name}.mcap.active")
     init = Rewriter.__init__
@@ -139,7 +136,6 @@ def test_a_file_that_fails_unexpectedly_does_not_keep_the_others(
 
 
 def test_half_a_copy_is_removed_unless_somebody_writes_it(tmp_path: Path) -> None:
-    """Its daemon died as it wrote a whole recording once more; one that lives still does."""
     whole = written(tmp_path, DATA, "1-a.part-0001.mcap")
     written(tmp_path, DATA[:100], "1-a.part-0001.mcap.compact")
     (tmp_path / "1-c.mcap.compact").symlink_to(whole)
@@ -152,11 +148,10 @@ def test_half_a_copy_is_removed_unless_somebody_writes_it(tmp_path: Path) -> Non
 
     assert _names(tmp_path) == ["1-a.part-0001.mcap", "1-b.mcap.compact", "1-c.mcap.compact"]
     (line,) = left_over.lines()
-    assert line.text == f"{whole}.compact: half a copy of a whole recording, removed"
+    assert line.text == f"{whole}.compact: incomplete copy of a complete recording, removed"
 
 
 def test_what_is_not_kept_goes_at_the_start_and_after_each_run(tmp_path: Path) -> None:
-    """Never while a run is in hand; what was left unfinished is recovered before."""
     ended = recorded([sample(0)], outcome=Outcome(outcome="complete", samples=1, missing=0))
     said = threading.Event()
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from armrig_daemon.pipe import Log
-from armrig_daemon.service.thinning import AGAIN_NS, MOST_KINDS, Thinning
+from armrig_daemon.service.thinning import HOLD_NS, MAX_KINDS, Thinning
 
 MS = 1_000_000
 
@@ -17,21 +17,19 @@ def _missed(ms: int) -> Log:
 
 
 def test_lines_that_differ_in_numbers_only_are_said_once_a_second() -> None:
-    """The first at once; of the others the last, with their number."""
     thinning = Thinning()
 
     said = [log for ms in range(1000) if thinning.lets_through(log := _missed(ms))]
-    due = thinning.due(AGAIN_NS)
+    due = thinning.due(HOLD_NS)
 
     assert said == [_missed(0)]
     (line,) = due
-    assert line.message == _missed(999).message + " (999 like it since the last)"
+    assert line.message == _missed(999).message + " (999 similar lines since the last)"
     assert line.level == "warning"
-    assert thinning.due(AGAIN_NS + MS) == []
+    assert thinning.due(HOLD_NS + MS) == []
 
 
 def test_a_flood_goes_on_at_a_line_a_second() -> None:
-    """Each line is counted once."""
     thinning = Thinning()
     lines, counted = 0, 0
     for ms in range(5000):
@@ -46,7 +44,6 @@ def test_a_flood_goes_on_at_a_line_a_second() -> None:
 
 
 def test_a_line_that_comes_now_and_then_is_said_as_it_is() -> None:
-    """Two in a second are two lines, the second late and without a count."""
     thinning = Thinning()
     assert thinning.lets_through(_missed(0))
     assert not thinning.lets_through(_missed(500))
@@ -58,7 +55,6 @@ def test_a_line_that_comes_now_and_then_is_said_as_it_is() -> None:
 
 
 def test_other_lines_and_errors_are_not_held_back() -> None:
-    """An error may repeat itself."""
     thinning = Thinning()
     assert thinning.lets_through(_missed(0))
 
@@ -67,28 +63,25 @@ def test_other_lines_and_errors_are_not_held_back() -> None:
 
 
 def test_at_the_end_nothing_stays_held_back() -> None:
-    """A run's recording has what belongs to it."""
     thinning = Thinning()
     for ms in range(3):
         thinning.lets_through(_missed(ms))
 
     (line,) = thinning.due(3 * MS, end=True)
 
-    assert line.message.endswith("(2 like it since the last)")
+    assert line.message.endswith("(2 similar lines since the last)")
 
 
-def test_the_kinds_that_are_told_apart_have_a_bound() -> None:
-    """Beyond it lines are said, and not remembered."""
+def test_the_number_of_kinds_of_lines_has_a_bound() -> None:
     thinning = Thinning()
-    words = ["".join(chr(97 + int(d)) for d in str(i)) for i in range(MOST_KINDS + 50)]
+    words = ["".join(chr(97 + int(d)) for d in str(i)) for i in range(MAX_KINDS + 50)]
 
     assert all(thinning.lets_through(_log(0, word)) for word in words)
     assert thinning.lets_through(_log(0, words[-1]))
     assert not thinning.lets_through(_log(0, words[0]))
 
 
-def test_two_who_command_are_both_named() -> None:
-    """Names that differ in a number only; the same one twice is held back as ever."""
+def test_two_commanders_are_both_named() -> None:
     thinning = Thinning()
     said = [
         thinning.lets_through(_log(0, f"stop: by {who}", "info", command="stop"))

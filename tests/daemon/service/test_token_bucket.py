@@ -1,4 +1,4 @@
-"""How often anybody may ask, on a clock that is moved by hand."""
+"""Rates of requests, on a clock that is moved by hand."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ NOW_S = 1e6
 
 
 def _asked(bucket: Bucket, now_s: float, times: int) -> tuple[Bucket, int]:
-    """Return the bucket after so many questions at once, and how many were let in."""
+    """Return the bucket after so many questions at once, and the number of admitted ones."""
     let_in = 0
     for _ in range(times):
         left = take(bucket, now_s)
@@ -21,12 +21,10 @@ def _asked(bucket: Bucket, now_s: float, times: int) -> tuple[Bucket, int]:
 
 
 def test_a_burst_after_a_rest_is_let_in_and_no_more() -> None:
-    """However long the rest was."""
     assert _asked(Bucket(), NOW_S, 10 * BURST)[1] == BURST
 
 
 def test_a_flood_is_let_in_at_the_steady_rate() -> None:
-    """Those that are refused cost the others nothing."""
     bucket, _ = _asked(Bucket(), NOW_S, 10 * BURST)
     in_all = 0
     for ms in range(1, 10_001):
@@ -36,8 +34,7 @@ def test_a_flood_is_let_in_at_the_steady_rate() -> None:
     assert abs(in_all - 10 * PER_S) <= 1
 
 
-def test_who_asks_below_the_rate_is_never_refused() -> None:
-    """For as long as he likes."""
+def test_requests_below_the_rate_are_never_refused() -> None:
     bucket: Bucket | None = Bucket()
     for k in range(10_000):
         assert bucket is not None
@@ -47,7 +44,6 @@ def test_who_asks_below_the_rate_is_never_refused() -> None:
 
 @given(st.lists(st.floats(0, 0.1), min_size=1, max_size=500))
 def test_no_stretch_of_time_lets_in_more_than_a_burst_and_its_share(waits: list[float]) -> None:
-    """Whatever the questions' times."""
     bucket, now_s, in_all = Bucket(), NOW_S, 0
     for wait_s in waits:
         now_s += wait_s
@@ -57,8 +53,7 @@ def test_no_stretch_of_time_lets_in_more_than_a_burst_and_its_share(waits: list[
     assert in_all <= BURST + PER_S * (now_s - NOW_S) + 1
 
 
-def test_one_too_many_is_told_the_bound_and_that_it_passes() -> None:
-    """A client asks again by itself."""
+def test_a_refusal_names_the_bound_and_that_it_passes() -> None:
     told = refusal("status")
 
     assert told.error == "status: too many queries, at most 200 a second are answered: try again"

@@ -1,4 +1,4 @@
-"""The way through a router, as the daemon's log tells of it."""
+"""Lines of the daemon's log about its router."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from armrig_daemon.service.uplink import Uplink
 
 
 def test_the_log_has_a_line_each_time_that_the_router_comes_or_goes() -> None:
-    """And none in between."""
     way = SimpleNamespace(has_router=True)
     uplink = Uplink("tls/lab:7447", lambda: cast("Listener", way))
     uplink._thread.join(30.0)

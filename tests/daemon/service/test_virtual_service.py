@@ -1,4 +1,4 @@
-"""Runs in virtual time: asked for as by a client, recorded as by the daemon."""
+"""Runs in virtual time: requested as by a client, recorded as by the daemon."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ def _recorded(folder: Path, seed: int, *requests: Run, config: Config | None = N
 
 
 def test_a_run_is_recorded_whole(tmp_path: Path) -> None:
-    """With its input, its steps, and no figure of the host."""
     [path] = _recorded(tmp_path, 1, REQUEST)
 
     recording = armrig.load(path)
@@ -42,7 +41,6 @@ def test_a_run_is_recorded_whole(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("pacing", ["scheduled", "exchange"])
 def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, pacing: str) -> None:
-    """In either mode, wherever it is recorded; another seed gives another noise and name."""
     request = replace(REQUEST, pacing=pacing)
     first, again, other = (
         _recorded(tmp_path / name, seed, request, request)
@@ -57,7 +55,6 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, pacing: str) -> None
 
 
 def test_what_the_limits_forbid_is_refused(tmp_path: Path) -> None:
-    """As by the daemon, before anything is recorded."""
     config = Config(limits=Limits(u_max_v=3.0))
 
     with pytest.raises(ValueError, match=r"is outside 0 … 3 V"):
@@ -66,8 +63,7 @@ def test_what_the_limits_forbid_is_refused(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_run_that_ends_early_is_told(tmp_path: Path) -> None:
-    """The chassis turns farther than the device allows; the recording is kept."""
+def test_a_run_that_ends_early_is_reported(tmp_path: Path) -> None:
     config = Config(limits=Limits(revolutions=0.5))
     service = VirtualService(config, tmp_path, seed=1)
     service._runs._config = Config()  # else the rehearsal sees it coming
@@ -80,7 +76,6 @@ def test_a_run_that_ends_early_is_told(tmp_path: Path) -> None:
 
 
 def test_runs_are_read_from_lines_of_json() -> None:
-    """As a client asks for them, without a lease; what is no run is named by its line."""
     line = json.dumps({"u": [1.0, 2.0], "experiment": "x", "details": {"seed": 1}})
 
     [run] = requests_of(line.encode() + b"\n")

@@ -1,6 +1,6 @@
 """Plants the bug that MUTANT_OF_ARMRIG leads to in every interpreter that a test starts.
 
-Python imports this module at its start where the folder is on PYTHONPATH; see `mutation.planting`.
+Python imports it at its start if its folder is on PYTHONPATH; see `tests.mutation.planting`.
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 
 if _kept := os.environ.get("MUTANT_OF_ARMRIG"):
-    _tests = str(Path(__file__).parents[2])
-    sys.path.append(_tests)
-    from mutation.planting import plant_kept
+    _root = str(Path(__file__).parents[3])
+    sys.path.append(_root)
+    from tests.mutation.planting import plant_kept
 
-    sys.path.remove(_tests)
+    sys.path.remove(_root)
     plant_kept(_kept)

@@ -21,14 +21,14 @@ U, Y = np.random.default_rng(1).standard_normal((2, 30))
 
 
 def npz(folder: Path, **arrays: Any) -> Path:
-    """Return a file that numpy has written, pickles where it needs them."""
+    """Return a file that numpy has written, with pickles if it needs them."""
     path = folder / "data.npz"
     np.savez(path, **arrays)
     return path
 
 
 def mat(folder: Path, values: dict[str, Any], **how: Any) -> Path:
-    """Return a MAT-file of version 5, or as it is asked for."""
+    """Return a MAT-file, of version 5 by default."""
     path = folder / "data.mat"
     savemat(path, values, **how)
     return path
@@ -54,7 +54,6 @@ def _cell(value: Any) -> Any:
 def test_vectors_of_matlab_are_columns_by_name(
     how: dict[str, Any], shape: tuple[int, int], tmp_path: Path
 ) -> None:
-    """Lying or standing, packed or not; a number named Ts is the sampling time."""
     values = {"volt": U.reshape(shape), "y": Y.reshape(shape), "Ts": 0.08}
 
     data = load_data(mat(tmp_path, values, **how), input="volt")
@@ -66,7 +65,6 @@ def test_vectors_of_matlab_are_columns_by_name(
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_a_matrix_is_columns_by_number(turned: bool, tmp_path: Path) -> None:
-    """Its longer side is time."""
     X = np.column_stack([0.5 * np.arange(30), U, Y])
 
     path = mat(tmp_path, {"X": X.T if turned else X})
@@ -78,7 +76,6 @@ def test_a_matrix_is_columns_by_number(turned: bool, tmp_path: Path) -> None:
 
 
 def test_the_fields_of_a_structure_are_columns(tmp_path: Path) -> None:
-    """By their own names where only one is named so."""
     path = mat(tmp_path, {"z": {"u": U, "y": Y, "Ts": 2.0}, "note": "heater"})
 
     data = load_data(path)
@@ -89,7 +86,6 @@ def test_the_fields_of_a_structure_are_columns(tmp_path: Path) -> None:
 
 
 def test_an_iddata_object_of_older_matlab_is_read(tmp_path: Path) -> None:
-    """Input, output and sampling time, as far as scipy reads them."""
     column = U.reshape(-1, 1), Y.reshape(-1, 1)
     names = {"InputName": "heater", "OutputName": "temperature", "InterSample": "zoh"}
     path = mat(
@@ -109,7 +105,6 @@ def test_an_iddata_object_of_older_matlab_is_read(tmp_path: Path) -> None:
 
 
 def test_arrays_of_numpy_are_columns_by_name(tmp_path: Path) -> None:
-    """Whole numbers and single precision, too; NaN is missing."""
     y = Y.copy()
     y[3] = np.nan
     t = (0.01 * np.arange(30)).astype(np.float32)
@@ -122,7 +117,6 @@ def test_arrays_of_numpy_are_columns_by_name(tmp_path: Path) -> None:
 
 
 def test_complex_numbers_are_not_cut_in_half(tmp_path: Path) -> None:
-    """Their imaginary part would be lost."""
     path = npz(tmp_path, u=U, y=Y + 0j)
 
     with pytest.raises(FileError, match="signal y: is complex; save its real part"):
@@ -130,20 +124,19 @@ def test_complex_numbers_are_not_cut_in_half(tmp_path: Path) -> None:
 
 
 class Bomb:
-    """What must never be unpickled."""
+    """An object that must never be unpickled."""
 
     def __reduce__(self) -> Any:
-        """Leave a trace where it is."""
+        """Leave a trace of the unpickling."""
         return (Path("/nonexistent/armrig-was-here").touch, ())
 
 
 def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
-    """It is a program; what lies beside it is read."""
     objects = np.empty(30, dtype=object)
     objects[0] = Bomb()
     path = npz(tmp_path, u=U, y=objects, z=Y)
 
-    with pytest.raises(FileError, match="signal y: holds Python objects, which are programs"):
+    with pytest.raises(FileError, match="signal y: contains pickled Python objects"):
         load_data(path, Ts=1)
     np.testing.assert_array_equal(load_data(path, signal="z", Ts=1).y, Y)
 
@@ -152,7 +145,7 @@ def test_a_pickle_is_never_loaded(tmp_path: Path) -> None:
 def test_an_archive_that_unpacks_without_end_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type
 ) -> None:
-    """By what it says of its length, before it is unpacked; a byte becomes a number of 8 B."""
+    """The declared length decides, before anything is unpacked."""
     from armrig.data.files import arrays
 
     monkeypatch.setattr(arrays, "most_unpacked", lambda _: 1 << 20)
@@ -163,14 +156,16 @@ def test_an_archive_that_unpacks_without_end_is_refused(
 
     with pytest.raises(FileError, match="unpacked it has more than 1 MiB; save only input"):
         load_data(bomb, Ts=1)
-    with pytest.raises(FileError, match="both need one"):  # unequal lengths: it was read
+    with pytest.raises(
+        FileError, match="both need the same number"
+    ):  # unequal lengths: it was read
         load_data(whole, Ts=1)
 
 
 def test_an_array_that_lies_of_its_length_costs_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its head says four numbers; a gigabyte follows, of which no more is unpacked."""
+    """The header declares four numbers; a gigabyte follows."""
     from armrig.data.files import arrays
 
     monkeypatch.setattr(arrays, "most_unpacked", lambda _: 1 << 20)
@@ -199,7 +194,7 @@ def doubles(name: str, values: list[int], order: str) -> bytes:
     """Return a vector of doubles that are whole numbers, in a byte each, as MATLAB saves them."""
     parts = element(6, struct.pack(f"{order}II", 6, 0), order)
     parts += element(5, struct.pack(f"{order}ii", len(values), 1), order)
-    # A name of up to four letters stands in its element's first 8 B.
+    # A name of up to four letters is in its element's first 8 B.
     parts += struct.pack(f"{order}I", len(name) << 16 | 1) + name.encode().ljust(4, b"\0")
     return element(14, parts + element(2, bytes(values), order), order)
 
@@ -208,7 +203,6 @@ def doubles(name: str, values: list[int], order: str) -> bytes:
 def test_numbers_are_read_in_whatever_width_and_order_they_were_saved(
     order: str, tmp_path: Path
 ) -> None:
-    """As MATLAB saves doubles that are whole, on whatever machine."""
     path = tmp_path / "data.mat"
     path.write_bytes(mat5(doubles("u", [1, 2, 255], order) + doubles("y", [7, 8, 9], order), order))
 
@@ -224,12 +218,12 @@ def test_a_number_that_is_cut_within_is_damage(tmp_path: Path) -> None:
     path = tmp_path / "data.mat"
     path.write_bytes(mat5(element(14, head + element(1, b"u") + element(9, b"\1" * 7))))
 
-    with pytest.raises(FileError, match="an element of kind 9 where numbers are due"):
+    with pytest.raises(FileError, match="an element of kind 9 instead of numbers"):
         load_data(path, Ts=1)
 
 
 def test_a_shape_below_nothing_is_damage(tmp_path: Path) -> None:
-    """Though -2 times -3 are as many as the numbers that are there."""
+    """-2 times -3 equals the count of numbers in the file."""
     head = element(6, struct.pack("<II", 6, 0)) + element(5, struct.pack("<3i", -2, -3, 1))
     path = tmp_path / "data.mat"
     path.write_bytes(mat5(element(14, head + element(1, b"u") + element(2, bytes(6)))))
@@ -247,7 +241,6 @@ def old(name: str, values: np.ndarray[Any, Any], order: str) -> bytes:
 
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_version_4_is_read_in_every_width_and_order(order: str, tmp_path: Path) -> None:
-    """It has no mark at its beginning but its numbers."""
     whole, single = np.arange(5, dtype="<i2"), np.linspace(0, 1, 5).astype("<f4")
     path = tmp_path / "data.mat"
     path.write_bytes(old("u", whole, order) + old("y", single, order))
@@ -270,18 +263,17 @@ def cells_inside_each_other(depth: int) -> bytes:
 
 
 def test_cells_inside_each_other_without_end_are_refused(tmp_path: Path) -> None:
-    """The reader below us would fall with the whole program."""
+    """The reader of scipy would crash the interpreter."""
     path = tmp_path / "deep.mat"
     path.write_bytes(mat5(cells_inside_each_other(100_000)))
 
-    with pytest.raises(FileError, match="too many inside each other"):
+    with pytest.raises(FileError, match="nested too deeply"):
         load_data(path, Ts=1)
 
 
 def test_a_mat_file_that_unpacks_without_end_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As soon as it is too large."""
     from armrig.data.files import arrays
 
     monkeypatch.setattr(arrays, "most_unpacked", lambda _: 1 << 20)
@@ -297,10 +289,13 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
     ("values", "said"),
     [
         ({"u": U, "y": Y + 1j}, "signal y: is complex; save its real part"),
-        ({"u": U, "y": "words"}, "signal y: holds no numbers; save it as a vector"),
+        ({"u": U, "y": "words"}, "signal y: contains no numbers; save it as a vector"),
         ({"u": U, "y": np.zeros((0, 0))}, "signal y: is empty; save it with a value for each"),
         ({"u": U, "y": np.zeros((3, 3, 3))}, "signal y: has 3 dimensions; save it as a vector"),
-        ({"u": U, "y": Y[1:]}, "the input has 30 samples and the signal 29; both need one"),
+        (
+            {"u": U, "y": Y[1:]},
+            "the input has 30 samples and the signal 29; both need the same number",
+        ),
         (
             {"u": U, "z": Y},
             "signal y: there is no such column; give --signal a name or a number of 1 u",
@@ -308,7 +303,7 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
         ({"u": U, "y": 1.0}, "signal y: there is no such column"),
         (
             {"note": "nothing"},
-            r"input u and signal y: .*there is no column of numbers \(note holds no numbers;",
+            r"input u and signal y: .*there is no column of numbers \(note contains no numbers;",
         ),
         ({"u": U, "y": [{"a": 1}, {"a": 2}]}, "signal y: is a cell of 2 values; save one of them"),
         (
@@ -318,16 +313,14 @@ def test_a_mat_file_that_unpacks_without_end_is_refused(
     ],
     ids=lambda x: x if isinstance(x, str) else "",
 )
-def test_what_is_no_column_is_told_with_what_to_save(
+def test_what_is_no_column_is_reported_with_what_to_save(
     values: dict[str, Any], said: str, tmp_path: Path
 ) -> None:
-    """Only where it is asked for."""
     with pytest.raises(FileError, match=said):
         load_data(mat(tmp_path, values), Ts=1)
 
 
-def test_a_sparse_matrix_is_told(tmp_path: Path) -> None:
-    """MATLAB's full makes a column of it."""
+def test_a_sparse_matrix_is_reported(tmp_path: Path) -> None:
     from scipy.sparse import csc_array
 
     path = mat(tmp_path, {"u": U, "y": csc_array(Y.reshape(-1, 1))})
@@ -336,17 +329,16 @@ def test_a_sparse_matrix_is_told(tmp_path: Path) -> None:
         load_data(path, Ts=1)
 
 
-def test_matlab_7_3_is_told_with_how_to_save(tmp_path: Path) -> None:
-    """Only MATLAB reads it."""
+def test_matlab_7_3_is_reported_with_the_way_out(tmp_path: Path) -> None:
     path = tmp_path / "data.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512) + b"\x89HDF\r\n\x1a\n")
 
-    with pytest.raises(FileError, match=r"7\.3, which only MATLAB reads; save it there .*-v7"):
+    with pytest.raises(FileError, match=r"7\.3, which only MATLAB reads; save it in MATLAB .*-v7"):
         load_data(path)
 
 
-def test_an_opaque_object_is_told_with_what_to_save(tmp_path: Path) -> None:
-    """An iddata of today: its numbers are where scipy does not look."""
+def test_an_opaque_object_is_reported_with_what_to_save(tmp_path: Path) -> None:
+    """The numbers of a current iddata object are where scipy does not look."""
     opaque = element(6, struct.pack("<II", 17, 0))
     opaque += element(1, b"dryer") + element(1, b"MCOS") + element(1, b"iddata")
     numbers = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 1, 1))
@@ -354,12 +346,13 @@ def test_an_opaque_object_is_told_with_what_to_save(tmp_path: Path) -> None:
     path = tmp_path / "data.mat"
     path.write_bytes(mat5(element(14, opaque + element(14, numbers))))
 
-    with pytest.raises(FileError, match=r"object that only MATLAB reads; there u = data\.u; y ="):
+    with pytest.raises(
+        FileError, match=r"object that only MATLAB reads; in MATLAB: u = data\.u; y ="
+    ):
         load_data(path, Ts=1)
 
 
-def test_damage_is_told_in_a_line(tmp_path: Path) -> None:
-    """Wherever a file is cut or spoilt."""
+def test_damage_is_reported_in_one_line(tmp_path: Path) -> None:
     values = {"u": U, "y": Y, "Ts": 1.0}
     whole = {
         "packed.mat": mat(tmp_path, values, do_compression=True).read_bytes(),
@@ -380,7 +373,6 @@ def test_damage_is_told_in_a_line(tmp_path: Path) -> None:
 
 
 def test_a_mat_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
-    """Not what its last array seems to be."""
     path = mat(tmp_path, {"u": U, "y": Y})
     path.write_bytes(path.read_bytes()[:-1])
 
@@ -389,7 +381,7 @@ def test_a_mat_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
 
 
 def _refusal(path: Path) -> str:
-    """Return what is said of a file; "" where it is read after all."""
+    """Return the refusal of a file; "" if the file is read."""
     try:
         load_data(path)
     except FileError as err:
@@ -411,8 +403,7 @@ def _spoilt(data: bytes) -> list[bytes]:
     return found
 
 
-def test_an_archive_of_other_things_is_told(tmp_path: Path) -> None:
-    """A workbook, for example."""
+def test_an_archive_of_other_things_is_reported(tmp_path: Path) -> None:
     buffer = BytesIO()
     with ZipFile(buffer, "w") as archive:
         archive.writestr("xl/workbook.xml", "<workbook/>")
@@ -424,7 +415,7 @@ def test_an_archive_of_other_things_is_told(tmp_path: Path) -> None:
 
 
 def test_a_small_file_holds_little() -> None:
-    """What was measured does not pack a hundredfold; a short one may be anything."""
+    """Measured data do not compress a hundredfold."""
     assert most_unpacked(500_000) == most_unpacked(0) == 1 << 26
     assert most_unpacked(1_000_000) == 100_000_000
     assert most_unpacked(100_000_000) == 1 << 28

@@ -17,7 +17,7 @@ U, Y = [1.0, -2.5, 3.0, 0.125], [0.5, 1e-3, -7.0, 1e6]
 
 
 def written(folder: Path, text: str, name: str = "data.csv") -> Path:
-    """Return a file of text, its line ends as they are given."""
+    """Return a file of text, with unchanged line ends."""
     path = folder / name
     path.write_bytes(text.encode())
     return path
@@ -58,7 +58,6 @@ def table(separator: str, *, comma: bool = False, end: str = "\n", names: str = 
     ],
 )
 def test_the_same_numbers_come_of_every_way_to_write_them(text: str, tmp_path: Path) -> None:
-    """To the last digit, with the sampling time of the times."""
     data = load_data(written(tmp_path, text))
 
     np.testing.assert_array_equal(data.u, U)
@@ -68,7 +67,6 @@ def test_the_same_numbers_come_of_every_way_to_write_them(text: str, tmp_path: P
 
 @pytest.mark.parametrize("separator", [",", ";", "\t", "  "])
 def test_columns_without_names_are_asked_for_by_number(separator: str, tmp_path: Path) -> None:
-    """From 1; the output is then called y."""
     path = written(tmp_path, table(separator, names=""), "data.dat")
 
     data = load_data(path, input="2", signal="3", time="1")
@@ -79,7 +77,7 @@ def test_columns_without_names_are_asked_for_by_number(separator: str, tmp_path:
 
 
 def test_a_column_ends_where_the_rows_do_with_names_or_without(tmp_path: Path) -> None:
-    """A separator before the end of each row is the empty last column that its name says."""
+    """A separator at the end of each row makes an empty last column."""
     last = written(tmp_path, "u,y\n1,\n2,\n3,\n", "last.csv")
     none = written(tmp_path, "1,5,\n2,6,\n", "none.csv")
 
@@ -89,7 +87,6 @@ def test_a_column_ends_where_the_rows_do_with_names_or_without(tmp_path: Path) -
 
 
 def test_names_and_units_are_the_headers(tmp_path: Path) -> None:
-    """They stand in the model's heading and on the axes."""
     path = written(tmp_path, "t [s];Heater (V);Temp [°C]\n0;1;2\n2;2;3\n")
 
     data = load_data(path, input="Heater", signal="temp [°C]")
@@ -98,7 +95,6 @@ def test_names_and_units_are_the_headers(tmp_path: Path) -> None:
 
 
 def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
-    """In the output; a sample without its input is left out and begins a new experiment."""
     rows = ["1,1", "2,", "3,NaN", "4,n/a", "5,5", ",6", "nan,7", "8,8", "9,9"]
     path = written(tmp_path, "u,y\n" + "\n".join(rows))
 
@@ -107,11 +103,12 @@ def test_what_is_missing_stays_missing(tmp_path: Path) -> None:
     assert data.u.tolist() == [1, 2, 3, 4, 5, 8, 9]
     np.testing.assert_array_equal(data.y, [1, np.nan, np.nan, np.nan, 5, 8, 9])
     assert data.starts == (0, 5)
-    assert data.history == ("left out 2 samples without an input: a new experiment begins behind",)
+    assert data.history == (
+        "left out 2 samples without an input; a new experiment begins after each gap",
+    )
 
 
 def test_a_column_that_nobody_asks_for_may_be_words(tmp_path: Path) -> None:
-    """A time of day, a remark."""
     rows = ["2024-01-01 10:00:00,1,2,good", "2024-01-01 10:00:01,3,4,bad"]
     named = written(tmp_path, "when,u,y,what\n" + "\n".join(rows), "named.csv")
     bare = written(tmp_path, "\n".join(rows), "bare.csv")
@@ -121,14 +118,12 @@ def test_a_column_that_nobody_asks_for_may_be_words(tmp_path: Path) -> None:
 
 
 def test_a_first_row_without_a_value_is_no_line_of_names(tmp_path: Path) -> None:
-    """No sample is lost."""
     path = written(tmp_path, "NaN,1\n2,3\n")
 
     assert load_data(path, input="2", signal="1", Ts=1).N == 2
 
 
 def test_every_number_comes_back() -> None:
-    """To the last bit, as Python writes it: of every size, near and far from 0."""
     bits = np.random.default_rng(1).integers(0, 2**64, (2000, 2), dtype=np.uint64)
     values = bits.view(np.float64)
     rows = values[np.isfinite(values).all(axis=1)]
@@ -146,18 +141,30 @@ def test_every_number_comes_back() -> None:
         ("", "there is no row of numbers; a row for each sample is needed"),
         ("# nothing\n\n", "there is no row of numbers; a row"),
         ("t,u,y\n", "there is no row of numbers below its names, t, u, y; a row for each"),
-        ("u,y\n1,2\n1\n", r"line 3 has 1 cell \(parted by comma\), the line of names 2 cells"),
-        ("1 2\n1 2 3\n", r"line 2 has 3 cells \(parted by blanks\), the first row 2 cells; give"),
-        ("A title\nu;y\n1;2\n", r"line 2 has 2 cells \(parted by semicolon\), the line of names 1"),
-        ("u,y\n1,2\n1,two\n", "line 3, column y: 'two' is no number; leave a missing value empty"),
-        ("u\ty\n1,5\t2\n", "line 2, column u: '1,5' is no number; write 0.5, or 0,5 where a semi"),
-        ("u;y\n1.234,5;2\n", "line 2, column u: '1.234,5' is no number; leave a missing"),
-        ("u,y\n1_000,2\n", "line 2, column u: '1_000' is no number"),
-        ("u,y\n1,2\n1e999,3\n", "line 3: the input is inf there, and in 1 samples in all; leave"),
-        ("u,y\n1," + 99 * "x" + "\n", "line 2, column y: '" + 39 * "x" + "…' is no number"),
+        ("u,y\n1,2\n1\n", r"line 3 has 1 cell \(separated by comma\), the line of names 2 cells"),
+        (
+            "1 2\n1 2 3\n",
+            r"line 2 has 3 cells \(separated by blanks\), the first row 2 cells; give",
+        ),
+        (
+            "A title\nu;y\n1;2\n",
+            r"line 2 has 2 cells \(separated by semicolon\), the line of names 1",
+        ),
+        (
+            "u,y\n1,2\n1,two\n",
+            "line 3, column y: 'two' is not a number; leave a missing value empty",
+        ),
+        ("u\ty\n1,5\t2\n", "line 2, column u: '1,5' is not a number; write 0.5, or 0,5 if semi"),
+        ("u;y\n1.234,5;2\n", "line 2, column u: '1.234,5' is not a number; leave a missing"),
+        ("u,y\n1_000,2\n", "line 2, column u: '1_000' is not a number"),
+        (
+            "u,y\n1,2\n1e999,3\n",
+            "line 3: the input is inf here, and infinite in 1 samples in all; leave",
+        ),
+        ("u,y\n1," + 99 * "x" + "\n", "line 2, column y: '" + 39 * "x" + "…' is not a number"),
         ("\x1b[31mu,y\u202e\n1,2\n", r"a number of 1 \\x1b\[31mu, 2 y\\u202e"),
-        ("u,y\n1,\x1b[2J\n", r"line 2, column y: '\\x1b\[2J' is no number"),
-        ("u,y\n1,2\n\x001,2\n", "is no text, and no other kind of file that is known; armrig re"),
+        ("u,y\n1,\x1b[2J\n", r"line 2, column y: '\\x1b\[2J' is not a number"),
+        ("u,y\n1,2\n\x001,2\n", "is not text, and not of another known kind; armrig re"),
         (
             "a,b\n1,2\n",
             "input u and signal y: there are no such columns; give --input and --signal a name or "
@@ -167,17 +174,16 @@ def test_every_number_comes_back() -> None:
             "1,2\n1,2\n",
             "no such columns; its columns have no names: give --input and --signal 1 or 2$",
         ),
-        ("u,u,y\n1,2,3\n", "input u: columns 1 and 2 are named so; give the number"),
+        ("u,u,y\n1,2,3\n", "input u: columns 1 and 2 have this name; give the number"),
         (
             ",".join(f"c{i}" for i in range(99)) + "\n" + ",".join("1" * 99) + "\n",
             r"11 c10, 12 c11, … 99$",
         ),
     ],
 )
-def test_what_is_no_table_is_told_with_its_line_and_the_way_out(
+def test_what_is_no_table_is_reported_with_its_line_and_the_way_out(
     text: str, said: str, tmp_path: Path
 ) -> None:
-    """What came, what is allowed, what to do."""
     path = written(tmp_path, text)
 
     with pytest.raises(FileError, match=f"^{path}: .*{said}"):
@@ -190,22 +196,21 @@ def test_what_is_no_table_is_told_with_its_line_and_the_way_out(
         (b"u,y [\xb0C]\n1,2\n", "line 1 is not UTF-8: save it as UTF-8 .in Excel: .CSV UTF-8"),
         (
             "u,y\n1,2\n".encode("utf-16"),
-            'is saved as UTF-16, as Excel\'s "Unicode text" is; save it as "CSV UTF-8"',
+            'is saved as UTF-16, like Excel\'s "Unicode text"; save it as "CSV UTF-8"',
         ),
-        (b"u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is no number"),
+        (b"u,y\nV,an angle in radians\n1,2\n", "line 2, column u: 'V' is not a number"),
         (b"\x89HDF\r\n\x1a\n", "is HDF5"),
         (b"PAR1", "is Parquet"),
         (b"\x1f\x8b\x08", "is packed with gzip; unpack it first"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is an old Excel workbook; save its sheet as CSV"),
-        (b"\x89MCAP0\r\n", r"is a recording and no table; armrig.load\(path\).dataset\(\)"),
+        (b"\x89MCAP0\r\n", r"is a recording and not a table; armrig.load\(path\).dataset\(\)"),
         (b"\x93NUMPY\x01", "is an .npy"),
-        (b"# Created by Octave 8.4", "is Octave's own text; save it there with save -v7"),
+        (b"# Created by Octave 8.4", "is Octave's text format; in Octave: save -v7"),
     ],
 )
-def test_another_kind_of_file_is_told_with_what_to_do(
+def test_another_kind_of_file_is_reported_with_the_way_out(
     data: bytes, said: str, tmp_path: Path
 ) -> None:
-    """Whatever its name says."""
     path = tmp_path / "data.csv"
     path.write_bytes(data)
 
@@ -215,7 +220,6 @@ def test_another_kind_of_file_is_told_with_what_to_do(
 
 @given(st.binary(max_size=300))
 def test_garbage_is_refused_or_read_and_never_more(data: bytes) -> None:
-    """No exception but the one that a person can read."""
     for suffix in (".csv", ".mat"):
         said = ""
         try:
@@ -228,7 +232,6 @@ def test_garbage_is_refused_or_read_and_never_more(data: bytes) -> None:
 
 
 def test_a_file_that_is_too_long_is_not_read(tmp_path: Path) -> None:
-    """What is allowed, and what to do."""
     path = tmp_path / "long.csv"
     with path.open("wb") as file:
         file.truncate(loading.MOST_BYTES + 1)
@@ -253,7 +256,6 @@ def test_a_file_that_is_too_long_is_not_read(tmp_path: Path) -> None:
 def test_the_sampling_time_is_the_roundest_that_the_times_agree_with(
     times: Sequence[float], Ts: float, tmp_path: Path
 ) -> None:
-    """Two files of one experiment have the same."""
     text = "t,u,y\n" + "".join(f"{t!r},1,2\n" for t in times)
 
     assert load_data(written(tmp_path, text)).Ts == pytest.approx(Ts, rel=1e-12)
@@ -264,7 +266,6 @@ def test_the_sampling_time_is_the_roundest_that_the_times_agree_with(
     [("t [ms]", 0.1), ("time (µs)", 1e-4), ("Time [min]", 6000.0), ("T", 100.0), ("t[h]", 3.6e5)],
 )
 def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_path: Path) -> None:
-    """Seconds, where it says none."""
     path = written(tmp_path, f"{header},u,y\n0,1,2\n100,1,2\n200,1,2\n")
 
     assert load_data(path).Ts == pytest.approx(Ts, rel=1e-12)
@@ -273,15 +274,21 @@ def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_pat
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("t,u,y\n0,1,2\n1,1,2\n3,1,2\n4,1,2", "line 4: the times in column t go from 1 to 3 s, us"),
+        (
+            "t,u,y\n0,1,2\n1,1,2\n3,1,2\n4,1,2",
+            "line 4: the times in column t go from 1 to 3 s, the us",
+        ),
         ("t,u,y\n0,1,2\n0,1,2\n0,1,2\n", "line 3: the times in column t go from 0 to 0 s"),
         ("t,u,y\n2,1,2\n1,1,2\n0,1,2\n", "line 3: the times in column t go from 2 to 1 s"),
-        ("t,u,y\n0,1,2\n,1,2\n2,1,2\n", "line 3: the times in column t have none here; fill it"),
+        (
+            "t,u,y\n0,1,2\n,1,2\n2,1,2\n",
+            "line 3: the times in column t have no value here; fill it",
+        ),
         (
             "t,u,y\n0,1,2\n",
-            "the times in column t: a sampling time needs at least 2, got 1; give Ts",
+            "the times in column t: a sampling time needs at least 2 times, got 1; give Ts",
         ),
-        ("t [days],u,y\n0,1,2\n1,1,2\n", "the times in column t are in days, known are s, "),
+        ("t [days],u,y\n0,1,2\n1,1,2\n", "the times in column t are in days, known units are s, "),
         ("u,y\n0,1\n1,2\n", r"the sampling time is not known: give it in s \(--Ts\)$"),
         (
             "t,time,u,y\n0,1,1,2\n",
@@ -289,8 +296,9 @@ def test_the_times_have_the_unit_of_their_header(header: str, Ts: float, tmp_pat
         ),
     ],
 )
-def test_times_that_give_no_sampling_time_are_told(text: str, said: str, tmp_path: Path) -> None:
-    """With the place; a Ts that is given overrides them."""
+def test_times_that_give_no_sampling_time_are_reported(
+    text: str, said: str, tmp_path: Path
+) -> None:
     path = written(tmp_path, text)
 
     with pytest.raises(FileError, match=said):
@@ -299,7 +307,6 @@ def test_times_that_give_no_sampling_time_are_told(text: str, said: str, tmp_pat
 
 
 def test_input_and_signal_are_two_columns(tmp_path: Path) -> None:
-    """A slip of the finger."""
     path = written(tmp_path, "u,y\n1,2\n")
 
     with pytest.raises(
@@ -309,7 +316,6 @@ def test_input_and_signal_are_two_columns(tmp_path: Path) -> None:
 
 
 def test_models_know_the_file_that_they_are_of(tmp_path: Path) -> None:
-    """By the hash of its bytes, and that it was no recording."""
     import hashlib
 
     path = written(tmp_path, table(","))
@@ -319,7 +325,6 @@ def test_models_know_the_file_that_they_are_of(tmp_path: Path) -> None:
 
 
 def test_an_input_without_a_unit_says_so_on_its_axis(tmp_path: Path) -> None:
-    """As the output always did."""
     from matplotlib.figure import Figure
 
     data = load_data(written(tmp_path, "u,y\n1,2\n3,1\n"), Ts=1)
@@ -332,7 +337,6 @@ def test_an_input_without_a_unit_says_so_on_its_axis(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("units", ["s;V;°C", "[s];[V];[°C]", "(s);(V);(°C)", ";V;°C"])
 def test_a_line_of_units_below_the_names_is_read_as_such(units: str, tmp_path: Path) -> None:
-    """As data loggers write them; the data say so, and rows keep their numbers of lines."""
     path = written(tmp_path, f"t;u;y\n{units}\n0;1;2\n0.5;3;4\n1.0;5;x\n")
     good = written(tmp_path, path.read_text().replace("x", "6"), "good.csv")
 
@@ -341,12 +345,11 @@ def test_a_line_of_units_below_the_names_is_read_as_such(units: str, tmp_path: P
     assert (data.input_unit, data.unit, data.Ts) == ("V", "°C", 0.5)
     assert data.y.tolist() == [2.0, 4.0, 6.0]
     assert data.history == ("read line 2 as units",)
-    with pytest.raises(FileError, match="line 5, column y: 'x' is no number"):
+    with pytest.raises(FileError, match="line 5, column y: 'x' is not a number"):
         load_data(path)
 
 
-def test_a_unit_beside_the_name_holds_against_one_below(tmp_path: Path) -> None:
-    """Only a name without one takes it from there."""
+def test_a_unit_in_the_header_has_precedence_over_one_below(tmp_path: Path) -> None:
     data = load_data(written(tmp_path, "t;u [mV];y\ns;V;K\n0;1;2\n1;3;4\n"))
 
     assert (data.input_unit, data.unit) == ("mV", "K")

@@ -27,7 +27,7 @@ class Arm:
     Ts: float
 
     def dataset(self, u: Vector, std: float = 0.0, seed: int = 1) -> Dataset:
-        """Return what the arm does for u, white noise on the angle."""
+        """Return the arm's response to u, with white noise on the angle."""
         y = filtered(self.B, self.F, u)
         y += std * np.random.default_rng([seed, 7]).standard_normal(u.size)
         return Dataset(
@@ -117,7 +117,7 @@ def second() -> Second:
 
 @pytest.fixture(scope="session")
 def reference() -> Callable[[str], NDArray[np.float64]]:
-    """Return a reader of the real data sets, which skips where there are none."""
+    """Return a reader of the real data sets, which skips if these are missing."""
 
     def read(name: str) -> NDArray[np.float64]:
         beside = Path(__file__).resolve().parents[5] / "shared" / "reference"

@@ -1,4 +1,4 @@
-"""The best linear approximation tells noise from nonlinear distortion."""
+"""The best linear approximation separates noise from nonlinear distortion."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def multisine(rng: np.random.Generator, periods: int) -> NDArray[np.float64]:
 def realisations(
     seed: int, *, R: int = 6, periods: int = 5, std: float = 0.2, cubic: float = 0.0
 ) -> list[Dataset]:
-    """Return the answers of a second-order system behind a static nonlinearity."""
+    """Return the responses of a second-order system after a static nonlinearity."""
     rng = np.random.default_rng(seed)
     parts = []
     for _ in range(R):
@@ -39,7 +39,6 @@ def realisations(
 
 
 def test_a_linear_system_has_noise_only(second: Any) -> None:
-    """The deviation said is the error made; none of it is nonlinear."""
     found = [bla(realisations(s), integrator=False) for s in range(25)]
     truth = second.response(found[0].omega)
 
@@ -64,11 +63,10 @@ def test_a_cubic_shows_between_realisations_and_not_between_periods() -> None:
     assert np.median(many.nonlinear_std) > 0.5 * np.median(  # type: ignore[arg-type]
         few.nonlinear_std  # type: ignore[arg-type]
     )
-    assert "what the noise makes: nonlinear distortion" in repr(many)
+    assert "that of the noise: nonlinear distortion" in repr(many)
 
 
 def test_experiments_of_one_data_set_are_realisations() -> None:
-    """The same as a sequence of data sets; a hole in a period is bridged by the other periods."""
     parts = realisations(2)
     holed = np.ones(parts[0].N, dtype=np.bool_)
     holed[2 * P + 5 : 2 * P + 9] = False
@@ -82,9 +80,9 @@ def test_experiments_of_one_data_set_are_realisations() -> None:
 
 
 def test_a_dead_band_in_every_period_costs_no_more_than_its_samples() -> None:
-    """The reported deviation of the noise is the scatter, here with a tenth of the samples hidden.
+    """A tenth of the samples is hidden.
 
-    80 draws of 40 lines leave 2 % of doubt; four times that is allowed.
+    80 draws of 40 lines leave an uncertainty of 2 %; the tolerance is four times that.
     """
     rng = np.random.default_rng(11)
     whole = realisations(12, R=2, periods=6)
@@ -105,7 +103,7 @@ def test_a_dead_band_in_every_period_costs_no_more_than_its_samples() -> None:
 
 
 def test_what_a_pwm_rounds_excites_no_line() -> None:
-    """A multisine as a duty of 10 bits has the lines that it was made of."""
+    """A multisine rounded to a duty of 10 bits keeps its lines."""
     u = excitation.multisine(500, range(1, 126))
     applied = np.round(u / 5 * 1023) / 1023 * 5
 
@@ -122,8 +120,7 @@ def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
     np.testing.assert_allclose(found.G, arm.response(found.omega), rtol=1e-7)
 
 
-def test_one_realisation_cannot_tell_distortion() -> None:
-    """It says so, and gives the noise's deviation."""
+def test_one_realisation_cannot_determine_distortion() -> None:
     found = bla(realisations(4, R=1), integrator=False)
 
     assert np.isnan(found.nonlinear_std).all()  # type: ignore[call-overload]
@@ -132,12 +129,11 @@ def test_one_realisation_cannot_tell_distortion() -> None:
 
 
 def test_what_is_not_periodic_is_refused(second: Any) -> None:
-    """With the way out."""
     other = Dataset(u=np.tile(np.arange(50.0), 4), y=np.zeros(200), Ts=1.0)
 
     with pytest.raises(ValueError, match="got none"):
         bla(second.dataset(np.random.default_rng(5)), integrator=False)
-    with pytest.raises(ValueError, match="one period in all realisations"):
+    with pytest.raises(ValueError, match="the same period in all realisations"):
         bla([*realisations(5, R=1), other], integrator=False)
     with pytest.raises(ValueError, match="has no period of 128"):
         bla(realisations(6, periods=2), transient=2, integrator=False)

@@ -39,9 +39,9 @@ def test_whole_periods_without_noise_give_the_exact_response(second: Any) -> Non
 
 
 def test_the_arm_s_angle_is_exact_too(arm: Any) -> None:
-    """Through its rate: the drift that a mean input makes is no error.
+    """The drift due to the mean of the input is no error.
 
-    What is left is the transient after 2 s, exp(-8.05 * 2) of what it began with.
+    The transient after 2 s remains: exp(-8.05 * 2) of its beginning.
     """
     u = repeated(np.random.default_rng(2))
 
@@ -51,7 +51,7 @@ def test_the_arm_s_angle_is_exact_too(arm: Any) -> None:
 
 
 def test_the_scatter_between_periods_is_the_noise(second: Any) -> None:
-    """The deviations said are those of 150 runs."""
+    """The reported deviations are those of 150 runs."""
     found = [etfe(noisy(s, 0.5, 6), integrator=False) for s in range(150)]
     truth = second.response(found[0].omega)
 
@@ -61,7 +61,6 @@ def test_the_scatter_between_periods_is_the_noise(second: Any) -> None:
 
 
 def test_an_instant_missing_in_one_period_is_taken_from_the_others(second: Any) -> None:
-    """Still exact."""
     data = noisy(1, 0.0)
     valid = np.ones(data.N, dtype=np.bool_)
     valid[300:340] = False
@@ -73,7 +72,6 @@ def test_an_instant_missing_in_one_period_is_taken_from_the_others(second: Any) 
 
 
 def test_without_a_period_it_says_so(second: Any) -> None:
-    """Right on average, and its uncertainty unknown."""
     data = second.dataset(np.random.default_rng(3), 4000, std=0.1)
 
     found = etfe(data, integrator=False)
@@ -94,12 +92,10 @@ def test_without_a_period_it_says_so(second: Any) -> None:
     ],
 )
 def test_a_period_is_found_where_there_is_one(u: NDArray[np.float64], expected: int | None) -> None:
-    """The least, repeated throughout."""
     assert period(u) == expected
 
 
 def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
-    """With the way out."""
     data = second.dataset(np.random.default_rng(4), 300, missing=0.1)
     periodic = noisy(1, 0.0)
     never = np.arange(periodic.N) % P != 7

@@ -49,7 +49,6 @@ RESULTS: dict[str, Callable[[Any], Any]] = {
 
 @pytest.mark.parametrize("made", RESULTS.values(), ids=RESULTS.keys())
 def test_a_result_plots_itself(made: Callable[[Any], Any], arm: Any) -> None:
-    """Into the axes it is given, or those of a new figure; signed; no surprise in its text."""
     result = made(arm)
     ax = Figure().add_subplot()
 
@@ -63,7 +62,6 @@ def test_a_result_plots_itself(made: Callable[[Any], Any], arm: Any) -> None:
 
 
 def test_the_band_about_zero_is_where_coefficients_are_judged(second: Any) -> None:
-    """What lies outside the grey band is what `significant` gives."""
     found = impulse_response(
         second.dataset(np.random.default_rng(1)), 30, kernel=None, integrator=False
     )

@@ -1,4 +1,4 @@
-"""Impulse responses: right, with bands that mean what they say."""
+"""Impulse responses are right, and their bands hold."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ KERNELS: tuple[Kernel, ...] = ("tc", "dc", "ss")
 
 
 def test_without_noise_plain_least_squares_gives_back_the_response() -> None:
-    """Through holes, several experiments and a level of each."""
     rng = np.random.default_rng(1)
     g = np.array([0.0, 0.5, -0.3, 0.2, 0.1])
     parts = []
@@ -30,6 +29,7 @@ def test_without_noise_plain_least_squares_gives_back_the_response() -> None:
     found = impulse_response(merge(parts), 5, kernel=None, integrator=False)
 
     np.testing.assert_allclose(found.g, g, atol=1e-12)
+    np.testing.assert_allclose(found.band(), 1.959963984540054 * found.std)
     assert found.lags.tolist() == [0, 1, 2, 3, 4]
 
 
@@ -101,7 +101,7 @@ def test_the_posterior_is_the_textbook_s(second: Any) -> None:
 @pytest.mark.parametrize("kernel", KERNELS)
 @pytest.mark.parametrize("unit", [1e-3, 1e6])
 def test_the_unit_of_u_changes_nothing_else(second: Any, kernel: Kernel, unit: float) -> None:
-    """The search for the kernel's scale begins where that of the data is."""
+    """The search for the kernel's scale begins at the scale of the data."""
     data = second.dataset(np.random.default_rng(3), 150)
     scaled = Dataset(u=unit * data.u, y=data.y, Ts=data.Ts)
 
@@ -111,7 +111,7 @@ def test_the_unit_of_u_changes_nothing_else(second: Any, kernel: Kernel, unit: f
 
 
 def test_the_hyperparameters_maximise_the_marginal_likelihood() -> None:
-    """The density of y itself, through the covariance of all samples, is least nowhere near."""
+    """The marginal likelihood is computed from the covariance of all samples."""
     rng = np.random.default_rng(4)
     n, M = 15, 60
     Phi = rng.standard_normal((M, n))
@@ -143,7 +143,7 @@ def test_dc_is_at_least_as_likely_as_tc_which_is_a_case_of_it(arm: Any) -> None:
 
 
 def test_an_integrating_angle_is_estimated_by_its_rate(arm: Any) -> None:
-    """Its response goes to the gain times Ts and stays: no prior makes it die out."""
+    """The response tends to the gain times Ts and stays there."""
     found = impulse_response(arm.telegraph())
 
     rate = arm.rate(100)
@@ -155,7 +155,7 @@ def test_an_integrating_angle_is_estimated_by_its_rate(arm: Any) -> None:
 
 
 def test_plain_bands_of_the_rate_hold_to_the_last_lag(arm: Any) -> None:
-    """The running sums that follow the last lag do not end up in its coefficient."""
+    """Later lags do not add to the last coefficient."""
     truth = arm.rate(60)
     z = []
     for seed in range(15):
@@ -213,12 +213,12 @@ def test_a_band_is_called_what_it_is(second: Any) -> None:
 
 
 def test_a_response_cut_off_says_so(second: Any) -> None:
-    """Five lags do not hold this response."""
+    """Five lags are too few for this response."""
     data = second.dataset(np.random.default_rng(7), 500, std=0.1)
 
     found = impulse_response(data, 5, kernel=None, integrator=False)
 
-    assert any("not died out" in w for w in found.warnings)
+    assert any("not decayed" in w for w in found.warnings)
 
 
 def test_the_spectrum_of_a_response_carries_its_uncertainty(second: Any) -> None:
@@ -237,7 +237,6 @@ def test_the_spectrum_of_a_response_carries_its_uncertainty(second: Any) -> None
 
 
 def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
-    """With what came, what is allowed and the way out."""
     data = second.dataset(np.random.default_rng(8), 60)
     still = Dataset(u=np.ones(200), y=np.zeros(200), Ts=1.0)
 
@@ -253,7 +252,7 @@ def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
 
 @pytest.mark.parametrize("kernel", [None, "tc"])
 def test_length_costs_no_memory(kernel: Kernel | None) -> None:
-    """A hundred lags of 100 000 samples: less than 30 arrays as long as the data are held."""
+    """A hundred lags of 100 000 samples need less memory than 30 arrays of that length."""
     rng = np.random.default_rng(9)
     u = rng.standard_normal(100_000)
     v = filtered([1.0], [1.0, -0.7], rng.standard_normal(u.size))
@@ -268,7 +267,7 @@ def test_length_costs_no_memory(kernel: Kernel | None) -> None:
 
 
 def test_two_experiments_count_as_two(arm: Any) -> None:
-    """Each with its own level and ramp: an angle that starts elsewhere changes nothing."""
+    """Each experiment has its own level and ramp."""
     first, other = arm.telegraph(1, 1500), arm.telegraph(2, 1500)
     moved = other.replaced(step=None, y=other.y + 40.0 + 0.3 * other.t)
 

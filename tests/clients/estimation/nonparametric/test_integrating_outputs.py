@@ -1,4 +1,4 @@
-"""An output that is found to integrate is treated so, and the result says it."""
+"""An output that is found to integrate is treated so, and the result reports it."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig.data.dataset import Dataset
+from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.bla import bla
 from armrig.estimation.nonparametric.correlation import correlation
 from armrig.estimation.nonparametric.etfe import etfe
 from armrig.estimation.nonparametric.impulse import impulse_response
-from armrig.estimation.nonparametric.integrator import integration
 from armrig.estimation.nonparametric.sampling_time import sampling_time
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.estimation.nonparametric.step_analysis import step_analysis
@@ -23,7 +23,7 @@ REASON = "behaves as an integrating output"
 
 
 def unnamed(data: Dataset) -> Dataset:
-    """Return the data under a name of the output that says nothing."""
+    """Return the data with an uninformative name of the output."""
     return data.replaced(output="angle", step=None)
 
 
@@ -39,7 +39,6 @@ ESTIMATES: dict[str, tuple[Callable[..., Any], str]] = {
 
 @pytest.mark.parametrize("name", ESTIMATES)
 def test_an_unnamed_output_is_found_to_integrate(arm: Any, name: str) -> None:
-    """As if it had been said; in words and among the notes, and by no Python warning."""
     estimate, of = ESTIMATES[name]
     data = unnamed(arm.steps() if name == "step_analysis" else arm.telegraph(N=1500))
 
@@ -51,7 +50,6 @@ def test_an_unnamed_output_is_found_to_integrate(arm: Any, name: str) -> None:
 
 
 def test_realisations_of_a_multisine_are_found_to_integrate(arm: Any) -> None:
-    """The best linear approximation says it, too."""
     u = multisine(1200, seed=1, periods=6)
     data = unnamed(arm.dataset(u, 1e-3))
 
@@ -62,7 +60,6 @@ def test_realisations_of_a_multisine_are_found_to_integrate(arm: Any) -> None:
 
 
 def test_the_data_decide_only_where_nobody_else_does(arm: Any) -> None:
-    """What the caller says holds; a name that is known needs no test."""
     data = arm.telegraph(N=1000)
 
     assert integration(data, None).notes == ()

@@ -13,7 +13,8 @@ from armrig.excitation import step, telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import times
 from numpy.typing import NDArray
-from sampling import sampled
+
+from tests.sampling import sampled
 
 
 def first_order(tau: float, Ts: float, u: Any, std: float = 0.01) -> Dataset:
@@ -45,7 +46,7 @@ def test_a_first_order_system_gets_what_the_rules_say(stepped: bool) -> None:
 
 @pytest.mark.parametrize("Ts", [0.005, 0.01])
 def test_the_arm_gets_5_ms(sampled: Callable[[float], Any], Ts: float) -> None:
-    """From telegraph data at either rate; its fast part decides, not its notch."""
+    """The fast part of the arm decides, not its notch."""
     found = sampling_time(sampled(Ts).telegraph(N=round(30 / Ts)))
 
     assert found.Ts == 0.005
@@ -58,7 +59,7 @@ def test_the_arm_gets_5_ms(sampled: Callable[[float], Any], Ts: float) -> None:
 def test_a_step_through_converter_and_dead_band_leads_to_the_same(
     sampled: Callable[[float], Any], seed: int
 ) -> None:
-    """At 2 ms the rate of a 10-bit angle is mostly noise: it is no band, and no late settling."""
+    """At 2 ms the rate of a 10-bit angle is mostly noise."""
     resolution = np.radians(352) / 1024
     rng = np.random.default_rng(seed)
     exact = sampled(0.002).dataset(step(5000, at=500))
@@ -76,7 +77,7 @@ def test_a_step_through_converter_and_dead_band_leads_to_the_same(
 
 @pytest.mark.parametrize(("Ts", "N"), sampled([(0.002, 5000), (0.001, 5000)]))
 def test_a_telegraph_is_no_row_of_steps(sampled: Callable[[float], Any], Ts: float, N: int) -> None:
-    """Sampled fast it has a few holds as long as steps, but most end before the arm settles."""
+    """Most holds end before the arm settles."""
     seed = 1 if Ts < 0.002 else 2
 
     found = sampling_time(sampled(Ts).dataset(telegraph(N, 5 * Ts, seed=seed), 1e-3, seed))
@@ -88,7 +89,6 @@ def test_a_telegraph_is_no_row_of_steps(sampled: Callable[[float], Any], Ts: flo
 
 
 def test_missing_samples_and_steps_lead_to_the_same(arm: Any) -> None:
-    """Holes in telegraph data, and a record of steps."""
     data = arm.telegraph()
     holed = data.replaced(step=None, valid=np.random.default_rng(1).random(data.N) > 0.1)
 
@@ -99,7 +99,7 @@ def test_missing_samples_and_steps_lead_to_the_same(arm: Any) -> None:
 def test_noise_of_an_angle_is_no_reason_to_record_faster(
     sampled: Callable[[float], Any],
 ) -> None:
-    """Its differences have 39 % of their power near Nyquist at any sampling time."""
+    """Differences of white noise have 39 % of their power near Nyquist at any sampling time."""
     omega = np.linspace(0, np.pi, 100_001)
     power = 1 - np.cos(omega)
     rates = sampled(0.002).steps(4e-3)
@@ -107,15 +107,12 @@ def test_noise_of_an_angle_is_no_reason_to_record_faster(
     [note] = [n for n in sampling_time(rates).notes if "near Nyquist" in n]
 
     assert power[omega > 0.8 * np.pi].sum() / power.sum() == pytest.approx(DIFFERENCED, abs=0.005)
-    assert "white noise of theta_1 gives its differences 39 % there" in note
+    assert "the differences of the noise have 39 % there" in note
     assert "before trusting" not in note
 
 
 def test_power_near_nyquist_is_reported() -> None:
-    """White noise on the output has a fifth of its power above 0.8 Nyquist of the data.
-
-    Both shares are read off the spectrum that is shown.
-    """
+    """White noise on the output has a fifth of its power above 0.8 Nyquist of the data."""
     u = telegraph(3000, 0.05, 0.0, 5.0, seed=2)
 
     quiet, loud = (
@@ -135,7 +132,7 @@ def test_power_near_nyquist_is_reported() -> None:
     assert quiet.beyond < 0.05
 
 
-def test_data_too_slow_to_tell_say_so(sampled: Callable[[float], Any]) -> None:
+def test_data_that_are_too_slow_say_so(sampled: Callable[[float], Any]) -> None:
     """At 40 ms the arm's band reaches Nyquist."""
     found = sampling_time(sampled(0.04).telegraph(N=1500, std=1e-3))
 
@@ -147,7 +144,7 @@ def test_data_too_slow_to_tell_say_so(sampled: Callable[[float], Any]) -> None:
     ("x", "expected"), [(0.0047, 0.005), (0.0031, 0.002), (0.0033, 0.005), (8.0, 10.0), (1.3, 1.0)]
 )
 def test_a_recommendation_is_a_round_number(x: float, expected: float) -> None:
-    """Of 1, 2, 5, the nearest by ratio."""
+    """The number is the nearest of 1, 2 and 5 by ratio."""
     assert nearest_125(x) == expected
 
 
@@ -156,7 +153,6 @@ def _telegraph(N: int = 1200) -> NDArray[np.float64]:
 
 
 def test_what_no_input_explains_has_no_sampling_time() -> None:
-    """Noise has a spectrum, and rises and settles, too."""
     noise = np.random.default_rng(1).standard_normal(1200)
 
     with pytest.raises(ValueError, match="u explains y at no frequency"):
@@ -166,7 +162,7 @@ def test_what_no_input_explains_has_no_sampling_time() -> None:
 
 
 def test_an_answer_that_returns_to_0_has_no_time_constant() -> None:
-    """Of a differentiator the final value is noise, and so is any share of it."""
+    """The final value of a differentiator is noise."""
     u = np.random.default_rng(2).standard_normal(1200)
     y = filtered([0, 1, -1], [1, -0.94], u) + 0.02 * np.random.default_rng(1).standard_normal(1200)
 
@@ -175,7 +171,7 @@ def test_an_answer_that_returns_to_0_has_no_time_constant() -> None:
 
 
 def test_an_answer_within_one_sample_is_not_read_between_samples() -> None:
-    """The rate of a pure integrator is there at once; what happens in between nobody has seen."""
+    """The rate of a pure integrator arrives within one sample."""
     u = _telegraph()
     y = np.cumsum(np.append(0, 0.05 * u[:-1]))
     y += 0.02 * np.random.default_rng(1).standard_normal(1200)
@@ -184,11 +180,10 @@ def test_an_answer_within_one_sample_is_not_read_between_samples() -> None:
 
     assert found.Ts == 0.01
     assert "63 % time tau below a sample, 50 ms" in repr(found)
-    assert any("record at 10 ms once and ask again" in note for note in found.notes)
+    assert any("record at 10 ms and repeat the analysis" in note for note in found.notes)
 
 
 def test_one_crossing_of_the_level_is_one_number() -> None:
-    """Not a first one behind the last; and a time of seconds is told in seconds."""
     found = sampling_time(first_order(0.8, 0.05, _telegraph(), 0.02), integrator=False)
 
     assert found.omega_first == found.omega_spectrum == pytest.approx(1 / 0.8, rel=0.3)
@@ -197,7 +192,7 @@ def test_one_crossing_of_the_level_is_one_number() -> None:
 
 
 def test_the_band_is_drawn_over_the_gain_of_the_step(sampled: Callable[[float], Any]) -> None:
-    """|G| of the arm peaks at its gain, within the axes; what noise alone makes is not drawn."""
+    """|G| of the arm peaks at its gain."""
     data = sampled(0.002).dataset(step(2500, at=500), 4e-3, 1)
 
     found = sampling_time(data)
@@ -212,6 +207,6 @@ def test_the_band_is_drawn_over_the_gain_of_the_step(sampled: Callable[[float], 
     assert found.omega_first == pytest.approx(9.6, rel=0.05)
     assert f"last (omega_B) at {found.omega_spectrum:.3g} rad/s" in repr(found)
     shortest = times(min(found.Ts_step, found.Ts_spectrum))
-    assert f"the shortest is taken, {shortest} by the " in repr(found)
+    assert f"the shortest time decides, {shortest} by the " in repr(found)
     assert f"rounded to {times(found.Ts)} (1, 2 or 5 times" in repr(found)
     assert (found.t[0], found.response[0]) == (0.0, 0.0)

@@ -29,7 +29,7 @@ def test_the_bands_hold_the_smoothed_expectation(
     missing: float,
     method: Literal["blackman-tukey", "welch"],
 ) -> None:
-    """95 % of 120 runs, about what noise-free data give; see tests/benchmarks for 1000."""
+    """95 % of 120 runs, around the result of noise-free data; see tests/benchmarks for 1000."""
     held = np.zeros(2)
     runs = 120 if missing == 0 else 15
     for seed in range(runs):
@@ -74,7 +74,7 @@ def test_coherence_is_the_share_that_the_input_explains(second: Any) -> None:
 
 
 def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
-    """Within 5 % where the response is smooth; the drift of the angle does no harm."""
+    """Within 5 % if the response is smooth."""
     w = np.array([2.0, 5.0, 30.0, 50.0])
 
     found = spa(arm.telegraph(N=6000, std=1e-3), 200, w)
@@ -84,7 +84,7 @@ def test_the_arm_s_angle_comes_through_its_rate(arm: Any) -> None:
 
 
 def test_logarithmic_resolution_sees_both_ends(arm: Any) -> None:
-    """One window is too wide for the low end of the arm, or too narrow for the high one."""
+    """A single width is too wide for the arm's low end or too narrow for its high end."""
     found = spa(arm.telegraph(std=1e-3), "log")
     low, high = found.omega < 5, (found.omega > 40) & (found.omega < 100)
 
@@ -94,7 +94,7 @@ def test_logarithmic_resolution_sees_both_ends(arm: Any) -> None:
 
 
 def test_frequencies_are_even_unless_the_window_is_logarithmic(second: Any) -> None:
-    """128 up to Nyquist."""
+    """128 frequencies up to Nyquist."""
     data = second.dataset(np.random.default_rng(1))
 
     found = spa(data)
@@ -103,7 +103,6 @@ def test_frequencies_are_even_unless_the_window_is_logarithmic(second: Any) -> N
 
 
 def test_welch_and_blackman_tukey_agree(second: Any) -> None:
-    """Two roads to one response, at like resolution."""
     data = second.dataset(np.random.default_rng(2), 8000)
     a = spa(data, 60, OMEGA, integrator=False)
     b = spa(data, 120, OMEGA, method="welch", integrator=False)
@@ -120,7 +119,6 @@ def resonant(seed: int, std: float = 0.3) -> Dataset:
 
 
 def test_a_window_that_blunts_a_resonance_says_so() -> None:
-    """Where, by how much, and which window does not."""
     data = resonant(1)
     truth = abs(1 / np.polyval([1, -2 * 0.98 * np.cos(0.5), 0.98**2], np.exp(0.5j)))
 
@@ -135,7 +133,7 @@ def test_a_window_that_blunts_a_resonance_says_so() -> None:
 
 
 def test_a_window_that_blunts_nothing_says_nothing(second: Any) -> None:
-    """Of a smooth response, 128 frequencies, in at most one of 100 runs."""
+    """At most one of 100 runs reports a blunted resonance (smooth response, 128 frequencies)."""
     told = [
         spa(second.dataset(np.random.default_rng(seed), 1000), 60, integrator=False).notes
         for seed in range(100)
@@ -145,7 +143,7 @@ def test_a_window_that_blunts_nothing_says_nothing(second: Any) -> None:
 
 
 def test_a_known_delay_is_aligned(second: Any) -> None:
-    """Twelve samples of a window of 20 lower the response unless y is advanced for it."""
+    """A delay of 12 samples in a window of 20 lowers the response unless y is advanced."""
     data = second.dataset(np.random.default_rng(7), 8000, std=0.1)
     late = Dataset(u=data.u[12:], y=data.y[:-12], Ts=1.0)
 
@@ -157,7 +155,6 @@ def test_a_known_delay_is_aligned(second: Any) -> None:
 
 
 def test_missing_samples_and_several_experiments_give_the_same_response(second: Any) -> None:
-    """Within the bands, which are wider for fewer samples."""
     rng = np.random.default_rng(3)
     whole = second.dataset(rng, 3000, missing=0.0, std=0.3)
     holed = Dataset(u=whole.u, y=whole.y, Ts=1.0, valid=rng.random(3000) > 0.3)
@@ -171,7 +168,6 @@ def test_missing_samples_and_several_experiments_give_the_same_response(second: 
 
 
 def test_python_control_gets_the_same_response(second: Any) -> None:
-    """Frequencies, values and sampling time."""
     found = spa(second.dataset(np.random.default_rng(4)), omega=OMEGA, integrator=False)
 
     there = found.to_control()
@@ -182,7 +178,7 @@ def test_python_control_gets_the_same_response(second: Any) -> None:
 
 
 def test_at_zero_and_nyquist_the_response_is_real(second: Any) -> None:
-    """All of its uncertainty is in the magnitude."""
+    """The whole uncertainty is in the magnitude."""
     found = spa(second.dataset(np.random.default_rng(5)), 30, [0.0, np.pi], integrator=False)
 
     np.testing.assert_allclose(found.G.imag, 0.0, atol=1e-9)
@@ -200,7 +196,6 @@ def test_the_rate_of_a_response_is_its_difference(arm: Any) -> None:
 
 
 def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
-    """With what came, what is allowed and the way out."""
     data = second.dataset(np.random.default_rng(6), 200)
     holed = Dataset(u=data.u, y=data.y, Ts=1.0, valid=np.arange(200) % 10 > 0)
 
@@ -215,7 +210,7 @@ def test_what_cannot_be_estimated_is_refused(second: Any) -> None:
 
 
 def test_a_delay_is_held_against_the_longest_experiment() -> None:
-    """Of 30 and 50 samples it is 50, not 80."""
+    """For experiments of 30 and 50 samples the length is 50, not 80."""
     parts = [Dataset(u=np.arange(float(N)), y=np.ones(N), Ts=1.0) for N in (30, 50)]
 
     with pytest.raises(ValueError, match=r"delay=60 is .* the longest is 50 samples"):

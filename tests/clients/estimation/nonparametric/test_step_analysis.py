@@ -30,13 +30,13 @@ def first_order(dead: int = 0, std: float = 0.0, *, down: bool = False, seed: in
 
 @cache
 def of_a_first_order_system() -> list[StepAnalysis]:
-    """Return what 40 noisy answers of the first-order system say."""
+    """Return the analyses of 40 noisy responses of the first-order system."""
     return [step_analysis(first_order(std=0.2, seed=s), integrator=False) for s in range(40)]
 
 
 @pytest.fixture(scope="module")
 def of_the_arm(sampled: Any) -> list[StepAnalysis]:
-    """Give what 20 noisy answers of the arm to a step of 4 V say, at 2 ms."""
+    """Give the analyses of 20 noisy responses of the arm to a step of 4 V, at 2 ms."""
     arm = sampled(0.002)
     u = np.where(np.arange(2500) < 500, 0.5, 4.5)
     return [step_analysis(arm.dataset(u, std=4e-3, seed=seed)) for seed in range(20)]
@@ -44,7 +44,6 @@ def of_the_arm(sampled: Any) -> list[StepAnalysis]:
 
 @pytest.mark.parametrize("down", [False, True])
 def test_a_first_order_system_is_read_off(down: bool) -> None:
-    """Up or down."""
     found = step_analysis(first_order(down=down), integrator=False)
 
     assert found.tau == pytest.approx(TAU, rel=0.01)
@@ -56,7 +55,6 @@ def test_a_first_order_system_is_read_off(down: bool) -> None:
 
 
 def test_dead_time_counts_for_itself() -> None:
-    """And not for the time constant, whose deviation has one that noise leaves unclaimed."""
     found = step_analysis(first_order(dead=8, std=0.01), integrator=False)
     unclaimed = step_analysis(first_order(dead=8, std=0.05), integrator=False)
 
@@ -68,7 +66,7 @@ def test_dead_time_counts_for_itself() -> None:
 
 
 def test_the_deviations_said_are_those_made() -> None:
-    """Of gain, 63 % time, equivalent time and settling, in 40 runs."""
+    """Gain, 63 % time, equivalent time and settling time, in 40 runs."""
     found = of_a_first_order_system()
 
     gain, tau = np.array([f.gain for f in found]), np.array([f.tau for f in found])
@@ -95,7 +93,6 @@ def test_the_arm_is_analysed_by_its_velocity(arm: Any) -> None:
 
 
 def test_steps_of_several_experiments_are_averaged_and_holes_left_out() -> None:
-    """The same system, half of the samples."""
     parts = []
     for seed in (1, 2):
         d = first_order(std=0.1, seed=seed)
@@ -109,8 +106,8 @@ def test_steps_of_several_experiments_are_averaged_and_holes_left_out() -> None:
     assert found.gain == pytest.approx(GAIN, rel=0.02)
 
 
-def test_what_is_left_beside_a_hole_is_not_averaged_alone() -> None:
-    """One loud sample between two holes neither crosses 63 % nor overshoots."""
+def test_what_is_left_next_to_a_hole_is_not_averaged_alone() -> None:
+    """A single noisy sample between two holes neither crosses 63 % nor overshoots."""
     whole = first_order(std=0.3)
     gap = (np.arange(400) >= 104) & (np.arange(400) < 114)
     y = whole.y.copy()
@@ -126,7 +123,7 @@ def test_what_is_left_beside_a_hole_is_not_averaged_alone() -> None:
 def test_the_overshoot_is_that_of_the_answer_and_not_of_its_noise(
     of_the_arm: list[StepAnalysis],
 ) -> None:
-    """10.7 % of the arm, as its model has it, within the deviation that is said."""
+    """The overshoot of the arm's model is 10.7 %."""
     above = np.array([f.overshoot for f in of_the_arm])
 
     assert np.mean(above) == pytest.approx(0.1067, abs=0.003)
@@ -135,7 +132,7 @@ def test_the_overshoot_is_that_of_the_answer_and_not_of_its_noise(
 
 
 def test_an_overshoot_in_noise_is_no_settled_answer(of_the_arm: list[StepAnalysis]) -> None:
-    """0.372 s to within 5 % for good, though the noise is as high as the peak."""
+    """The settling time is 0.372 s, with noise as high as the peak."""
     found = [f.settling for f in of_the_arm]
 
     np.testing.assert_allclose(found, 0.372, rtol=0.06)
@@ -154,16 +151,15 @@ def test_an_answer_that_rings_fast_has_not_settled() -> None:
 
 
 def test_what_is_no_overshoot_is_not_called_one() -> None:
-    """Of a first-order system, but for one in twenty; and where noise hides it."""
+    """A first-order system has no overshoot; one record in twenty may show one."""
     told = [repr(found) for found in of_a_first_order_system()]
     loud = step_analysis(first_order(std=10.0, seed=4), integrator=False)
 
-    assert sum("no overshoot seen (± " in text for text in told) >= 38
-    assert "noise hides whether it overshoots" in repr(loud)
+    assert sum("no visible overshoot (± " in text for text in told) >= 38
+    assert "noise hides a possible overshoot" in repr(loud)
 
 
 def test_what_has_no_step_is_refused() -> None:
-    """With the way out; a hold too short to settle warns."""
     still = Dataset(u=np.ones(100), y=np.zeros(100), Ts=TS)
     deaf = Dataset(u=first_order().u, y=np.random.default_rng(1).standard_normal(400), Ts=TS)
 
@@ -172,11 +168,11 @@ def test_what_has_no_step_is_refused() -> None:
     ):
         step_analysis(still, integrator=False)
     with pytest.raises(
-        ValueError, match=r"y does not answer to the step: .*; make it larger, or hold"
+        ValueError, match=r"y does not respond to the step: .*; use a larger step, or hold"
     ):
         step_analysis(deaf, integrator=False)
     short = step_analysis(first_order()[:150], integrator=False)
-    said = "the answer has not settled in the last third of the hold: hold u longer"
+    said = "the response has not settled in the last third of the hold: hold u longer"
     assert said in short.warnings
     assert said not in step_analysis(first_order(), integrator=False).warnings
 
@@ -185,7 +181,7 @@ def test_what_has_no_step_is_refused() -> None:
 def test_a_gain_from_an_output_that_had_not_settled_is_as_doubtful(
     before: int, is_told: bool
 ) -> None:
-    """-1.43 of three slow poles that begin at 0; after 60 samples of u = -1 V it is -1.32."""
+    """Three slow poles: the gain is -1.43, and after 60 samples of u = -1 V it is -1.32."""
     u = np.repeat([-1.0, 2.0], [before, 250])
     y = filtered([0.0] * 6 + [-0.002], np.poly([0.93, 0.9, 0.8]), u)
     y += 1e-4 * np.random.default_rng(1).standard_normal(u.size)
@@ -198,7 +194,9 @@ def test_a_gain_from_an_output_that_had_not_settled_is_as_doubtful(
 
 
 @pytest.mark.parametrize("begins_ms", [6, 14, 18, 40])
-def test_a_gap_on_the_rise_enters_the_deviation_and_is_told(sampled: Any, begins_ms: int) -> None:
+def test_a_gap_on_the_rise_enters_the_deviation_and_is_reported(
+    sampled: Any, begins_ms: int
+) -> None:
     """The dead band hides 19 ms of the arm's rise, whose 63 % time is 20.6 ms."""
     arm = sampled(0.002)
     u = np.where(np.arange(2500) < 500, 0.5, 4.5)
@@ -238,7 +236,7 @@ def shown(arm: Any, seed: int, *, after: int, hidden: slice = slice(0)) -> Datas
 
 @pytest.mark.parametrize("begins", [401, 501, 651, 851, 1001])
 def test_a_dead_band_after_the_step_is_no_late_settling(sampled: Any, begins: int) -> None:
-    """0.372 s, wherever 75 ms are missing: it was 0.795, 1.283 and 1.495 s for the last three."""
+    """The settling time is 0.372 s; gaps of 75 ms made it 0.795, 1.283 and 1.495 s."""
     data = shown(sampled(0.002), 2, after=1250, hidden=slice(begins, begins + 37))
 
     found = step_analysis(data)
@@ -249,7 +247,7 @@ def test_a_dead_band_after_the_step_is_no_late_settling(sampled: Any, begins: in
 
 
 def test_a_soft_beginning_is_no_dead_time(sampled: Any) -> None:
-    """Noise made it 17 ms, and 7.7 ms of the 63 % time of 20.6 ms."""
+    """Noise made the dead time 17 ms, and the 63 % time 7.7 ms instead of 20.6 ms."""
     found = step_analysis(shown(sampled(0.002), 31, after=650))
 
     assert found.dead_time == 0.0
@@ -258,7 +256,6 @@ def test_a_soft_beginning_is_no_dead_time(sampled: Any) -> None:
 
 
 def test_nothing_is_smoothed_to_before_the_step(sampled: Any) -> None:
-    """The curve begins with the step, at 0, and has a deviation."""
     found = step_analysis(shown(sampled(0.01), 1, after=250))
 
     assert found.smooth_t[0] > 0

@@ -38,7 +38,6 @@ def test_an_integrator_keeps_the_mean_of_what_it_has_added() -> None:
 
 
 def test_the_arm_solves_its_own_equation() -> None:
-    """Phasor and matrix exponential, put together, give the same."""
     A, B, _ = arm_matrices(ArmParameters())
     w, x0 = 5.0, np.array([0.1, -0.2, 0.3, 1.0])
 
@@ -50,6 +49,5 @@ def test_the_arm_solves_its_own_equation() -> None:
 
 
 def test_more_than_one_input_is_refused() -> None:
-    """There is one sine."""
     with pytest.raises(ValueError, match="one input"):
         exact(np.eye(2), np.eye(2), 1.0, 1.0, [0.0, 0.0], T)

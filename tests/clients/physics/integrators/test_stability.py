@@ -1,4 +1,4 @@
-"""Stability limits: closed forms, what the solution does on both sides, and the odd cases."""
+"""Stability limits: closed forms, the solution on both sides, and the odd cases."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ def test_forward_euler_s_limit_is_that_of_its_circle(real: float, imaginary: flo
 def test_the_limit_is_where_the_largest_root_meets_the_circle(
     real: float, imaginary: float, method: str
 ) -> None:
-    """Inside all the way up to it, outside just beyond."""
     z = complex(real, imaginary) * stability_limit(pair(real, imaginary), method)
 
     sizes = amplification(METHODS[method], z * np.linspace(0.01, 0.9999, 100))
@@ -51,7 +50,7 @@ def test_the_limit_is_where_the_largest_root_meets_the_circle(
     [("forward_euler", 2.0), ("ab2", 1.0), ("heun", 2.0), ("midpoint", 2.0), ("trapezoidal", inf)],
 )
 def test_a_decay_is_followed_as_far_as_the_region_reaches(method: str, reach: float) -> None:
-    """On the real axis the textbook's intervals."""
+    """On the real axis these are the textbook's intervals."""
     assert stability_limit([[-4.0]], method) == pytest.approx(reach / 4)
 
 
@@ -71,7 +70,7 @@ def test_the_handout_s_arm() -> None:
 def test_a_step_is_stable_just_inside_the_limit_and_not_just_outside(
     method: str, params: ArmParameters
 ) -> None:
-    """Seen in the solution itself, for the handout's arm and ten others."""
+    """The solution itself shows it, for the handout's arm and ten others."""
     A, _, _ = arm_matrices(params)
     limit = stability_limit(A, method)
 
@@ -83,7 +82,7 @@ def test_a_step_is_stable_just_inside_the_limit_and_not_just_outside(
 def test_the_steps_obey_the_stability_polynomial(
     real: float, imaginary: float, method: str
 ) -> None:
-    """Sum pi_j(h lambda) x(n+j) = 0, where x' = lambda x: two real states are a complex one."""
+    """Sum pi_j(h lambda) x(n+j) = 0 for x' = lambda x; two real states make a complex one."""
     h, eigenvalue = 0.01, complex(real, -imaginary)
 
     _, states = integrate(
@@ -113,17 +112,15 @@ def test_the_steps_obey_the_stability_polynomial(
 def test_marginal_and_unstable_systems(
     method: str, A: np.ndarray, explicit: float, trapezoidal: float
 ) -> None:
-    """What grows by itself has no stable step; a constant asks for none."""
     assert stability_limit(A, method) == (trapezoidal if method == "trapezoidal" else explicit)
 
 
 def test_only_real_roots_count() -> None:
-    """(r - 2)(r² - 2 r + 2) has two complex ones, with the same real part."""
+    """(r - 2)(r² - 2 r + 2) has two complex roots with the same real part."""
     assert _positive_roots(np.array([-4.0, 6.0, -4.0, 1.0])) == pytest.approx([2.0])
 
 
-def test_an_integrator_beside_a_decay_does_not_count() -> None:
-    """Nor does the arm's own."""
+def test_an_integrator_next_to_a_decay_does_not_count() -> None:
     A = np.diag([0.0, -5.0])
 
     assert stability_limit(A, "forward_euler") == pytest.approx(0.4)
@@ -131,7 +128,6 @@ def test_an_integrator_beside_a_decay_does_not_count() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_system_twice_as_fast_needs_half_the_step(method: str, params: ArmParameters) -> None:
-    """The limit is one of h lambda."""
     A, _, _ = arm_matrices(params)
 
     assert stability_limit(2 * A, method) == pytest.approx(stability_limit(A, method) / 2)
@@ -139,7 +135,7 @@ def test_a_system_twice_as_fast_needs_half_the_step(method: str, params: ArmPara
 
 @pytest.mark.parametrize("name", ["A", "B", "x0"])
 def test_a_complex_system_is_refused(name: str) -> None:
-    """Its imaginary parts were dropped, which doubled the step."""
+    """The imaginary parts were dropped, which doubled the step."""
     asked = {"A": [[-1.0]], "B": [1.0], "x0": [0.0]} | {name: np.array([[-1 + 1j]])}
 
     with pytest.raises(ValueError, match=f"{name} is complex: give the real system of twice"):
@@ -147,7 +143,7 @@ def test_a_complex_system_is_refused(name: str) -> None:
 
 
 def test_a_complex_matrix_has_no_stability_limit() -> None:
-    """As a real one of twice the size it has."""
+    """A real matrix of twice the size has a limit."""
     with pytest.raises(ValueError, match="A is complex"):
         stability_limit(np.array([[-1 + 1j]]))
     assert stability_limit([[-1.0, -1.0], [1.0, -1.0]]) == pytest.approx(1.0)

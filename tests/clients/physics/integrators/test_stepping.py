@@ -56,7 +56,6 @@ def by_hand(method: str, A: Vector, B: Vector, x: Vector, h: float, n: int) -> V
 @EVERY
 @pytest.mark.parametrize("n", [1, 2, 57])
 def test_a_method_is_what_the_textbook_says(method: str, n: int) -> None:
-    """Step by step, with two inputs and a start off zero."""
     rng = np.random.default_rng(1)
     A, B, x0 = rng.normal(size=(3, 3)) - 2 * np.eye(3), rng.normal(size=(3, 2)), np.ones(3)
 
@@ -70,7 +69,7 @@ def test_a_method_is_what_the_textbook_says(method: str, n: int) -> None:
 def test_halving_the_step_divides_the_error_by_two_to_the_order(
     method: str, params: ArmParameters
 ) -> None:
-    """For a sinusoid on the handout's arm and on ten others, the order observed within 0.05."""
+    """For a sinusoid on the handout's arm and on ten others, the observed order within 0.05."""
     A, B, _ = arm_matrices(params)
     problem = sinusoid(A, B, amplitude=2.0, omega=5.0, span=0.5)
     h = stability_limit(A, "heun") * np.array([1 / 128, 1 / 256])
@@ -79,7 +78,7 @@ def test_halving_the_step_divides_the_error_by_two_to_the_order(
 
 
 def test_growth_without_bound_ends_in_no_warning() -> None:
-    """Ten times beyond the limit the states overflow, and that is all."""
+    """Ten times beyond the limit the states overflow."""
     A, B, _ = arm_matrices(ArmParameters())
 
     _, x = integrate(A, B[:, 0], lambda t: 1.0, np.zeros(4), 0.5, 3000, "forward_euler")
@@ -95,14 +94,13 @@ def test_growth_without_bound_ends_in_no_warning() -> None:
         ({"h": 0.0}, "h=0.0 must be finite and > 0"),
         ({"n": 0}, "n=0 must be an integer >= 1"),
         ({"x0": [0.0]}, r"x0 has shape \(1,\).*must be \(2,\)"),
-        ({"A": [[1.0, 2.0]]}, r"A has shape \(1, 2\), it must be \(n, n\)"),
+        ({"A": [[1.0, 2.0]]}, r"A has shape \(1, 2\), but must be \(n, n\)"),
         ({"B": [1.0, 2.0, 3.0]}, r"B has shape \(3,\)"),
-        ({"u": lambda t: [1.0, 2.0]}, r"u\(t\) gives 2 numbers, B takes 1"),
-        ({"A": [[0.0, np.nan], [0.0, 0.0]]}, "A holds a number that is not finite"),
+        ({"u": lambda t: [1.0, 2.0]}, r"u\(t\) returns 2 numbers, but B takes 1"),
+        ({"A": [[0.0, np.nan], [0.0, 0.0]]}, "A contains a number that is not finite"),
     ],
 )
 def test_the_impossible_is_refused(changes: dict[str, Any], message: str) -> None:
-    """With what came and what is allowed."""
     given: dict[str, Any] = {"A": [[0.0, 1.0], [-1.0, -1.0]], "B": [0.0, 1.0]}
     given |= {"u": (lambda t: 1.0), "x0": [0.0, 0.0], "h": 0.1, "n": 3, "method": "heun"}
     one: Callable[..., Any] = integrate

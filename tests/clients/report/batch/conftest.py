@@ -1,16 +1,16 @@
-"""What the tests of a batch share: a small lab's recordings, and batches as processes."""
+"""Recordings of a small lab, and batches as processes, which the tests of a batch share."""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
 
-import batches
-import made_recordings
 import pytest
 from armrig.report.batch import workers
 from armrig.report.batch.batch import batch
 from armrig.report.batch.tasks import Identify
+
+from tests.clients import batches, made_recordings
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""One task for all recordings of a folder: a row for each, whatever it is and whoever dies."""
+"""One task for all recordings of a folder: a row for each, even if workers die."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import armrig
-import made_recordings
 import msgspec
 import numpy as np
 import pytest
@@ -37,8 +36,10 @@ from armrig.report.batch.rows import (
 )
 from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, name_of
 from armrig_core.errors import OperationError
-from batches import SHORT, kept, started, telegraph, wait_for_rows
-from deadly import deadly
+
+from tests.clients import made_recordings
+from tests.clients.batches import SHORT, kept, started, telegraph, wait_for_rows
+from tests.clients.deadly import deadly
 
 pyarrow_parquet = pytest.importorskip("pyarrow.parquet")
 ARX = Identify(structure="arx", orders={"na": 4, "nb": 4})
@@ -49,7 +50,7 @@ OTHER_RIG, BROKEN, CUT, STEP = "m-other-rig.mcap", "m-broken.mcap", "m-cut.mcap"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return forty recordings, among them what a lab has among them."""
+    """Return forty recordings of a typical lab."""
     made = tmp_path_factory.mktemp("recordings")
     for n in range(MANY):
         (made / f"a-{n:02}.mcap").write_bytes(made_recordings.of_the_arm(telegraph(n), seed=n))
@@ -84,7 +85,6 @@ def identified(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_each_recording_has_a_row_and_a_broken_one_stops_nothing(identified: Path) -> None:
-    """What has no result says why, in a line; all others have one."""
     rows = {row["recording"]: row for row in rows_of(identified)}
     assert len(rows) == MANY + 4
     assert [name for name, row in rows.items() if row["problem"]] == [BROKEN, STEP]
@@ -95,7 +95,6 @@ def test_each_recording_has_a_row_and_a_broken_one_stops_nothing(identified: Pat
 
 
 def test_a_row_is_what_the_recording_gives_by_itself(folder: Path, identified: Path) -> None:
-    """Parameters to the last bit, and the model as `identify --save` has written it."""
     recording = armrig.load(folder / "a-07.mcap")
     fit = armrig.arx(recording.dataset(), na=4, nb=4)
     row = next(row for row in rows_of(identified) if row["recording"] == "a-07.mcap")
@@ -108,7 +107,6 @@ def test_a_row_is_what_the_recording_gives_by_itself(folder: Path, identified: P
 
 
 def test_a_row_counts_the_samples_that_came(tmp_path: Path) -> None:
-    """A recording with a gap has fewer than were due; the missing ones are in no estimate."""
     gapped = made_recordings.of_the_arm(telegraph(1), missing=slice(100, 107))
     (tmp_path / "gapped.mcap").write_bytes(gapped)
 
@@ -120,7 +118,6 @@ def test_a_row_counts_the_samples_that_came(tmp_path: Path) -> None:
 
 
 def test_a_recording_too_short_for_its_orders_has_no_model(tmp_path: Path) -> None:
-    """As `armrig identify` refuses it: the row says how many parameters so many samples give."""
     (tmp_path / "short.mcap").write_bytes(made_recordings.of_the_arm(telegraph(1, 30)))
 
     [row] = done(tmp_path, ARX, tmp_path / "models.parquet")
@@ -130,7 +127,6 @@ def test_a_recording_too_short_for_its_orders_has_no_model(tmp_path: Path) -> No
 
 
 def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path) -> None:
-    """By its name; of a validation those of the comparison and of the residual tests."""
     recording, other = (armrig.load(folder / f"a-0{n}.mcap") for n in (7, 8))
     fit = armrig.arx(recording.dataset(), na=4, nb=4)
     row = next(row for row in rows_of(identified) if row["recording"] == "a-07.mcap")
@@ -153,7 +149,7 @@ def test_each_figure_of_a_row_is_the_model_s_own(folder: Path, identified: Path)
 
 
 def test_a_table_says_how_it_was_made(identified: Path) -> None:
-    """Task, options and versions; no time of day, so that the same makes the same bytes."""
+    """The table contains no time of day, so that the same task gives the same bytes."""
     header = json.loads(
         pyarrow_parquet.read_table(str(identified)).schema.metadata[b"armrig.batch"]
     )
@@ -163,7 +159,6 @@ def test_a_table_says_how_it_was_made(identified: Path) -> None:
 
 
 def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
-    """A recording of another rig is left out, and so is what does not say of which it is."""
     assert [item.name for item in items_in(folder, rigs=["2"])] == [OTHER_RIG]
     assert [item.name for item in items_in(folder, kinds=["step"])] == [STEP]
     names = {item.name for item in items_in(folder, rigs=["1"])}
@@ -171,7 +166,6 @@ def test_only_the_rigs_and_experiments_asked_for(folder: Path) -> None:
 
 
 def test_a_row_says_of_which_rig_a_recording_is(folder: Path, tmp_path: Path) -> None:
-    """A model of rig 1 judged by data of rig 2 is a row with its rig: whose it is can be seen."""
     fit = armrig.arx(armrig.load(folder / "a-01.mcap").dataset(), na=4, nb=4)
     rows = {
         r["recording"]: r
@@ -184,7 +178,6 @@ def test_a_row_says_of_which_rig_a_recording_is(folder: Path, tmp_path: Path) ->
 
 
 def test_verify_says_of_each_what_verify_says(folder: Path, tmp_path: Path) -> None:
-    """The result of each check, and what was found."""
     rows = {r["recording"]: r for r in done(folder, Verify(), tmp_path / "v.parquet")}
     for name in ("a-03.mcap", CUT):
         alone = verify(folder / name)
@@ -200,14 +193,12 @@ def test_verify_says_of_each_what_verify_says(folder: Path, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("task", [ARX, Validate(model=""), Verify(), report(folder="")])
 def test_no_two_columns_have_one_name(task: Task) -> None:
-    """What a task finds hides nothing of what is known of the run."""
     of_all = {*OF_THE_FILE, *OF_THE_RUN, *OF_THE_RESULT}
     assert not of_all & OF_THE_TASK[name_of(task)].keys()
 
 
 @pytest.mark.exhaustive
 def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
-    """Named as its recording, and again where it is gone; a step alone gives none, and says so."""
     few = tmp_path / "few"
     few.mkdir()
     for name in ("a-00.mcap", STEP):
@@ -222,7 +213,6 @@ def test_report_writes_a_pdf_for_each(folder: Path, tmp_path: Path) -> None:
 
 
 def test_what_is_done_is_not_done_again(folder: Path, tmp_path: Path) -> None:
-    """Neither after the end nor where a start was killed; a file that changed is."""
     few = tmp_path / "few"
     few.mkdir()
     for n in range(4):
@@ -241,7 +231,6 @@ def test_what_is_done_is_not_done_again(folder: Path, tmp_path: Path) -> None:
 
 
 def test_a_report_is_made_again_where_a_validation_has_come() -> None:
-    """The one that is there was judged by its own data."""
     item = Item(name="a.mcap", path="/f/a.mcap", bytes=1, modified_ns=2, validation="")
     columns = columns_of(report(folder="reports"))
     known = {"recording": "a.mcap", "bytes": 1, "modified_ns": 2, "problem": ""}
@@ -254,7 +243,6 @@ def test_a_report_is_made_again_where_a_validation_has_come() -> None:
 
 
 def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
-    """By the time in its name; a validation itself has none, and one may be of a run elsewhere."""
     of = {"validation_of": "0000000a"}
     runs = (
         ("blackbox", "13", "0000000a", {}),
@@ -275,7 +263,6 @@ def test_of_several_validations_the_newest_counts(tmp_path: Path) -> None:
 
 
 def test_a_run_in_parts_is_as_old_as_its_youngest(tmp_path: Path) -> None:
-    """And as long as all of them: a part that is replaced makes another item of it."""
     for number, seconds in ((1, 20), (2, 30), (3, 10)):
         part = tmp_path / f"a.part-{number:04}.mcap"
         part.write_bytes(bytes(number))
@@ -287,7 +274,6 @@ def test_a_run_in_parts_is_as_old_as_its_youngest(tmp_path: Path) -> None:
 
 
 def test_the_time_left_is_that_of_this_start(folder: Path, tmp_path: Path) -> None:
-    """What an earlier start did took none of this one's time."""
     few = tmp_path / "few"
     few.mkdir()
     table = tmp_path / "v.parquet"
@@ -299,7 +285,6 @@ def test_the_time_left_is_that_of_this_start(folder: Path, tmp_path: Path) -> No
 
 
 def test_results_of_other_options_are_refused(folder: Path, tmp_path: Path) -> None:
-    """Neither a table nor what a killed start has left is mixed with another task's rows."""
     table = tmp_path / "models.parquet"
     done(folder, ARX, table, kinds=["step"])
     with pytest.raises(OperationError, match="other options"):
@@ -311,49 +296,44 @@ def test_results_of_other_options_are_refused(folder: Path, tmp_path: Path) -> N
 
 
 def test_results_of_another_folder_or_choice_are_not_replaced(folder: Path, tmp_path: Path) -> None:
-    """What was done for one rig, or one week, is not lost to the next; the table stays as it is."""
     table = tmp_path / "models.parquet"
     done(folder, ARX, table, rigs=["2"])
     before = table.read_bytes()
-    with pytest.raises(OperationError, match="another folder, task or choice"):
+    with pytest.raises(OperationError, match="another folder, task or selection"):
         done(folder, ARX, table, kinds=["step"])
     other = tmp_path / "other"
     other.mkdir()
     shutil.copy2(folder / OTHER_RIG, other)
-    with pytest.raises(OperationError, match="another folder, task or choice"):
+    with pytest.raises(OperationError, match="another folder, task or selection"):
         done(other, ARX, table, rigs=["2"])
     assert table.read_bytes() == before
 
 
 def test_force_leaves_another_start_its_rows(folder: Path, tmp_path: Path) -> None:
-    """Who is at the table keeps it; what he has kept is not thrown away."""
     table = tmp_path / "models.parquet"
     with Progress(table, {"digest": "held"}) as progress:
         progress.add({"recording": "a"})
-        with pytest.raises(OperationError, match="is at it"):
+        with pytest.raises(OperationError, match="batch uses it"):
             done(folder, ARX, table, anew=True)
     with Progress(table, {"digest": "held"}) as progress:
         assert progress.rows == [{"recording": "a"}]
 
 
 def test_a_model_of_something_else_is_not_judged_by_an_angle(folder: Path, tmp_path: Path) -> None:
-    """A temperature is none of the rig's signals; each row says so."""
     data = armrig.load(folder / "a-01.mcap").dataset()
     fit = armrig.arx(data.replaced(step=None, output="temp"), na=4, nb=4)
     task = Validate(model=model_text(fit))
     rows = done(folder, task, tmp_path / "v.parquet", rigs=["2"])
-    assert "the model is of temp" in rows[0]["problem"]
+    assert "the model's output is temp" in rows[0]["problem"]
 
 
 def test_two_at_one_table_are_refused(folder: Path, tmp_path: Path) -> None:
-    """The second says so before it does any work."""
     table = tmp_path / "models.parquet"
-    with Progress(table, {"digest": "held"}), pytest.raises(OperationError, match="is at it"):
+    with Progress(table, {"digest": "held"}), pytest.raises(OperationError, match="batch uses it"):
         done(folder, ARX, table)
 
 
 def test_a_line_that_was_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
-    """All lines before it count, and what comes next stands on a line of its own."""
     table, header = tmp_path / "t.parquet", {"task": "x"}
     with Progress(table, header) as progress:
         progress.add({"recording": "a"})
@@ -368,7 +348,6 @@ def test_a_line_that_was_torn_by_a_kill_is_done_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("row", [{}, [1], {"recording": ["a"]}, {"problem": "", "passed": "no"}])
 def test_a_row_that_somebody_changed_is_done_again(row: Any, folder: Path, tmp_path: Path) -> None:
-    """What lacks a column is no result; neither is a line that is no row."""
     table = tmp_path / "v.parquet"
     with Progress(table, header_of(Verify(), folder, ["2"], [])) as progress:
         progress.add(row)
@@ -376,26 +355,25 @@ def test_a_row_that_somebody_changed_is_done_again(row: Any, folder: Path, tmp_p
 
 
 def test_a_row_with_another_kind_of_value_is_refused(folder: Path, tmp_path: Path) -> None:
-    """In words; the way out is to begin anew."""
     table = tmp_path / "v.parquet"
     row = row_of(Verify(), items_in(folder, rigs=["2"])[0]) | {"passed": {"no": 1}}
     with Progress(table, header_of(Verify(), folder, ["2"], [])) as progress:
         progress.add(row)
-    with pytest.raises(OperationError, match="changed by somebody; --force"):
+    with pytest.raises(OperationError, match="somebody changed a row of this file; --force"):
         done(folder, Verify(), table, rigs=["2"])
     assert done(folder, Verify(), table, rigs=["2"], anew=True)[0]["passed"] is not None
 
 
 @pytest.mark.parametrize("what", ["directory", "never ends"])
 def test_what_is_no_file_is_not_read_as_one(what: str, folder: Path, tmp_path: Path) -> None:
-    """A link to /dev/zero in its place would be read until no memory is left."""
+    """A link to /dev/zero would be read until the memory is full."""
     table = tmp_path / "v.parquet"
     there = tmp_path / f"v.parquet{SUFFIX}"
     if what == "directory":
         there.mkdir()
     else:
         there.symlink_to("/dev/null")  # as good as /dev/zero, were it read
-    with pytest.raises(OperationError, match="is no file; remove it"):
+    with pytest.raises(OperationError, match="is not a file; remove it"):
         done(folder, Verify(), table)
 
 
@@ -411,9 +389,8 @@ def no_file_above(size: int) -> Iterator[None]:
 
 
 def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
-    """It is said in words which file; with more room the same command goes on, and repeats none."""
     table = tmp_path / "models.parquet"
-    said = f"{table.name}{SUFFIX}: File too large; what is done is kept"
+    said = f"{table.name}{SUFFIX}: File too large; results so far are kept"
     with no_file_above(20_000), pytest.raises(OperationError, match=said):
         done(folder, ARX, table)
     again: list[str] = []
@@ -422,7 +399,6 @@ def test_a_full_disk_costs_no_result(folder: Path, tmp_path: Path) -> None:
 
 
 def test_a_disk_too_full_for_the_table_costs_no_result(folder: Path, tmp_path: Path) -> None:
-    """All rows are kept; with more room the table is written of them."""
     table = tmp_path / "v.parquet"
     said = f"{table.name}: File too large; all results are kept"
     with no_file_above(8000), pytest.raises(OperationError, match=said):
@@ -440,13 +416,13 @@ def test_what_kills_each_worker_is_given_up_and_all_others_are_done() -> None:
     assert sorted(item for item, _ in came) == sorted(items)
     for item, result in came:
         if item == "deadly":
-            assert "died, 2 times" in str(result)
+            assert "died 2 times" in str(result)
         else:
             assert result == item.upper()
 
 
 class Mortal(Executor):
-    """Does work in its own thread; the item "deadly" breaks it, and what is with it is lost."""
+    """Works in its own thread; the item "deadly" breaks it, and its pending work is lost."""
 
     def __init__(self, runs: list[str]) -> None:
         self._runs = runs
@@ -463,7 +439,6 @@ class Mortal(Executor):
 
 @pytest.mark.parametrize(("at_once", "tries"), [(1, 2), (3, 3)])
 def test_so_many_workers_die_of_an_item_and_no_more(at_once: int, tries: int) -> None:
-    """Two of it alone; where it ran with others first, nobody knows that it was the one."""
     runs: list[list[str]] = []
 
     def opened() -> Executor:
@@ -473,12 +448,11 @@ def test_so_many_workers_die_of_an_item_and_no_more(at_once: int, tries: int) ->
     came = dict(results(str.upper, ["a", "deadly", "b"], opened, at_once=at_once))
 
     assert sum("deadly" in run for run in runs) == tries
-    assert "died, 2 times" in str(came.pop("deadly"))
+    assert "died 2 times" in str(came.pop("deadly"))
     assert came == {"a": "A", "b": "B"}
 
 
-def test_who_ends_early_does_not_wait_for_the_workers() -> None:
-    """Their work is of no use to anybody; and a wait could be interrupted once more."""
+def test_an_interrupted_batch_does_not_wait_for_the_workers() -> None:
     with suppress(KeyboardInterrupt), workers.processes(1) as executor:
         assert executor.submit(abs, -1).result() == 1
         at_work = executor.submit(time.sleep, 5.0)
@@ -500,7 +474,7 @@ def working(pid: int) -> list[int]:
 
 
 def is_alive(pid: int) -> bool:
-    """Return whether a process runs; one that is dead and not waited for does not."""
+    """Return whether a process runs; a zombie does not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:
@@ -511,7 +485,6 @@ def is_alive(pid: int) -> bool:
 def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
     lab: tuple[Path, bytes], tmp_path: Path
 ) -> None:
-    """Byte for byte; its workers are gone with it, and no recording was done twice."""
     folder, whole = lab
     table = tmp_path / "models.parquet"
     with started(folder, table, "--workers", "2") as process:
@@ -535,7 +508,6 @@ def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
 def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path: Path) -> None:
-    """The table is the same, byte for byte."""
     folder, whole = lab
     table = tmp_path / "models.parquet"
     with started(folder, table, "--workers", "2") as process:
@@ -551,8 +523,8 @@ def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path:
     [
         (["verify", "FOLDER", "-o", "x.csv"], "ends in .parquet"),
         (["verify", "nowhere", "-o", "x.parquet"], "nowhere"),
-        (["verify", "FOLDER", "-o", "no/x.parquet"], "there is no directory no; make it first"),
-        (["verify", "FOLDER", "-o", "x.parquet", "--rig", "9"], "no recording in it is asked for"),
+        (["verify", "FOLDER", "-o", "no/x.parquet"], "there is no directory no; create it first"),
+        (["verify", "FOLDER", "-o", "x.parquet", "--rig", "9"], "contains no recording to work on"),
         (["validate", "FOLDER", "--model", "no.json", "-o", "x.parquet"], "no.json"),
         (["identify", "FOLDER", "-o", "x.parquet", "--structure", "arx", "--nf", "3"], "--nf"),
         (
@@ -569,7 +541,6 @@ def test_what_cannot_be_done_is_said_in_a_line(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """And nothing is written."""
     monkeypatch.chdir(tmp_path)
     code = main(["batch", *(str(folder) if word == "FOLDER" else word for word in given)])
     assert code != 0
@@ -579,10 +550,9 @@ def test_what_cannot_be_done_is_said_in_a_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_says_what_came_of_it(
+def test_the_command_reports_its_results(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """The answer first; exit code 1 where there is no result for some, which are named."""
     few = tmp_path / "few"
     few.mkdir()
     for name in ("a-00.mcap", BROKEN):
@@ -608,7 +578,6 @@ def test_the_command_says_what_came_of_it(
 
 
 def test_a_name_that_is_no_text_stops_nothing(folder: Path, tmp_path: Path) -> None:
-    """Its bytes are escaped in the table, as in every message; of the folder's and table's, too."""
     few = Path(os.fsdecode(os.fsencode(tmp_path) + b"/f\xfcnf"))
     few.mkdir()
     shutil.copy2(folder / "a-00.mcap", os.fsencode(few) + b"/\xe9t\xe9.mcap")
@@ -624,7 +593,7 @@ def test_a_name_that_is_no_text_stops_nothing(folder: Path, tmp_path: Path) -> N
 
 
 def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
-    """A clock that was wrong by centuries has written it: more than a table's nanoseconds hold."""
+    """A clock was wrong by centuries: more nanoseconds than the table can hold."""
     few = tmp_path / "few"
     few.mkdir()
     shutil.copy(folder / "a-00.mcap", few)
@@ -632,10 +601,9 @@ def test_a_file_of_any_time_stops_nothing(folder: Path, tmp_path: Path) -> None:
     assert done(few, Verify(), tmp_path / "v.parquet")[0]["problem"] == ""
 
 
-def test_what_failed_a_check_is_told_beside_what_is_broken(
+def test_a_failed_check_is_reported_next_to_broken_files(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """A file that nothing can be said of hides none that something is wrong with."""
     few = tmp_path / "few"
     few.mkdir()
     for name in (CUT, BROKEN):
@@ -644,14 +612,13 @@ def test_what_failed_a_check_is_told_beside_what_is_broken(
     assert main(given) == 1
     said = capsys.readouterr()
     assert f"1 without a result\n  {BROKEN}: " in said.out
-    assert f"1 failed a check: {CUT}; the table says which" in said.err
+    assert f"1 failed a check: {CUT}; the table contains the checks" in said.err
     assert f"\n  {CUT}: file failed: the file is cut off: it ends " in said.out
 
 
-def test_damage_is_told_with_what_came_of_it(
+def test_damage_is_reported_with_the_result(
     folder: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """As `armrig verify` says it, whether or not enough is whole for a result."""
     few = tmp_path / "few"
     few.mkdir()
     shutil.copy2(folder / CUT, few)
@@ -661,13 +628,12 @@ def test_damage_is_told_with_what_came_of_it(
 
     assert main(given) == 1
     said = capsys.readouterr().out
-    assert f"\n  {CUT}: the result is of what is whole: the file is cut off: it ends " in said
+    assert f"\n  {CUT}: the result covers the undamaged part: the file is cut off: it ends " in said
     assert "\n  none.mcap: the file is cut off: it ends " in said
     assert "; saved: 0 samples, " in said
 
 
 def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) -> None:
-    """Which file, and why: no number of an error."""
     (tmp_path / "taken").touch()
     task = report(folder=str(tmp_path / "taken"))
     problem = row_of(task, items_in(folder, rigs=["1"])[0])["problem"]
@@ -675,6 +641,5 @@ def test_what_the_system_refuses_is_said_in_words(folder: Path, tmp_path: Path) 
 
 
 def test_no_recording_however_made_raises(folder: Path) -> None:
-    """Nor does one that is gone by the time that it is its turn."""
     item = items_in(folder)[0]._replace(path=str(folder / "gone.mcap"))
     assert "gone.mcap" in row_of(Verify(), item)["problem"]

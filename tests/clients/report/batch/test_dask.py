@@ -13,7 +13,8 @@ from typing import NamedTuple
 
 import pytest
 from armrig.cli import main
-from batches import kept, started, wait_for_rows
+
+from tests.clients.batches import kept, started, wait_for_rows
 
 pytest.importorskip("distributed")
 pytest.importorskip("pyarrow")
@@ -57,7 +58,6 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
 def test_a_cluster_makes_the_same_table_though_a_worker_is_killed(
     cluster: Cluster, lab: tuple[Path, bytes], tmp_path: Path
 ) -> None:
-    """Byte for byte that of two processes here: the other worker does what is left."""
     folder, whole = lab
     table = tmp_path / "models.parquet"
     with started(folder, table, "--scheduler", cluster.address) as process:
@@ -69,10 +69,9 @@ def test_a_cluster_makes_the_same_table_though_a_worker_is_killed(
 
 
 @pytest.mark.exhaustive
-def test_a_cluster_that_goes_away_is_told_and_the_batch_goes_on_elsewhere(
+def test_a_cluster_that_goes_away_is_reported_and_the_batch_goes_on_elsewhere(
     cluster: Cluster, lab: tuple[Path, bytes], tmp_path: Path
 ) -> None:
-    """In a line, with what is done kept; another start, without the cluster, ends it."""
     folder, whole = lab
     table = tmp_path / "models.parquet"
     with started(folder, table, "--scheduler", cluster.address) as process:
@@ -81,7 +80,7 @@ def test_a_cluster_that_goes_away_is_told_and_the_batch_goes_on_elsewhere(
             one.kill()
         said = process.communicate(timeout=300)[1].decode()
     assert process.returncode == 1
-    assert "the same command goes on" in said
+    assert "the same command continues" in said
     assert "Traceback" not in said
     assert len(kept(table)) >= 2
     with started(folder, table, "--workers", "2") as process:
@@ -94,7 +93,6 @@ def test_a_cluster_that_goes_away_is_told_and_the_batch_goes_on_elsewhere(
 def test_where_no_scheduler_answers_it_is_said(
     lab: tuple[Path, bytes], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """In a line that says how to have one."""
     given = ["batch", "verify", str(lab[0]), "-o", str(tmp_path / "x.parquet")]
     assert main([*given, "--scheduler", "tcp://127.0.0.1:9"]) == 1
     err = capfd.readouterr().err

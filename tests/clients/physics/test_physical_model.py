@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from armrig.numerics.polynomial import filtered
-from armrig.physics.discretisation import transfer
+from armrig.physics.physical_model import transfer
 from armrig.physics.systems import ArmParameters
 from armrig_core.arm import arm_matrices, chassis_matrices, zero_order_hold
 
@@ -14,7 +14,7 @@ from armrig_core.arm import arm_matrices, chassis_matrices, zero_order_hold
 def test_the_chassis_has_the_textbooks_coefficients(Ts: float) -> None:
     """From K/(s (tau s + 1)): a pole at 1, one at exp(-Ts/tau), and B by partial fractions.
 
-    At 1 kHz B is some 1e-5, and to be had with all of its digits.
+    At 1 kHz B is about 1e-5, and has all of its digits.
     """
     p = ArmParameters()
     A, B, C = chassis_matrices(p)
@@ -29,7 +29,6 @@ def test_the_chassis_has_the_textbooks_coefficients(Ts: float) -> None:
 
 
 def test_the_arm_answers_as_its_states_do() -> None:
-    """Sample by sample, for an input held in between."""
     A, B, C = arm_matrices(ArmParameters())
     Phi, Gamma = zero_order_hold(A, B, 0.01)
     u = np.random.default_rng(1).standard_normal(200)

@@ -1,0 +1,1 @@
+"""Tests and their helpers: `from tests.integration.processes import Bench`."""
