@@ -16,13 +16,13 @@ demo: .venv/run $(if $(FIRMWARE),fil)
 test: .venv/dev
 	$(BIN)/pytest -m "not exhaustive and not timed and not machine" -n 2 --dist worksteal
 
-# The tests that `make test` leaves out: grids, long walks, and what takes long, two at a time; then
-# the timed tests, alone, and also if one before them failed.
+# The tests that `make test` leaves out: grids, long walks and slow tests, two at a time. Then the
+# timed tests run alone, also if an earlier test failed.
 test-all: .venv/dev
 	$(BIN)/pytest -m "exhaustive and not timed and not machine" -n 2 --dist worksteal; \
 	  exhaustive=$$?; $(BIN)/pytest -m timed tests/integration && exit $$exhaustive
 
-# As root: the service under a systemd, and strangers on a network, each in a machine of its own.
+# As root: the service under a systemd, and strangers on a network, each in a namespace of its own.
 machine: .venv/dev
 	$(BIN)/pytest -m machine -k "not empty" tests/systemd tests/integration
 
@@ -41,62 +41,62 @@ check: .venv/dev
 	$(BIN)/python tests/rooms.py
 	$(BIN)/python tests/words.py
 
-# Every branch of the core and of the device's state machine; what adds nothing to that is left out.
+# Every branch of the core and of the device's state machine, without tests that add nothing to it.
 coverage: .venv/dev
 	$(BIN)/pytest -q -n 2 --dist worksteal tests/daemon --cov --cov-config=tests/coverage.toml $(addprefix --ignore=tests/daemon/, \
 	  decisions/test_clockmap.py test_every_nth_call.py emulator/test_plant.py emulator/test_pty.py)
 
-# Write again what is stored of what the programs print, draw and compute; read the difference.
+# Write the stored results of what the programs print, draw and compute again; read the difference.
 stored: .venv/dev
-	WRITE_STORED=1 $(BIN)/pytest -q $$(grep -rlE "from said import|WRITE_STORED" tests --include="test_*.py")
-	$(BIN)/python tests/same_numbers.py --write
+	WRITE_STORED=1 $(BIN)/pytest -q $$(grep -rlE "clients.said import|WRITE_STORED" tests --include="test_*.py")
+	$(BIN)/python -m tests.same_numbers --write
 
-# N generated bugs over all rooms, by their lines, each of which a test must see. It goes
-# on where it was left, in mutants.jsonl. ROOMS="core wire" draws in these alone, SEED=… draws others;
-# EVERYDAY=1 asks only the tests of `make test`. PART=1/2 and PART=2/2 run side by side.
+# N generated bugs over all rooms, in proportion to their lines; a test must see each bug. The draw
+# resumes from mutants.jsonl. ROOMS="core wire" draws in these alone, SEED=… draws others, and
+# EVERYDAY=1 runs only the tests of `make test`. PART=1/2 and PART=2/2 may run at the same time.
 N ?= 400
 mutants: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation --n $(N) $(if $(SEED),--seed $(SEED)) $(if $(ROOMS),--rooms $(ROOMS)) $(if $(PART),--part $(PART)) $(if $(EVERYDAY),--everyday)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.mutation --n $(N) $(if $(SEED),--seed $(SEED)) $(if $(ROOMS),--rooms $(ROOMS)) $(if $(PART),--part $(PART)) $(if $(EVERYDAY),--everyday)
 
-# The bugs that people planted by hand (tests/mutation/planted.toml), each of which a test must see.
-# NAME=… takes those whose name contains it.
+# The bugs that people planted by hand (tests/mutation/planted.toml); a test must see each bug.
+# NAME=… selects the bugs whose name contains it.
 planted: .venv/dev
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m mutation.by_hand $(if $(NAME),"$(NAME)")
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.mutation.by_hand $(if $(NAME),"$(NAME)")
 
 # The suite under disturbance: each seed is a condition (tests/shake/conditions.py), 20 minutes at most.
 # PROOF=1: the runs that a release needs, each in a fresh clone, into shake.jsonl; it resumes.
 shake: .venv/dev
-	PYTHONPATH=tests $(BIN)/python -m shake $(if $(PROOF),--proof) $(if $(SEED),--seeds $(SEED))
+	$(BIN)/python -m tests.shake $(if $(PROOF),--proof) $(if $(SEED),--seeds $(SEED))
 
 bench: .venv/dev
-	PYTHONPATH=tests/integration $(BIN)/python tests/benchmarks/one_kilohertz.py
+	$(BIN)/python -m tests.benchmarks.one_kilohertz
 
 # This host's timing against the limit: ARGS="--rates 1000 --seconds 60"
 timing: .venv/dev
-	PYTHONPATH=tests $(BIN)/python -m benchmarks.host_timing $(ARGS)
+	$(BIN)/python -m tests.benchmarks.host_timing $(ARGS)
 
 # SEEDS=1000 schedules of drawn faults; SEED=… runs one again and writes its story. With
-# STALLS=tolerated or suffered the emulator is stalled besides, and its clock stops or does not.
+# STALLS=tolerated or suffered the emulator is also stalled, and its clock stops or does not.
 # With CORE=1 the device's firmware is the C core; with UNO=1 the Uno's binary in simavr is the device,
 # judged at its pin: a second or two a schedule.
 SEEDS ?= $(if $(UNO),200,1000)
 simulate: .venv/dev $(if $(UNO),fil)
-	PYTHONPATH=tests OPENBLAS_NUM_THREADS=1 $(BIN)/python -m simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS)) $(if $(STALLS),--stalls $(STALLS)) $(if $(CORE),--core) $(if $(UNO),--uno)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.simulator $(if $(SEED),--seed $(SEED),--seeds $(SEEDS)) $(if $(STALLS),--stalls $(STALLS)) $(if $(CORE),--core) $(if $(UNO),--uno)
 
 # 10^8 bytes of frames, 10^6 commands, 10^6 files read, 10^5 recovered, 64 KiB cut at every byte, 1 MiB at 10^4 places: an hour.
 fuzz: .venv/dev
-	PYTHONPATH=tests $(BIN)/python -m fuzz
+	$(BIN)/python -m tests.fuzz
 
 # The Uno's firmware, of Debian's gcc-avr and avr-libc. The same sources give the same bytes.
 firmware:
 	$(MAKE) -C firmware_protocol/firmware/boards/uno
 
-# `make simavr`: what runs that very binary; Debian's libsimavr-dev. It is GPL, and in no wheel.
+# The simulator of that binary, with Debian's libsimavr-dev. It is GPL, and in no wheel.
 simavr fil:
 	$(MAKE) -C firmware_protocol/simavr
 
-# The exact versions and their hashes, for all systems, that are installed here and by CI: after each
-# change of pyproject.toml's dependencies. UPGRADE=1 takes the newest.
+# Lock the exact versions and their hashes, for all systems, here and in CI: after each change of
+# pyproject.toml's dependencies. UPGRADE=1 takes the newest versions.
 LOCKED = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
   --no-header --no-annotate $(if $(UPGRADE),--upgrade)
 lock: .venv
@@ -104,19 +104,19 @@ lock: .venv
 	$(LOCKED) pyproject.toml -o requirements.lock
 	$(LOCKED) pyproject.toml --extra dev --constraint requirements.lock -o tests/requirements.lock
 
-# The clients' tests with the oldest versions that pyproject.toml allows; what is deprecated between
-# those and what they use themselves is no fault of ours.
+# The clients' tests with the oldest versions that pyproject.toml allows. Deprecations among these
+# versions are not armrig's faults, so the warnings are ignored.
 lowest: .venv/dev
 	$(BIN)/uv venv --quiet --clear --python $(PYTHON) .venv/lowest
 	$(BIN)/uv pip install --quiet --python .venv/lowest/bin/python pytest hypothesis mcap-protobuf-support websockets hatchling
 	$(BIN)/uv pip install --quiet --python .venv/lowest/bin/python --resolution lowest-direct --editable '.[pandas,xarray,parquet,dask,pki,share]'
 	.venv/lowest/bin/pytest -q -p no:cacheprovider -W ignore::DeprecationWarning tests/clients tests/core tests/protocol --deselect tests/clients/cli/test_laptop.py
 
-# Known vulnerabilities of what an installation has; pypi.org is asked.
+# Known vulnerabilities of the installed packages, by a query to pypi.org.
 audit: .venv/dev
 	$(BIN)/pip-audit --disable-pip --require-hashes -r requirements.lock
 
-# What others get, in dist/: the sources, the wheel that is built of them, and their hashes.
+# The files of a release, in dist/: the sources, the wheel built from them, and their hashes.
 release: .venv/dev
 	.ci/release
 
@@ -129,13 +129,13 @@ format: .venv/dev
 clean:
 	rm -rf .venv demo dist
 
-# What a user needs, in the versions that are locked; again when they change.
+# What a user needs, in the locked versions; repeated when they change.
 .venv/run: pyproject.toml requirements.lock | .venv
 	$(PIP) --require-hashes -r requirements.lock
 	$(PIP) --no-deps --editable .
 	touch $@
 
-# What a developer needs beside it.
+# What a developer needs in addition.
 .venv/dev: pyproject.toml tests/requirements.lock | .venv
 	$(PIP) --require-hashes -r tests/requirements.lock
 	$(PIP) --no-deps --no-build-isolation --editable .
