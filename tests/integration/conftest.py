@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,20 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     """Mark the tests with a bench: its rig is a process that a stall of the host stops."""
     if {"bench", "_serving", "shared"} & set(getattr(item, "fixturenames", ())):
         item.add_marker(pytest.mark.real_time)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Show with a failure what each process of the bench printed."""
+    report = yield
+    bench = getattr(item, "funcargs", {}).get("bench")
+    if report.failed and bench is not None:
+        report.sections += [
+            (f"Printed by {process.log.name}", process.said) for process in bench.processes
+        ]
+    return report
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 STOPS = "SHAKE_STOPS"
 """Environment variable: file in which `make shake` writes each process that it stops, and when."""
+GAP_NS = 20_000_000
+"""Two stalls with less between them are one: a loop does not catch up in so short a time."""
 _MONITOR = Path(__file__).with_name("monitor.py")
 
 
@@ -29,34 +31,49 @@ class Host:
     """The host's stalls since the monitor was started."""
 
     def __init__(self) -> None:
-        self._monitor = subprocess.Popen(
-            [sys.executable, "-I", "-S", str(_MONITOR)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-        )
+        cpus = [[], *([str(cpu)] for cpu in os.sched_getaffinity(0))]
+        self._monitors = [
+            subprocess.Popen(
+                [sys.executable, "-I", "-S", str(_MONITOR), *cpu],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                bufsize=0,
+            )
+            for cpu in cpus
+        ]
         self._stalls: list[Stall] = []
-        self._ask()  # the monitor measures from its first answer on
+        self._ask()  # a monitor measures from its first answer on
 
     def longest_ns(self, began_ns: int, ended_ns: int) -> int:
         """Return the longest stall that overlaps a time, in ns; 0 without any."""
         self._ask()
-        stalls = self._stalls + stops_of(os.getpid(), os.environ.get(STOPS))
+        stalls = merged(self._stalls + stops_of(os.getpid(), os.environ.get(STOPS)))
         overlapping = [stall for stall in stalls if stall.overlaps(began_ns, ended_ns)]
         return max((stall.ended_ns - stall.began_ns for stall in overlapping), default=0)
 
     def end(self) -> None:
-        """End the monitor."""
-        with self._monitor as monitor:
-            assert monitor.stdin is not None
-            monitor.stdin.close()
+        """End the monitors."""
+        for monitor in self._monitors:
+            with monitor:
+                assert monitor.stdin is not None
+                monitor.stdin.close()
 
     def _ask(self) -> None:
-        monitor = self._monitor
-        assert monitor.stdin is not None
-        assert monitor.stdout is not None
-        monitor.stdin.write(b"\n")
-        self._stalls += [Stall(*times) for times in json.loads(monitor.stdout.readline())]
+        for monitor in self._monitors:
+            assert monitor.stdin is not None
+            assert monitor.stdout is not None
+            monitor.stdin.write(b"\n")
+            self._stalls += [Stall(*times) for times in json.loads(monitor.stdout.readline())]
+
+
+def merged(stalls: list[Stall]) -> list[Stall]:
+    """Return the stalls in their order; those with less than `GAP_NS` between them are one."""
+    whole: list[Stall] = []
+    for stall in sorted(stalls):
+        if whole and stall.began_ns - whole[-1].ended_ns < GAP_NS:
+            stall = Stall(whole[-1].began_ns, max(whole.pop().ended_ns, stall.ended_ns))
+        whole.append(stall)
+    return whole
 
 
 def stops_of(pid: int, path: str | None) -> list[Stall]:

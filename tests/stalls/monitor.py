@@ -1,11 +1,15 @@
-"""Measure the stalls of the host.
+"""`monitor.py [CPU]`: measure the stalls of the host.
 
-The program waits for deadlines and compares the clock with each of them. Its priority is that of
-an emulated rig, so it waits for a processor as long as an emulated rig does. It also passes bytes
-through a pseudo-terminal, because a worker of the kernel carries those, with a priority of its own.
-It is a process of its own, because a thread would also wait for the interpreter of the tests. It
-answers each line of its standard input with the stalls since the last answer, and exits at the end
-of its input.
+The program waits for deadlines and compares the clock with each of them. Without an argument, it
+waits for a processor as any program does. It also passes bytes through a pseudo-terminal, because a
+worker of the kernel carries those, with a priority of its own. With a processor's number, it runs
+on that processor, at the highest real-time priority: then it waits for the host and the kernel
+only, as a loop does that stays on that processor. If that priority is refused, the number is
+ignored.
+
+The monitor is a process of its own, because a thread would also wait for the interpreter of the
+tests. It answers each line of its standard input with the stalls since the last answer, and exits
+at the end of its input.
 """
 
 from __future__ import annotations
@@ -14,15 +18,22 @@ import json
 import os
 import pty
 import select
+import sys
 import time
 import tty
+from contextlib import suppress
 
 PERIOD_NS = 5_000_000
-SHORTEST_NS = 20_000_000  # shorter stalls are not reported
+SHORTEST_NS = 10_000_000  # shorter stalls are not reported
 
 
-def main() -> None:
+def main(cpu: int | None) -> None:
     """Wait, compare and answer until the end of the input."""
+    if cpu is not None:
+        with suppress(PermissionError):
+            highest = os.sched_get_priority_max(os.SCHED_FIFO)
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(highest))
+            os.sched_setaffinity(0, [cpu])
     stalls: list[tuple[int, int]] = []
     master, slave = pty.openpty()
     tty.setraw(slave)
@@ -50,4 +61,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else None)

@@ -99,6 +99,9 @@ def _reports(
         failed = [report for report in reports if report.failed]
         stall_ns = host.longest_ns(began_ns, time.monotonic_ns()) if failed else 0
         if stall_ns < STALL_NS or attempt == MAX_REPEATS:
+            for report in failed:
+                text = f"the longest stall during this attempt: {stall_ns / 1e6:.0f} ms"
+                report.sections.append(("Host", text))
             break
         said = f"the host stalled for {stall_ns / 1e6:.0f} ms; {_said(failed[0])}"
         item.user_properties.append((_REPEATED, said))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.stalls.host import STOPS, Host, stops_of
+from tests.stalls.host import GAP_NS, STOPS, Host, Stall, merged, stops_of
 from tests.stalls.repeats import MAX_REPEATS, STALL_NS, allowed
 
 pytest_plugins = ["pytester"]
@@ -108,18 +108,26 @@ def test_more_than_one_percent_of_repeated_tests_fails_the_run(
     assert [allowed(n) for n in (1, 199, 200, 3000)] == [1, 1, 2, 30]
 
 
-def test_the_monitor_measures_a_stall(host: Host) -> None:
-    pid = host._monitor.pid
-    os.kill(pid, signal.SIGSTOP)
-    os.waitpid(pid, os.WUNTRACED)
+def test_each_monitor_measures_a_stall(host: Host) -> None:
+    for monitor in host._monitors:
+        pid = monitor.pid
+        os.kill(pid, signal.SIGSTOP)
+        os.waitpid(pid, os.WUNTRACED)
 
-    began_ns = time.monotonic_ns()
-    time.sleep(2 * STALL_NS / 1e9)
-    ended_ns = time.monotonic_ns()
-    os.kill(pid, signal.SIGCONT)
+        began_ns = time.monotonic_ns()
+        time.sleep(2 * STALL_NS / 1e9)
+        ended_ns = time.monotonic_ns()
+        os.kill(pid, signal.SIGCONT)
 
-    assert host.longest_ns(began_ns, ended_ns) >= 1.8 * STALL_NS
-    assert host.longest_ns(0, began_ns - 3600 * 10**9) == 0
+        assert host.longest_ns(began_ns, ended_ns) >= 1.8 * STALL_NS
+        assert host.longest_ns(0, began_ns - 3600 * 10**9) == 0
+
+
+def test_two_stalls_with_little_between_them_are_one() -> None:
+    first, near, far = Stall(0, 25), Stall(24 + GAP_NS, 50 + GAP_NS), Stall(60 + 3 * GAP_NS, 10**9)
+
+    assert merged([far, near, first]) == [(0, 50 + GAP_NS), far]
+    assert merged([Stall(0, 9), Stall(2, 5)]) == [(0, 9)]
 
 
 def test_a_stop_counts_for_the_tests_whose_process_was_stopped(tmp_path: Path) -> None:
