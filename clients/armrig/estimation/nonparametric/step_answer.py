@@ -161,12 +161,11 @@ def step_answer(
     record = _Record(k, y, weight, Ts, integrates=integrates, least_variance=least_variance)
     splines, shares, none = _weighed(record)
     counts = np.diff(np.floor(np.cumsum(shares) * DRAWS + 0.5).astype(int), prepend=0)
-    rng = _rng()
     size = record.t.size
     total, squares = np.zeros(size), np.zeros(size)
     read: list[tuple[Vector, ...]] = []
-    for spline, count in zip(splines, counts, strict=True):
-        for curves in record.drawn(spline, int(count), rng):
+    for (setting, spline), count in zip(splines.items(), counts, strict=True):
+        for curves in record.drawn(spline, int(count), _rng(setting)):
             total += curves.sum(axis=1)
             squares += (curves**2).sum(axis=1)
             delays = np.full(curves.shape[1], record.dt * spline.delay)
@@ -299,9 +298,9 @@ class _Record:
         std, root = np.sqrt(of.variance), np.linalg.cholesky(of.lines_cov)
         for first in range(0, count, most):
             n = min(most, count - first)
-            noise = rng.standard_normal((of.z.size, n))
-            own = solve_banded((0, self._order), of.factor, noise, check_finite=False)
-            own -= of.lines @ (root @ rng.standard_normal((self._order - 1, n)))
+            noise = rng.standard_normal((n, of.z.size + self._order - 1)).T
+            own = solve_banded((0, self._order), of.factor, noise[: of.z.size], check_finite=False)
+            own -= of.lines @ (root @ noise[of.z.size :])
             z = np.zeros((self.size + 1, n))
             z[of.delay + 1 :] = of.z[:, None] + std * own
             y = np.diff(z, axis=0) / self.dt if self._order == 3 else z
@@ -387,13 +386,13 @@ def _near(at: Setting) -> Iterator[Setting]:
             yield delay, x, v
 
 
-def _weighed(record: _Record) -> tuple[list[_Spline], Vector, float]:
+def _weighed(record: _Record) -> tuple[dict[Setting, _Spline], Vector, float]:
     """Return the likely splines, their probabilities, and the probability of no dead time."""
     search = _Search(record)
     starts = [(0, i, j) for i in range(0, _LOG_SMOOTHNESS.size, 5) for j in (1, 4, 7)]
     best = search.climb(min(starts, key=search.criterion))
     (curves,) = record.drawn(
-        search.found[best], min(DRAWS // 2, _MAX_CURVE_VALUES // record.size), _rng()
+        search.found[best], min(DRAWS // 2, _MAX_CURVE_VALUES // record.size), _rng(best)
     )
     latest = int(np.quantile(np.argmax(curves >= SHARE, axis=0), 0.99)) + 1
     latest = min(latest, record.size // 2)
@@ -406,7 +405,9 @@ def _weighed(record: _Record) -> tuple[list[_Spline], Vector, float]:
         search.climb((delay, *at[1:]))
     search.spread()
     least = search.criterion(search.best)
-    weights = {at: np.exp((least - found.criterion) / 2) for at, found in search.found.items()}
+    # In order: the way of the search depends on rounding, and the curves are drawn in this order.
+    found = dict(sorted(search.found.items(), key=lambda item: item[0]))
+    weights = {at: np.exp((least - spline.criterion) / 2) for at, spline in found.items()}
     delays = np.array(sorted({at[0] for at in weights}))
     widths = np.gradient(delays.astype(np.float64)) / latest if delays.size > 1 else np.ones(1)
     prior = dict(zip(delays, (1 - PRIOR_NO_DEAD_TIME) * widths, strict=True)) | {
@@ -416,7 +417,7 @@ def _weighed(record: _Record) -> tuple[list[_Spline], Vector, float]:
     shares /= shares.sum()
     none = float(sum(s for at, s in zip(weights, shares, strict=True) if at[0] == 0))
     kept = shares > _MIN_WEIGHT_SHARE * shares.max()
-    splines = [found for found, here in zip(search.found.values(), kept, strict=True) if here]
+    splines = {at: found[at] for at, here in zip(weights, kept, strict=True) if here}
     return splines, shares[kept] / shares[kept].sum(), none
 
 
@@ -424,5 +425,10 @@ def _spaced(first: float, last: float) -> list[int]:
     return sorted({round(x) for x in np.linspace(first, last, _DELAYS_AT_ONCE)})
 
 
-def _rng() -> np.random.Generator:
-    return np.random.default_rng(1)
+def _rng(setting: Setting) -> np.random.Generator:
+    """Return the generator of a setting's curves.
+
+    Each setting has its own, so that its curves do not depend on the number of curves of others:
+    rounding, which differs from one processor to another, can change that number by one.
+    """
+    return np.random.default_rng((1, *setting))
