@@ -115,7 +115,7 @@ BRIEF = {
 LEFT_OUT = {
     "*.starts[[]*].iterations": "the way of a search",
     "*.starts[[]*].converged": "the way of a search",
-    "pem odd.free[[]*].transients": "two of the four are dependent: rounding decides which one is 0",
+    "pem odd.free[[]*].transients": "two of four are dependent: rounding decides which is 0",
     "bj two.starts*": "two of its starts end in a valley without a minimum",
     "*summary.size": "the length of a file rests on how zstd packs it",
     "*recordings[[]*].size": "the length of a file rests on how zstd packs it",

@@ -2,10 +2,11 @@
 
 The program waits for deadlines and compares the clock with each of them. Without an argument, it
 waits for a processor as any program does. It also passes bytes through a pseudo-terminal, because a
-worker of the kernel carries those, with a priority of its own. With a processor's number, it runs
-on that processor, at the highest real-time priority: then it waits for the host and the kernel
-only, as a loop does that stays on that processor. If that priority is refused, the number is
-ignored.
+worker of the kernel carries those, with a priority of its own.
+
+With the number of a processor, the program runs on that processor at the highest real-time
+priority. It then waits for the host and the kernel only, as a loop on that processor does. If the
+priority is refused, the number is ignored.
 
 The monitor is a process of its own, because a thread would also wait for the interpreter of the
 tests. It answers each line of its standard input with the stalls since the last answer, and exits

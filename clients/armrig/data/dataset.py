@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
 from numbers import Integral
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 from armrig_core.calls import checked_call
@@ -30,6 +30,18 @@ Vector = NDArray[np.float64]
 _MAX_SIZE = 1e30  # products of fourth powers of data must be finite
 _MIN_SIZE = 1e-30  # powers of much smaller numbers underflow to 0
 _MAX_LISTED_LENGTHS = 8  # of merged parts, in a history
+
+
+class HasHistory(Protocol):
+    """Data with a number of samples and a history."""
+
+    @property
+    def N(self) -> int:
+        """Number of samples."""
+
+    @property
+    def history(self) -> tuple[str, ...]:
+        """Steps of the treatment, first to last."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, init=False, eq=False, repr=False)
@@ -124,7 +136,7 @@ class Dataset:
         _require_one_number(Ts)
         if not (isfinite(Ts) and Ts > 0):
             raise InputError(f"Ts={Ts!r} must be finite and > 0, in s")
-        starts_ = _starts(starts, N)
+        starts_ = starts_of(starts, N)
         if len(trends) not in (0, len(starts_)):
             raise InputError(
                 f"{len(trends)} trends for {len(starts_)} experiments; give one for each, or none"
@@ -269,7 +281,7 @@ class Dataset:
             )
         chosen = [parts[i].replaced(step=None, history=self.history) for i in which]
         step = f"selected experiments {', '.join(map(str, which))} of {len(parts)}"
-        return merge(chosen).replaced(step=step, history=self.history)
+        return merged_datasets(chosen).replaced(step=step, history=self.history)
 
     def replaced(
         self,
@@ -320,28 +332,8 @@ class Dataset:
         return f"<Dataset: {'; '.join(parts)}>"
 
 
-@checked_call
-def merge(parts: Sequence[Dataset]) -> Dataset:
-    """Return several experiments as one Dataset, with boundaries between them.
-
-    Parameters
-    ----------
-    parts : sequence of Dataset
-        At least one Dataset; Ts, output and units are the same in all.
-
-    Returns
-    -------
-    Dataset
-        All samples in the order given, with the starts of all experiments.
-
-    Raises
-    ------
-    ValueError
-        The sequence is empty, or the parts differ in Ts, output or unit.
-    """
-    _require_datasets(parts)
-    if not parts:
-        raise InputError("merge needs at least one Dataset, got none")
+def merged_datasets(parts: Sequence[Dataset]) -> Dataset:
+    """Return several experiments as one Dataset; `armrig.merge` documents it."""
     for name in ("Ts", "output", "unit", "input_unit"):
         values = sorted({getattr(d, name) for d in parts})
         if len(values) > 1:
@@ -363,12 +355,12 @@ def merge(parts: Sequence[Dataset]) -> Dataset:
         unit=parts[0].unit,
         input_unit=parts[0].input_unit,
         source="+".join(dict.fromkeys(d.source for d in parts if d.source)),
-        history=_joined_history(parts),
+        history=joined_history(parts),
         trends=trends,
     )
 
 
-def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
+def joined_history(parts: Sequence[HasHistory]) -> tuple[str, ...]:
     """Return the history of merged parts: the common steps, the other steps of each, the merge."""
     if len(parts) == 1:
         return parts[0].history
@@ -387,7 +379,7 @@ def _joined_history(parts: Sequence[Dataset]) -> tuple[str, ...]:
     return (*common, *own, f"merged {len(parts)} parts of {lengths} samples")
 
 
-def _starts(starts: Sequence[int], N: int) -> tuple[int, ...]:
+def starts_of(starts: Sequence[int], N: int) -> tuple[int, ...]:
     """Return the indices of the first samples of the experiments; refuse indices out of order."""
     starts_ = tuple(int(s) for s in starts)
     if starts_[:1] != (0,) or not all(a < b for a, b in pairwise((*starts_, N))):
@@ -399,14 +391,6 @@ def _require_one_number(Ts: Any) -> None:
     if Ts is None or isinstance(Ts, str) or np.ndim(Ts):
         raise InputTypeError(
             f"Ts is a {type(Ts).__name__}; give one number, in seconds, such as Ts=0.01"
-        )
-
-
-def _require_datasets(parts: Any) -> None:
-    if isinstance(parts, Dataset) or not all(isinstance(d, Dataset) for d in parts):
-        raise InputTypeError(
-            "merge takes one list of Datasets, merge([d1, d2]); for a recording, give "
-            "recording.dataset()"
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,6 +15,7 @@ from armrig_core.telemetry import THETA_1, OutputName
 from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
+from armrig.data.signals import Signals
 from armrig.data.treatment import difference
 from armrig.numerics.stretches import Mask
 from armrig.recordings.daemon_reports import DeviceClock, Event, Gap, Note, Timing
@@ -190,6 +191,39 @@ class Recording:
             source=self.sha256,
         )
         return difference(data) if output == measured.rate else data
+
+    def signals(self, outputs: Sequence[OutputName] = (THETA_1, "alpha")) -> Signals:
+        """Return u and several outputs for identification, with missing samples marked.
+
+        A new experiment begins where it begins in the dataset of one of the outputs.
+
+        Parameters
+        ----------
+        outputs : sequence of {"theta_1", "alpha", "velocity"}
+            Outputs, as for `dataset`.
+
+        Raises
+        ------
+        FileError
+            An output has no valid sample, or does not exist.
+        """
+        each = [self.dataset(output) for output in outputs]
+        if not each:
+            raise InputError("outputs=() must name at least one output")
+        history = dict.fromkeys(step for data in each for step in data.history)
+        return Signals(
+            u=each[0].u,
+            y=np.column_stack([data.y for data in each]),
+            Ts=self.Ts,
+            valid=np.column_stack([data.valid for data in each]),
+            starts=sorted({start for data in each for start in data.starts}),
+            inputs=["u"],
+            outputs=[data.output for data in each],
+            input_units=[each[0].input_unit],
+            units=[data.unit for data in each],
+            source=self.sha256,
+            history=list(history),
+        )
 
     def to_pandas(self) -> DataFrame:
         """Return the columns of the export as a DataFrame: one row per sample, indexed by t in s.

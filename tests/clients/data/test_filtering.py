@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.data.treatment import detrend, prefilter, resample, retrend
 from armrig.data.trend import Trend
 from armrig.estimation.oe import oe

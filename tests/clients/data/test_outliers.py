@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, Mask, Vector, merge
+from armrig.data.dataset import Dataset, Mask, Vector
+from armrig.data.merging import merge
 from armrig.data.treatment import hampel
 from armrig.data.treatment.wrong_samples import _gross, _surely_wrong
 from armrig.excitation import telegraph

@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.data.treatment import detrend
 from armrig.estimation.arx import arx
 from armrig.numerics.polynomial import filtered

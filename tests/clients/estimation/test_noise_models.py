@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.data.treatment import detrend
 from armrig.estimation.ararx import ararx
 from armrig.estimation.armax import armax

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.estimation.oe import oe
 from armrig.excitation import telegraph
 from armrig.models.fit import Fit

@@ -6,7 +6,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.estimation.arx import arx
 from armrig.estimation.recursive import RarxState, rarx, rarx_start, rarx_step
 from armrig.numerics.polynomial import filtered

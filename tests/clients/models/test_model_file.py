@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
 from armrig.data.finding import warning
+from armrig.data.merging import merge
 from armrig.data.step import MEAN, Step, codes_of
 from armrig.estimation.arx import arx
 from armrig.estimation.bj import bj

@@ -8,7 +8,8 @@ from typing import Any
 import armrig
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.physics.grey_box.estimate import no_model
 from armrig.physics.systems import ArmParameters, arm, chassis
 

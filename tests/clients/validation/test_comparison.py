@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.data.treatment import difference
 from armrig.estimation.armax import armax
 from armrig.estimation.arx import arx

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.numerics.polynomial import filtered, impulse
 from armrig.validation.feedback_and_delay.delay import _hidden_by_steps, _Onset, _Readings
 from armrig.validation.feedback_and_delay.lag_tests import lag_tests

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import armrig
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.excitation import multisine, prbs, telegraph
 from armrig.numerics.polynomial import filtered
 from armrig.validation.feedback_and_delay.sims import Sims, sims

@@ -5,19 +5,23 @@ from __future__ import annotations
 import codecs
 import errno
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import isclose
 from os import PathLike
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from armrig_core.bounded import decoded, read_bounded
 from armrig_core.calls import checked_call
-from armrig_core.errors import FileError
+from armrig_core.errors import FileError, InputError
 
 from armrig.data.dataset import Dataset, require_size
 from armrig.data.files import arrays, text
 from armrig.data.files.table import Column, NoColumnError, Table, Vector, chosen, listed, shown
+from armrig.data.signals import Mask, Signals
+
+Data = TypeVar("Data")
 
 MOST_BYTES = 1 << 27
 """Largest size of a file, in B; a text of a million rows with eight numbers is smaller."""
@@ -70,12 +74,67 @@ def load_data(
     OSError
         The file cannot be read.
     """
+    columns = {"input": input, "signal": signal}
+    return _loaded(path, lambda table, source: _dataset(table, columns, time, Ts, source))
+
+
+@checked_call
+def load_signals(
+    path: str | PathLike[str],
+    *,
+    inputs: str | Sequence[str],
+    outputs: str | Sequence[str],
+    time: str | None = None,
+    Ts: float | None = None,
+) -> Signals:
+    r"""Load several inputs and outputs of a file: CSV, another text table, .mat or .npz.
+
+    The file is read as by `load_data`. The name of a matrix, such as u of a saved iddata structure,
+    stands for all its columns. If an input is missing at an instant, the instant is left out, and a
+    new experiment begins after it. If an output is missing, the other outputs are kept.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, of at most 128 MiB.
+    inputs, outputs : str or sequence of str
+        Columns of the inputs and of the outputs, by name or by number from 1.
+    time : str, optional
+        Column of the times, as for `load_data`.
+    Ts : float, optional
+        Sampling time in s, as for `load_data`.
+
+    Returns
+    -------
+    Signals
+        Data with the names and units from the file's header; `source` contains the hash of the
+        file.
+
+    Raises
+    ------
+    FileError
+        The file cannot be read as data. The message names the problem and the remedy.
+    OSError
+        The file cannot be read.
+
+    Examples
+    --------
+    >>> import armrig, pathlib
+    >>> lines = ["t,u1,u2,y1", *(f"{0.1 * k:.1f},{k % 2},{k % 3},{k % 5}" for k in range(50))]
+    >>> _ = pathlib.Path("plant.csv").write_text("\n".join(lines))
+    >>> armrig.load_signals("plant.csv", inputs=["u1", "u2"], outputs="y1")
+    <Signals: 50 samples at 0.1 s; outputs y1; inputs u1, u2>
+    """
+    return _loaded(path, lambda table, source: _signals(table, inputs, outputs, time, Ts, source))
+
+
+def _loaded(path: str | PathLike[str], made: Callable[[Table, str], Data]) -> Data:
+    """Return what `made` makes of the table in a file and of the file's hash."""
     path = Path(path)
     try:
         data = read_bounded(path, MOST_BYTES)
         source = f"{SOURCE}:{hashlib.sha256(data).hexdigest()}"
-        table = table_of(data, path.suffix.lower())
-        return _dataset(table, {"input": input, "signal": signal}, time, Ts, source)
+        return made(table_of(data, path.suffix.lower()), source)
     except FileError as err:
         raise FileError(f"{path}: {err}") from err
     except OSError as err:
@@ -84,6 +143,85 @@ def load_data(
         raise FileError(
             f"{path}: has more than {MOST_BYTES >> 20} MiB; cut it into several files"
         ) from err
+
+
+def _signals(
+    table: Table,
+    inputs: str | Sequence[str],
+    outputs: str | Sequence[str],
+    time: str | None,
+    Ts: float | None,
+    source: str,
+) -> Signals:
+    of_u, of_y = _columns_of(table, inputs, "input"), _columns_of(table, outputs, "signal")
+    for what, of in (("input", of_u), ("output", of_y)):
+        if not of:
+            raise FileError(f"give at least one {what}; {listed(table, 'signal')}")
+    taken = {*of_u, *of_y}
+    if len(taken) < len(of_u) + len(of_y):
+        raise FileError(f"a column is given twice; {listed(table, 'signal')}")
+    notes = list(table.notes)
+    if Ts is None:
+        Ts = _sampling_time(table, time, taken)
+    else:
+        notes += _other_times(table, time, taken, Ts)
+    values = [_values(table, i, "input") for i in of_u] + [
+        _values(table, i, "signal") for i in of_y
+    ]
+    sizes = sorted({x.size for x in values})
+    if len(sizes) > 1:
+        raise FileError(
+            f"the columns have {sizes[0]} to {sizes[-1]} samples; all need the same number"
+        )
+    u, y = (np.column_stack(x) for x in (values[: len(of_u)], values[len(of_u) :]))
+    known = np.array(np.isfinite(u).all(axis=1))
+    if not known.any():
+        raise FileError("no row has a value of each input; leave an input out, or fill it in")
+    named_u, named_y = ([table.columns[i] for i in of] for of in (of_u, of_y))
+    starts, left_out = _between_gaps(known)
+    try:
+        return Signals(
+            u=u[known],
+            y=y[known],
+            Ts=Ts,
+            starts=starts,
+            inputs=_names(named_u, "u"),
+            outputs=_names(named_y, "y"),
+            input_units=[c.unit for c in named_u],
+            units=[c.unit for c in named_y],
+            source=source,
+            history=[*notes, *left_out],
+        )
+    except InputError as err:
+        raise FileError(str(err)) from err
+
+
+def _columns_of(table: Table, wanted: str | Sequence[str], what: str) -> list[int]:
+    """Return the indices of the columns; a name of a matrix gives all its columns."""
+    found: list[int] = []
+    for name in [wanted] if isinstance(wanted, str) else wanted:
+        parts = [
+            i
+            for i, column in enumerate(table.columns)
+            if column.name.rpartition(":")[0].rpartition(".")[2] == name.rpartition(".")[2] != ""
+        ]
+        found += parts or [chosen(table, name, what)]
+    return found
+
+
+def _names(columns: Sequence[Column], letter: str) -> list[str]:
+    """Return a name for each column: u1 for column 1 of a matrix u, or of a file without names."""
+    names = [column.name.rpartition(".")[2].replace(":", "") for column in columns]
+    return [name or f"{letter}{k}" for k, name in enumerate(names, 1)]
+
+
+def _between_gaps(known: Mask) -> tuple[list[int], list[str]]:
+    """Return where experiments begin among the known rows, and a step about the unknown rows."""
+    begins = known & ~np.append(False, known[:-1])
+    left_out = int(known.size - np.count_nonzero(known))
+    count = "1 sample" if left_out == 1 else f"{left_out} samples"
+    step = f"left out {count} without an input; a new experiment begins after each gap"
+    return np.flatnonzero(begins[known]).tolist(), [step] if left_out else []
 
 
 def _dataset(
@@ -114,23 +252,20 @@ def _dataset(
             require_size(name, x[~np.isnan(x)])
         except ValueError as err:
             raise FileError(str(err)) from err
-    known = ~np.isnan(u)
-    begins = known & ~np.append(False, known[:-1])
-    left_out = int(u.size - np.count_nonzero(known))
+    known = np.array(np.isfinite(u))
     of_u, of_y = (table.columns[i] for i in at.values())
-    count = "1 sample" if left_out == 1 else f"{left_out} samples"
-    step = f"left out {count} without an input; a new experiment begins after each gap"
+    starts, left_out = _between_gaps(known)
     return Dataset(
         u=u[known],
         y=y[known],
         Ts=Ts,
         valid=~np.isnan(y[known]),
-        starts=np.flatnonzero(begins[known]).tolist(),
+        starts=starts,
         output=of_y.name or "y",
         unit=of_y.unit,
         input_unit=of_u.unit,
         source=source,
-        history=[*notes, step] if left_out else notes,
+        history=[*notes, *left_out],
     )
 
 

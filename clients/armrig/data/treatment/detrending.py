@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
 from armrig.data.step import LINE, MEAN, Step
+from armrig.data.treatment.channelwise import channelwise
 from armrig.data.treatment.integrating import IntegratingOutputWarning, integrating
 from armrig.data.trend import Trend
 from armrig.numerics.checks import column
@@ -19,6 +20,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.stretches import Mask
 
 
+@channelwise
 @takes_recordings
 def detrend(data: Dataset, order: int = 0) -> Dataset:
     """Return the data with mean (order 0) or straight line (order 1) removed from u and y.

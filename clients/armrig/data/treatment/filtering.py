@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset, Vector
+from armrig.data.treatment.channelwise import channelwise
 from armrig.numerics.checks import column, require_integers, require_numbers
 from armrig.numerics.polynomial import filtered, stable
 from armrig.numerics.stretches import Mask
@@ -22,6 +23,7 @@ _HALF_LENGTH = 8  # of the anti-alias filter, in samples of the lower rate
 _KAISER_BETA = 5.0
 
 
+@channelwise
 @takes_recordings
 def prefilter(
     data: Dataset,
@@ -89,6 +91,7 @@ def prefilter(
     return data.replaced(u=u, y=y, valid=valid, trends=(), step=step)
 
 
+@channelwise
 @takes_recordings
 def resample(data: Dataset, Ts: float) -> Dataset:
     """Return the data at a lower sampling rate, after the same anti-alias filter for u and y.

@@ -11,6 +11,7 @@ from armrig_core.telemetry import THETA_1
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding, warning
+from armrig.data.treatment.channelwise import channelwise
 from armrig.data.trend import Trend
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import complete, past
@@ -79,6 +80,7 @@ def rate_name(output: str) -> str:
     return rates.get(output) or f"rate of {output}"
 
 
+@channelwise
 @takes_recordings
 def difference(data: Dataset) -> Dataset:
     """Return data with the velocity (y(t) - y(t-1)) / Ts as output; u is unchanged.

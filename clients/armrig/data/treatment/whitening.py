@@ -25,32 +25,38 @@ class Whitening:
     A: Vector
     """Coefficients of A (n + 1,), beginning with 1."""
     B: Vector
-    """Coefficients of B (n + 1,), beginning with the direct term."""
+    """Coefficients of B, beginning with the direct term: (n + 1,), or (nu, n + 1) for u (N, nu)."""
     c: float
     """Constant."""
     d: float
     """Slope, per sample; 0 without a slope."""
     covariance: Array
-    """Covariance of (a1 … an, b0 … bn, c, d), (2n + 3, 2n + 3)."""
+    """Covariance of (a1 … an, b0 … bn of each input, c, d)."""
     rows: int
     """Number of samples with a complete past, from which the model was estimated."""
 
-    def residuals(self, u: Vector, y: Vector) -> Vector:
+    def residuals(self, u: Array, y: Vector) -> Vector:
         """Return e (N,), NaN where y(t) or one of the n outputs before it is missing."""
         n = self.A.size - 1
-        e = np.convolve(y, self.A)[: y.size] - np.convolve(u, self.B)[: u.size]
+        e = np.convolve(y, self.A)[: y.size]
+        for x, B in zip(np.atleast_2d(u.T), np.atleast_2d(self.B), strict=True):
+            e = e - np.convolve(x, B)[: y.size]
         e -= self.c + self.d * np.arange(y.size)
         e[:n] = np.nan
         return np.asarray(e)
 
 
-def whitening(parts: Sequence[tuple[Vector, Vector]], n: int, *, slope: bool = False) -> Whitening:
+def whitening(parts: Sequence[tuple[Array, Vector]], n: int, *, slope: bool = False) -> Whitening:
     """Estimate a model of order n from (u, y) of each experiment, y NaN where it is missing.
+
+    One input is an array (N,), several inputs are an array (N, nu).
 
     From data with more than 200 000 rows, only evenly spaced blocks of rows are used. The normal
     equations are solved; if they lose too many digits, QR is used.
     """
-    width = 2 * n + 2 + int(slope)
+    several = parts[0][0].ndim > 1
+    m = (n + 1) * (parts[0][0].shape[1] if several else 1)
+    width = n + m + 1 + int(slope)
     total = sum(u.size for u, _ in parts)
     skip = max(1, total // _MAX_ROWS)
     blocks = [b for i, b in enumerate(_all_blocks(parts, n, slope)) if i % skip == 0]
@@ -61,31 +67,33 @@ def whitening(parts: Sequence[tuple[Vector, Vector]], n: int, *, slope: bool = F
     basis = orthonormal(R[:, :-1])
     theta = basis.coefficients(R[:, -1])
     sse = float(np.sum(basis.without(R[:, -1]) ** 2))
-    covariance = np.zeros((2 * n + 3,) * 2)
+    covariance = np.zeros((n + m + 2,) * 2)
     covariance[:width, :width] = sse / max(rows - basis.rank, 1) * (basis.W @ basis.W.T)
     return Whitening(
         A=np.append(1.0, theta[:n]),
-        B=theta[n : 2 * n + 1],
-        c=float(theta[2 * n + 1]),
-        d=float(theta[2 * n + 2]) if slope else 0.0,
+        B=theta[n : n + m].reshape(-1, n + 1) if several else theta[n : n + m],
+        c=float(theta[n + m]),
+        d=float(theta[n + m + 1]) if slope else 0.0,
         covariance=covariance,
         rows=rows,
     )
 
 
-def _all_blocks(parts: Sequence[tuple[Vector, Vector]], n: int, slope: bool) -> Iterator[Array]:
+def _all_blocks(parts: Sequence[tuple[Array, Vector]], n: int, slope: bool) -> Iterator[Array]:
     """Yield [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 (t) y(t)] of the complete rows."""
     for u, y in parts:
         if y.size <= n:
             continue
         # Windows are faster than lagged copies, and hampel estimates a model in each round.
-        outputs, inputs = (sliding_window_view(x, n + 1)[:, ::-1] for x in (y, u))
+        outputs, inputs = (sliding_window_view(x, n + 1, axis=0)[..., ::-1] for x in (y, u))
+        if u.ndim > 1:
+            inputs = inputs.reshape(len(inputs), -1)
         times = np.arange(n, y.size, dtype=np.float64)[:, None]
         blocks = (in_blocks(M, _BLOCK_ROWS) for M in (outputs, inputs, times))
         for ys, us, t in zip(*blocks, strict=True):
-            block = np.ones((t.size, 2 * n + 3 + int(slope)))
+            block = np.ones((t.size, n + us.shape[1] + 2 + int(slope)))
             np.negative(ys[:, 1:], out=block[:, :n])
-            block[:, n : 2 * n + 1], block[:, -1] = us, ys[:, 0]
+            block[:, n : n + us.shape[1]], block[:, -1] = us, ys[:, 0]
             if slope:
                 block[:, -2] = t[:, 0]
             known = complete(ys)

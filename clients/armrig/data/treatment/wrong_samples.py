@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, overload
 
 import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.argument import takes_recordings
+from armrig.data.argument import HasDataset, takes_recordings
 from armrig.data.dataset import Dataset, Vector
+from armrig.data.signals import Signals
 from armrig.data.treatment.whitening import Whitening, whitening
 from armrig.numerics.checks import require_integers, require_numbers
 from armrig.numerics.least_squares import orthonormal
@@ -37,7 +39,7 @@ to a few percent.
 """
 
 
-def wrong_samples(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) -> list[Mask]:
+def wrong_samples(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list[Mask]:
     """Return a mask of the wrong samples of each experiment (u, y); a missing y is NaN.
 
     `n` is the order of the model, and `limit` the least size of an outlier in robust standard
@@ -63,7 +65,7 @@ def _lacks_past(y: Vector, n: int) -> Mask:
     return missing[:-1] > before
 
 
-def _marked(parts: Sequence[tuple[Vector, Vector]], n: int, limit: float) -> list[_Found]:
+def _marked(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list[_Found]:
     """Return, for each experiment, a mask of the outliers and y with the model's values for them.
 
     Samples of another order of magnitude would dominate the first model, so they are marked before
@@ -101,7 +103,7 @@ def _gross(y: Vector) -> Mask:
 
 
 def _searched(
-    parts: Sequence[tuple[Vector, Vector]],
+    parts: Sequence[tuple[Array, Vector]],
     n: int,
     limit: float,
     wrong: list[Mask],
@@ -142,7 +144,7 @@ def _bridged(y: Vector, wrong: Mask) -> Vector:
     return bridged
 
 
-def _robust_std(x: Vector, parts: Sequence[tuple[Vector, Vector]]) -> float:
+def _robust_std(x: Vector, parts: Sequence[tuple[Array, Vector]]) -> float:
     # Use the spread of x, not of e: if the noise is not that of an ARX model, e is coloured and the
     # spread of x is larger.
     known = x[np.isfinite(x)]
@@ -186,7 +188,7 @@ def _peaks(z: Vector, limit: float, n: int) -> Indices:
     return np.array(peaks, dtype=np.intp)
 
 
-def _expect(model: Whitening, u: Vector, y: Vector, marked: Mask, least: float) -> Vector:
+def _expect(model: Whitening, u: Array, y: Vector, marked: Mask, least: float) -> Vector:
     """Return y with the marked samples set to the values that minimise the residuals.
 
     The values of samples near each other are estimated jointly. A sample whose size in this joint
@@ -251,8 +253,18 @@ FALSE_ALARM_PROBABILITY = 0.01  # of one or more outliers in a clean record
 _MAX_LISTED_SAMPLES = 10
 
 
-@takes_recordings
-def hampel(data: Dataset, *, threshold: float | None = None, order: int | None = None) -> Dataset:
+# Signals also have `dataset()`, so both signatures fit them: the first one counts.
+@overload
+def hampel(  # type: ignore[overload-overlap]
+    data: Signals, *, threshold: float | None = None, order: int | None = None
+) -> Signals: ...
+@overload
+def hampel(
+    data: Dataset | HasDataset, *, threshold: float | None = None, order: int | None = None
+) -> Dataset: ...
+def hampel(
+    data: Any, *, threshold: float | None = None, order: int | None = None
+) -> Dataset | Signals:
     """Return the data with outliers of y marked missing.
 
     An ARX model of high order removes the dynamics: a step of the input is not an outlier, however
@@ -269,8 +281,9 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
 
     Parameters
     ----------
-    data : Dataset
-        N samples; each experiment is searched separately, with one model and one s for all.
+    data : Dataset or Signals
+        N samples. Each experiment is searched separately, with one model and one s for all. Of
+        Signals, each output is searched, with a model of all inputs.
     threshold : float, optional
         Least |z| of an outlier; by default the value that N normal residuals do not exceed with a
         probability of 99 % (4.6 for N = 3000).
@@ -279,7 +292,7 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
 
     Returns
     -------
-    Dataset
+    Dataset or Signals
         N samples, outliers with `valid` False; `history` contains their numbers.
 
     Raises
@@ -292,9 +305,31 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
     .. [1] F. R. Hampel, J. Amer. Statist. Assoc. 69 (1974) 383-393.
     .. [2] I. Chang, G. C. Tiao, C. Chen, Technometrics 30 (1988) 193-204 (additive outliers).
     """
+    if not isinstance(data, Signals):
+        return _of_dataset(data, threshold=threshold, order=order)
+    valid, steps = data.valid.copy(), []
+    for i, name in enumerate(data.outputs):
+        parts = [(part.u, part.y[:, i]) for part in data.experiments()]
+        wrong, step = _outliers(parts, name, threshold, order)
+        valid[:, i] &= ~wrong
+        steps.append(step)
+    return data.replaced(step=None, valid=valid, history=(*data.history, *steps))
+
+
+@takes_recordings
+def _of_dataset(data: Dataset, *, threshold: float | None, order: int | None) -> Dataset:
+    parts = [(part.u, part.y) for part in data.experiments()]
+    wrong, step = _outliers(parts, data.output, threshold, order)
+    return data.replaced(valid=data.valid & ~wrong, step=step)
+
+
+def _outliers(
+    parts: Sequence[tuple[Array, Vector]], name: str, threshold: float | None, order: int | None
+) -> tuple[Mask, str]:
+    """Return a mask of the outliers of an output, and the step of the history."""
     from scipy.special import ndtri
 
-    count = data.N - data.missing
+    count = sum(int(np.count_nonzero(np.isfinite(y))) for _, y in parts)
     n = max(min(20, count // 10), 1) if order is None else order
     require_integers(order=(n, 1))
     if count < 5 * n + 10:
@@ -306,7 +341,7 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
     require_numbers(threshold=limit)
     if not limit > 0:
         raise InputError(f"threshold={threshold!r} must be > 0, in robust standard deviations")
-    wrong = np.concatenate(wrong_samples([(d.u, d.y) for d in data.experiments()], n, limit))
+    wrong = np.concatenate(wrong_samples(parts, n, limit))
     found = np.flatnonzero(wrong)
     if found.size > MOST * count:
         raise InputError(
@@ -315,12 +350,10 @@ def hampel(data: Dataset, *, threshold: float | None = None, order: int | None =
         )
     where = ", ".join(map(str, found[:_MAX_LISTED_SAMPLES]))
     where += ", …" if found.size > _MAX_LISTED_SAMPLES else ""
-    return data.replaced(
-        valid=data.valid & ~wrong,
-        step=f"marked {found.size} of {count} samples of {data.output} missing as outliers"
-        f"{f' (samples {where})' if found.size else ''}: beyond {limit:.2f} robust standard "
-        f"deviations in the residuals of an ARX model of order {n}",
-    )
+    step = f"marked {found.size} of {count} samples of {name} missing as outliers"
+    step += f" (samples {where})" if found.size else ""
+    step += f": beyond {limit:.2f} robust standard deviations in the residuals of an ARX model of "
+    return wrong, f"{step}order {n}"
 
 
 def quantum(data: Dataset) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merged_datasets
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.etfe import excited, period
@@ -79,7 +79,7 @@ def bla(
        2012, section 4.3.1.
     """
     require_integers(transient=(transient, 0))
-    joint = data if isinstance(data, Dataset) else merge(list(data))
+    joint = data if isinstance(data, Dataset) else merged_datasets(list(data))
     decided = integration(joint, integrator)
     integrates = decided.integrates
     parts = list(joint.experiments())

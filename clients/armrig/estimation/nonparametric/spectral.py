@@ -10,7 +10,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.argument import takes_recordings
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset, merged_datasets
 from armrig.data.treatment import difference
 from armrig.data.treatment.integrating import integration
 from armrig.estimation.nonparametric.blackman_tukey import (
@@ -158,7 +158,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
         raise InputError(
             f"delay={delay} is as long as every experiment; the longest is {longest} samples"
         )
-    return merge(
+    return merged_datasets(
         [
             part.replaced(
                 u=part.u[: part.N - delay],
@@ -173,7 +173,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
 
 def _rate(data: Dataset) -> Dataset:
     """Return the rate of y, without the first sample of each experiment, at which it is unknown."""
-    return merge([difference(part)[1:] for part in data.experiments() if part.N > 1])
+    return merged_datasets([difference(part)[1:] for part in data.experiments() if part.N > 1])
 
 
 def _frequencies(omega: ArrayLike | None, data: Dataset, *, logarithmic: bool) -> Vector:

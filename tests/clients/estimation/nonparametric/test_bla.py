@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from armrig import excitation
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.estimation.nonparametric.bla import bla
 from armrig.estimation.nonparametric.etfe import excited
 from armrig.numerics.polynomial import filtered

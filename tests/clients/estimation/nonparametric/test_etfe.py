@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.estimation.nonparametric.etfe import etfe, period
 from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray

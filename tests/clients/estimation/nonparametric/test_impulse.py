@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.estimation.nonparametric.kernels import Evidence, Kernel, factor
 from armrig.numerics.polynomial import filtered

@@ -6,7 +6,8 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.estimation.nonparametric.spectral import spa
 from armrig.numerics.polynomial import filtered
 

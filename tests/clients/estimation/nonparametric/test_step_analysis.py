@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import with_std

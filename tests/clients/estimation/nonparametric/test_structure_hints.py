@@ -8,7 +8,8 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from armrig.data.dataset import Dataset, merge
+from armrig.data.dataset import Dataset
+from armrig.data.merging import merge
 from armrig.estimation.nonparametric.impulse import impulse_response
 from armrig.excitation import telegraph
 from armrig.numerics.polynomial import filtered

@@ -1,0 +1,381 @@
+"""Data with several inputs and outputs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import armrig
+import numpy as np
+import pandas as pd
+import pytest
+from armrig import Signals
+from armrig.data.step import codes_of
+from armrig_core.errors import FileError, InputError, InputTypeError
+from numpy.typing import NDArray
+from scipy.io import savemat
+from scipy.signal import lfilter
+
+N = 600
+
+
+def driven(seed: int = 1, missing: float = 0.0) -> Signals:
+    """Return data of a plant with two inputs and three outputs."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(np.sign(rng.standard_normal((N // 5, 2))), 5, axis=0)
+    y = np.column_stack(
+        [
+            lfilter([0, 1.0, 0.5], [1, -1.5, 0.7], u[:, 0]) + lfilter([0, 2.0], [1, -0.9], u[:, 1]),
+            lfilter([0, 1.0], [1, -0.8], u[:, 1]),
+            lfilter([0, 0, 0.3], [1, -0.5], u[:, 0]),
+        ]
+    )
+    y += 0.1 * rng.standard_normal(y.shape) + 3.0
+    return Signals(
+        u=u,
+        y=y,
+        Ts=0.1,
+        valid=rng.random(y.shape) >= missing,
+        starts=(0, 200),
+        inputs=["heater", "valve"],
+        outputs=["temperature", "flow", "level"],
+        units=["K", "l/s", "m"],
+        input_units=["V", "%"],
+        source="ab" * 32,
+        history=["made"],
+    )
+
+
+def test_a_pair_is_the_dataset_of_these_columns() -> None:
+    signals = driven(missing=0.1)
+
+    data = signals.dataset("flow", "valve")
+
+    np.testing.assert_array_equal(data.u, signals.u[:, 1])
+    np.testing.assert_array_equal(data.y, signals.y[:, 1])
+    np.testing.assert_array_equal(data.valid, signals.valid[:, 1])
+    assert (data.output, data.unit, data.input_unit) == ("flow", "l/s", "%")
+    assert (data.Ts, data.starts, data.source) == (0.1, (0, 200), "ab" * 32)
+    assert data.history == ("made",)
+    assert 0 < signals.missing == signals.y.size - np.isfinite(signals.y).sum()
+
+
+def test_arrays_are_read_only_and_not_the_caller_s() -> None:
+    u, y = np.ones(50), np.arange(50.0)
+    signals = Signals(u=u, y=y, Ts=1)
+    u[0] = y[0] = 7.0
+
+    assert signals.u[0, 0] == 1.0
+    assert signals.y[0, 0] == 0.0
+    for array in (signals.u, signals.y, signals.valid):
+        assert array.flags.f_contiguous
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+@pytest.mark.parametrize("column", [False, True])
+def test_one_signal_may_be_a_vector_or_a_column(column: bool) -> None:
+    u, y = np.sign(np.sin(np.arange(300.0))), np.arange(300.0) % 7
+    wide = (u[:, None], y[:, None]) if column else (u, y)
+
+    signals = Signals(u=wide[0], y=wide[1], Ts=0.1)
+
+    assert (signals.inputs, signals.outputs) == (("u",), ("y",))
+    data = armrig.Dataset(u=u, y=y, Ts=0.1)
+    np.testing.assert_array_equal(
+        armrig.arx(signals, na=2, nb=2).theta, armrig.arx(data, na=2, nb=2).theta
+    )
+
+
+def test_a_data_frame_names_the_channels_and_its_missing_values() -> None:
+    frame = pd.DataFrame({"u1": [0.0, 1, 0, 1], "u2": [1.0, 1, 0, 0], "y1": [1.0, None, 2, 3]})
+
+    signals = Signals(u=frame[["u1", "u2"]], y=frame[["y1"]], Ts=0.5)
+
+    assert (signals.inputs, signals.outputs) == (("u1", "u2"), ("y1",))
+    assert signals.valid[:, 0].tolist() == [True, False, True, True]
+
+
+def test_masked_values_are_missing() -> None:
+    y = np.ma.masked_array(np.ones((5, 2)), mask=np.eye(5, 2, dtype=bool))
+
+    assert (~Signals(u=np.ones(5), y=y, Ts=1).valid == np.eye(5, 2, dtype=bool)).all()
+
+
+def test_equidistant_times_are_a_sampling_time_and_others_are_kept() -> None:
+    t = 3.0 + 0.25 * np.arange(40)
+    even = Signals(u=np.ones(40), y=np.ones(40), t=t)
+    assert (even.Ts, even.times) == (0.25, None)
+    np.testing.assert_allclose(even.t, t - 3.0)
+
+    t[20:] += 0.1
+    uneven = Signals(u=np.ones(40), y=np.ones(40), t=t)
+    assert uneven.Ts is None
+    np.testing.assert_array_equal(uneven.t, t)
+    np.testing.assert_array_equal(uneven[18:22].t, t[18:22])
+    with pytest.raises(InputError, match="not equidistant"):
+        uneven.dataset()
+    parts = Signals(u=np.ones(40), y=np.ones(40), t=t, starts=(0, 20))
+    assert parts.Ts == pytest.approx(0.25)  # only the gap between the experiments is longer
+
+
+def test_slices_parts_and_experiments() -> None:
+    signals = driven()
+
+    assert signals[150:260].starts == (0, 50)
+    assert [part.N for part in signals.split(4)] == [150] * 4
+    assert [part.N for part in signals.experiments()] == [200, 400]
+    assert signals[0:N] is signals
+    assert len(signals[10:20]) == 10
+    for wrong in (slice(0, 10, 2), 3):
+        with pytest.raises(InputTypeError, match=r"signals\[a:b\]"):
+            signals[wrong]  # type: ignore[index]
+    with pytest.raises(InputError, match="empty"):
+        signals[5:5]
+    with pytest.raises(InputError, match="cannot be split"):
+        signals.split(N + 1)
+
+
+def test_channels_are_chosen_by_name_in_the_order_given() -> None:
+    chosen = driven().channels(["level", "temperature"], "valve")
+
+    assert (chosen.outputs, chosen.inputs) == (("level", "temperature"), ("valve",))
+    assert (chosen.units, chosen.input_units) == (("m", "K"), ("%",))
+    np.testing.assert_array_equal(chosen.y, driven().y[:, [2, 0]])
+
+
+def test_merged_experiments_keep_their_boundaries() -> None:
+    first, second = driven(1), driven(2)
+
+    merged = armrig.merge([first, second[100:]])
+
+    assert merged.starts == (0, 200, 600, 700)
+    np.testing.assert_array_equal(merged.y[600:], second.y[100:])
+    assert merged.history[0] == "made"
+    assert merged.digest != first.digest
+    with pytest.raises(InputError, match=r"one outputs, got .* and .*"):
+        armrig.merge([first, first.channels(["level"])])
+    with pytest.raises(InputTypeError, match="one list of Signals"):
+        armrig.merge([first, first.dataset("level", "valve")])  # type: ignore[list-item]
+
+
+TREATMENTS: dict[str, Any] = {
+    "detrend": armrig.detrend,
+    "line": lambda data: armrig.detrend(data, 1),
+    "resample": lambda data: armrig.resample(data, 0.2),
+    "prefilter": lambda data: armrig.prefilter(data, [0.5, 0.5]),
+    "difference": armrig.difference,
+}
+
+
+@pytest.mark.filterwarnings("ignore::armrig.data.treatment.IntegratingOutputWarning")
+@pytest.mark.parametrize("name", TREATMENTS)
+def test_a_treatment_of_signals_is_that_of_each_pair(name: str) -> None:
+    treatment, signals = TREATMENTS[name], driven(missing=0.02)
+
+    found = treatment(signals)
+
+    for output in signals.outputs:
+        for input in signals.inputs:
+            pair = treatment(signals.dataset(output, input))
+            i, j = signals.output(output), signals.input(input)
+            np.testing.assert_array_equal(found.u[:, j], pair.u)
+            np.testing.assert_array_equal(found.y[:, i], pair.y)
+            assert (found.Ts, found.starts, found.units[i]) == (pair.Ts, pair.starts, pair.unit)
+            assert found.outputs[i] == pair.output
+    assert found.history[0] == "made"
+    assert codes_of(found.history)[-1] == codes_of(pair.history)[-1]
+
+
+def test_named_channels_are_treated_and_others_are_not() -> None:
+    signals = driven()
+
+    found = signals.treated(armrig.detrend, ["flow", "heater"])
+
+    for k, name in enumerate(signals.outputs):
+        same = np.array_equal(found.y[:, k], signals.y[:, k])
+        assert same == (name != "flow")
+    assert np.array_equal(found.u[:, 1], signals.u[:, 1])
+    assert not np.array_equal(found.u[:, 0], signals.u[:, 0])
+    assert found.history[1:] == (
+        "removed the mean from u and y of each experiment (order 0) (flow, heater only)",
+    )
+    with pytest.raises(InputError, match="all channels need one sampling time"):
+        signals.treated(lambda data: armrig.resample(data, 0.2), "flow")
+    with pytest.raises(InputError, match="fan: there is no such channel; there are temperature"):
+        signals.treated(armrig.detrend, "fan")
+
+
+def test_outliers_of_each_output_are_found_with_all_inputs() -> None:
+    signals = driven()
+    y = signals.y.copy()
+    y[300, 0] += 3.0
+    y[450, 2] -= 2.0
+    spoilt = signals.replaced(step=None, y=y)
+
+    found = armrig.hampel(spoilt)
+
+    assert np.argwhere(~found.valid).tolist() == [[300, 0], [450, 2]]
+    assert len(found.history) == 4
+    # The second input moves the temperature: a model without it has larger residuals.
+    alone = armrig.hampel(spoilt.channels("temperature", "valve"))
+    assert not alone.valid[300, 0] or alone.valid.all()
+
+
+def test_hampel_of_one_pair_is_that_of_its_dataset() -> None:
+    signals = driven().channels("level", "heater")
+    y = signals.y.copy()
+    y[100] += 2.0
+    signals = signals.replaced(step=None, y=y)
+
+    found, pair = armrig.hampel(signals), armrig.hampel(signals.dataset())
+
+    np.testing.assert_array_equal(found.valid[:, 0], pair.valid)
+    assert found.history == pair.history
+
+
+U, Y = np.ones((20, 2)), np.ones((20, 2))
+WRONG: dict[str, tuple[dict[str, Any], str]] = {
+    "lengths": ({"y": Y[:9]}, "u has 20 samples and y has 9; both need a row for each instant"),
+    "rows": ({"y": Y.T}, r"y has 2 rows and 20 columns, .*; give y\.T if"),
+    "cube": ({"y": np.ones((20, 2, 2))}, r"y has shape \(20, 2, 2\); give \(N, n\)"),
+    "text": ({"u": np.array(["a"] * 20)}, "u is an array of <U1; give real numbers"),
+    "complex": ({"u": U * 1j}, "u is an array of complex128; give real numbers"),
+    "names": ({"inputs": ["a"]}, r"inputs=\['a'\]: 2 names are needed, one for each column of u"),
+    "repeated": ({"outputs": ["a", "a"]}, "outputs: a repeats; each channel needs its own name"),
+    "both": ({"inputs": ["a", "y1"]}, "y1: the name of an input and of an output"),
+    "units": ({"units": ["m"]}, r"units=\['m'\]: 2 units are needed"),
+    "hold": ({"intersample": "linear"}, 'intersample=\'linear\' must be "zoh" or "foh"'),
+    "valid": ({"valid": np.ones(3, bool)}, r"valid has shape \(3, 1\), y has \(20, 2\)"),
+    "no sample": ({"valid": [[True, False]] * 20}, "y2 has no valid sample in 20; leave"),
+    "u": ({"u": np.where(np.eye(20, 2), np.nan, 1)}, "input u1 is not finite at 1 samples, first"),
+    "no rate": ({"Ts": None}, "give either Ts, the sampling time in s, or t, the time of each"),
+    "rates": ({"t": np.arange(20.0)}, "give either Ts, the sampling time in s, or t"),
+    "Ts": ({"Ts": 0}, "Ts=0 must be one finite number > 0, in s"),
+    "t": ({"Ts": None, "t": np.zeros(20)}, "t must rise from each sample of an experiment"),
+    "times": ({"Ts": None, "t": np.arange(3.0)}, r"t has shape \(3,\); give 20 finite times"),
+    "starts": ({"starts": (1,)}, r"starts=\(1,\) must begin with 0"),
+    "huge": ({"y": 1e40 * Y}, "the largest .*; use a unit"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_wrong_data_are_refused_in_a_sentence(what: str) -> None:
+    fields, said = WRONG[what]
+    with pytest.raises(InputError, match=said) as found:
+        Signals(**{"u": U, "y": Y, "Ts": 0.1} | fields)
+    assert len(str(found.value).splitlines()) == 1
+
+
+def test_a_pair_must_be_chosen() -> None:
+    signals = driven()
+    said = r"3 outputs \(temperature, flow, level\) and 2 inputs \(heater, valve\): choose one of"
+    for ask in (
+        signals.dataset,
+        lambda: armrig.spa(signals),
+        lambda: armrig.oe(signals, nb=1, nf=1),
+    ):
+        with pytest.raises(InputError, match=said):
+            ask()
+    with pytest.raises(InputError, match="output='fan': there is no such output; there are"):
+        signals.dataset("fan", "valve")
+
+
+def test_the_repr_says_what_there_is() -> None:
+    assert repr(driven(missing=0.1)[:300]) == (
+        "<Signals: 300 samples at 0.1 s; outputs temperature [K], flow [l/s], level [m]; inputs "
+        "heater [V], valve [%]; 105 values missing (11.7 %); 2 experiments; history: made; took "
+        "samples 0 to 299 of 600>"
+    )
+    assert "<img" in driven()._repr_html_()
+
+
+def test_the_figure_shows_each_channel() -> None:
+    figure = driven(missing=0.05).plot()
+
+    labels = [ax.get_ylabel() for ax in figure.axes]
+    assert labels == ["temperature [K]", "flow [l/s]", "level [m]", "heater [V]", "valve [%]"]
+    assert figure.axes[0].get_legend_handles_labels()[1] == ["dead band or missing sample"]
+
+
+# Files.
+
+
+def columns() -> NDArray[np.float64]:
+    """Return t, two inputs and two outputs of 30 instants."""
+    k = np.arange(30.0)
+    return np.column_stack([0.5 * k, k % 3, k % 4, k % 5, k % 7])
+
+
+def written(
+    folder: Path, table: NDArray[np.float64], header: str = "t [s],u1 [V],u2,y1,y2 [m]"
+) -> Path:
+    """Write a CSV, empty where a number is NaN."""
+    path = folder / "plant.csv"
+    rows = [",".join("" if np.isnan(x) else f"{x:g}" for x in row) for row in table]
+    path.write_text("\n".join([header, *rows]))
+    return path
+
+
+def test_a_csv_with_names(tmp_path: Path) -> None:
+    found = armrig.load_signals(
+        written(tmp_path, columns()), inputs=["u1", "u2"], outputs=["y2", "y1"]
+    )
+
+    assert (found.inputs, found.outputs) == (("u1", "u2"), ("y2", "y1"))
+    assert (found.input_units, found.units, found.Ts) == (("V", ""), ("m", ""), 0.5)
+    np.testing.assert_array_equal(found.y, columns()[:, [4, 3]])
+    assert found.source.startswith("data:")
+
+
+def test_a_missing_input_ends_an_experiment_and_a_missing_output_does_not(tmp_path: Path) -> None:
+    table = columns()
+    table[10:12, 1] = np.nan
+    table[20, 3] = np.nan
+
+    found = armrig.load_signals(written(tmp_path, table), inputs=["u1", "u2"], outputs=["y1", "y2"])
+
+    assert (found.N, found.starts) == (28, (0, 10))
+    assert np.argwhere(~found.valid).tolist() == [[18, 0]]
+    assert found.history == (
+        "left out 2 samples without an input; a new experiment begins after each gap",
+    )
+
+
+def test_a_file_without_names_has_columns_by_number(tmp_path: Path) -> None:
+    path = tmp_path / "plant.dat"
+    np.savetxt(path, columns()[:, 1:])
+
+    found = armrig.load_signals(path, inputs=["1", "2"], outputs=["3", "4"], Ts=2)
+
+    assert (found.inputs, found.outputs, found.Ts) == (("u1", "u2"), ("y1", "y2"), 2.0)
+
+
+def test_an_iddata_saved_as_a_structure(tmp_path: Path) -> None:
+    path = tmp_path / "plant.mat"
+    savemat(path, {"z": {"y": columns()[:, 3:], "u": columns()[:, 1:3], "Ts": 0.2}})
+
+    found = armrig.load_signals(path, inputs="u", outputs="y")
+
+    assert (found.inputs, found.outputs, found.Ts) == (("u1", "u2"), ("y1", "y2"), 0.2)
+    np.testing.assert_array_equal(found.u, columns()[:, 1:3])
+    assert armrig.load_signals(path, inputs="u:2", outputs="y").inputs == ("u2",)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"inputs": ["u9"], "outputs": ["y1"]}, "input u9: there is no such column"),
+        ({"inputs": ["u1"], "outputs": ["u1"]}, "a column is given twice"),
+        ({"inputs": ["u1", "1"], "outputs": ["t"]}, "a column is given twice"),
+        ({"inputs": [], "outputs": ["y1"]}, "give at least one input"),
+        ({"inputs": ["u1"], "outputs": []}, "give at least one output"),
+    ],
+)
+def test_wrong_columns_are_refused_with_the_way_out(
+    tmp_path: Path, asked: dict[str, Any], said: str
+) -> None:
+    path = written(tmp_path, columns())
+    with pytest.raises(FileError, match=said) as found:
+        armrig.load_signals(path, **asked)
+    assert str(found.value).startswith(f"{path}: ")
