@@ -157,7 +157,7 @@ def _options(
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code; 0 is success.
 
-    SIGTERM and SIGHUP (a closed terminal) end the command as Ctrl-C does: a run that the command
+    SIGTERM and SIGHUP (a closed terminal) end the command as Ctrl-C does. A run that the command
     began is stopped. The exit code is then 128 plus the number of the signal.
     """
     # Before the import of numpy. The threads of OpenBLAS wait by spinning and cost more than they
@@ -239,7 +239,7 @@ def _run(arguments: Sequence[str] | None) -> int:
             return _failed("interrupted", 130)
         if isinstance(err, ModuleNotFoundError) and err.name in _WITH_A_RIG:
             what = f"armrig {' '.join(given[:1])}"
-            return _failed(f"{what} needs Linux, which drives the rig: no {err.name} here", 1)
+            return _failed(f"{what} needs Linux: this system has no {err.name}", 1)
         return _internal(err, given)
     return 0
 

@@ -282,7 +282,8 @@ def _loaded(path: Path | None) -> Recording | None:
 
 
 def _base(rest: Recording) -> Calibration:
-    """Return the calibration of the recording at rest; it supplies the values not measured."""
+    """Return the calibration of the recording at rest, for the values that were not measured.
+    """
     from armrig_core.calibration import Calibration
     from msgspec.structs import replace
 

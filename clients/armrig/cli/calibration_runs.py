@@ -1,4 +1,4 @@
-"""Questions to the person, and runs of the rig, of a calibration: a rest and slow turns."""
+"""The steps of a calibration: questions to the person, a rest of the rig, and slow turns."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ _NAMES = "@last or @NAME"
 
 
 def recording_folder() -> Path:
-    """Return the folder that a daemon of this user records into, or that of the service here."""
+    """Return the folder that this user's daemon, or this machine's service, records into."""
     from armrig_core.recording_directory import directory_to_look_in, installed
 
     try:
@@ -122,7 +122,7 @@ Answering = Callable[[str], Sequence["RecordingSummary"]]
 
 
 def answering_among(known: Iterable[RecordingSummary]) -> Answering:
-    """Return a function that looks up in an index which of the recordings a name may mean."""
+    """Return a function that looks up in an index the recordings that a name may mean."""
     by_name: dict[str, list[RecordingSummary]] = {}
     for summary in known:
         for validation, behind in ((False, ""), (True, VALIDATION)):
@@ -155,7 +155,7 @@ def described(summary: RecordingSummary) -> str:
 
 
 def _near(text: str, folder: Path) -> str:
-    """Return the question whether the most similar name was meant; "" if no name is similar."""
+    """Return a question that offers the most similar name; "" if no name is similar."""
     from difflib import get_close_matches
     from itertools import islice
 

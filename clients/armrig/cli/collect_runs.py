@@ -179,7 +179,7 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
             echo(str(done.path))
         kept = f"{done.synced} samples are on the disk; " if done.synced else ""
         if verdict is None:
-            where = "the recording is on the daemon's machine; `armrig info` there shows its"
+            where = "the recording is on the daemon's machine; run `armrig info` there to show its"
             tell(f"{kept}{where} contents")
         elif not verdict.usable:
             raise OperationError(verdict.summary)
@@ -190,7 +190,7 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
 
 
 def _say_next(kind: str, first: Path, rig: str) -> None:
-    """Print the next command: the step again if the dead band hides its rise."""
+    """Print the next command; repeat a step whose rise the dead band hides."""
     from armrig.recordings.loading import load
 
     again = ""

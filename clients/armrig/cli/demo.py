@@ -114,7 +114,7 @@ def _record(plan: list[Experiment], config: Path, console: Console, done: list[P
 
 
 def _load_drawing_modules() -> None:
-    """Import slow modules while another processor plays."""
+    """Import slow modules while another processor plays the experiments."""
     from armrig.recordings import loading  # noqa: F401
     from armrig.report import document  # noqa: F401
 
@@ -137,7 +137,7 @@ def _reported(paths: list[Path], remarks: list[str], directory: Path) -> tuple[S
 
 
 def _remarks(n: int, n_real: int, why: str) -> list[str]:
-    """Return the report's remarks on `n` recordings, the first `n_real` of them in real time."""
+    """Return the report's remarks; the first `n_real` of `n` recordings are in real time."""
     if n_real == n:
         return [_EMULATED]
     which = f"The last {n - n_real} of the recordings were" if n_real else "All recordings were"
@@ -174,7 +174,7 @@ def _print_results(
 
 
 def _row(model: Assessed) -> dict[str, Any]:
-    """Return the fit of a model to the validation recording, the angle in rad."""
+    """Return the errors and fits of a model on the validation recording, for a program."""
     row = model.comparison
     return {
         "model": row.name,

@@ -151,7 +151,7 @@ def _drawn(subjects: Sequence[Draw], height: float) -> Figure:
 
 
 def check_output(path: Path, inputs: Sequence[Path], suffix: str = "") -> None:
-    """Refuse, before any work, a file that cannot be written, or an input or recording."""
+    """Refuse, before any work, an output that cannot be written or would replace data."""
     name = f"-o {path}" if suffix else str(path)
     if path.is_dir():
         example = path / ("report.pdf" if suffix else "timing.png")

@@ -86,8 +86,8 @@ def sampling(
 ) -> None:
     """Recommend a sampling time (handout 3.1).
 
-    The handout's rules apply to a step or to other data: 20 times the bandwidth, and 7 to 10
-    samples in the transient.
+    The handout has two rules: a sampling frequency of 20 times the bandwidth, and 7 to 10 samples
+    in the transient. The command applies both rules, to a step or to other data.
     """
     from armrig.cli.spinner import spinner
     from armrig.estimation.nonparametric.sampling_time import sampling_time

@@ -50,8 +50,8 @@ Fuse = Annotated[
     ),
 ]
 BROWN_OUT = (
-    "The brown-out fuse is not known: Optiboot does not read fuses. As shipped it is 2.7 V, too "
-    "low for 16 MHz; docs/hardware.md explains how to read and set it."
+    "The brown-out fuse is not known: Optiboot does not read fuses. A new board " "has a brown-out
+    level of 2.7 V, too low for 16 MHz; docs/hardware.md explains how to read and set it."
 )
 MOTOR = (
     "While a board is written, its pins are inputs: D9 and D7 float, and D13 blinks. Only the "
@@ -186,7 +186,7 @@ def _written(
     with spinner("flash:") as moved:
         avrdude.write(call, moved)
     if not json:
-        echo("written and read back: the same")
+        echo("written; the board returned the same bytes")
     with spinner("waiting for the board"):
         device = greeting(board.port, baud)
     if device is None:

@@ -83,7 +83,8 @@ def _say(recorded: list[RigRecorded], where: str, *, json: bool) -> None:
     if failed:
         names = ", ".join(one.rig for one in failed)
         raise OperationError(
-            f"the recording of {names} ended early, of {len(recorded)} rigs; see above"
+            f"the recording ended early for rig {names}; {len(recorded)} rigs were recorded; see
+            above"
         )
     if not files:
         msg = f"no rig at {where} published a sample: there is nothing to record; "

@@ -72,7 +72,7 @@ ValidationFile = Annotated[
 Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model file to write.")]
 
 
-@estimation_options(without_nk="1; --search takes what the data show")
+@estimation_options(without_nk="1; with --search from the data")
 def identify(
     file: DataFile,
     given: Given,
@@ -271,7 +271,7 @@ def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None
 
 
 def _print_short(found: _Found) -> None:
-    """Print parameters, roots or the reasons of the search, and the findings to act on."""
+    """Print the search if there is one, the model in short, and the findings to act on."""
     from armrig.cli import model_output
 
     searched = found.search is not None

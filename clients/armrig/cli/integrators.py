@@ -146,7 +146,7 @@ def _recommended(problem: Sinusoid, methods: Sequence[str], tolerance: float) ->
 
 
 def _check_step(h: float, problem: Sinusoid) -> None:
-    """Refuse a step that is not positive, longer than the span, or far too short."""
+    """Refuse a step that is at most 0, longer than the span, or far too short."""
     if not (isfinite(h) and 0 < h <= problem.span):
         raise typer.BadParameter(
             f"--h {h:g}: a step is > 0 and at most the span, {problem.span:.4g} s"
@@ -190,7 +190,8 @@ def _print_table(solved: _Solved, given: str) -> None:
     problem = solved.problem
     say(
         f"x' = A x + B u, the handout's arm, u = {problem.amplitude:g} sin({problem.omega:g} t) V, "
-        f"{problem.span:.4g} s from rest; error: largest, relative to each state's largest value"
+        f"{problem.span:.4g} s from rest; error: largest error of a state, relative to the largest
+        value of this state"
     )
     say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10}  {'at h':8} {'error':>10}")
     for row in solved.rows:

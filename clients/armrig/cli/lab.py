@@ -105,7 +105,7 @@ def _page(rig: str) -> Iterator[str]:
 
 
 def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, json: bool) -> None:
-    """Print when the rig is ready, and show its newest sample, on a terminal in place."""
+    """Print when the rig is ready, and show its newest sample; a terminal shows one at a time."""
     from armrig.rig.local_daemon import require_running
 
     shown = told = ""

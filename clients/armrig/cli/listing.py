@@ -160,7 +160,7 @@ def _clipped(text: str) -> str:
 
 
 def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
-    """Return the name of the estimation recording of a validation; "" if its own name shows it."""
+    """Return the name of the estimation recording; "" if the validation's name shows it."""
     if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
         return ""
     estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []
@@ -177,7 +177,7 @@ def _table(rows: list[tuple[str, ...]]) -> str:
 
 
 def _the_rest(folder: Path, found: Catalogue | None, shown: int) -> str:
-    """Return a line about recordings not in the table: the older, damaged and unfinished."""
+    """Return a line about older, damaged and unfinished recordings, which are not in the table."""
     from armrig.recordings.recording_summary import shown_path
 
     if found is None or not (found.recordings or found.left_out or found.unfinished):

@@ -63,7 +63,7 @@ def simulated_to(row: Comparison, unit: str) -> str:
 def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
     """Return equation, signals, the coefficients of each polynomial, poles and zeros.
 
-    Each number has the standard deviation that holds for the residuals.
+    Each number has a standard deviation: σ robust if `fit.trusts_robust`, otherwise σ.
     """
     std, which = (fit.std_robust, "σ robust") if fit.trusts_robust else (fit.std, "σ")
     texts: dict[str, list[str]] = {}
@@ -147,7 +147,7 @@ def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
 
 
 def short_search_lines(found: SearchResult) -> list[str]:
-    """Return the best five models of a search and why the one was chosen."""
+    """Return the best five models of a search and the reasons of the choice."""
     return [found.table(_MAX_SHOWN_MODELS), *(f"- {r}" for r in found.reasons[1:_MAX_REASONS])]
 
 
@@ -166,7 +166,7 @@ _SAID_BY = {
     "poorer_minimum": {"search"},
     "not_converged": {"search"},
 }
-"""Findings of the advice that repeat a finding of an estimate, by the estimate's finding."""
+"""Findings of the advice that repeat a finding of an estimate, by the name of the latter."""
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"
@@ -273,8 +273,8 @@ def lags_outside(tests: ResidualTest) -> str:
         return ""
     return (
         f"{n} of {N} lags {'is' if n == 1 else 'are'} outside the 99 % band although their joint "
-        "test accepts. The joint test decides: its p is for all lags together. The band is for a "
-        "single lag: one lag in a hundred is outside by chance, often together with its neighbours."
+        "test accepts. The joint test decides, because its p is for all lags together. The band is
+        for " "a single lag: by chance one lag in a hundred is outside, often with its neighbours."
     )
 
 

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 Given = dict[str, Any]
 """Values of the options below by name; None or False for options that were not given."""
 _SEARCHED = ("structure", "nk", "integrator", "offset")
-_NOT_SEARCHED = {"stable": "whose models always are"}
+_NOT_SEARCHED = {"stable": "whose models are always stable"}
 _WAY_OUT = {
-    "integrator": "{model} finds its own",
-    "offset": "subtract the means, --detrend",
+    "integrator": "{model} finds an integrator by itself",
+    "offset": "subtract the means with --detrend",
     **dict.fromkeys(COUNTED, "{model} has {orders}"),
 }
 """Advice if a structure does not have an option, by option."""

@@ -101,7 +101,7 @@ def next_line(after: str, **values: str | float) -> str:
 
 
 def _goes_on(line: str) -> str:
-    """Return the line, or the next line if a complete recording already has the line's --name.
+    """Return the line, or the line that follows it if a complete recording has its --name.
 
     A second recording of the same name would make the name ambiguous.
     """
@@ -130,8 +130,8 @@ def _goes_on(line: str) -> str:
 def step_again(recording: Recording) -> str:
     """Return the options that repeat a step whose rise a dead band hid; "" if nothing to repeat.
 
-    If the chassis rests before the step, no other time of the step shows the rise: the chassis must
-    be turned by hand.
+    If the chassis rests before the step, no other time of the step shows the rise. Then the result
+    is "", because a person must turn the chassis by hand.
     """
     from armrig.recordings.findings import hidden_step
 
@@ -221,9 +221,9 @@ def free_name() -> str:
 def for_the_report() -> str:
     """Return the names of the recordings for the handout's report: step, pair and chassis.
 
-    All recordings are complete and have the same calibration: the calibration that most of the four
-    have. Each is the newest recording of its kind that has a name, or the newest of its kind. A
-    blank precedes each name; the result is "" if there is no recording.
+    All recordings are complete and have the same calibration: the calibration for which most of the
+    four recordings exist. Each recording is the newest recording of its kind that has a name, or
+    the newest of its kind. A blank precedes each name; the result is "" if there is no recording.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first

@@ -100,10 +100,10 @@ def _refuse_output(given: str | None) -> None:
 
 
 NoOutput = Annotated[str | None, typer.Option("--output", hidden=True, callback=_refuse_output)]
-"""Option that chose the signal in 0.1."""
+"""Option that chose the signal in release 0.1."""
 Na = Annotated[int, typer.Option("--na", help="Number of a's (ARX).")]
 Nb = Annotated[int, typer.Option("--nb", help="Number of b's.")]
-Nf = Annotated[int, typer.Option("--nf", help="Number of f's (OE), the integrator's included.")]
+Nf = Annotated[int, typer.Option("--nf", help="Number of f's (OE); an integrator counts as one.")]
 Nk = Annotated[int, typer.Option("--nk", help="Delay from u to y, in samples.")]
 
 _ANSWER_WIDTH = 16  # characters for the default and the answer after a question

@@ -47,7 +47,7 @@ Given = Annotated[
     ),
 ]
 AMPLITUDE_V, OMEGA = 2.5, 10.0
-"""Sinusoid of part 4, in V and rad/s."""
+"""Amplitude in V and frequency in rad/s of the sinusoid of handout part 4."""
 Amplitude = Annotated[
     float,
     typer.Option(
@@ -72,14 +72,15 @@ def parameters(given: list[str] | None) -> ArmParameters:
 
 
 def cases(given: list[str] | None) -> dict[str, ArmParameters]:
-    """Return the cases of 2.3: the handout's parameters, each change alone, and all changes."""
+    """Return the cases of handout 2.3: its parameters, each change alone, and all changes.
+    """
     from armrig.physics.systems import beside_the_handout
 
     return beside_the_handout(parameters(given))
 
 
 def physics_beside(given: list[str] | None) -> dict[str, ArmParameters]:
-    """Return the physical models to compare: the handout's, and the changed model if any."""
+    """Return the physical models to compare: the handout's model, and the changed model if any."""
     from armrig.physics.systems import HANDOUT
 
     handout = parameters(None)

@@ -212,7 +212,7 @@ def simulate(
 ) -> None:
     """Simulate the physical model and saved models (handout 3.4).
 
-    The input is that of a recording. Without a recording, the command shows the response of the
+    The input comes from a recording. Without a recording, the command shows the response of the
     physical model to a step of 1 V (handout 2.2).
     """
     physics = physics_beside(given)

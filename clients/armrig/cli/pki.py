@@ -42,7 +42,8 @@ def ca(
         print_json({"path": str(path)})
         return
     echo(
-        f"{path}: made; keep {path.with_suffix('.key')} private: with it anybody can make operators"
+        f"{path}: made; keep {path.with_suffix('.key')} private, because with it anybody can make
+        operators"
     )
     echo(f"{directory / ACCESS_LIST}: the access list, still empty")
 
@@ -169,7 +170,7 @@ def _say(issued: Issued, key: str, json: bool) -> None:
         return
     echo(f"{issued.path}: {issued.name}, {issued.role}, until {_day(issued.expires)}")
     named = f"set it as {key}" if key.startswith("[") else f"give it as {key} --certificate"
-    echo(f"the file contains the key: only its owner may read it; {named}")
+    echo(f"the file contains the key, so only the owner of the file may read it; {named}")
 
 
 def _day(when: datetime) -> str:

@@ -46,7 +46,8 @@ def play(
     The messages have keys such as rig/played-1/sample for a recording of rig 1. No rig has such an
     id, and commands get no answer.
 
-    With --json the first line contains the endpoint, and the last line the number of messages.
+    With --json the first line contains the endpoint, and the last line contains the number of
+    messages.
     """
     from math import inf
 

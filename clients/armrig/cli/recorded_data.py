@@ -84,8 +84,8 @@ class Signals:
     def options(self, data: Dataset | None = None) -> str:
         """Return the options with which another command reads the same data; "" for none.
 
-        If `data` is given and its output is not the default, the options name the output; a model
-        may have chosen it.
+        A model may have chosen the output of `data`. If it is not the default output, the options
+        name it.
         """
         signal = self.signal
         if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):
@@ -148,7 +148,7 @@ class Signals:
         return data
 
     def _is_other(self, file: Path) -> bool:
-        """Return True if a file is not a recording: by its name, or if columns are given."""
+        """Return True if its name or the given columns show that a file is not a recording."""
         suffix = file.suffix.lower()
         asked = (self.input, self.time, self.Ts) != (None, None, None)
         return suffix in DATA or (asked and suffix != RECORDING)
@@ -245,7 +245,7 @@ def _hint_at_means(data: Dataset, *, may_offset: bool) -> None:
     if any(abs(x.mean()) > 2 * x.std() for x in (u, y)):
         along = "estimate a level with --offset, or " if may_offset else ""
         tell(
-            f"the mean of {data.output} is {y.mean():.4g}, that of u {u.mean():.4g}; if "
+            f"the mean of {data.output} is {y.mean():.4g}, the mean of u is {u.mean():.4g}; if "
             f"{data.output} is not 0 at u = 0, {along}subtract the means with --detrend"
         )
 

@@ -134,7 +134,7 @@ def _recording_rows(rec: Recording, *, verbose: bool) -> Iterator[tuple[str, str
 
 
 def _clipped(text: str) -> str:
-    """Return a text of any author, cut to `_MAX_TEXT` characters."""
+    """Return a text, cut to `_MAX_TEXT` characters if it is longer."""
     return text if len(text) <= _MAX_TEXT else f"{text[:_MAX_TEXT]}…; --json shows all of it"
 
 
@@ -150,7 +150,7 @@ def _sample_count(rec: Recording) -> str:
 
 
 def _recovered(how: Recovered) -> str:
-    cut_off = f", {how.cut_off_bytes} B after them cut off" if how.cut_off_bytes else ""
+    cut_off = f", the {how.cut_off_bytes} B after them were cut off" if how.cut_off_bytes else ""
     cut_off += f"; {how.damage}" if how.damage else ""
     when = how.when[:19].replace("T", " ")
     return f"{when} by armrig {how.armrig}: {how.kept_bytes} B were whole{cut_off}"

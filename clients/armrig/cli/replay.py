@@ -88,7 +88,7 @@ def replay(path: str | Path) -> Replay:
         raise FileError(f"{path}: not an MCAP file; replay reads recordings of armrigd (*.mcap)")
     first = next(_chunks_of(paths), None)
     if first is None or not first.state:
-        why = "it may be older than replay"
+        why = "the file may be older than `armrig replay`"
         if content.damage:
             why = f"{content.damage}; no steps precede the damage"
         raise FileError(f"{path}: no steps of the daemon's core: {why}")
@@ -136,8 +136,8 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     # In a file that is cut off, the last sample may be later or earlier than the last step.
     reach = (min if content.cut_off else max)(compared.ours, compared.theirs.size)
     if not difference and compared.same != reach:
-        difference = f"the file has {compared.theirs.size} samples, the replay {compared.ours}; "
-        difference += f"{compared.same} are the same"
+        difference = f"the file has {compared.theirs.size} samples, the replay has {compared.ours};
+        " difference += f"the first {compared.same} are the same"
     return Replay(
         steps=n,
         frames=frames,
@@ -150,7 +150,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
 
 
 class _Compared:
-    """Comparison of replayed samples with those of the file, in parts: an hour has 3.6 million."""
+    """Comparison of replayed and recorded samples, in parts, because an hour has 3.6 million."""
 
     def __init__(self, theirs: NDArray[np.void], manifest: Manifest) -> None:
         """Take the samples of the file, (n,) of `SAMPLE_DTYPE`."""

@@ -27,9 +27,9 @@ def router(
 ) -> None:
     """Run the router of a lab, through which clients reach the rigs, until Ctrl-C.
 
-    A rig connects by [access] router of its configuration, a client by --connect. The access list
-    contains the rights of each name. The router keeps no state and may be restarted at any time:
-    rigs, clients and recorders connect again by themselves.
+    A rig connects if its configuration names the router in [access]. A client connects with
+    --connect. The access list contains the rights of each name. The router keeps no state and may
+    be restarted at any time: rigs, clients and recorders connect again by themselves.
     """
     with until_signal() as ended:
         from armrig.lab.router import open_router

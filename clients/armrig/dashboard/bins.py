@@ -13,7 +13,9 @@ Rows = NDArray[np.float64]
 
 COLUMNS = 9
 WIDTH_S = 0.01
-"""Width of a bin in s: one pixel if 1000 pixels show 10 s. A slower sample has its own bin."""
+"""Width of a bin in s: one pixel if 1000 pixels show 10 s. If the sampling time is longer, each
+sample has its own bin.
+"""
 RATE_S = 0.1
 """Interval of the rate's difference, in s; one step of the converter changes it by 3.5 °/s."""
 _TURN = 360.0
@@ -44,7 +46,7 @@ def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.fl
         Samples before `now`, from `signals`: see `needed_before`.
     now : ndarray, shape (N, 5)
         Samples from `signals`. The rate is NaN for a sample without an angle. It is also NaN if the
-        older angle is more than 2 `RATE_S` older, except in the previous sample.
+        older angle is more than 2 `RATE_S` older, unless this angle is in the previous sample.
     """
     every = np.concatenate([before, now])
     known = every[np.isfinite(every[:, 3])]
@@ -97,7 +99,7 @@ def coarser(rows: Rows, width_s: float) -> Rows:
 
 
 def _wraps(theta_1: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask (n,): True for a difference above half a turn to the last known angle."""
+    """Return a mask (n,), True if an angle is more than half a turn from the last known one."""
     n = np.arange(theta_1.size)
     # The potentiometer wraps inside its dead band, whose unknown angles are skipped.
     known = np.maximum.accumulate(np.where(np.isnan(theta_1), 0, n))

@@ -3,7 +3,8 @@
 uvicorn closes a connection that is idle after an answer. It does not close a connection that never
 sends a request. A client with a thousand connections would therefore block a stop. Above the limit,
 the server closes the oldest connection without a request. If there is none, it closes the oldest
-connection whose client does not read its answer. Connections in both states need no token.
+connection whose client does not read its answer. A client needs no token to bring a connection into
+these two states.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ class Connections:
         self._open: dict[Address, BoundedProtocol] = {}
 
     def add(self, address: Address, protocol: BoundedProtocol) -> None:
-        """Add a connection; above the limit, close an idle, an unread or the new connection."""
+        """Add a connection; above the limit, close an idle, an unread, or else the new connection.
+        """
         self._open[address] = protocol
         if len(self._open) > MOST:
             others = [(a, p) for a, p in self._open.items() if a != address]

@@ -128,7 +128,7 @@ class Driver:
                     return
 
     def be_ready_to_stop(self) -> None:
-        """Open a connection to the rig, if it answers, so that a stop does not have to open it."""
+        """Open a connection to the rig, if the rig answers, so that a stop need not open one."""
         opened = Rig(self._rig, connect=self._connect)
         try:
             opened.__enter__()

@@ -53,7 +53,7 @@ class News:
     newest: Sample | None
     """The newest sample."""
     pieces: int = 0
-    """Number of pieces of rows so far, to be passed to the next call."""
+    """Number of pieces of rows so far, to be passed to the next call of `Feed.news`."""
 
 
 @dataclass(slots=True)
@@ -199,7 +199,7 @@ class Feed:
         return np.concatenate([coarser(rows[:fine], COARSE_S), rows[fine:]])
 
     def news(self, after: int = 0) -> News:
-        """Return the changes after a number of pieces of rows, from the last `News.pieces`."""
+        """Return the changes since the last news, whose `pieces` is `after`."""
         with self._lock:
             fresh = [*islice(reversed(self._rows), self._pieces - after)][::-1]
             rows = np.concatenate(fresh) if fresh else np.zeros((0, COLUMNS))
@@ -221,7 +221,7 @@ class Feed:
             return self._timing
 
     def _is_of_another_clock(self, sample: Sample) -> bool:
-        """Return True if the rig's machine, and with it its clock, was restarted."""
+        """Return True if the rig's machine was restarted, which also restarts its clock."""
         return self._newest is not None and sample.t_host_ns < self._newest.t_host_ns - _BACK_NS
 
     def _forget_marks_after(self, t_ns: int) -> None:

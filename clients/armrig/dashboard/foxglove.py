@@ -21,7 +21,7 @@ from armrig.rig.session import RigError
 HOST = "127.0.0.1"
 PORT = 8765
 LAYOUTS = Path(__file__).parent / "layouts"
-"""Folder of the layouts for Foxglove and PlotJuggler; their topics are those of rig 1."""
+"""Folder of the layouts for Foxglove and PlotJuggler; they show the topics of rig 1."""
 _FRAMES = "transforms"
 _PERIOD_S = 0.02
 """Period of the messages, in s (50 Hz); of several samples in a period, the newest is sent."""

@@ -41,8 +41,8 @@ class Refusal(Exception):  # noqa: N818  # an answer, not a fault
 class Pass:
     """A code that gives access to one path once.
 
-    The code is on the command line that starts a browser, which other users can read. The page
-    exchanges the code for the token, which is on no command line.
+    Other users can read the command line that starts a browser. It therefore contains this code and
+    not the token. The page exchanges the code for the token.
     """
 
     PATH = "/api/token"
@@ -60,7 +60,7 @@ class Pass:
 
 
 class Guard:
-    """Filter before an application that accepts only requests of the dashboard's own page."""
+    """Filter before an application, which passes on only requests of the dashboard's own page."""
 
     def __init__(
         self, app: ASGIApp, *, origins: Collection[str], token: str, once: Pass | None = None

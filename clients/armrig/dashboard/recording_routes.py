@@ -190,5 +190,5 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
 
 
 def _leave_ctrl_c() -> None:
-    """Ignore Ctrl-C: the server ends this process."""
+    """Ignore Ctrl-C, because the server ends this process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

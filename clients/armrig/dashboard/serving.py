@@ -95,7 +95,7 @@ class Served:
 
 @contextmanager
 def dashboard(settings: Settings) -> Iterator[Served]:
-    """Serve a dashboard until the block ends, which stops a run of the dashboard.
+    """Serve a dashboard until the block ends; the end also stops a run of the dashboard.
 
     Raises
     ------
@@ -164,7 +164,8 @@ class _Door:
         return f"{self._origins[0]}/#once={self._code}"
 
     def served(self, more: list[Route], live: RigRoutes, stream: Stream) -> ServerThread:
-        """Return the thread of a server for the routes to watch and stop, and for `more`."""
+        """Return the thread of a server for the routes to watch and stop, and for `more` routes.
+        """
         connections = Connections()
         routes = [*live.watching(connections), *more]
         once = None

@@ -34,7 +34,7 @@ class Stream:
     def __init__(
         self, feed: Feed, driver: Driver, audience: list[Viewers], *, may_command: bool
     ) -> None:
-        """Begin without viewers; add the viewers of this door to `audience`, those of all doors."""
+        """Begin without viewers; add them to `audience`, which has the viewers of all doors."""
         self._feed, self._driver, self._audience = feed, driver, audience
         self.may_command = may_command
         """True if the viewers of this door may command."""

@@ -92,8 +92,8 @@ def identified(path: Path, validation: Path | None, output: ChannelName) -> dict
     Parameters
     ----------
     validation : Path, optional
-        Recording for validation. Without it, the first half of the recording is for estimation and
-        the second half for validation.
+        Recording for validation. Without a validation recording, the first half of the recording is
+        for estimation and the second half for validation.
 
     Raises
     ------

@@ -98,7 +98,7 @@ class Dataset:
     history: tuple[str, ...]
     """Steps of the treatment, first to last, one sentence for each."""
     trends: tuple[Trend, ...]
-    """Trend removed from each experiment; () if no trend was removed or it cannot be restored."""
+    """Trend removed from each experiment; () if there is none, or if it cannot be restored."""
 
     @checked_call
     def __init__(
@@ -297,7 +297,7 @@ class Dataset:
         history: tuple[str, ...] | None = None,
         trends: tuple[Trend, ...] | None = None,
     ) -> Dataset:
-        """Return a copy with the given fields replaced and `step`, unless None, in its history."""
+        """Return a copy with the given fields replaced; its history ends with `step` if given."""
         history = self.history if history is None else history
         return Dataset(
             u=self.u if u is None else u,

@@ -415,7 +415,7 @@ def test_means_are_taken_off_where_it_is_asked_for(
     _, _, taken = run(f"identify {line} --detrend", tmp_path, capsys)
     found = facts(f"identify {line} --detrend", tmp_path, capsys)
 
-    means = f"the mean of y is {20 + made().y.mean():.4g}, that of u {3 + made().u.mean():.4g}"
+    means = f"the mean of y is {20 + made().y.mean():.4g}, the mean of u is {3 + made().u.mean():.4g}"
     assert means in without
     assert "if y is not 0 at u = 0, subtract the means with --detrend" in without
     _, _, of_oe = run("identify level.csv --structure oe --nb 2 --nf 2", tmp_path, capsys)
@@ -523,7 +523,7 @@ def test_the_way_out_of_a_warning_is_an_option(
     ("options", "said"),
     [
         ("--structure arx --offset", "--offset goes with --structure armax or oe or bj"),
-        ("--search --stable", "--stable does not go with --search, whose models always are"),
+        ("--search --stable", "--stable does not go with --search, whose models are always stable"),
     ],
 )
 def test_an_option_of_one_estimate_is_refused_where_it_does_nothing(

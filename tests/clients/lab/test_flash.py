@@ -86,7 +86,7 @@ def test_a_board_that_runs_another_firmware_afterwards_is_reported(capsys: Said)
         assert main(["flash", "--port", uno.port, "--yes"]) == 1
 
     said = capsys.readouterr()
-    assert "written and read back: the same" in said.out
+    assert "written; the board returned the same bytes" in said.out
     assert "reports the firmware 00000000, but" in said.err
     assert uno.left
 

@@ -35,7 +35,7 @@ class ArrayTable:
     values: Sequence[Any]
     """An array (N,) of any real type for each column."""
     refused: Mapping[str, str]
-    """For the name of each other variable, the reason why it is no column of numbers."""
+    """Reason why each other variable is not a column of numbers, by the name of the variable."""
     Ts: float | None
     """Sampling time in s, from a number named Ts."""
 
@@ -62,7 +62,7 @@ def table_of(arrays: Mapping[str, Any], refused: Mapping[str, str]) -> ArrayTabl
     arrays : mapping of str to ndarray
         Vectors, matrices and numbers; the number named Ts is the sampling time in s.
     refused : mapping of str to str
-        For the name of each unread variable, the reason why it is not an array.
+        Reason why each unread variable is not an array, by the name of the variable.
     """
     columns: list[Column] = []
     values: list[Any] = []

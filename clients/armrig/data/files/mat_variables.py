@@ -1,8 +1,8 @@
 """Variables of a MAT-file of version 4 to 7, read from its bytes.
 
 scipy.io is not used, because a damaged or hostile file can crash its compiled reader and the whole
-program. No memory is allocated for a size that the file claims: an array is a view of the bytes
-that contain it. The format is MathWorks' "MAT-File Format", R2019b.
+program. No memory is allocated for a size that the file claims, because an array is a view of the
+bytes that contain it. The format is MathWorks' "MAT-File Format", R2019b.
 """
 
 from __future__ import annotations

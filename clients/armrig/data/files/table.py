@@ -43,7 +43,7 @@ class Table(Protocol):
 
     @property
     def refused(self) -> Mapping[str, str]:
-        """For the name of each other variable, the reason why it is no column of numbers."""
+        """Reason why each other variable is not a column of numbers, by the variable's name."""
 
     @property
     def Ts(self) -> float | None:

@@ -56,7 +56,7 @@ def prefilter(
     Returns
     -------
     Dataset
-        N samples in the same units, without `trends`: `retrend` cannot restore them.
+        N samples in the same units, without `trends`, so `retrend` cannot restore them.
 
     Raises
     ------
