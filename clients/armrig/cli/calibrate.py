@@ -282,8 +282,7 @@ def _loaded(path: Path | None) -> Recording | None:
 
 
 def _base(rest: Recording) -> Calibration:
-    """Return the calibration of the recording at rest, for the values that were not measured.
-    """
+    """Return the calibration of the recording at rest, for the values that were not measured."""
     from armrig_core.calibration import Calibration
     from msgspec.structs import replace
 

@@ -50,8 +50,9 @@ Fuse = Annotated[
     ),
 ]
 BROWN_OUT = (
-    "The brown-out fuse is not known: Optiboot does not read fuses. A new board " "has a brown-out
-    level of 2.7 V, too low for 16 MHz; docs/hardware.md explains how to read and set it."
+    "The brown-out fuse is not known: Optiboot does not read fuses. A new board has "
+    "a brown-out level of 2.7 V, too low for 16 MHz; docs/hardware.md explains how to read and set "
+    "it."
 )
 MOTOR = (
     "While a board is written, its pins are inputs: D9 and D7 float, and D13 blinks. Only the "

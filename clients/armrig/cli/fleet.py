@@ -83,8 +83,7 @@ def _say(recorded: list[RigRecorded], where: str, *, json: bool) -> None:
     if failed:
         names = ", ".join(one.rig for one in failed)
         raise OperationError(
-            f"the recording ended early for rig {names}; {len(recorded)} rigs were recorded; see
-            above"
+            f"the recording ended early for rig {names}, of {len(recorded)} rigs; see above"
         )
     if not files:
         msg = f"no rig at {where} published a sample: there is nothing to record; "

@@ -190,8 +190,8 @@ def _print_table(solved: _Solved, given: str) -> None:
     problem = solved.problem
     say(
         f"x' = A x + B u, the handout's arm, u = {problem.amplitude:g} sin({problem.omega:g} t) V, "
-        f"{problem.span:.4g} s from rest; error: largest error of a state, relative to the largest
-        value of this state"
+        f"{problem.span:.4g} s from rest. error: largest error of a state, relative to the "
+        "largest value of this state"
     )
     say(f"{'method':14} {'h [s]':>10} {'limit [s]':>10}  {'at h':8} {'error':>10}")
     for row in solved.rows:

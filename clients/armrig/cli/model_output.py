@@ -273,8 +273,8 @@ def lags_outside(tests: ResidualTest) -> str:
         return ""
     return (
         f"{n} of {N} lags {'is' if n == 1 else 'are'} outside the 99 % band although their joint "
-        "test accepts. The joint test decides, because its p is for all lags together. The band is
-        for " "a single lag: by chance one lag in a hundred is outside, often with its neighbours."
+        "test accepts. The joint test decides, because its p is for all lags together. The band is "
+        "for a single lag: by chance one lag in a hundred is outside, often with its neighbours."
     )
 
 

@@ -72,8 +72,7 @@ def parameters(given: list[str] | None) -> ArmParameters:
 
 
 def cases(given: list[str] | None) -> dict[str, ArmParameters]:
-    """Return the cases of handout 2.3: its parameters, each change alone, and all changes.
-    """
+    """Return the cases of handout 2.3: its parameters, each change alone, and all changes."""
     from armrig.physics.systems import beside_the_handout
 
     return beside_the_handout(parameters(given))

@@ -100,8 +100,8 @@ def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None
         t = np.linspace(0.0, crossed if isfinite(crossed) else 0.0, 1001)
         if np.diff(step_response(answer.parameters, t)).min() < 0:
             of = changes(given) if name in _TOGETHER else name
-            say(f"63 % time of {of}: the first rise of the speed ends below 63 %, a later rise
-            crosses 63 %.")
+            rises = "the first rise of the speed ends below 63 %, a later rise crosses 63 %"
+            say(f"63 % time of {of}: {rises}.")
 
 
 def _of(given: list[str] | None) -> str:

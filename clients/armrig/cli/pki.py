@@ -42,8 +42,8 @@ def ca(
         print_json({"path": str(path)})
         return
     echo(
-        f"{path}: made; keep {path.with_suffix('.key')} private, because with it anybody can make
-        operators"
+        f"{path}: made; keep {path.with_suffix('.key')} private, because with it "
+        "anybody can make operators"
     )
     echo(f"{directory / ACCESS_LIST}: the access list, still empty")
 

@@ -136,8 +136,8 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     # In a file that is cut off, the last sample may be later or earlier than the last step.
     reach = (min if content.cut_off else max)(compared.ours, compared.theirs.size)
     if not difference and compared.same != reach:
-        difference = f"the file has {compared.theirs.size} samples, the replay has {compared.ours};
-        " difference += f"the first {compared.same} are the same"
+        difference = f"the file has {compared.theirs.size} samples, the replay has {compared.ours}"
+        difference += f"; the first {compared.same} are the same"
     return Replay(
         steps=n,
         frames=frames,

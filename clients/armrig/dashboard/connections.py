@@ -31,8 +31,7 @@ class Connections:
         self._open: dict[Address, BoundedProtocol] = {}
 
     def add(self, address: Address, protocol: BoundedProtocol) -> None:
-        """Add a connection; above the limit, close an idle, an unread, or else the new connection.
-        """
+        """Add a connection; above the limit, close an idle, an unread, or else the new one."""
         self._open[address] = protocol
         if len(self._open) > MOST:
             others = [(a, p) for a, p in self._open.items() if a != address]

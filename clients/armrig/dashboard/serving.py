@@ -164,8 +164,7 @@ class _Door:
         return f"{self._origins[0]}/#once={self._code}"
 
     def served(self, more: list[Route], live: RigRoutes, stream: Stream) -> ServerThread:
-        """Return the thread of a server for the routes to watch and stop, and for `more` routes.
-        """
+        """Return the thread of a server for the routes to watch and stop, and for `more` routes."""
         connections = Connections()
         routes = [*live.watching(connections), *more]
         once = None

@@ -24,11 +24,11 @@ class Trend:
     """Slope of y, in y's unit per s."""
 
     def u(self, t: Vector) -> Vector:
-        """Return u's line at t (n,) in s from the experiment's first sample."""
+        """Return the line of u at times t, (n,); t is 0 at the experiment's first sample, in s."""
         return np.asarray(self.u_level + self.u_slope * t)
 
     def y(self, t: Vector) -> Vector:
-        """Return y's line at t (n,) in s from the experiment's first sample."""
+        """Return the line of y at times t, (n,); t is 0 at the experiment's first sample, in s."""
         return np.asarray(self.y_level + self.y_slope * t)
 
     def later(self, seconds: float) -> Trend:

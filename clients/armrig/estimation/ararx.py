@@ -27,14 +27,16 @@ def ararx(
 ) -> Fit:
     """Estimate A, B and D in A(q) y(t) = B(q) u(t) + 1/D(q) e(t).
 
-    This is the structure of generalised least squares: D whitens the error of an ARX model.
+    This is the structure of generalised least squares, in which D whitens the error of an ARX
+    model.
 
     Parameters
     ----------
     data : Dataset
         N samples. After each gap in y the past of the noise is estimated again.
     na, nb, nd : int
-        Numbers of coefficients a, b and d: na >= 0, with the integrator's root, nb >= 1, nd >= 0.
+        Numbers of coefficients a, b and d: na >= 0, nb >= 1, nd >= 0. An integrator counts as one
+        coefficient a.
     nk, integrator, offset, initial, stable, starts
         As in `armax`.
 

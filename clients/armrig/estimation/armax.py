@@ -32,7 +32,8 @@ def armax(
     data : Dataset
         N samples. After each gap in y the past of the noise is estimated again.
     na, nb, nc : int
-        Numbers of coefficients a, b and c: na >= 0, with the integrator's root, nb >= 1, nc >= 0.
+        Numbers of coefficients a, b and c: na >= 0, nb >= 1, nc >= 0. An integrator counts as one
+        coefficient a.
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
     integrator : bool, default False

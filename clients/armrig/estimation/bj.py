@@ -34,7 +34,8 @@ def bj(
         N samples. The output of B/F is simulated through a gap in y. After the gap the past of the
         noise is estimated again.
     nb, nc, nd, nf : int
-        Numbers of coefficients: nb >= 1, nc >= 0, nd >= 0, and nf >= 0 with the integrator's root.
+        Numbers of coefficients: nb >= 1, nc >= 0, nd >= 0, nf >= 0. An integrator counts as one
+        coefficient f.
     nk, offset, initial, starts
         As in `armax`.
     integrator : bool, default False
@@ -48,7 +49,7 @@ def bj(
     -------
     Fit
         `covariance` is lambda (Psi^T Psi)^-1 for (b, c, d, f). `covariance_robust` is the estimate
-        of Newey and West. For nc = nd = 0 both covariances equal those of `oe`.
+        of Newey and West. For nc = nd = 0 both covariances equal the covariances of `oe`.
 
     Raises
     ------

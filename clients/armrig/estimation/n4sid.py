@@ -69,7 +69,7 @@ def n4sid(
     The future outputs are projected on past u and y, for given future u. The singular values of the
     weighted projection indicate the order. A and C are computed from the left singular vectors, and
     K from the residuals of the states. B, D and the unknown past then minimise the one-step errors
-    by least squares. A, C and K do not minimise the prediction error: the searches `armax`, `oe`
+    by least squares. A, C and K do not minimise the prediction error, so the searches `armax`, `oe`
     and `bj` are somewhat more efficient.
 
     Parameters
@@ -92,9 +92,9 @@ def n4sid(
     horizon : int, optional
         Number of past and of future samples, at least order + 2. With a shorter horizon the noise
         model is wrong. The default is the larger of 2 (order + 1) and the order of an ARX model by
-        AIC, limited to 10 to 30. For short data the default is smaller. If a horizon of order + 2
-        predicts the data better, order + 2 is the default. A long horizon suits white output noise.
-        A short horizon suits noise with the poles of A.
+        AIC, but at least 10 and at most 30. For short data the default is smaller. If a horizon of
+        order + 2 predicts the data better, order + 2 is the default. A long horizon suits white
+        output noise. A short horizon suits noise with the poles of A.
     focus : {"prediction", "simulation"}
         Purpose of A and B. With "simulation" a search from the poles of the subspace model
         minimises the simulation error. For each A, B and the initial states are computed by least

@@ -57,7 +57,7 @@ def test_model_says_in_its_sentence_what_its_table_says(capsys: pytest.CaptureFi
 
     assert slower.count("78.96") == 4  # twice in B
     assert re.search(r"K_lin=2.38 +both changes\n", both)
-    assert "63 % time of J_1=0.0034, K_lin=2.38: its first rise" in both
+    assert "63 % time of J_1=0.0034, K_lin=2.38: the first rise" in both
 
 
 def test_model_holds_changed_parameters_against_the_handouts(

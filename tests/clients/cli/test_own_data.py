@@ -415,7 +415,8 @@ def test_means_are_taken_off_where_it_is_asked_for(
     _, _, taken = run(f"identify {line} --detrend", tmp_path, capsys)
     found = facts(f"identify {line} --detrend", tmp_path, capsys)
 
-    means = f"the mean of y is {20 + made().y.mean():.4g}, the mean of u is {3 + made().u.mean():.4g}"
+    y, u = 20 + made().y.mean(), 3 + made().u.mean()
+    means = f"the mean of y is {y:.4g}, the mean of u is {u:.4g}"
     assert means in without
     assert "if y is not 0 at u = 0, subtract the means with --detrend" in without
     _, _, of_oe = run("identify level.csv --structure oe --nb 2 --nf 2", tmp_path, capsys)

@@ -34,8 +34,8 @@ ENOUGH_NOISE = 0.32
 
 The variance of the error is then step²/12. The theory requires a third of a step; the limit is
 lower by the error of the estimated noise. B. Widrow, I. Kollár, *Quantization Noise*, 2008, chapter
-5: with this Gaussian noise the first moments of the error agree with those of uniform white noise
-to a few percent.
+5: with this Gaussian noise the first moments of the error agree with the moments of uniform white
+noise to a few percent.
 """
 
 
@@ -44,9 +44,9 @@ def wrong_samples(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -
 
     `n` is the order of the model, and `limit` the least size of an outlier in robust standard
     deviations. After a gap the first n samples have no complete past. A model of the reversed data,
-    which predicts y(t) from later samples, therefore searches these samples first. Its limit is
-    twice as large, since with a poorly exciting input it does not predict the first samples well
-    either.
+    which predicts y(t) from later samples, therefore searches these samples first. The limit for
+    this model is twice as large, because with a poorly exciting input this model does not predict
+    the first samples well.
     """
     backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY_FACTOR * limit)
     corrected, early = [], []
@@ -267,17 +267,17 @@ def hampel(
 ) -> Dataset | Signals:
     """Return the data with outliers of y marked missing.
 
-    An ARX model of high order removes the dynamics: a step of the input is not an outlier, however
-    far y moves. A wrong y(t) appears in the residuals e(t) … e(t+n) with the pattern 1, a1 … an,
-    and its size in robust standard deviations is ::
+    An ARX model of high order removes the dynamics, so a step of the input is not an outlier,
+    however far y moves. A wrong y(t) appears in the residuals e(t) … e(t+n) with the pattern 1, a1
+    … an, and its size in robust standard deviations is ::
 
         z(t) = x(t) / s,    x(t) = sum a_k e(t+k) / sqrt(sum a_k²),    s = 1.4826 median |x|
 
     The samples with the largest |z| are marked. For the rest of the search they are set to the
-    model's values. Marked samples whose pattern their neighbours explain are unmarked. The returned
-    data contain no interpolated value. The first n samples after the start or a gap are searched in
-    the reversed data, for outliers of twice the size. No outlier can be found in a stretch of n
-    samples or fewer.
+    model's values. If the neighbours of a marked sample explain its pattern, the sample is
+    unmarked. The returned data contain no interpolated value. The first n samples after the start
+    or a gap are searched in the reversed data, for outliers of twice the size. No outlier can be
+    found in a stretch of n samples or fewer.
 
     Parameters
     ----------
@@ -377,6 +377,6 @@ def too_quiet(step: float, noise_variance: float) -> str:
     if noise >= ENOUGH_NOISE * step:
         return ""
     return (
-        f"the noise is {noise / step:.2f} of the converter's step, less than a third: the "
-        "quantisation error is then not white, and the standard deviations are conservative"
+        f"the noise is {noise / step:.2f} of the converter's step, less than a third, so the "
+        "quantisation error is not white, and the standard deviations are conservative"
     )

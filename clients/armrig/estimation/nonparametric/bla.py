@@ -160,14 +160,14 @@ def _whole_periods(part: Dataset, P: int, transient: int, *, integrates: bool) -
     y, seen = y[most], seen[most]
     if y.shape[0] == 0:
         raise InputError(
-            f"a realisation of {part.N} samples has no period of {P} samples, at least half of "
-            f"them known, after {transient} of transient: record more periods"
+            f"after {transient} transient periods, a realisation of {part.N} samples has no period "
+            f"of {P} samples of which at least half are known: record more periods"
         )
     n_k = np.count_nonzero(seen, axis=0)
     if never := int(np.count_nonzero(n_k == 0)):
         raise InputError(
-            f"a realisation of {part.N} samples has no value at {never} of the {P} places in its "
-            f"period after {transient} of transient: record more periods"
+            f"after {transient} transient periods, a realisation of {part.N} samples has no value "
+            f"at {never} of the {P} instants of its period: record more periods"
         )
     bridged = np.where(seen, y, np.nanmean(y, axis=0))
     U = np.fft.rfft(part.u[cut][:P])
@@ -198,7 +198,9 @@ def _notes(R: int, counts: Sequence[int], noise: Vector, total: Vector) -> list[
     if R == 1:
         return ["one realisation: nonlinear distortion cannot be estimated; record more"]
     if max(counts) < 2:
-        return ["one period each: noise and nonlinear distortion cannot be distinguished"]
+        why = "noise and nonlinear distortion cannot be distinguished"
+        return [f"one period in each realisation: {why}"]
     ratio = float(np.mean(total) / np.mean(noise))
     verdict = "nonlinear distortion" if ratio > 2 else "hardly any nonlinear distortion"
-    return [f"variance between realisations is {ratio:.2g} times that of the noise: {verdict}"]
+    said = f"variance between realisations is {ratio:.2g} times the variance of the noise"
+    return [f"{said}: {verdict}"]

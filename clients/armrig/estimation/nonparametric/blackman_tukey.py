@@ -16,7 +16,7 @@ from armrig.numerics.polynomial import filtered
 Vector = NDArray[np.float64]
 
 FINE_LAG_RATIO = 4
-"""Ratio of the lengths of the longer lag window, for noise and check, and of the window of G."""
+"""Length of the longer lag window, for noise and check, divided by that of the window of G."""
 MIN_POWER_SHARE = 1e-8
 """Share of the largest value of Phi_u; G is not known at frequencies with a smaller Phi_u."""
 _MIN_BLUNTED_RATIO = 1.1  # least ratio of |G| by the longer window to |G| for a note

@@ -106,7 +106,7 @@ Lines = tuple[Vector, NDArray[np.complex128], Vector, str]
 def _aperiodic(data: Dataset, *, integrates: bool) -> Lines:
     if data.missing:
         raise InputError(
-            f"etfe needs every output of an input without a period, {data.missing} of {data.N} "
+            f"without a periodic input etfe needs every output, but {data.missing} of {data.N} "
             "are missing: use spa, or cut the longest stretch without a hole, data[a:b]"
         )
     # The rate is not known at the first sample, so the first u is removed too.
@@ -116,7 +116,7 @@ def _aperiodic(data: Dataset, *, integrates: bool) -> Lines:
     at = np.flatnonzero(excited(U))
     at = at[at > 0]
     omega: Vector = 2 * np.pi * at.astype(np.float64) / (treated.N * data.Ts)
-    words = "the input has no period: not smoothed, its scatter does not decrease with N"
+    words = "the input has no period: no smoothing, and the scatter does not decrease with N"
     return omega, Y[at] / U[at], np.full(at.size, np.nan), words
 
 
@@ -141,7 +141,7 @@ def _periodic(data: Dataset, P: int, *, integrates: bool) -> Lines:
     if np.count_nonzero(whole) >= 2:
         scatter = np.var(np.fft.rfft(y[whole], axis=1)[:, at], axis=0, ddof=1)
         variance = scatter / (np.abs(U[at]) ** 2 * (periods - 1))
-    words = f"{periods - 1} periods of {P} samples, after a transient of one: exact except for "
+    words = f"{periods - 1} periods of {P} samples, after a transient period: exact except for "
     omega: Vector = 2 * np.pi * at.astype(np.float64) / (P * data.Ts)
     return omega, Y[at] / U[at], variance, f"{words}noise"
 

@@ -52,7 +52,7 @@ class Signals(Protocol):
 
 
 class Response(Signals, Protocol):
-    """Fields of an impulse response in a figure, such as those of `ImpulseResponse`."""
+    """Fields of an impulse response in a figure; `ImpulseResponse` has these fields."""
 
     @property
     def lags(self) -> NDArray[np.int_]: ...  # noqa: D102
@@ -72,7 +72,7 @@ class Response(Signals, Protocol):
 
 
 class Correlated(Signals, Protocol):
-    """Fields of a correlation analysis in a figure, such as those of `Correlation`."""
+    """Fields of a correlation analysis in a figure; `Correlation` has these fields."""
 
     @property
     def lags(self) -> NDArray[np.int_]: ...  # noqa: D102
@@ -82,7 +82,7 @@ class Correlated(Signals, Protocol):
 
 
 class Step(Signals, Protocol):
-    """Fields of a step analysis in a figure, such as those of `StepAnalysis`."""
+    """Fields of a step analysis in a figure; `StepAnalysis` has these fields."""
 
     @property
     def t(self) -> Vector: ...  # noqa: D102
@@ -105,7 +105,7 @@ class Step(Signals, Protocol):
 
 
 class Hints(Protocol):
-    """Fields of structure hints in a figure, such as those of `StructureHints`."""
+    """Fields of structure hints in a figure; `StructureHints` has these fields."""
 
     @property
     def spectrum(self) -> SpectralEstimate: ...  # noqa: D102

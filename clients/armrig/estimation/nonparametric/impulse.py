@@ -387,7 +387,7 @@ def _plain(rows: FirRegression) -> Estimate:
 
 
 def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
-    """Return the posterior of all lags, with a flat prior for the first m, the negative lags."""
+    """Return the posterior of all lags; the m negative lags, which are first, have a flat prior."""
     R = rows.triangle()
     d = R.shape[0] - 1
     _require_rank(orthonormal(R[:, :m]), m, "negative lags")
@@ -415,7 +415,7 @@ def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
 def _require_rank(basis: Basis, d: int, what: str) -> None:
     if basis.rank < d:
         raise InputError(
-            f"u determines only {basis.rank} of {d} {what}: it has too few frequencies; "
+            f"u determines only {basis.rank} of {d} {what}, because u has too few frequencies; "
             "excite with a richer input (telegraph, PRBS), or use a kernel with fewer lags"
         )
 

@@ -104,7 +104,7 @@ class Evidence:
         return self._given(self.likeliest())
 
     def likeliest(self) -> Vector:
-        """Return log kappa and the logits of lambda and, for "dc", rho, of maximum likelihood."""
+        """Return log kappa, logit lambda and, for "dc", logit rho, of maximum likelihood."""
         from scipy.optimize import minimize
 
         starts = sorted(self._starts(), key=self._cost)[:1]
@@ -244,8 +244,8 @@ def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression
     """Return the regression of y(t) on u(t - k) for k in `lags`; 0 must be in `lags`.
 
     For an integrating output the regressors are the running sums Ts (u(0) + … + u(t - k)). The
-    coefficients are then the response of the rate, while the noise is still that of the measured y.
-    Each experiment has a level and a ramp. The ramp is the effect of an input offset.
+    coefficients are then the response of the rate, but the noise is still the noise of the measured
+    y. Each experiment has a level and a ramp. The ramp is the effect of an input offset.
     """
     mean = float(np.mean(data.u))
     experiments = []

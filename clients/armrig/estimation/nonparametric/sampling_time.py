@@ -70,7 +70,7 @@ class SamplingTime:
     near_nyquist: float
     """Share of the power of y (of its rate if y integrates) above 0.8 of the data's Nyquist."""
     beyond: float
-    """Share of the power above pi/Ts of the recommendation; NaN above the Nyquist of the data."""
+    """Share of the power above pi/Ts of the recommendation; NaN if the data do not reach pi/Ts."""
     from_step: bool
     """True if the response was measured with steps, False if by a regularised impulse response."""
     recorded_at: float
@@ -158,8 +158,8 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     output-error model is computation.
 
     omega_B of the spectrum is the highest frequency at which |G| is above 1/sqrt(2) of its
-    low-frequency value. A notch below this frequency, such as that of the arm, does not end the
-    band. If y integrates, the rate of y is analysed, because the rate has a gain and a time
+    low-frequency value. A notch below this frequency, such as the notch of the arm, does not end
+    the band. If y integrates, the rate of y is analysed, because the rate has a gain and a time
     constant.
 
     Parameters
@@ -311,7 +311,8 @@ def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> Sp
     """Return the frequency response (of the rate, if y integrates).
 
     The method is spectral analysis, but not for steps, because their low-frequency power leaks
-    through any lag window. For steps the length of the transient is given in s.
+    through any lag window. For steps, `transient` is the length of the transient in s; for other
+    data it is None.
     """
     if transient is None:
         estimate = spa(data, "log", integrator=integrates)
@@ -386,7 +387,7 @@ def _notes(
     seen: bool,
     of: str,
 ) -> Iterator[str]:
-    """Yield notes on the recommendation; `of` is the output, if its rate was analysed, or ""."""
+    """Yield notes on the recommendation; `of` is "", or the output whose rate was analysed."""
     if not seen:
         yield (
             f"63 % is reached within one sample of {times(now)}, so the data do not determine the "

@@ -56,12 +56,12 @@ def spa(
     the window does not count as noise. Missing outputs are replaced by the part that the input
     explains, and are not counted in N.
 
-    The standard deviations describe the scatter about the smoothed response, the expected value for
-    this window. The window blunts resonances that are narrower than about 2 pi/(gamma Ts) rad/s. A
-    note reports a blunted resonance if |G| is clearly higher with the longer window: by more than
-    10 % and by more than four standard deviations. Half of E|dG|² is the variance of the magnitude,
-    and half is due to the phase, except near 0 and pi/Ts, at which G is real. A standard deviation
-    of the phase above 0.3 rad is too small.
+    The standard deviations describe the scatter about the smoothed response, which is the expected
+    value for this window. The window blunts resonances that are narrower than about 2 pi/(gamma Ts)
+    rad/s. A note reports a blunted resonance if |G| is clearly higher with the longer window: by
+    more than 10 % and by more than four standard deviations. Half of E|dG|² is the variance of the
+    magnitude, and half is due to the phase, except near 0 and pi/Ts, at which G is real. A standard
+    deviation of the phase above 0.3 rad is too small.
 
     If y integrates, the response of the rate of y is estimated and then divided by 1 - q^-1.
 

@@ -36,7 +36,10 @@ SETTLING_BAND = 0.05
 _SLOPE_SIGMAS = 5  # standard deviations; a smaller slope before the step counts as 0
 _MIN_UNSETTLED_SHARE = 0.005  # share of the response; less motion before the step is not reported
 _CURVE_ERROR = 0.1
-"""Error of a curve between samples over Ts²/tau, found without noise at 2 to 4 samples in tau."""
+"""Error of a curve between samples, as a share of Ts²/tau.
+
+The value was found without noise, at 2 to 4 samples in tau.
+"""
 _MAX_OVERSHOOT_STD = 0.03  # with a larger std the highest value may be noise
 
 
@@ -61,7 +64,7 @@ class StepAnalysis:
     tau_std: float
     """Standard deviation of `tau` due to noise, gaps on the rise, and a possible dead time."""
     equivalent_time: float
-    """Area above the response divided by its final value, less the dead time, in s. For a rate the
+    """Area above the response, divided by the final value, less the dead time, in s. For a rate the
     equivalent time is the lag of the angle relative to its final ramp. A gap on the rise does not
     affect this lag."""
     equivalent_time_std: float
@@ -149,12 +152,12 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     is subtracted, and each response is weighted by the size of its step. If y integrates, the rate
     is analysed. The sample (y(t) - y(t-1))/Ts of the rate is at the middle of the interval.
 
-    The 63 % time, settling, overshoot and dead time are computed from curves drawn from a Gaussian
-    process, given all samples. Each curve is divided by its own final value (see
-    `armrig.estimation.nonparametric.step_answer`). The standard deviations are computed from the
-    scatter of the curves, and increase if samples are missing. A dead time is reported only if the
-    probability of no dead time is below 1 %; otherwise `dead_time` is 0. The standard deviation of
-    the 63 % time then includes a possible dead time.
+    The 63 % time, settling, overshoot and dead time are computed from curves. The curves are drawn
+    from the posterior of a Gaussian process, given all samples. Each curve is divided by its own
+    final value (see `armrig.estimation.nonparametric.step_answer`). The standard deviations are
+    computed from the scatter of the curves, and increase if samples are missing. A dead time is
+    reported only if the probability of no dead time is below 1 %; otherwise `dead_time` is 0. The
+    standard deviation of the 63 % time then includes a possible dead time.
 
     Parameters
     ----------
@@ -393,7 +396,7 @@ def _warnings(
 ) -> Iterator[str]:
     if hidden:
         yield (
-            f"{data.output} is missing {times(*hidden)} after the step, on the rise: the "
+            f"{data.output} is missing {times(*hidden)} after the step, on the rise, so the "
             f"63 % time is known only to ± {times(answer.tau_std)}; record the step again "
             "at another angle of the chassis (`armrig collect step --at SECONDS`)"
         )

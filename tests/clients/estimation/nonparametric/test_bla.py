@@ -64,7 +64,7 @@ def test_a_cubic_shows_between_realisations_and_not_between_periods() -> None:
     assert np.median(many.nonlinear_std) > 0.5 * np.median(  # type: ignore[arg-type]
         few.nonlinear_std  # type: ignore[arg-type]
     )
-    assert "that of the noise: nonlinear distortion" in repr(many)
+    assert "the variance of the noise: nonlinear distortion" in repr(many)
 
 
 def test_experiments_of_one_data_set_are_realisations() -> None:
