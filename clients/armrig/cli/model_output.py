@@ -98,7 +98,7 @@ def _listed(numbers: Sequence[str]) -> str:
 
 
 def model_lines(fit: Fit) -> list[str]:
-    """Return equation, coefficients with both standard deviations, and the tests of a model."""
+    """Return the equation, the coefficients with σ and σ robust, and the tests of a model."""
     squared = _squared(fit.unit)
     lines = [
         heading(fit),

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def _doubted(given: list[str] | None) -> list[str] | None:
-    """Return the parameters as given, and print which are probably not in SI units."""
+    """Return the parameters as given; print any that are probably not in SI units."""
     from armrig_core.arm import ArmParameters
 
     for name, value in _values(given).items():

@@ -158,7 +158,7 @@ class Signals:
         for name, value in given.items():
             if value is not None:
                 raise typer.BadParameter(
-                    f"{name} {value} applies to {OTHER_DATA}; the recording {file} has its own"
+                    f"{name} {value} applies to {OTHER_DATA}; {file} is a recording"
                 )
         recording = loaded([file], self.calibration, self.start, self.stop)[0]
         self._tell_of_pair(recording)

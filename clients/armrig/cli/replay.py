@@ -29,7 +29,7 @@ from armrig.recordings.sample_rows import SAMPLE_DTYPE
 from armrig.recordings.verification import recorded_input
 
 MAX_CHUNK_BYTES = 4096
-"""Largest size of a chunk of steps, which bounds the number of steps."""
+"""Largest size of a chunk, in B; this size bounds the number of steps in a chunk."""
 _COMPARED_SAMPLES = 4096  # samples compared in one step
 
 

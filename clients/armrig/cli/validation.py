@@ -82,7 +82,7 @@ def validate(
 ) -> None:
     """Validate a model on a recording or other data.
 
-    The command simulates, predicts and tests the residuals.
+    The command simulates the model, predicts the output, and tests the residuals.
     """
     from armrig.models.model_file import load_fit
 

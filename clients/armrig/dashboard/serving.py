@@ -191,7 +191,7 @@ def _allow_many_files() -> None:
 
 
 def _listening(host: str, usual: int, port: int | None) -> socket.socket:
-    """Return a socket that listens on `port`; if None, on the usual port or any free port."""
+    """Return a socket that listens on `port`, or if it is None on the usual or any free port."""
     for tried in (usual, 0) if port is None else (port,):
         listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

@@ -41,7 +41,10 @@ from armrig.numerics.polynomial import Array, filtered, reflected, without_integ
 
 _MAX_SUGGESTED_ORDER = 10
 _MAX_DISTANCE_FROM_1 = 0.02  # largest distance from 1 of a pole with a warning
-_NO_GAIN_TEXT = "no steady Kalman gain was found: the noise model is 1/1"
+_NO_GAIN_TEXT = (
+    "no steady Kalman gain was found, so in the subspace model C is A with its roots inside the "
+    "unit circle"
+)
 _BOUND_TEXT = (
     "the standard deviations are the bound that a search attains; the standard deviations of a "
     "subspace estimate are larger"
@@ -97,10 +100,10 @@ def n4sid(
         output noise. A short horizon suits noise with the poles of A.
     focus : {"prediction", "simulation"}
         Purpose of A and B. With "simulation" a search from the poles of the subspace model
-        minimises the simulation error. For each A, B and the initial states are computed by least
-        squares. The result is an output-error model (`oe`) with a noise model. This model is better
-        if the system is not exactly linear or not exactly of this order. Its poles are always
-        inside the unit circle.
+        minimises the simulation error. For each candidate of A, least squares give B and the
+        initial states. The result is an output-error model (`oe`) with a noise model. This model is
+        better if the system is not exactly linear or not exactly of this order. Its poles are
+        always inside the unit circle.
     stable : bool, default False
         Reflect poles outside the unit circle into it, and estimate B again. A finding of the fit
         reports the reflection.

@@ -419,7 +419,7 @@ def sampling_time(t: Vector, column: Column, place: Callable[[int], str]) -> flo
         )
     missing = ~np.isfinite(t)
     if missing.any():
-        msg = f"{place(int(np.argmax(missing)))}: {name} have no value here; fill it in, or give "
+        msg = f"{place(int(np.argmax(missing)))}: {name} have no value here; add it, or give "
         raise FileError(msg + "Ts in s (--Ts)")
     if t.size < 2:
         raise FileError(
