@@ -29,22 +29,25 @@ def oe(
     Parameters
     ----------
     data : Dataset
-        N samples. A missing y removes only its own row. Each experiment has its own initial state.
+        N samples. A missing y removes only the equation of its own sample. Each experiment has its
+        own initial state.
     nb, nf : int
-        Numbers of coefficients: nb >= 1, and nf >= 0 with the integrator's root.
+        Numbers of coefficients: nb >= 1, and nf >= 0. With the integrator nf >= 1, because its root
+        counts.
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
     integrator : bool, default False
         Set F = (1 - q^-1) F̃, with one root at exactly 1. The noise e is added to the integrated
-        output. The level and the input offset u0 of each experiment are estimated too, the offset
-        as a ramp of y.
+        output. The level and the input offset u0 of each experiment are estimated too. The offset
+        is estimated as a ramp of y.
     offset : bool, default False
         Also estimate an input offset for each experiment. With an integrator the offset is always
         estimated.
     initial : {"estimate", "backcast", "zero", "auto"}
         Treatment of the initial state of each experiment. With "estimate" or "backcast" the state
-        is estimated by least squares. With "zero" rest at y = 0 is assumed, with no input offset.
-        With "auto" the state is estimated if an F-test finds it significant.
+        is estimated by least squares. With "zero" the experiment is assumed to begin at rest, at y
+        = 0, without an input offset. With "auto" the state is estimated if an F-test finds it
+        significant.
     stable : bool, default False
         Move poles on the unit circle into it, and estimate B again. The search itself moves no pole
         outside the circle.
@@ -59,8 +62,8 @@ def oe(
     Fit
         `covariance` is lambda (Psi^T Psi)^-1 for (b, f), with the nuisance parameters marginalised.
         `covariance_robust` is the sandwich form with an autoregressive estimate of the residuals'
-        autocorrelation. With an integrator both are transformed linearly from F̃ to F. Both are
-        then singular in the direction that would move the root at 1.
+        autocorrelation. With an integrator both are transformed linearly from F̃ to F. Both
+        matrices are then singular in the direction that would move the root at 1.
 
     Raises
     ------

@@ -81,7 +81,7 @@ class OrderTable:
     batch_losses: Matrix | None
     """`validation_loss` in up to 30 successive batches of the validation data, (n, batches)."""
     output_variance: float
-    """Variance of y on the validation data, or without such data on the estimation data."""
+    """Variance of y in the validation data; without validation data, in the estimation data."""
     N: int
     """Number of errors in `loss`; they are the same samples for every structure."""
 
@@ -132,16 +132,19 @@ class OrderTable:
         return np.asarray(found)
 
     def best(self, criterion: Criterion | None = None) -> ArxOrders:
-        """Return the orders that a criterion chooses: by default "validation", or else MDL.
+        """Return the orders that a criterion chooses.
 
-        The lowest of many validation losses is also low by chance, and often belongs to a
-        structure that is too large. The rule is therefore the structure of fewest parameters
-        whose loss exceeds the lowest by at most the standard error of their difference [1]_. The
-        other criteria contain a price for each parameter; the lowest value is the choice.
+        The default criterion is "validation" if there are validation data, otherwise MDL.
 
-        In 200 runs with 600 structures (N = 1000 for estimation and for validation) this rule
-        chose the true orders na=2, nb=2, nk=1 in 73 %. The lowest validation loss chose them in
-        18 %, MDL in 99 %, AIC and FPE in 49 %. No criterion chose too small a structure.
+        The lowest of many validation losses is also low by chance, and often belongs to a structure
+        that is too large. The rule therefore chooses the structure of fewest parameters whose loss
+        is close to the lowest loss. The difference of the two losses must be at most one standard
+        error of this difference [1]_. The other criteria contain a penalty for each parameter, so
+        the structure with the lowest value is chosen.
+
+        In 200 runs with 600 structures (N = 1000 for estimation and for validation) this rule chose
+        the true orders na=2, nb=2, nk=1 in 73 % of the runs. The lowest validation loss chose them
+        in 18 %, MDL in 99 %, AIC and FPE in 49 %. No criterion chose too small a structure.
 
         References
         ----------
@@ -158,7 +161,7 @@ class OrderTable:
         return simplest_as_good(*self._excess(), self.parameters)
 
     def _excess(self) -> tuple[Vector, Vector]:
-        """Return each validation loss less the lowest, and its standard error, (n,)."""
+        """Return each validation loss minus the lowest, and the standard error of this, (n,)."""
         lowest = self._lowest("validation")
         if self.validation_loss is None or self.batch_losses is None:
             return np.zeros(len(self)), np.zeros(len(self))
@@ -264,11 +267,12 @@ def select_orders(
 ) -> OrderTable:
     """Return the losses of all ARX structures with these orders.
 
-    One QR decomposition of the largest regressor and y reduces the data to a triangle R. Each
-    pair (na, nk) is then a small QR of columns of R, whose leading triangles are the structures
-    nb = 1, 2, …. The loss is the sum of squares of y below row na + nb. Triangles R_v of batches
-    of the validation data give the loss on these batches, |R_v [-theta; 1]|². All structures are
-    compared on the same samples, at which the largest regressor is known.
+    One QR decomposition of the largest regressor and y reduces the data to a triangle R. Each pair
+    (na, nk) then needs only a small QR decomposition of columns of R. The leading triangles of its
+    result belong to the structures nb = 1, 2, …. The loss is the sum of squares of y below row na +
+    nb. Triangles R_v of batches of the validation data give the loss on these batches, |R_v
+    [-theta; 1]|². All structures are compared on the same samples: those at which the largest
+    regressor is known.
 
     Parameters
     ----------
@@ -288,7 +292,7 @@ def select_orders(
     Raises
     ------
     ValueError
-        An order is out of range, there are too few samples, or Ts differs.
+        An order is out of range, there are too few samples, or the two data sets differ in Ts.
 
     References
     ----------
@@ -348,7 +352,7 @@ def _require_same_rate(data: Dataset, validation: Dataset) -> None:
 
 
 def _regressors(data: Dataset, na: int, lags: range) -> tuple[list[Array], int, float]:
-    """Return [-y lagged, u lagged, y] in blocks of rows, the number of rows, and y's variance."""
+    """Return blocks of rows [-y lagged, u lagged, y], the number of rows, and the variance of y."""
     blocks, known = [], []
     for part in data.experiments():
         rows = arx_rows(part.u, part.y, na=na, lags=lags)
@@ -373,9 +377,10 @@ def _columns(na: int, nk: int, nb: int, most: int, lags: range) -> Integers:
 
 
 def _losses(R: Array, R_v: Array, chosen: Integers, na: int) -> Iterator[tuple[float, Array]]:
-    """Yield the squared errors for nb = 1, 2, …: estimation data, and batches of validation data.
+    """Yield the sums of squared errors for nb = 1, 2, ….
 
-    The columns are scaled, so that the test of dependence is independent of units.
+    Each pair contains the sum for the estimation data and the sums for the batches of the
+    validation data. The columns are scaled, so that the test of dependence is independent of units.
     """
     M = R[:, chosen]
     scale = column_norms(M)

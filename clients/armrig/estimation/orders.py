@@ -12,11 +12,11 @@ def require_samples(orders: str, *, needed: int, got: int) -> None:
 
 
 SAMPLES_PER_PARAMETER = 10
-"""Least number of samples for each parameter, for reliable standard deviations."""
+"""Least number of samples per parameter that reliable standard deviations need."""
 
 
 def require_sensible(*, samples: int, nk: int, integrator: bool = False, **orders: int) -> None:
-    """Refuse more parameters, or a longer delay nk, than a tenth of the measured samples."""
+    """Refuse more parameters, or a larger nk, than a tenth of the number of measured samples."""
     asked = ", ".join(f"{name}={n}" for name, n in orders.items())
     parameters, most = sum(orders.values()) - int(integrator), samples // SAMPLES_PER_PARAMETER
     if not most:

@@ -33,9 +33,9 @@ def pem(
     data : Dataset
         N samples. After each gap in y the past of the noise is estimated again.
     nb, na, nc, nd, nf : int
-        Numbers of coefficients: nb >= 1, and the others >= 0. Use A together with F or D only if
-        input and noise are known to share some poles. Otherwise the data hardly distinguish A from
-        F and D.
+        Numbers of coefficients: nb >= 1, and the others >= 0. Combine A with F, or A with D, only
+        if input and noise are known to share some poles. Otherwise the data hardly distinguish A
+        from F and D.
     nk, offset, initial, stable, starts
         As in `armax`.
 

@@ -25,7 +25,7 @@ class Solution:
     given: tuple[LinearPart, ...]
     """Linear equation of each experiment."""
     e: Array
-    """Residuals of all experiments, 0 in rows without an error, (M,)."""
+    """Residuals of all experiments, (M,); 0 in a row that has no residual."""
     by_ab: Array
     """Derivatives of the prediction with respect to (a, b), less their projection on the unknown
     past, (M, na + nb)."""
@@ -47,17 +47,17 @@ class Solution:
 class PredictionErrorProblem:
     """Problem min |(D/C) (A y - (B/F) u) - unknown past|² over all polynomials and experiments.
 
-    The errors are linear in A, B and the unknown past, which are projected out. The search is over
-    the coefficients of C, D and F only: variable projection with Kaufman's Jacobian. The gradient
-    from this Jacobian is exact.
+    The errors are linear in A, B and the unknown past. These three are therefore projected out. The
+    search is over the coefficients of C, D and F only. This method is variable projection with
+    Kaufman's Jacobian. The gradient from this Jacobian is exact.
 
-    After each gap, free pulses represent the unknown past of the noise. The pulses also fit part of
-    the noise itself, so that many gaps bias C. With 3 % of 2000 samples missing, the bias is 0.7
-    standard deviations. Therefore the pulses are integrated out with a flat prior. The cost is then
-    |e|² |Z^T Z|^(1/M). Z has the columns of the pulses, and M is the number of errors less the
-    number of pulses. Z excludes the first stretch, so that data without gaps are fitted by plain
-    least squares. The factor |Z^T Z|^(1/M) corrects C but not D. With the same missing samples, the
-    bias of D remains 0.4 standard deviations.
+    After each gap, pulses with estimated heights represent the unknown past of the noise. The
+    pulses also fit part of the noise itself, so that many gaps bias C. If 3 % of 2000 samples are
+    missing, the bias is 0.7 standard deviations. Therefore the pulses are integrated out with a
+    flat prior. The cost is then |e|² |Z^T Z|^(1/M). The columns of Z are the pulses, and M is the
+    number of errors minus the number of pulses. Z excludes the first stretch, so that data without
+    gaps are fitted by plain least squares. The factor |Z^T Z|^(1/M) corrects C but not D. With the
+    same missing samples, the bias of D remains 0.4 standard deviations.
 
     References
     ----------
@@ -127,7 +127,7 @@ class PredictionErrorProblem:
         return float(e @ e) * float(np.exp(2 * self._scale(given)[0]))
 
     def _scale(self, given: Sequence[LinearPart]) -> tuple[float, Array]:
-        """Return log |Z^T Z| / (2 M) of all stretches but the first, and its gradient in c."""
+        """Return log |Z^T Z| / (2 M) for all stretches except the first, and its gradient in c."""
         volumes = [v() for v in [v for g in given for v in g.unknown.volumes][1:]]
         none = np.zeros(self.structure.nc)
         if not volumes:

@@ -28,9 +28,11 @@ from armrig.numerics.polynomial import Array, roots
 from armrig.numerics.quantities import plural
 
 PART_SAMPLES = 3000
-"""Length of the part on which searches start, if the data have more than twice as many samples."""
+"""Number of samples of the part on which searches start. Only data with more than twice this number
+of samples have such a part."""
 MAX_PULSE_SHARE = 0.01
-"""Number of pulses after gaps over the number of errors, above which a fit has a warning."""
+"""Number of pulses after gaps, divided by the number of errors; a fit with a larger ratio has a
+warning."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
@@ -59,7 +61,7 @@ def searched(
     Parameters
     ----------
     structure : Structure
-        Orders without the integrator, not at rest.
+        Orders without the root of the integrator; `initial` replaces its `at_rest`.
     name : str
         Name of the structure, for the `Fit`.
     orders : str
@@ -136,7 +138,7 @@ def _part(data: Dataset, structure: Structure) -> PredictionErrorProblem | None:
 
 
 def _nuisance(problem: PredictionErrorProblem) -> int:
-    """Return the number of samples or parameters that determine the unknown past."""
+    """Return the number of samples that are needed to determine the unknown past."""
     n = problem.structure
     state = (n.count + n.trend) * len(problem.experiments)
     return state + sum(
@@ -315,7 +317,7 @@ def _gap_warnings(unknown: list[Unknown], N: int) -> Iterator[EstimateFinding]:
 def curvature(
     problem: PredictionErrorProblem, theta: Array, covariance: Array, noise_variance: float
 ) -> float:
-    """Return the largest |ln r|, with r the rise of the loss over the rise of its parabola.
+    """Return the largest |ln r|; r is the rise of the loss divided by the rise of its parabola.
 
     Both rises are computed two standard deviations from the minimum, in both directions of each
     principal axis v. The axes are those of the scaled covariance of (c, d, f). At each point a and

@@ -59,7 +59,7 @@ class RarxState:
 
     @property
     def noise_variance(self) -> float:
-        """Weighted sum of squared errors over its degrees of freedom; NaN if there are none.
+        """Weighted sum of squared errors divided by its degrees of freedom; NaN if there are none.
 
         With the weights w = lambda^k the degrees of freedom are sum w - d (sum w²) / (sum w). This
         is their expected value for white noise and a stationary input.
@@ -71,8 +71,8 @@ class RarxState:
     def std(self) -> Vector:
         """Standard deviations of theta (d,), for white noise; inf if theta is not determined.
 
-        With the weights w = lambda^k the covariance is s² G^-1 (sum of w² phi phi^T) G^-1, G
-        being the sum of w phi phi^T. For a stationary input the middle factor is
+        With the weights w = lambda^k the covariance is s² G^-1 (sum of w² phi phi^T) G^-1. G is the
+        sum of w phi phi^T, and s² is `noise_variance`. For a stationary input the middle factor is
         G (sum of w²) / (sum of w).
         """
         if not self.determined:
@@ -108,11 +108,12 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
     Parameters
     ----------
     na, nb : int
-        Number of a's, >= 0, and of b's, >= 1.
+        Numbers of coefficients of A and of B, na >= 0 and nb >= 1.
     nk : int, default 1
         Samples before u reaches y; 0 is a direct term.
     forgetting : float, default 1
-        Factor lambda in (0, 1]; the memory is about 1/(1 - lambda) samples, unlimited for 1.
+        Factor lambda in (0, 1]; the memory is about 1/(1 - lambda) samples, and unlimited for
+        lambda = 1.
 
     Raises
     ------
@@ -141,7 +142,9 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
 
 
 def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
-    """Return the state after a sample: u applied from t on, y measured at t, NaN if missing.
+    """Return the state after the sample at time t.
+
+    u is applied from t on, and y is measured at t. A missing value is NaN.
 
     The triangular factor R of earlier rows is multiplied by sqrt(lambda), and the row [phi y] is
     rotated into it. After N steps the result equals, to rounding, the weighted least-squares

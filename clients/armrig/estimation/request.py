@@ -1,9 +1,9 @@
-"""Request for an estimate, as one value for commands, batches, searches and the page.
+"""Request for an estimate, a value that commands, batches, searches and the dashboard share.
 
 A field with an `Option` is an option of `armrig identify` and `armrig batch identify`. The
 estimator has an argument of the same name. The option also appears in the command printed after
-`next:`. `structure_table` lists the options of each structure. `--help` reads this module, so it
-does not import numpy.
+`next:`. `structure_table` lists the options of each structure. This module does not import numpy,
+because `--help` imports it and must be fast.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Request(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def of_structure(self, structure: OfferedName, orders: dict[str, int]) -> Self:
-        """Return this request for another structure, less the options that this structure lacks."""
+        """Return this request for another structure, without options that `structure` lacks."""
         takes = (*EVERY, *STRUCTURES[structure].takes)
         dropped = {name: DEFAULTS[name] for name in self.asked if name not in takes}
         return msgspec.structs.replace(self, structure=structure, orders=orders, **dropped)

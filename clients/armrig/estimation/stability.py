@@ -35,7 +35,7 @@ def stabilised(p: Array) -> Array:
 
 
 def reflection_warnings(before: Array, after: Array) -> Iterator[EstimateFinding]:
-    """Yield a warning with the number of roots that `stabilised` moved, if it moved any."""
+    """Yield a warning with the number of roots that `stabilised` moved, unless that number is 0."""
     z = np.abs(roots(before))
     moved = z[z >= 1.0 - CIRCLE_ROUNDING]
     if after is not before and moved.size:

@@ -66,9 +66,9 @@ def windows(
     The means of u and y are projected out, because the data may have offsets. Only the first `most`
     windows are used.
 
-    R is the Cholesky factor of the Gram matrix of the windows. The multiplications in
-    `gram_of_windows` number N times the length of a window. If the squares lose too many digits, R
-    is computed by a QR decomposition of the windows.
+    R is the Cholesky factor of the Gram matrix of the windows. `gram_of_windows` needs N times the
+    length of a window multiplications. If the squares lose too many digits, R is computed by a QR
+    decomposition of the windows.
     """
     length = past + future
     parts = list(_whole_stretches(signals, length, most))
@@ -84,7 +84,7 @@ def windows(
 def _whole_stretches(
     signals: Sequence[tuple[Array, Array]], length: int, most: int | None
 ) -> Iterator[tuple[Array, Array]]:
-    """Yield (u, y), less their means, of each stretch without missing y that contains a window."""
+    """Yield (u, y) minus their means for each stretch of complete data that contains a window."""
     runs, left = [], np.inf if most is None else most
     for u, y in signals:
         for s in stretches(np.isfinite(y)):
@@ -137,9 +137,11 @@ def shortened(w: Windows, samples: int) -> Windows:
 
 
 def autoregressive_order(w: Windows) -> int:
-    """Return the order, by AIC, of the regression of y(t) on u(t) and equally many past y and u.
+    """Return the order that AIC chooses for an ARX model.
 
-    So many past samples contain the memory of the predictor, and therefore determine the state.
+    The model of order n predicts y(t) from u(t), n past samples of y and n past samples of u. With
+    the chosen n, the past samples cover the memory of the predictor, and therefore determine the
+    state.
     """
     up, yp = w.columns("up"), w.columns("yp")
     lags = np.column_stack([yp[::-1], up[::-1]]).ravel()
@@ -206,8 +208,8 @@ def suggested_order(w: Windows, found: Projection, most: int) -> int:
     """Return the order of least MDL of the one-step loss, with 3 parameters per state (A, B, K).
 
     The criterion is more reliable than the singular values alone. The criteria were compared in 120
-    trials: four systems of order 2 and 3, N = 500 and 2000, CVA, 25 samples of past and future. MDL
-    chose the true order in 110 trials, and Bauer's criterion [3]_ in 62 trials.
+    trials: four systems of order 2 or 3, N = 500 and N = 2000, CVA weights, 25 past and 25 future
+    samples. MDL chose the true order in 110 trials, and Bauer's criterion [3]_ in 62 trials.
     """
     n = np.arange(1, most + 1)
     return 1 + int(np.argmin(mdl(one_step_losses(w, found, most), 3 * n, w.N)))
@@ -233,10 +235,13 @@ class Realisation:
 
 
 def realised(w: Windows, found: Projection, n: int) -> Realisation:
-    """Return A from the shift of the observability matrix, and A - K C from the states' residuals.
+    """Return A and the eigenvalues of A - K C for n states.
 
-    The states at t and t + 1 are computed by two projections. K is computed from the covariance of
-    their residuals by the Riccati equation.
+    A follows from the shift of the observability matrix, and A - K C from the residuals of the
+    states.
+
+    The states at t and t + 1 are computed by two projections. The Riccati equation with the
+    covariance of the residuals of these projections determines K.
     """
     f = w.future
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
@@ -262,7 +267,7 @@ def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
     """Return the eigenvalues of A - K C of the steady Kalman filter, or None if there is none.
 
     With F = A - S C / r, the Riccati equation has the pencil below. The eigenvalues of A - K C are
-    those eigenvalues of the pencil that are inside the unit circle ::
+    the eigenvalues of the pencil that are inside the unit circle ::
 
         | F^T               0 |       | I  C C^T / r |
         | (S S^T / r - Q)   I | - z * | 0  F         |

@@ -68,9 +68,10 @@ def usable_windows(
 
 
 def longest_horizon(signals: Signals, samples: int, order: int | None) -> int:
-    """Return the larger of 2 (order + 1) and the order of an ARX model by AIC, limited to 10 to 30.
+    """Return the largest of three numbers: 10, 2 (order + 1), and the order of an ARX model.
 
-    The horizon of short data is at most a twelfth of the number of samples, but at least order + 2.
+    AIC chooses the order of the ARX model, at most 30. The horizon of short data is at most a
+    twelfth of the number of samples, but at least order + 2.
     """
     least = 2 if order is None else order + 2
     most = max(samples // 12, least)
@@ -81,11 +82,12 @@ def longest_horizon(signals: Signals, samples: int, order: int | None) -> int:
 
 
 def least_loss(signals: Signals, models: Sequence[tuple[Array, Array]], *, direct: bool) -> int:
-    """Return the index of the model (A, C) with the least one-step loss, each with its best B.
+    """Return the index of the model (A, C) with the least one-step loss.
 
-    The loss of A y = B u + C e is computed over the longest stretches without missing y, at most
-    2000 samples in all. A level and the predictor's initial state are fitted for each stretch. If
-    the data have no noise, the losses do not differ and the index is 0.
+    B of each model is chosen so that the loss is least. The loss of A y = B u + C e is computed
+    over the longest stretches without missing y, at most 2000 samples in all. A level and the
+    predictor's initial state are fitted for each stretch. If the data have no noise, the losses do
+    not differ and the index is 0.
     """
     parts = _longest_stretches(signals)
     scale = sum(float(y @ y) for _, y in parts)
@@ -169,10 +171,10 @@ def best_poles(
     """Return the poles for the horizon of `w` or for order + 2, by the lower one-step loss.
 
     For white noise on the output, the memory of the predictor is long, and the past must be long.
-    If the noise has the poles of A, a long past is of no use and reduces the accuracy for short
-    data. An example is an ARMAX system of order 4 at N = 300. Its loss exceeded the least possible
-    loss by 29 % with a horizon of 10, and by 5 % with a horizon of 6. For white noise on the
-    output, the loss was 6 % too large with a horizon of 10, and 10 % with a horizon of 6. The
+    If the noise has the poles of A, a long past is of no use, and it reduces the accuracy if the
+    data are short. An example is an ARMAX system of order 4 at N = 300. Its loss exceeded the least
+    possible loss by 29 % with a horizon of 10, and by 5 % with a horizon of 6. For white noise on
+    the output, the loss was 6 % too large with a horizon of 10, and 10 % with a horizon of 6. The
     losses can be compared because both models have the same number of parameters.
     """
     long = poles_at(w, found, order, integrator=integrator)

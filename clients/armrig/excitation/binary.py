@@ -1,4 +1,4 @@
-"""Signals of two levels, which have the largest possible power in an interval, and white noise."""
+"""White noise, and signals of two levels, which have the largest possible power in an interval."""
 
 from __future__ import annotations
 
@@ -85,7 +85,8 @@ def prbs(
     Parameters
     ----------
     N : int
-        Number of samples, >= 1. For whole periods N must be a multiple of (2^register - 1) clock.
+        Number of samples, >= 1. The signal has whole periods only if N is a multiple of (2^register
+        - 1) times `clock`.
     clock : int, default 1
         Number of samples for which each value is held, >= 1. A longer clock concentrates the power
         below 2.8 / (clock Ts) rad/s.

@@ -25,9 +25,9 @@ def from_csv(
 ) -> Vector:
     """Return the input (N,) from a text file, after a check of its times against Ts.
 
-    A row contains u in V, or t in s and u in V. The first row may contain the names t and u, in any
-    order of the columns. Columns are separated by comma, semicolon or white space. A line that
-    begins with # is skipped.
+    A row contains u in V, or t in s and u in V. The first row may contain the names t and u. The
+    columns may then have any order. Columns are separated by comma, semicolon or white space. A
+    line that begins with # is skipped.
 
     Parameters
     ----------
@@ -35,8 +35,8 @@ def from_csv(
         Text file.
     Ts : float
         Sampling time of the run, in s. According to section 3.2 of the handout, the time vector
-        "must agree with the chosen step size". The t of sample k may differ from the first t + k Ts
-        by a hundredth of Ts.
+        "must agree with the chosen step size". The expected time of sample k is the time of the
+        first sample plus k Ts. The time in the file may differ from it by a hundredth of Ts.
     low, high : float
         Allowed interval of u in V, 0 <= low < high <= 5.
 
@@ -101,7 +101,7 @@ def _require_times(path: str | Path, t: Vector, rows: list[int], Ts: float) -> N
 
 
 def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], list[int]]:
-    """Return (t, u), with None if there is no t, and the line number of each row, from 1."""
+    """Return (t, u) and the line number of each row, counted from 1; t may be None."""
     lines: list[str] = []
     rows: list[int] = []
     for number, line in enumerate(text.translate(_SEPARATORS).splitlines(), start=1):
@@ -153,7 +153,7 @@ def _unreadable(path: str | Path, lines: list[str], rows: list[int]) -> str:
                 "(with a point, not a comma, before the decimals)"
             )
         if not all(map(_is_number, words)):
-            return f"{path}, row {row}: {' '.join(words)!r} is not a number a column"
+            return f"{path}, row {row}: {' '.join(words)!r} must be one number in each column"
     return f"{path}: its rows cannot be read as numbers"
 
 

@@ -97,7 +97,7 @@ class InputDescription:
             return "it determines a static gain, but no dynamics; use more switches"
         more = ", and perhaps for more" if self.order == self.highest_order else ""
         many = f"enough for {self.order} parameters of B and F (or B and A) together{more}"
-        return f"{many}; least power {self.weakest:.2g} of a white signal's"
+        return f"{many}; least power {self.weakest:.2g} times the power of white noise"
 
 
 def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
@@ -107,8 +107,8 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     is positive definite. A model with nb + nf parameters needs the order nb + nf. The order is
     computed for each half of u, and the lower order is returned. Therefore an input that moves only
     once, such as a step, has order 1. The computed order is limited by double precision. For sines
-    in a narrow band (a chirp, a low multisine) it is less than twice the number of sines, because a
-    few consecutive samples hardly distinguish them.
+    in a narrow band (a chirp, a low multisine) the computed order is less than twice the number of
+    sines, because a few consecutive samples hardly distinguish them.
 
     Parameters
     ----------

@@ -55,7 +55,7 @@ def named_signal(
     if name == "chirp":
         to_hz = 0.25 / Ts
         return chirp(N, Ts, to_hz / 100, to_hz, low, high, sweep="logarithmic")
-    raise InputError(f"input {name!r}: there are {', '.join(NAMES)}")
+    raise InputError(f"input {name!r} is not one of {', '.join(NAMES)}")
 
 
 def details_of(name: str, *, a: float, low: float, high: float, seed: int) -> dict[str, Any]:

@@ -71,7 +71,7 @@ def multisine(
     P = N // periods
     if P < 3:
         raise InputError(
-            f"a period of N/periods={P} samples has no line; it needs at least 3 samples"
+            f"a period of N/periods={P} samples has no line; a period needs at least 3 samples"
         )
     l = _lines(lines, P)  # noqa: E741 - the textbook's letter
     X = np.zeros(P // 2 + 1, dtype=np.complex128)

@@ -38,7 +38,8 @@ MAX_STEAL_SHARE = 0.01
 MIN_FREE_BYTES = 1 << 30
 """Least free space for recordings, in B; a recording at 2 kHz needs about 15 MB per minute."""
 _PRIORITY_FIELD = 15
-"""Index of the priority in proc_pid_stat(5), counted after the name; real time is negative."""
+"""Index of the priority in proc_pid_stat(5), counted after the name; a real-time priority is
+negative."""
 _SOCKET = "unixsock-stream/"
 _BUSY_COSTS = "any busy program delays ticks by milliseconds"
 _PAGE_COSTS = "a page that was swapped out delays a tick by milliseconds"
@@ -68,7 +69,7 @@ def _daemon_of(rig: str, connect: str | None) -> tuple[StatusReport | None, str]
     if not where.startswith(_SOCKET):
         if connect:
             raise InputError(
-                f"--connect {connect}: the doctor examines this machine: give {_SOCKET}PATH"
+                f"--connect {connect}: the doctor examines only this machine; give {_SOCKET}PATH"
             )
         return None, ""  # `[client]` names another machine
     is_expected = bool(connect) or is_served(rig)

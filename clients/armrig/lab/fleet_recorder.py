@@ -29,9 +29,9 @@ from armrig.rig.remote_recording import (
 _LOOK_INTERVAL_S = 1.0
 _BEGIN_INTERVAL_S = 0.2
 _DISK_PAUSE_S = 60.0
-"""Least time in s between an end of a rig's recording by a full disk and its next recording."""
+"""Least pause, in s, before the next recording of a rig whose recording ended on a full disk."""
 _MIN_FREE_BYTES = 64 << 20
-"""Least free space, in B, for the next recording after a full disk."""
+"""Least free space, in B, for the next recording of such a rig."""
 
 
 @dataclass(slots=True)
@@ -43,7 +43,7 @@ class RigRecorded:
     why: str = ""
     """Reason for an early end; "" if the recording did not end early."""
     again_s: float = float("inf")
-    """Earliest time of the rig's next recording, on the monotonic clock; inf for no recording."""
+    """Earliest time of the rig's next recording, on the monotonic clock; inf if none follows."""
 
 
 class FleetRecorder:
@@ -113,7 +113,11 @@ class FleetRecorder:
             self._tell_error(f"rig {recorded.rig}: its recording ended: {err}")
 
     def _may_begin(self, rig: str) -> bool:
-        """Return True for a rig that was not recorded yet, or after a full disk has space again."""
+        """Return True if a recording of a rig may begin.
+
+        The rig was not recorded yet; or its recording ended on a full disk, and the disk has space
+        again.
+        """
         if rig not in self._threads:
             return True
         if self._threads[rig].is_alive() or time.monotonic() < self._recorded[rig].again_s:

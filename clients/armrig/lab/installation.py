@@ -152,7 +152,7 @@ class Unit:
 
 
 def parts_of(root: Path) -> set[Part]:
-    """Return the parts of which a file is installed."""
+    """Return the parts that have at least one installed file."""
     return {file.part for file in files(root) if file.part and file.state != "missing"}
 
 
@@ -177,7 +177,10 @@ def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
 
 
 def installing(root: Path, parts: Collection[Part] = _RIG_PARTS) -> Plan:
-    """Return the plan that installs these parts and updates installed parts; it is idempotent."""
+    """Return the plan that installs these parts and updates installed parts.
+
+    The plan leaves files that are up to date as they are.
+    """
     at = _at(root)
     last = [("systemd-sysusers", *at), ("systemd-tmpfiles", *at, "--create", "armrig.conf")]
     wanted = files(root, {*parts, *parts_of(root)})
@@ -259,7 +262,8 @@ def _program() -> str:
         if hidden:
             raise InputError(
                 f"{needed}: the service cannot see {hidden}; install armrig into "
-                "/opt/armrig with /usr/bin/python3, and run its armrig service install"
+                "/opt/armrig with /usr/bin/python3, and run "
+                "`/opt/armrig/bin/armrig service install`"
             )
     return str(program)
 

@@ -1,9 +1,9 @@
 """Small certificate authority: keys and certificates for rigs and their users.
 
-Keys are on P-256, and signatures are ECDSA with SHA-256, which all TLS 1.3 implementations know. A
-certificate contains its purpose. A client therefore refuses an operator's certificate in place of a
-rig's or a router's certificate. No issued certificate can sign others. A rig's certificate permits
-a connection to a router, but no command and no reading of streams.
+Keys are on P-256, and signatures are ECDSA with SHA-256. All TLS 1.3 implementations support both.
+A certificate contains its purpose. A client therefore refuses an operator's certificate in place of
+a rig's or a router's certificate. No issued certificate can sign others. A rig's certificate
+permits a connection to a router, but no command and no reading of streams.
 """
 
 from __future__ import annotations
@@ -190,8 +190,8 @@ def issued(directory: Path) -> list[Issued]:
 def _refuse_revoked(directory: Path, name: str) -> None:
     if read_access_list(directory / ACCESS_LIST).role(check_name(name)) == "revoked":
         raise InputError(
-            f"{name!r} was revoked: the stolen certificate would be valid again; use another "
-            f"name, such as {name[:38]}-2"
+            f"{name!r} was revoked; with a new certificate for this name, the stolen certificate "
+            f"would be valid again; use another name, such as {name[:38]}-2"
         )
 
 

@@ -37,14 +37,14 @@ SCALARS = (
 DRAWS = 400
 """Number of draws of the parameters for the ranges."""
 MAX_INVALID_SHARE = 0.05
-"""Largest share of draws in which a number, such as a resonance, may be missing for a range."""
+"""A number, such as a resonance, has a range only if at most this share of the draws lacks it."""
 _SPREAD_ROUNDING = 1e-9  # relative spread of draws up to which the spread is rounding
 _DIFFERENCE_SIGMAS = 1e-2  # step of the central differences, in standard deviations
 _FREQUENCY_POINTS = 600
 _MIN_NYQUIST_SHARE = 1 / 3000  # lowest frequency of the grid, as a share of the Nyquist frequency
 _MAX_STEP_SAMPLES = 2000
 CANCELLATION_LEVEL = 0.01
-"""p value from which a pole and a zero cannot be distinguished."""
+"""Least p value at which a pole and a zero cannot be distinguished."""
 _MAX_PAIR_DISTANCE = 0.3  # largest distance in the z plane at which a pair is tested
 _REAL_TOLERANCE = 1e-9
 
@@ -81,8 +81,8 @@ class ModelCharacteristics:
     std: dict[str, float]
     """Linearised standard deviations by name; NaN if not known, 0 for a physical model."""
     ranges: dict[str, Band]
-    """95 % ranges by name, linearised, or by draws of the parameters if the linearisation is poor;
-    NaN if not known."""
+    """95 % ranges by name; NaN if not known. A range is linearised, or computed from draws of the
+    parameters if the linearisation is poor."""
     poles_sampled: NDArray[np.bool_]
     """Mask of the poles for which the linearisation, and therefore `poles_std`, is poor."""
     draws: Draws | None
@@ -94,11 +94,11 @@ def model_characteristics(model: Model) -> ModelCharacteristics:
 
     The frequencies are searched on |G|, first on a grid of 600 points up to the Nyquist frequency,
     then between the points. The times are computed from the step response. A standard deviation is
-    the square root of g^T P g, with the trusted covariance P and the gradient g in theta. g is
-    computed by central differences with a step of a hundredth of a standard deviation. If the
-    number does not exist at both ends of the step, its standard deviation is NaN. A range is value
-    ± 1.96 std. If the linearisation is poor, the range is computed from 400 draws of the parameters
-    (see `armrig.numerics.confidence_regions`).
+    the square root of g^T P g, with the trusted covariance P and the gradient g in theta. The
+    gradient is computed by central differences with a step of a hundredth of a standard deviation.
+    If the number does not exist at one end of the step, its standard deviation is NaN. A range is
+    value ± 1.96 std. If the linearisation is poor, the range is computed from 400 draws of the
+    parameters (see `armrig.numerics.confidence_regions`).
     """
     integrating = integrates(model)
     own = _scalars(model, model.theta, integrating=integrating)
@@ -250,10 +250,11 @@ def _length(modulus: Vector) -> int:
 def _extreme(
     omega: Vector, of_grid: Vector, power: Callable[[float], float], *, sign: int
 ) -> float:
-    """Return the frequency of the most prominent peak (dip if sign is -1) of at least 1 dB, or NaN.
+    """Return the frequency of the most prominent peak of at least 1 dB, or NaN.
 
-    The peak is found on the grid, and then refined between the neighbouring points. The refinement
-    uses |G|², because |G|² is smooth at a zero of |G|.
+    If sign is -1, the function searches a dip instead. The peak is found on the grid, and then
+    refined between the neighbouring points. The refinement uses |G|², because |G|² is smooth at a
+    zero of |G|.
     """
     from scipy.optimize import minimize_scalar
     from scipy.signal import find_peaks
@@ -294,9 +295,9 @@ def _first_below(x: Vector, y: Vector, level: float) -> float:
 
 
 def overlapping(model: Model) -> list[tuple[complex, complex, float]]:
-    """Return pole, zero and p value of pairs that cannot be distinguished at 1 %, nearest first.
+    """Return the pole, zero and p value of each pair that cannot be distinguished at the 1 % level.
 
-    The difference of a pole and a zero has the covariance J P J^T, with the derivatives J of the
+    The nearest pair is first. The difference of a pole and a zero has the covariance J P J^T, with the derivatives J of the
     difference with respect to theta. If the order is too high, the pole and the zero vary together
     and only their difference is small. A conjugate pair is listed once.
     """

@@ -46,7 +46,8 @@ class Estimate(Model):
     covariance_robust: Matrix
     """Covariance of theta, sandwich form; also valid if the residuals are coloured."""
     noise_variance: float
-    """Estimate of lambda, the variance of e, with the degrees of freedom subtracted."""
+    """Estimate of lambda, the variance of e: the sum of squared residuals divided by its degrees of
+    freedom."""
     loss: float
     """Mean squared residual (one step ahead) on the estimation data."""
     N: int
@@ -64,8 +65,9 @@ class Estimate(Model):
     agreed: bool = True
     """True if all starts led to the same minimum."""
     curvature: float = 0.0
-    """Deviation of the loss from the parabola that `std` assumes: |ln| of the ratio of their rises,
-    two standard deviations from the minimum. 0 for a linear regression and in older files."""
+    """Deviation of the loss from the parabola that `std` assumes. The deviation is |ln r|, with r
+    the rise of the loss divided by the rise of the parabola, two standard deviations from the
+    minimum. It is 0 for a linear regression and in older files."""
     free: tuple[FreeResponse, ...] = ()
     """Initial state and input offset of each experiment, estimated with theta."""
     findings: tuple[EstimateFinding, ...] = ()
@@ -125,7 +127,8 @@ class Estimate(Model):
 
     @property
     def trusts_coefficients(self) -> bool:
-        """True if the coefficients' standard deviations, not only those of responses, hold."""
+        """True if the standard deviations of the coefficients are valid, not only of the
+        responses."""
         return self.curvature <= MAX_TRUSTED_CURVATURE
 
     @property
@@ -152,7 +155,7 @@ class Estimate(Model):
         return float(criteria.mdl(self.loss, self.parameters, self.N))
 
     def estimated_from(self, data: Dataset) -> bool:
-        """Return whether the model was estimated from the same data."""
+        """Return whether the model was estimated from these data."""
         return bool(self.digest) and self.digest == data.digest
 
     def noise_spectrum(self, omega: ArrayLike) -> NoiseSpectrum:

@@ -67,8 +67,8 @@ def plot_bode(
         do not include the smoothing bias. A dot is hollow if u explains less than half of y's
         power.
     omega : array_like, optional
-        Frequencies in rad/s. The default range is 1/600 of the highest Nyquist frequency to this
-        Nyquist frequency.
+        Frequencies in rad/s. The default range ends at the highest Nyquist frequency of the models
+        and begins at 1/600 of it.
     """
     highest = max((np.pi / m.Ts for m in models if hasattr(m, "Ts")), default=1e3)
     w = (

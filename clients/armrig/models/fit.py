@@ -26,8 +26,8 @@ class Fit(Estimate):
 
         The initial state is estimated from the data by least squares. With an integrator, or if the
         model has `offset`, the input offset is estimated too. ŷ is NaN if the past is not yet
-        known. For a model without C, ŷ is NaN at the beginning. For a noise model, ŷ is NaN within
-        `horizon` of a gap.
+        known. For a model without C, ŷ is NaN at the beginning. For a model with C or D, ŷ is NaN
+        during a gap and for at least the next `horizon` - 1 samples.
         """
         from armrig.models.prediction import predicted
 

@@ -94,10 +94,10 @@ class Unknown:
     noise: tuple[tuple[slice, Array], ...]
     """Rows and basis of z for each stretch, until the impulse response of 1/C has decayed to 0."""
     state: Basis
-    """Basis of x and trend, less their projection on `noise`, on the first rows."""
+    """Basis of x and the trend, minus their projection on `noise`; it has only the first rows."""
     volumes: tuple[Callable[[], tuple[float, Array]], ...]
-    """Function of each stretch that returns log |Z^T Z| and its gradient in c. Z has the columns of
-    the pulses z. The functions are called from the second stretch on."""
+    """Function of each stretch that returns log |Z^T Z| and its gradient in c. The columns of Z are
+    the pulses z. The function of the first stretch is never called."""
     N: int
     """Number of samples."""
 

@@ -112,11 +112,11 @@ class Model:
 
     @property
     def parameters(self) -> int:
-        """Number of free parameters: one less than theta has if a root is 1 by construction."""
+        """Number of free parameters: d, or d - 1 if a root is 1 by construction."""
         return int(self.theta.size) - int(self.integrator)
 
     def estimated_from(self, data: Dataset) -> bool:
-        """Return whether the model was estimated from the same data."""
+        """Return whether the model was estimated from these data."""
         return False
 
     @property

@@ -30,7 +30,7 @@ _FIGURES = ("noise_variance", "loss", "Ts", "fit_percent", "whiteness")
 
 
 def load_fit(path: str | PathLike[str]) -> Fit:
-    """Return the model from a file that `Fit.save` wrote; all numbers are equal.
+    """Return the model from a file that `Fit.save` wrote; no number changes.
 
     Raises
     ------

@@ -33,7 +33,7 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Draws:
-    """Draws from N(theta, P), less degenerate draws and, for a stable model, unstable draws."""
+    """Draws from N(theta, P) without degenerate draws and, for a stable model, unstable draws."""
 
     theta: Matrix
     """Parameters of the accepted draws, (n, d)."""
@@ -108,7 +108,8 @@ def directions(model: Model) -> Matrix:
 
 
 def _stable(model: Model, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the draws with all poles, but a fixed pole at 1, inside the unit circle."""
+    """Return a mask of the draws with all poles inside the unit circle; a pole fixed at 1 is
+    ignored."""
     inside = np.ones(theta.shape[0], dtype=bool)
     for letter in "af":
         z = roots_of(model, theta, letter, known)
@@ -117,7 +118,7 @@ def _stable(model: Model, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np
 
 
 def polynomial_of(model: Model, theta: Matrix, letter: str) -> Matrix:
-    """Return one polynomial of each draw, one row each; B includes its nk zeros."""
+    """Return one polynomial of each draw; each row is a draw, and B includes its nk zeros."""
     free = theta[:, model.slice_of(letter)]
     before = np.zeros((theta.shape[0], model.nk)) if letter == "b" else np.ones((theta.shape[0], 1))
     return np.hstack([before, free])
@@ -146,7 +147,8 @@ def roots_of(
 
 
 def _integrator_maps(model: Model) -> tuple[Matrix, Matrix]:
-    """Return the linear maps from theta to the free parameters and from these to theta."""
+    """Return the linear maps from theta to the free parameters and from the free parameters to
+    theta."""
     d = model.theta.size
     if not model.integrating:
         return np.eye(d), np.eye(d)

@@ -105,9 +105,9 @@ def _arx_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
 def _known_past(model: Model, part: Dataset) -> Array:
     """Return E[y(t-1) … y(t-na) | data to t-1], (N, na); NaN before the first na measured samples.
 
-    If all na samples were measured, these are the result. During and after a gap, a Kalman filter
-    estimates the samples, starting from the last na measured samples. If y is missing, the filter
-    is not updated.
+    If all na samples were measured, the result contains the measured samples. During and after a
+    gap, a Kalman filter estimates the samples, starting from the last na measured samples. If y is
+    missing, the filter is not updated.
     """
     na = model.A.size - 1
     a = model.A[1:]
@@ -184,7 +184,7 @@ def _require_horizon(horizon: object) -> None:
 
 
 def require_same_signals(model: Model, data: Dataset) -> None:
-    """Refuse data whose output, unit or sampling time differs from that of the model.
+    """Refuse data that differ from the model in output, unit or sampling time.
 
     An empty name or unit matches any other. The name y counts as empty.
     """

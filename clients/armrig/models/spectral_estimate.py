@@ -43,7 +43,8 @@ class SpectralEstimate:
     noise_only_std: Vector | None = None
     """Standard deviation of G due to the noise alone, (n,) (see `bla`)."""
     nonlinear_std: Vector | None = None
-    """Standard deviation of G between realisations, less the part of noise, (n,) (see `bla`)."""
+    """Standard deviation of G between realisations without the part due to noise, (n,) (see
+    `bla`)."""
     method: str
     """Method of the estimate, as text."""
     integrator: bool
@@ -160,7 +161,11 @@ def high_slope(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> float:
 
 
 def high_band(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return the indices of the highest third of a decade, below 0.6 Nyquist if possible."""
+    """Return the indices of the frequencies in the highest third of a decade.
+
+    If possible, the frequencies are below 0.6 times the Nyquist frequency. At least three
+    frequencies are returned if there are as many.
+    """
     omega = estimate.omega[believed]
     top = np.minimum(omega[-1:], 0.6 * np.pi / estimate.Ts)
     high = believed[(omega <= top) & (omega >= top / 10 ** (1 / 3))]
@@ -177,10 +182,10 @@ def phase_delay(
 ) -> float:
     """Return the mean of -(arg sign G - 90° roll_off/20)/omega over `high_band`, in s.
 
-    The phase is known only up to full turns, so only the excess over the delay `shown`, in s, is
-    computed from it. If the slope of |G| is nearly constant, the phase of a minimum-phase system is
-    about 90° for each 20 dB per decade (H. W. Bode, *Network Analysis and Feedback Amplifier
-    Design*, 1945).
+    The phase is known only up to full turns. Therefore only the excess over the delay `shown`, in
+    s, is computed from the phase. If the slope of |G| is nearly constant, the phase of a
+    minimum-phase system is about 90° for each 20 dB per decade (H. W. Bode, *Network Analysis and
+    Feedback Amplifier Design*, 1945).
     """
     high = high_band(estimate, believed)
     if not high.size:

@@ -22,13 +22,13 @@ class Structure:
     nk: int
     """Samples before u reaches y."""
     na: int = 0
-    """Coefficients of A after the 1."""
+    """Number of coefficients of A after the leading 1."""
     nc: int = 0
-    """Coefficients of C after the 1."""
+    """Number of coefficients of C after the leading 1."""
     nd: int = 0
-    """Coefficients of D after the 1."""
+    """Number of coefficients of D after the leading 1."""
     nf: int = 0
-    """Coefficients of F after the 1."""
+    """Number of coefficients of F after the leading 1."""
     integrator: Literal["", "a", "f"] = ""
     """Polynomial with the additional factor 1 - q^-1."""
     offset: bool = False
@@ -83,7 +83,8 @@ class FreeResponse:
     """Nuisance parameters of one experiment, estimated with the model."""
 
     transients: tuple[float, ...]
-    """Pulses at the first samples, in the unit of y, that replace the unknown past through 1/F."""
+    """Heights of the pulses at the first samples, in the unit of y. The pulses, filtered by 1/F,
+    replace the unknown past."""
     level: float = 0.0
     """Constant part of an integrating output, in the unit of y."""
     offset: float = 0.0

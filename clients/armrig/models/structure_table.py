@@ -1,8 +1,8 @@
 """Table of the structures that can be estimated, with one specification for each.
 
-The table defines the options and help of `armrig identify` and `armrig batch`, the structures of
-a search, the command after `next:`, and the table in docs/experiments.md. `--help` reads this
-module, so it does not import numpy. The estimator of NAME is the function NAME in
+The table defines the options and help of `armrig identify` and `armrig batch`, the structures of a
+search, the command after `next:`, and the table in docs/experiments.md. This module does not import
+numpy, because `--help` imports it and must be fast. The estimator of NAME is the function NAME in
 `armrig.estimation.NAME`.
 """
 

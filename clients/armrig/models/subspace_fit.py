@@ -33,8 +33,8 @@ class SubspaceFit(Fit):
     """Singular values of the weighted projection of the future on the past, largest first,
     (horizon,)."""
     canonical_correlations: Vector
-    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. They are the
-    singular values for the weights "cva", for any `weights`."""
+    """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. With any
+    `weights`, they equal the singular values that the weights "cva" would lead to."""
     suggested_order: int
     """Order of least MDL, at most 10, computed from the one-step errors of the states."""
 

@@ -55,9 +55,10 @@ def zero_regions(model: Model, draws: Draws | None = None) -> list[Region]:
 def frequency_bands(
     model: Model, answer: FrequencyResponse, draws: Draws | None
 ) -> tuple[Band, Band]:
-    """Return the 95 % band of |G|, and that of arg G in rad relative to arg G of the answer.
+    """Return the 95 % band of |G| and the 95 % band of the phase of G.
 
-    Without draws the bands are linearised.
+    The band of the phase, in rad, is relative to the phase of `answer`. Without draws the bands are
+    linearised.
     """
     G = answer.G
     magnitudes = phases = None

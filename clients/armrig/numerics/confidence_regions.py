@@ -11,7 +11,7 @@ Two roots that may be a conjugate pair or two real roots are no smooth functions
 Their mean and the square of half their difference are smooth. For a pair x ± iy these are x and
 -y². Therefore the region of the pairs is computed in the plane of (x, -y²), in which the region
 does not fold at the real axis. For the draws with real roots there is a separate interval. The
-region contains 95 % of the pairs, and the interval 95 % of the real roots. The coverage is
+region contains 95 % of the pairs, and the interval contains 95 % of the real roots. The coverage is
 therefore 95 % whether the true root is real or one of a pair.
 
 References
@@ -43,7 +43,7 @@ MAX_EDGE_SHIFT = 0.25
 """Largest distance between an edge by draws and the linearised edge, in linearised half-widths, at
 which the linearisation is used."""
 OUTSIDE_RANGE = (0.025, 0.10)
-"""Range of the share of draws outside a linearised ellipse in which the linearisation is used."""
+"""Least and largest share of draws outside a linearised ellipse at which the ellipse is used."""
 MIN_DRAWS = 100  # fewer draws do not determine a 2.5 % quantile
 
 

@@ -282,7 +282,7 @@ def test_a_file_is_read_as_people_write_them(tmp_path: Path, text: str) -> None:
         ("0,1\nnan,2\n", "row 2: t=nan s"),
         ("t,u\n0,1\n0.01,-1\n0.02,7\n", r"row 3: u=-1 V \(sample 1\) is outside 0 to 5 V.* 2 of 3"),
         ("1\n2\nnan\n", "row 3: u=nan V"),
-        ("0,1\n0.01,two\n", "row 2: '0.01 two' is not a number a column"),
+        ("0,1\n0.01,two\n", "row 2: '0.01 two' must be one number in each column"),
         ("0,1\n0.01\n", "row 2: 1 columns"),
         ("0,1,2\n", "row 1: 3 columns"),
         ("0;1,5\n", "row 1: 3 columns.*with a point, not a comma"),
@@ -316,7 +316,7 @@ def test_every_input_by_name_is_as_long_and_inside(name: str) -> None:
 
 
 def test_an_input_that_has_no_name_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"input 'noise': there are telegraph, prbs, white"):
+    with pytest.raises(ValueError, match=r"input 'noise' is not one of telegraph, prbs, white"):
         named_signal("noise", 10, 0.01, a=0.05, low=1, high=2, seed=1)
 
 

@@ -349,7 +349,7 @@ def test_the_doctor_asks_the_daemon_of_this_machine(tmp_path: Path) -> None:
     assert found(findings, "daemon").found == f"rig 1 at {asked.endpoint}"
     assert found(findings, "SCHED_FIFO").mend == "set LimitRTPRIO="
     with pytest.raises(
-        ValueError, match="the doctor examines this machine: give unixsock-stream/PATH"
+        ValueError, match="the doctor examines only this machine; give unixsock-stream/PATH"
     ):
         doctor.doctor("1", "tls/lab:7447")
 

@@ -170,7 +170,7 @@ def test_a_programmer_that_is_not_there_is_no_boot_loader(
 
     assert main(["flash", "--fuse", "usbasp"]) == 1
 
-    assert "avrdude cannot read by usbasp: plug the programmer in" in capsys.readouterr().err
+    assert "avrdude cannot read with usbasp: plug the programmer in" in capsys.readouterr().err
 
 
 def test_a_boot_loader_s_answer_is_no_fuse(capsys: Said) -> None:

@@ -29,9 +29,10 @@ Setting = tuple[int, int, int]  # of L in cells, of c, of T
 
 DRAWS = 400
 PRIOR_NO_DEAD_TIME = 0.5
-"""Prior probability of no dead time; the rest is distributed uniformly up to the 63 % time."""
+"""Prior probability of no dead time. The other dead times, up to the 63 % time, share the remaining
+probability equally."""
 MAX_NO_DEAD_TIME = 0.01
-"""Probability of no dead time below which a dead time is reported."""
+"""A dead time is reported if the probability of no dead time is below this limit."""
 
 _CELLS = 1000  # number of cells of the time grid; more only if there are more samples
 _MAX_CELLS_PER_SAMPLE = 4
@@ -50,7 +51,7 @@ class Answer:
     """Step response divided by its final value, with the times of the drawn curves."""
 
     t: Vector
-    """Times from the step on, in s, (n,)."""
+    """Times after the step, in s, (n,)."""
     y: Vector
     """Mean curve, (n,); the curve of the rate if y integrates."""
     std: Vector
@@ -68,7 +69,7 @@ class Answer:
 
     @property
     def dead_time(self) -> float:
-        """Dead time in s; 0.0 unless the probability of no dead time is below 1 %."""
+        """Dead time in s; 0.0 if the probability of no dead time is 1 % or more."""
         return (
             float(np.median(self.delays[self.delays > 0])) if self.none < MAX_NO_DEAD_TIME else 0.0
         )
@@ -94,22 +95,23 @@ class Answer:
 
     @property
     def overshoot(self) -> tuple[float, float]:
-        """Largest value less the final value 1, and the standard deviation of this difference."""
+        """Overshoot (the largest value minus the final value 1) and its standard deviation."""
         above = float(np.max(self.y)) - 1
         return max(above, 0.0), float(np.sqrt(np.mean((self.peaks - 1 - above) ** 2)))
 
     @property
     def tau_std(self) -> float:
-        """Distance from the reported 63 % time, less dead time, that contains 68.3 % of the curves.
+        """Standard deviation, in s, of the 63 % time minus the dead time.
 
-        The distance is in s. If the dead time is too uncertain to be reported, the distance
-        includes its uncertainty.
+        In 68.3 % of the curves this difference is at most one standard deviation from the reported
+        difference. If the dead time is too uncertain to be reported, the standard deviation
+        includes the uncertainty of the dead time.
         """
         return _deviation((self.crossings - self.delays) - (self.crossing - self.dead_time))
 
     @property
     def dead_time_interval(self) -> tuple[float, float]:
-        """Shortest interval with the dead times of 95 % of the curves, in s."""
+        """Shortest interval that contains the dead times of 95 % of the curves, in s."""
         delays = np.sort(self.delays)
         n = int(np.ceil(0.95 * delays.size)) - 1
         first = int(np.argmin(delays[n:] - delays[: delays.size - n]))
@@ -149,7 +151,7 @@ def step_answer(
     band : float
         Half width of the band about 1 in which the response has settled.
     least_variance : float, default 0
-        Least noise variance of y at the largest weight.
+        Lower limit of the estimated noise variance of a sample with the largest weight.
 
     References
     ----------
@@ -250,7 +252,7 @@ class _Record:
         self.t: Vector = self.dt * (grid + 0.5 * integrates)
 
     def spline(self, delay: int, smooth: float, horizon: float) -> _Spline:
-        """Return the posterior for one setting; `horizon` is T over the time after the step."""
+        """Return the posterior for one setting; `horizon` is T / (time after the step)."""
         d, M, m = self._order, self.size - delay, self._cells
         i = np.arange(M)
         rough = np.exp(np.minimum(i / (horizon * self.size), 50.0)) * ((i + 1) / m) ** 2
@@ -426,9 +428,10 @@ def _spaced(first: float, last: float) -> list[int]:
 
 
 def _rng(setting: Setting) -> np.random.Generator:
-    """Return the generator of a setting's curves.
+    """Return the random generator for the curves of a setting.
 
-    Each setting has its own, so that its curves do not depend on the number of curves of others:
-    rounding, which differs from one processor to another, can change that number by one.
+    Each setting has its own generator, so that its curves do not depend on the number of curves of
+    other settings. Rounding, which differs from one processor to another, can change that number by
+    one.
     """
     return np.random.default_rng((1, *setting))

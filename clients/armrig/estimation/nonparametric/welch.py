@@ -90,7 +90,10 @@ def _transforms(
 
 
 def explained(estimate: SpectralEstimate) -> NDArray[np.int_]:
-    """Return the indices of known G from the first to the last frequency at which u explains y.
+    """Return the indices of the frequencies in the range where u explains y.
+
+    The range extends from the first to the last frequency at which u explains y. Frequencies at
+    which G is not known are left out.
 
     Raises
     ------

@@ -40,18 +40,18 @@ def predicted_std(
 
         M = (1/lambda) sum psi_u psi_u^T + sum psi_e psi_e^T
 
-    The gradient of the prediction has a part psi_u from u and a part psi_e from e. psi_u is
-    simulated. Its projection on the initial states, and on level and ramp of an integrator, is
-    subtracted, because these are estimated too. The variance of psi_e is computed from impulse
-    responses.
+    The gradient of the prediction has a part psi_u from u and a part psi_e from e. The part psi_u
+    is simulated. The initial states, and the level and ramp of an integrator, are estimated too.
+    Therefore the projection of psi_u on them is subtracted. The variance of psi_e is computed from
+    impulse responses.
 
     Parameters
     ----------
     model : Fit or PlannedModel
         Model of an earlier experiment, or assumed model.
     u : array_like, shape (N,), or Dataset
-        Planned input, in the unit of the model's input, less the offset. Of a Dataset, the input,
-        the gaps and the boundaries of experiments are used, but not y.
+        Planned input without the offset, in the unit of the model's input. If u is a Dataset, its
+        input, gaps and boundaries of experiments are used, but not its y.
     noise_variance : float, optional
         Variance of e, in the squared unit of y. The default is the variance in the model.
     initial : {"estimate", "zero"}
@@ -101,10 +101,11 @@ def predicted_std(
 def _gradient(
     model: ModelWithNoise, part: Dataset, variance: float, *, estimate: bool
 ) -> Iterator[Array]:
-    """Yield blocks of rows Psi for one experiment, with Psi^T Psi = lambda M in sum.
+    """Yield blocks of rows Psi for one experiment.
 
-    The columns belong to a, b, c, d and f, without the factor of an integrator. An integrator in A
-    is removed by differencing y. An integrator in F is removed by summing u.
+    The sum of Psi^T Psi over all blocks of all experiments is lambda M. The columns belong to a, b,
+    c, d and f, without the factor of an integrator. An integrator in A is removed by differencing
+    y. An integrator in F is removed by summing u.
     """
     A, B, C, D = model.A, model.B, model.C, model.D
     F, u, N = model.F, part.u, part.N
@@ -146,7 +147,7 @@ def _gradient(
 
 
 def _by_noise(model: ModelWithNoise, weight: Vector, width: int) -> Array:
-    """Return the impulse responses from e to the gradient, with row j multiplied by its weight.
+    """Return the impulse responses from e to the gradient; row j is multiplied by `weight[j]`.
 
     Let psi_e(t) = sum_j s_j e(t-j). Over N samples from rest, the expected sum of psi_e psi_e^T is
     lambda times the sum of (N - j) s_j s_j^T.
@@ -164,7 +165,7 @@ def _by_noise(model: ModelWithNoise, weight: Vector, width: int) -> Array:
 
 
 def _parameters(model: ModelWithNoise) -> tuple[tuple[str, ...], Vector, Array]:
-    """Return names, values, and their derivatives with respect to the estimated parameters."""
+    """Return names and values, and the derivatives of the values by the estimated parameters."""
     parts = {"a": model.A[1:], "b": model.B[model.nk :], "c": model.C[1:]}
     parts |= {"d": model.D[1:], "f": model.F[1:]}
     names = tuple(f"{letter}{k + 1}" for letter, p in parts.items() for k in range(p.size))

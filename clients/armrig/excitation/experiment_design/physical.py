@@ -43,7 +43,7 @@ def predicted_parameter_std(
     Parameters
     ----------
     model : callable
-        Function from ArmParameters to a state space in continuous time: `armrig.arm` or
+        Function that returns a continuous-time state space for given ArmParameters: `armrig.arm` or
         `armrig.chassis`.
     u : array_like, shape (N,), or Dataset
         Planned input, in V.
@@ -58,7 +58,8 @@ def predicted_parameter_std(
     output : str, default "theta_1"
         Measured output of the model.
     initial : {"estimate", "zero"}
-        Estimate the initial state and the input offset too, or assume that both are known.
+        With "estimate" the initial state and the input offset are estimated too; with "zero" both
+        are assumed to be known.
 
     Raises
     ------
@@ -70,12 +71,12 @@ def predicted_parameter_std(
     unknown = [name for name in free if not getattr(p, name, 0.0) > 0]
     if unknown or not free:
         raise InputError(
-            f"free={tuple(free)} must name parameters that are > 0, of J_1, J_2, N, K_lin, R_m, "
-            "K_m and b_1"
+            f"free={tuple(free)} must name parameters that are > 0; the parameters are J_1, J_2, N, "
+            "K_lin, R_m, K_m and b_1"
         )
     if not noise_variance > 0:
         raise InputError(
-            f"noise_variance={noise_variance!r} must be > 0, in the output's unit squared"
+            f"noise_variance={noise_variance!r} must be > 0, in the squared unit of the output"
         )
     planned = planned_data(u, Ts)
     rows = []

@@ -27,7 +27,7 @@ CHIP = "ATmega328P"
 FLASH_BYTES = 32256
 """Flash memory of 32 KiB without the boot loader of an Uno (Optiboot, 512 B), in B."""
 LOADER_BAUD = 115_200
-"""Baud rate of Optiboot, independent of the firmware's."""
+"""Baud rate of Optiboot; it does not depend on the baud rate of the firmware."""
 OLD_LOADER_BAUD = 57_600
 """Baud rate of ATmegaBOOT, the boot loader of boards before the Uno and of some copies."""
 OPTIBOOT_MAJOR = 4
@@ -76,8 +76,8 @@ _UNOS = {
 }
 """Names by USB vendor and product. Other boards use the CH340, too, so avrdude checks the chip."""
 _FREE_PORT = (
-    "end that program first, which sets the motor to 0 V: Ctrl-C for `armrig lab` or "
-    "`armrigd run`, or `systemctl stop armrigd@ID`"
+    "end that program first, so that it sets the motor to 0 V: press Ctrl-C in `armrig lab` or "
+    "`armrigd run`, or run `systemctl stop armrigd@ID`"
 )
 WITHIN_S = 6.0
 """Longest time until a board answers, in s; its boot loader first waits for a second or two."""
@@ -130,7 +130,7 @@ def fuse(program: str, programmer: str, port: str | None) -> int:
     try:
         out = _run(call, _ignore, _UNTOUCHED)[0].split()
     except OperationError as err:
-        msg = f"avrdude cannot read by {programmer}: plug the programmer in, and connect it to the "
+        msg = f"avrdude cannot read with {programmer}: plug the programmer in, and connect it to the "
         raise OperationError(f"{msg}board's ISP pins; --port names its port if it has one") from err
     value = int(out[-1], 16) if out and re.fullmatch("0x[0-9a-f]{1,2}", out[-1]) else 0
     if not value:
@@ -262,7 +262,7 @@ def chosen(port: str | None, boards: Sequence[Board]) -> Board:
     Raises
     ------
     OperationError
-        The port does not exist; or without a port, there is no Uno or more than one Uno.
+        The given port does not exist. If no port is given, the number of Unos is not 1.
     """
     if port is not None:
         return _at(port, boards)
