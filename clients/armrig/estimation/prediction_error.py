@@ -27,13 +27,13 @@ class Solution:
     e: Array
     """Residuals of all experiments, (M,); 0 in a row that has no residual."""
     by_ab: Array
-    """Derivatives of the prediction with respect to (a, b), less their projection on the unknown
-    past, (M, na + nb)."""
+    """Derivatives of the prediction with respect to (a, b), (M, na + nb). Their projection on the
+    unknown past is subtracted."""
     by_cdf: Array
-    """Derivatives of the prediction with respect to (c, d, f), less their projection on the unknown
-    past, (M, nc + nd + nf)."""
+    """Derivatives of the prediction with respect to (c, d, f), (M, nc + nd + nf). Their projection
+    on the unknown past is subtracted."""
     J: Array
-    """Derivatives `by_cdf`, less their projection on `by_ab`, (M, nc + nd + nf)."""
+    """Derivatives `by_cdf` minus their projection on `by_ab`, (M, nc + nd + nf)."""
     rank: int
     """Number of a's and b's that the data determine."""
 

@@ -320,8 +320,8 @@ def curvature(
     """Return the largest |ln r|; r is the rise of the loss divided by the rise of its parabola.
 
     Both rises are computed two standard deviations from the minimum, in both directions of each
-    principal axis v. The axes are those of the scaled covariance of (c, d, f). At each point a and
-    b are fitted again. For a parabola V ::
+    principal axis v. The axes are the principal axes of the scaled covariance of (c, d, f). At each
+    point the coefficients a and b are fitted again. If the loss V is a parabola ::
 
         (V(theta ± 2 s v) - V(theta)) / lambda = 4
 

@@ -31,7 +31,7 @@ _BEGIN_INTERVAL_S = 0.2
 _DISK_PAUSE_S = 60.0
 """Least pause, in s, before the next recording of a rig whose recording ended on a full disk."""
 _MIN_FREE_BYTES = 64 << 20
-"""Least free space, in B, for the next recording of such a rig."""
+"""Least free space, in B, for a new recording of a rig whose recording ended on a full disk."""
 
 
 @dataclass(slots=True)
@@ -115,8 +115,8 @@ class FleetRecorder:
     def _may_begin(self, rig: str) -> bool:
         """Return True if a recording of a rig may begin.
 
-        The rig was not recorded yet; or its recording ended on a full disk, and the disk has space
-        again.
+        A first recording may always begin. A further recording may begin only if the last recording
+        ended on a full disk and the disk has space again.
         """
         if rig not in self._threads:
             return True

@@ -121,7 +121,7 @@ class Granted:
 
 
 def probe(recordings: Path | None = None) -> Granted:
-    """Determine the rights by a trial; the folder is by default the one in the configuration."""
+    """Determine the rights by a trial; by default the folder is taken from the configuration."""
     fifo, memory_lock = granted()
     user = Path(platformdirs.user_config_dir("armrig"))
     directory = recordings or recordings_directory(Path("/"), user)

@@ -68,16 +68,16 @@ class ModelCharacteristics:
     bandwidth: float
     """Lowest frequency at which |G| is 3 dB below the gain, in rad/s; NaN if there is none."""
     rise_time: float
-    """Time from a step to 63 % of the gain, less the dead time of nk - 1 samples, in s.
+    """Time from a step to 63 % of the gain, minus the dead time of nk - 1 samples, in s.
 
     `armrig.numerics.step_times` defines the times for models, data and physics.
     """
     equivalent_time: float
-    """Area above the step response divided by the gain, less the same dead time, in s."""
+    """Area above the step response divided by the gain, minus the same dead time, in s."""
     slowest_time: float
     """1/|Re s| of the slowest pole without the integrator, in s; NaN if there is none."""
     overshoot: float
-    """Maximum of the step response divided by the gain, less 1, in percent."""
+    """Maximum of the step response divided by the gain, minus 1, in percent."""
     std: dict[str, float]
     """Linearised standard deviations by name; NaN if not known, 0 for a physical model."""
     ranges: dict[str, Band]
@@ -252,7 +252,7 @@ def _extreme(
 ) -> float:
     """Return the frequency of the most prominent peak of at least 1 dB, or NaN.
 
-    If sign is -1, the function searches a dip instead. The peak is found on the grid, and then
+    If sign is -1, the function searches for a dip instead. The peak is found on the grid, and then
     refined between the neighbouring points. The refinement uses |G|², because |G|² is smooth at a
     zero of |G|.
     """
@@ -297,9 +297,10 @@ def _first_below(x: Vector, y: Vector, level: float) -> float:
 def overlapping(model: Model) -> list[tuple[complex, complex, float]]:
     """Return the pole, zero and p value of each pair that cannot be distinguished at the 1 % level.
 
-    The nearest pair is first. The difference of a pole and a zero has the covariance J P J^T, with the derivatives J of the
-    difference with respect to theta. If the order is too high, the pole and the zero vary together
-    and only their difference is small. A conjugate pair is listed once.
+    The nearest pair is first. The difference of a pole and its zero has the covariance J P J^T,
+    with the derivatives J of the difference with respect to theta. If the order is too high, the
+    pole and the zero vary together and only their difference is small. A conjugate pair is listed
+    once.
     """
     poles = [(letter, z) for letter in ("a", "f") for z in _roots(model, letter)]
     found = []

@@ -127,8 +127,10 @@ class Estimate(Model):
 
     @property
     def trusts_coefficients(self) -> bool:
-        """True if the standard deviations of the coefficients are valid, not only of the
-        responses."""
+        """True if the standard deviations of the coefficients are valid.
+
+        If False, only the standard deviations of the responses are valid.
+        """
         return self.curvature <= MAX_TRUSTED_CURVATURE
 
     @property

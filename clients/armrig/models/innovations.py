@@ -102,7 +102,7 @@ class Unknown:
     """Number of samples."""
 
     def without(self, M: Array) -> Array:
-        """Return M (N, k) less its projection on the basis; M is 0 in rows without an error."""
+        """Return M (N, k) minus its projection on the basis; M is 0 in rows without an error."""
         M = np.array(M, order="F")
         for s, Q in self.noise:
             M[s] -= Q @ (Q.T @ M[s])
@@ -270,8 +270,8 @@ class Errors:
     e: Array
     """Errors (N,), 0 in rows without an error."""
     Psi: Array
-    """Derivatives of the prediction with respect to (c, d, f), (N, nc + nd + nf), less their
-    projection on the basis of the unknown past."""
+    """Derivatives of the prediction with respect to (c, d, f), (N, nc + nd + nf). Their projection
+    on the basis of the unknown past is subtracted."""
     driven: Array
     """Response B/F u from the estimated state, with the trend, (N,)."""
     state: Array

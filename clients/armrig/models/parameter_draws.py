@@ -108,8 +108,10 @@ def directions(model: Model) -> Matrix:
 
 
 def _stable(model: Model, theta: Matrix, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return a mask of the draws with all poles inside the unit circle; a pole fixed at 1 is
-    ignored."""
+    """Return a mask of the draws with all poles inside the unit circle.
+
+    A pole fixed at 1 is ignored.
+    """
     inside = np.ones(theta.shape[0], dtype=bool)
     for letter in "af":
         z = roots_of(model, theta, letter, known)
@@ -147,8 +149,7 @@ def roots_of(
 
 
 def _integrator_maps(model: Model) -> tuple[Matrix, Matrix]:
-    """Return the linear maps from theta to the free parameters and from the free parameters to
-    theta."""
+    """Return two linear maps: theta to free parameters, and free parameters to theta."""
     d = model.theta.size
     if not model.integrating:
         return np.eye(d), np.eye(d)

@@ -80,7 +80,7 @@ def structure_of(model: Model) -> Structure:
 
 
 def _innovations_predicted(model: Model, part: Dataset, horizon: int) -> Vector:
-    """Return y(t) less the contribution of the innovations of the last `horizon` samples."""
+    """Return y(t) minus the contribution of the innovations of the last `horizon` samples."""
     e = prediction_errors(model, part).e
     ahead = min(horizon, part.N)
     h = filtered(model.C, np.convolve(model.A, model.D), impulse([1.0], ahead))
@@ -139,8 +139,8 @@ class Residuals:
     e: Vector
     """Errors (N,), NaN if y or a necessary past sample is missing."""
     Psi: Array
-    """Derivatives of the prediction with respect to the free parameters, (N, d), less their
-    projection on the basis of the unknown past; 0 in rows without an error."""
+    """Derivatives of the prediction with respect to the free parameters, (N, d); 0 in rows without
+    an error. Their projection on the basis of the unknown past is subtracted."""
     unknown: Unknown
     """Basis of the unknown past."""
 

@@ -43,8 +43,8 @@ class SpectralEstimate:
     noise_only_std: Vector | None = None
     """Standard deviation of G due to the noise alone, (n,) (see `bla`)."""
     nonlinear_std: Vector | None = None
-    """Standard deviation of G between realisations without the part due to noise, (n,) (see
-    `bla`)."""
+    """Standard deviation of G due to the nonlinearity, (n,): the scatter between realisations
+    without the part due to noise (see `bla`)."""
     method: str
     """Method of the estimate, as text."""
     integrator: bool
@@ -163,8 +163,8 @@ def high_slope(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> float:
 def high_band(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
     """Return the indices of the frequencies in the highest third of a decade.
 
-    If possible, the frequencies are below 0.6 times the Nyquist frequency. At least three
-    frequencies are returned if there are as many.
+    If possible, the frequencies are below 0.6 times the Nyquist frequency. If fewer than three
+    frequencies are in this range, the three highest frequencies are returned.
     """
     omega = estimate.omega[believed]
     top = np.minimum(omega[-1:], 0.6 * np.pi / estimate.Ts)

@@ -71,8 +71,8 @@ def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arr
     """Return M for scores psi(t) e(t) that may depend on the noise (ARX): Newey-West.
 
     The Bartlett weights are 1 - k/(L + 1) up to the lag L = floor(4 (N/100)^(2/9)). The estimate is
-    computed from all sums of L + 1 successive scores. M is the sum of their squares over L + 1,
-    with the incomplete sums at both ends.
+    computed from all sums of L + 1 successive scores. With s such a sum, M is the total of s s^T,
+    divided by L + 1. The incomplete sums at both ends are included.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ def simplest_as_good(excess: Array, std: Array, parameters: ArrayLike) -> int:
     Parameters
     ----------
     excess : ndarray (n,)
-        Loss of each model less the least loss; NaN if a model has no loss.
+        Loss of each model minus the least loss; NaN if a model has no loss.
     std : ndarray (n,)
         Standard error of `excess`; 0 for the model of least loss.
     parameters : array_like (n,)

@@ -19,9 +19,9 @@ _MIN_DISPLACEMENT_RATIO = 8  # windows over their length; displacement is faster
 def gram_of_windows(parts: Sequence[tuple[Array, Array]], length: int) -> Array:
     """Return the Gram matrix of U and Y about their means, (2 length, 2 length).
 
-    Row t of [U Y] is the window u(t) … u(t + length - 1), y(t) … y(t + length - 1) of a part. With
-    x and z each u or y, entry (i, j) is the sum of x(t + i) z(t + j) over the n windows. Therefore
-    ::
+    Row t of [U Y] is the window u(t) … u(t + length - 1), y(t) … y(t + length - 1) of a part. Let
+    each of x and z be u or y. Then entry (i, j) is the sum of x(t + i) z(t + j) over the n windows,
+    and the entries follow from the recursion ::
 
         G(i + 1, j + 1) = G(i, j) + x(n + i) z(n + j) - x(i) z(j)
 
@@ -56,7 +56,10 @@ def gram_of_windows(parts: Sequence[tuple[Array, Array]], length: int) -> Array:
 
 
 def _ends(x: Array, length: int) -> Array:
-    """Return, for each shift, the sum of the samples near the ends that not all shifts contain."""
+    """Return, for each shift of the window, the sum of its samples near both ends of the signal.
+
+    The samples in the middle of the signal, which every shift contains, are left out.
+    """
     before = np.cumsum(x[:, : length - 1][:, ::-1], axis=1)[:, ::-1]
     after = np.cumsum(x[:, x.shape[1] - length + 1 :], axis=1)
     none = np.zeros((2, 1))

@@ -50,7 +50,7 @@ class Inference:
     covariance_robust: Array
     """Covariance of the parameters, sandwich form, (d, d)."""
     noise_variance: float
-    """Variance of the noise: sum of squared residuals over their degrees of freedom."""
+    """Variance of the noise: sum of squared residuals divided by its degrees of freedom."""
     loss: float
     """Mean squared residual."""
     N: int
@@ -97,8 +97,8 @@ def infer(
     residuals : sequence of ndarray (N_i,)
         Residuals of each experiment, NaN if they are not known.
     blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment: sensitivity of the prediction, less its projection on the nuisance
-        responses. Psi is zero in the rows without a residual.
+        Psi of each experiment: the sensitivity of the prediction minus its projection on the
+        nuisance responses. Psi is zero in the rows without a residual.
     score : {"exogenous", "correlated"}
         Estimate of M. "exogenous" assumes that Psi is independent of the noise. With "correlated",
         Psi may depend on the noise.

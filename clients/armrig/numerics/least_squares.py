@@ -36,7 +36,7 @@ class Basis:
         return np.asarray(self.W @ (self.Q.T @ y))
 
     def without(self, y: Array) -> Array:
-        """Return y less its projection on the columns of M."""
+        """Return y minus its projection on the columns of M."""
         return np.asarray(y - self.Q @ (self.Q.T @ y))
 
     def spread(self, rows: NDArray[np.bool_]) -> Basis:
@@ -74,7 +74,7 @@ def least_squares(M: Array, Y: Array) -> Array:
 
 
 def without_span(M: Array, Y: Array) -> Array:
-    """Return Y (N, m) less its projection on the columns of M."""
+    """Return Y (N, m) minus its projection on the columns of M."""
     Q, *_ = _decomposed(M)
     return np.asarray(Y - Q @ (Q.T @ Y))
 
@@ -96,7 +96,10 @@ def _decomposed(M: Array) -> tuple[Array, Array, NDArray[np.int_], Array]:
 
 
 def _pivoted_qr(M: Array) -> tuple[Array, Array, NDArray[np.int_]]:
-    """Return Q, R and the order of the columns, and overwrite M; half of the time of SciPy's qr."""
+    """Return Q, R and the order of the columns, and overwrite M.
+
+    The function needs half of the time of SciPy's qr.
+    """
     n, k = M.shape[1], min(M.shape)
     factored, order, tau, _, _ = dgeqp3(M, lwork=_LAPACK_BLOCK_COLUMNS * (n + 1), overwrite_a=1)
     R = np.triu(factored[:k])

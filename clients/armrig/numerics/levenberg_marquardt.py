@@ -143,7 +143,10 @@ _Linear = tuple[Array, Array, Array]
 def _admitted(
     step: Array, theta: Array, admissible: Callable[[Array], bool], walls: Walls | None
 ) -> tuple[Array, float]:
-    """Return the step, limited by the walls and then halved until admissible, and its share."""
+    """Return an admissible step, and the factor by which the halvings reduced the step.
+
+    The walls limit the given step. The step is then halved until it ends in the admissible set.
+    """
     if walls is not None:
         step = walls.inside(theta + step, theta) - theta
     halvings = 0
@@ -173,7 +176,10 @@ def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Li
 
 
 def _compressed(e: Array, J: Array) -> tuple[_Linear, Array]:
-    """Return s and V^T of the SVD of R, U^T Q^T e, and the scale (n,), with J / scale = Q R."""
+    """Return (s, V^T, U^T Q^T e) and the scale (n,).
+
+    The decompositions are J / scale = Q R and R = U s V^T.
+    """
     scale = column_norms(J)
     scale[scale == 0] = 1.0
     # e is the last column, so that R contains Q^T e and Q itself is not needed.

@@ -87,8 +87,8 @@ def stable(p: ArrayLike) -> bool:
 def reflected(p: ArrayLike, radius: float = 0.999) -> Array:
     """Return p with each root z outside the unit circle reflected to 1/z*, for a start value.
 
-    Of the roots on or outside the circle, those with a modulus above `radius` after the reflection
-    are moved to this modulus.
+    A root that was on or outside the circle may still have a modulus above `radius` after the
+    reflection. Such a root is moved to the modulus `radius`.
     """
     return with_roots_inside(roots(p), radius)
 
@@ -106,8 +106,8 @@ def with_roots_inside(z: Array, radius: float = 0.999) -> Array:
 def reduced(p: ArrayLike) -> Iterator[Array]:
     """Yield the monic polynomials of one order less that are nearest to p in their modes.
 
-    Each omits one real root, or has one real root in place of a complex pair, with the modulus of
-    the pair.
+    Each polynomial either omits one real root of p, or has one real root in place of a complex
+    pair. The modulus of this real root is the modulus of the pair.
 
     Parameters
     ----------
@@ -152,7 +152,9 @@ def drawn_to_edge(p: Array, previous: Array) -> Array:
 
 
 def outward_normals(p: Array) -> Array:
-    """Return the unit gradients in the coefficients of p of |z|, for the k roots z at the edge.
+    """Return the unit gradient of |z| for each of the k roots z at the edge.
+
+    The gradient is with respect to the coefficients of p.
 
     From p(r) = 0 follows dr = -sum_k r^(n - k) dp_k / p'(r). The modulus increases by the component
     of dr along r. A complex pair has one row in the result (k, n), with n coefficients after the

@@ -2,8 +2,8 @@
 
 Three times characterise a response y(t) with the final value 1 and the dead time L.
 
-The 63 % time is the first t with y(t) = 1 - 1/e, less L. The equivalent time is the integral of 1 -
-y(t), less L. The response to a ramp lags the ramp by the equivalent time plus L. The time of the
+The 63 % time is the first t with y(t) = 1 - 1/e, minus L. The equivalent time is the integral of 1
+- y(t), minus L. The response to a ramp lags the ramp by the equivalent time plus L. The time of the
 slowest pole is 1/min |Re s|. In this time the slowest mode decays to 1/e.
 
 For a first-order system all three times equal the time constant.
@@ -29,7 +29,7 @@ def rise_time(y: Vector, Ts: float, *, integrated: bool = False, share: float = 
     Parameters
     ----------
     y : ndarray, shape (N,)
-        Response divided by its final value; the first sample is the last before the input acts.
+        Response divided by its final value. It begins at the last sample before the input acts.
     integrated : bool
         True if `y` is the integral of the response, such as an angle instead of its rate.
     """

@@ -31,6 +31,9 @@ def constant(x: Array) -> list[slice]:
 
 
 def pieces(cuts: Mask) -> list[slice]:
-    """Return the slices of N samples between cuts (N - 1,); cuts[k] is after sample k."""
+    """Return the slices of N samples between cuts.
+
+    `cuts` has the shape (N - 1,); a cut at index k is after sample k.
+    """
     edges = [0, *(np.flatnonzero(cuts) + 1).tolist(), cuts.size + 1]
     return [slice(a, b) for a, b in pairwise(edges)]

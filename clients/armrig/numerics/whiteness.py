@@ -51,7 +51,7 @@ NOT_TESTED = Whiteness(p_value=float("nan"), test="")
 
 
 def joined(parts: Iterable[Vector], gap: int) -> Vector:
-    """Return the residuals of several experiments as one signal, each followed by `gap` NaN."""
+    """Return the residuals of several experiments as one signal, with `gap` NaN after each part."""
     pieces = [np.concatenate([part, np.full(gap, np.nan)]) for part in parts]
     return np.concatenate(pieces)
 
@@ -139,7 +139,7 @@ def portmanteau(
     """Test the hypothesis that e is white, with allowance for the estimated parameters.
 
     The sums s_k of e(t) e(t - k), k = 1 ... lags, are tested jointly by the statistic (s - m)^T
-    M^-1 (s - m). The residuals are the noise less its projection Q Q^T on the fitted responses.
+    M^-1 (s - m). The residuals are the noise minus its projection by Q Q^T on the fitted responses.
     This projection shifts the mean m of the sums and reduces their covariance M. With the lagged
     residuals Z ::
 
@@ -170,7 +170,7 @@ def portmanteau(
     residuals : sequence of ndarray (N_i,)
         Residuals of each experiment, NaN if they are not known.
     blocks : sequence of ndarray (N_i, d)
-        Psi of each experiment: sensitivity of the prediction, less its projection on the free
+        Psi of each experiment: the sensitivity of the prediction minus its projection on the free
         response. Psi is zero in the rows without a residual.
     spans : sequence of ndarray (N_i, r_i)
         Orthonormal basis of the free response of each experiment, zero in the rows without a
@@ -251,10 +251,11 @@ def portmanteau_p_value(Q: float, m: float, N: float) -> float:
 
     Q' is computed from N white residuals. The mean of Q' is m, but its variance is not 2 m, because
     all r(k)² are divided by the same R(0)² and contain the same residuals. The variance was
-    simulated with 60 000 runs for each of N = 100, 250, 500 and m = 5, 10, 25. It was 2 m (1 + c),
-    c = (2 m - 5.5)/N, to within 0.02 for N >= 250. A chi-squared test would reject 5.8 % instead of
-    5 % at N = 500, m = 25. Therefore Q/m is compared with an F(m, v) distribution, scaled to the
-    mean 1. Its v is chosen for the simulated variance.
+    simulated with 60 000 runs for each of N = 100, 250, 500 and m = 5, 10, 25. For N >= 250 the
+    simulated variance was 2 m (1 + c), with c = (2 m - 5.5)/N, to within 0.02. A chi-squared test
+    would reject 5.8 % instead of 5 % at N = 500, m = 25. Therefore Q/m is compared with an F(m, v)
+    distribution, scaled to the mean 1. The parameter v is chosen so that this distribution has the
+    simulated variance.
 
     References
     ----------

@@ -96,8 +96,8 @@ def plot_physical_step(
     Parameters
     ----------
     cases : mapping of str to ArmParameters, optional
-        Parameters of each label; by default those of the handout. `beside_the_handout` of
-        `armrig.physics.systems` returns a mapping of this form.
+        Parameters of each label; the default is a single case with the parameters of the handout.
+        `beside_the_handout` of `armrig.physics.systems` returns a mapping of this form.
     u : float, default 1
         Height of the step in V.
     seconds : float, default 1

@@ -81,8 +81,8 @@ def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
 def transfer(A: Matrix, B: Matrix, c: Vector, Ts: float) -> tuple[Vector, Vector]:
     """Return B(q) and F(q) from u, held over Ts, to y = c x, exactly sampled.
 
-    F is the characteristic polynomial of Phi = exp(A Ts), and B the first n + 1 coefficients of
-    F times the pulse response 0, c Gamma, c Phi Gamma, ….
+    F is the characteristic polynomial of Phi = exp(A Ts). B consists of the first n + 1
+    coefficients of F times the pulse response 0, c Gamma, c Phi Gamma, ….
 
     Parameters
     ----------

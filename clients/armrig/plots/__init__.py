@@ -5,8 +5,9 @@ The method `.plot()` of a result draws the same and returns the figure, which ca
 several results in one figure, give each its own axes, `.plot(ax=ax)`, and mark all panels with
 `letter(figure)`.
 
-The colours are Okabe and Ito's, which colour-blind readers can distinguish; line styles distinguish
-curves in black and white. A second panel occupies the lower part of `ax`, which is shortened.
+Colour-blind readers can distinguish the colours, a palette by Okabe and Ito; line styles
+distinguish curves in black and white. A second panel occupies the lower part of `ax`, which is
+shortened.
 """
 
 from __future__ import annotations

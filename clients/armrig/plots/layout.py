@@ -65,9 +65,10 @@ def figure_of(ax: Axes) -> Figure:
 
 
 def letter(figure: Figure) -> None:
-    """Mark the panels by (a), (b), … in the order of the results, from top to bottom in each.
+    """Mark the panels by (a), (b), … in the order of the results.
 
-    A figure of one panel has no letter. A second call replaces the letters of the first.
+    The panels of each result are marked from top to bottom. A figure of one panel has no letter. A
+    second call replaces the letters of the first call.
     """
     # Not findobj, which creates the ticks of every axis.
     texts = [text for ax in figure.axes for text in ax.texts]

@@ -275,7 +275,7 @@ def state_of(found: os.stat_result) -> str:
 
 
 def is_settled(found: os.stat_result, looked_ns: int) -> bool:
-    """Return whether every later change of the file changes its times, as of `looked_ns`."""
+    """Return whether any change of the file after `looked_ns` would change its stored times."""
     return max(found.st_mtime_ns, found.st_ctime_ns) < looked_ns - SETTLED_NS
 
 
@@ -341,14 +341,14 @@ class FoundFile(NamedTuple):
 
     name: str  # not a Path: creating 10 000 Paths takes longer than finding the files
     state: os.stat_result
-    """Size, times and number of the file; if the name is a link, those of its target."""
+    """Size, times and number of the file; if the name is a link, of the file it points to."""
 
 
 def found_files(folder: Path) -> list[FoundFile]:
     """Return the finished recordings of a folder, newest first.
 
-    The age is the time in the daemon's file name, otherwise the file's own time. A recording in
-    progress has another name, `*.mcap.active`.
+    If the daemon named the file, the time in the name is its age. Otherwise the time of the file
+    counts. A recording in progress has another name, `*.mcap.active`.
 
     Raises
     ------

@@ -1,7 +1,8 @@
 """Channels of a recording: calibrated angles on the grid of samples, and their validity.
 
 A potentiometer of a turning shaft shows the angle over most of a turn. In its dead band it shows no
-angle. The first sample after the dead band shows none either, because the reading still settles.
+angle. The first sample after the dead band shows no angle either, because the reading still
+settles.
 """
 
 from __future__ import annotations
@@ -86,7 +87,10 @@ def _calibrated(
 
 
 def _on_grid(values: Vector, present: Mask) -> Vector:
-    """Return values (n,) of the samples that arrived as (N,), NaN where a sample is missing."""
+    """Return values (N,) on the grid, from values (n,) of the samples that arrived.
+
+    The value of a missing sample is NaN.
+    """
     if values.size == present.size:
         return values
     on_grid = np.full(present.size, np.nan)
@@ -136,7 +140,7 @@ def turns_unknown(valid: Mask, present: Mask, Ts: float) -> Indices:
     Parameters
     ----------
     valid, present : (N,) bool
-        Masks of the samples that show an angle, and of those that arrived.
+        Masks of the samples that show an angle, and of the samples that arrived.
     Ts : float
         Sampling time, in s.
     """

@@ -109,7 +109,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceClock:
-    """Comparison of the device's clock with the host's at `t`; no recorded time depends on it."""
+    """Comparison of the clocks of device and host at `t`; no recorded time depends on it."""
 
     t: float
     """Time, in s from the recording's first sample."""

@@ -228,7 +228,7 @@ def write_transforms(recording: Recording, path: Path) -> None:
     times = recording.samples["t_host_ns"] + recording.manifest.clock_offset_ns
     if not ((times >= 0) & (times < _END_NS)).all():
         msg = f"the wall clock of the rig's machine was at {times[0] / _NS:.0f} s after 1970; "
-        raise InputError(f"{msg}--transforms takes 1970 to 2106: export a CSV instead")
+        raise InputError(f"{msg}--transforms needs times from 1970 to 2106: export a CSV instead")
     with sdk.open_mcap(path, allow_overwrite=True, context=context):
         for t_ns, theta_1, alpha in zip(
             times.tolist(),

@@ -233,7 +233,7 @@ def test_parameters_that_replace_each_other_are_refused(make: Make) -> None:
         ({"free": ("J",)}, "free='J' is none of J_1, J_2"),
         ({"free": ("J_1", "J_1")}, "none twice"),
         ({"free": ("J_2",)}, "do not determine J_2"),
-        ({"output": "alpha"}, "output='alpha' is none of the model's"),
+        ({"output": "alpha"}, "output='alpha' is none of the model's outputs"),
         ({"friction": "dry"}, "friction='dry' must be None"),
         ({"fixed_std": {"J_1": 1.0}}, "fixed_std='J_1' is not a fixed parameter"),
         ({"fixed_std": {"K_m": -1.0}}, "must be finite and >= 0"),

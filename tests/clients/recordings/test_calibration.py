@@ -330,7 +330,7 @@ def test_the_samples_are_compact_and_come_back_to_the_bit() -> None:
         (Calibration(), {}, "was not calibrated"),
         (Calibration(made=MADE), {}, ""),
         (Calibration(made=MADE), {"device": {"uid": "0002"}}, "of another device: .* 0001"),
-        (Calibration(made=MADE), {"rig": "2"}, "of rig 1, the recording of rig 2"),
+        (Calibration(made=MADE), {"rig": "2"}, "of rig 1, and the recording is of rig 2"),
         (Calibration(made=MADE), {"started": "2026-12-02T00:00:01+00:00"}, "31 days old"),
         (Calibration(made=MADE), {"started": "2026-10-01T00:00:00+00:00"}, ""),
         (Calibration(made=MADE), {"started": "2026-11-20"}, "age .* not known"),

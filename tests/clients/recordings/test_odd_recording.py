@@ -348,9 +348,9 @@ def test_what_speaks_against_a_calibration_names_both_sides() -> None:
 
     another = "The calibration is of another device: it was made on "
     assert said() == []
-    assert said(device={}) == [f"{another}beef, the recording on a device without an id."]
-    assert said(made_on="") == [f"{another}none, the recording on beef."]
-    assert said(rig="9") == ["The calibration is of rig 8, the recording of rig 9."]
+    assert said(device={}) == [f"{another}beef, the recording was made on a device without an id."]
+    assert said(made_on="") == [f"{another}none, the recording was made on beef."]
+    assert said(rig="9") == ["The calibration is of rig 8, and the recording is of rig 9."]
     assert said(started="2026-10-31T23:50:00+02:00") == [
         "The calibration was 31 days old, more than 30 days: calibrate the rig again."
     ]

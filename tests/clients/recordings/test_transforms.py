@@ -56,7 +56,7 @@ def test_times_that_foxglove_does_not_have_are_refused(
 
     assert main(["export", str(written(tmp_path, data)), str(out), "--transforms"]) == 1
 
-    assert "--transforms takes 1970 to 2106" in capsys.readouterr().err
+    assert "--transforms needs times from 1970 to 2106" in capsys.readouterr().err
     assert not out.exists()
 
 

@@ -29,8 +29,8 @@ Setting = tuple[int, int, int]  # of L in cells, of c, of T
 
 DRAWS = 400
 PRIOR_NO_DEAD_TIME = 0.5
-"""Prior probability of no dead time. The other dead times, up to the 63 % time, share the remaining
-probability equally."""
+"""Prior probability of no dead time. The remaining probability is distributed uniformly over the
+dead times up to the 63 % time."""
 MAX_NO_DEAD_TIME = 0.01
 """A dead time is reported if the probability of no dead time is below this limit."""
 

@@ -71,8 +71,8 @@ def predicted_parameter_std(
     unknown = [name for name in free if not getattr(p, name, 0.0) > 0]
     if unknown or not free:
         raise InputError(
-            f"free={tuple(free)} must name parameters that are > 0; the parameters are J_1, J_2, N, "
-            "K_lin, R_m, K_m and b_1"
+            f"free={tuple(free)} must name parameters that are > 0; the parameters are J_1, J_2, "
+            "N, K_lin, R_m, K_m and b_1"
         )
     if not noise_variance > 0:
         raise InputError(

@@ -130,8 +130,9 @@ def fuse(program: str, programmer: str, port: str | None) -> int:
     try:
         out = _run(call, _ignore, _UNTOUCHED)[0].split()
     except OperationError as err:
-        msg = f"avrdude cannot read with {programmer}: plug the programmer in, and connect it to the "
-        raise OperationError(f"{msg}board's ISP pins; --port names its port if it has one") from err
+        msg = f"avrdude cannot read with {programmer}: plug the programmer in, and connect it to "
+        way_out = "the board's ISP pins; --port names its port if it has one"
+        raise OperationError(msg + way_out) from err
     value = int(out[-1], 16) if out and re.fullmatch("0x[0-9a-f]{1,2}", out[-1]) else 0
     if not value:
         msg = f"avrdude got no extended fuse through the programmer {programmer} (a boot loader "

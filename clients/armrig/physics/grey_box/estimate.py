@@ -88,12 +88,12 @@ def greybox(
         Parameters to estimate, fields of `ArmParameters`. The search starts at their values in
         `fixed`.
     fixed : ArmParameters, optional
-        Values of all other parameters; by default the handout's.
+        Values of all other parameters; by default the values of the handout.
     output : str, default "theta_1"
         Label of the model's measured output.
     fixed_std : mapping of str to float, optional
-        Standard deviations of fixed parameters. The variances that they cause are added to those of
-        the estimates.
+        Standard deviations of fixed parameters. The variances that they cause are added to the
+        variances of the estimates.
     friction : {"viscous", "coulomb", "both"}, optional
         Estimate the friction of the chassis too: b_1 in Nms/rad, T_c in Nm, or both. The default,
         as in the handout, neglects friction. Viscous friction then biases J_1, and Coulomb friction
@@ -150,7 +150,8 @@ def _require_samples(
     samples = data.N - data.missing
     needed = len(names) + (states + 1) * len(experiments) + 1
     if samples < needed or min(part.N for part in experiments) < 2:
-        where = f" in {len(experiments)} experiments, two in each" if len(experiments) > 1 else ""
+        count = len(experiments)
+        where = f" in {count} experiments, and two in each experiment" if count > 1 else ""
         raise InputError(
             f"{samples} samples are too few to estimate {', '.join(names)}, which needs at least "
             f"{needed}{where}: record longer, or cut into fewer parts"
@@ -158,7 +159,10 @@ def _require_samples(
 
 
 def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:
-    """Return the minimum found from a start; logarithms change by less than `MAX_LOG_FACTOR`."""
+    """Return the minimum found from a start.
+
+    The logarithms of the parameters change by less than `MAX_LOG_FACTOR`.
+    """
     plain = problem if isinstance(problem, GreyBox) else problem.plain
     logarithms = np.flatnonzero([name not in SIGNED for name in plain.names])
 
@@ -258,8 +262,8 @@ def _covariances(
 ) -> Iterator[Matrix]:
     """Yield the covariance due to noise alone, then the classic and the robust covariance.
 
-    The last two contain the uncertainty of the fixed parameters. `influence` and `std_held` refer
-    to coordinates; `scale` converts coordinates to parameters.
+    The classic and the robust covariance contain the uncertainty of the fixed parameters.
+    `influence` and `std_held` refer to coordinates; `scale` converts coordinates to parameters.
     """
     carried = influence @ np.diag(std_held)
     added = carried @ carried.T

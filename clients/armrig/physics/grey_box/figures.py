@@ -129,7 +129,7 @@ def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
 
 
 def _with_ticks(low: float, high: float) -> tuple[float, float]:
-    """Return limits that contain at least two of 1, 2, 5 times powers of ten."""
+    """Return limits that contain at least two of the numbers 1, 2 and 5 times a power of ten."""
     steps = np.array([1.0, 2.0, 5.0]) * 10.0 ** np.arange(-4.0, 4.0)[:, None]
     below, above = steps[steps <= high], steps[steps >= low]
     return min(low, float(below.max()) * 0.95), max(high, float(above.min()) * 1.05)

@@ -61,7 +61,8 @@ class GreyFit:
     """Condition number of the scaled derivatives; 1 is best. It is large if the data hardly
     distinguish the parameters."""
     influence: dict[str, dict[str, float]]
-    """Change of each estimate in percent if a fixed parameter is 1 % larger, by their names."""
+    """Change of an estimate, in percent, if a fixed parameter is 1 % larger. The first key is the
+    name of the estimate, and the second key is the name of the fixed parameter."""
     fixed: ArmParameters
     """All parameters, fixed and estimated."""
     fixed_std: dict[str, float]
@@ -77,7 +78,8 @@ class GreyFit:
     fit_percent: float
     """100 (1 - |y - ŷ| / |y - mean y|), simulated, on the estimation data."""
     whiteness: float
-    """p value of the hypothesis of white residuals; inverse dynamics: of smoothed white noise."""
+    """p value of the hypothesis that the residuals are white. For inverse dynamics, the hypothesis
+    is that the residuals are smoothed white noise."""
     whiteness_test: str
     """Name of the test of `whiteness`."""
     quantum: float
@@ -87,7 +89,7 @@ class GreyFit:
     Ts: float
     """Sampling time, in s."""
     converged: bool = True
-    """The search met its tolerance."""
+    """True if the search met its tolerance."""
     physics: Physics
     """The model."""
     width: float = np.nan
@@ -201,7 +203,7 @@ class GreyFit:
             )
         if any(self.fixed_std.values()):
             noise = ", ".join(f"{k} {v:.2g}" for k, v in self.std_noise.items())
-            parts.append(f"Standard deviations by the noise only: {noise}.")
+            parts.append(f"Standard deviations due to the noise only: {noise}.")
         return "\n".join([*parts, *(f"Note: {w}." for w in self.warnings)])
 
     def __repr__(self) -> str:

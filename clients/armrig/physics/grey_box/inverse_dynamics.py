@@ -83,24 +83,25 @@ def inverse_dynamics(
     data : Dataset
         u in V and theta_1 in rad.
     fixed : ArmParameters, optional
-        Values of N, R_m, K_m and, if b_1 is not estimated, b_1; by default those of the handout.
+        Values of N, R_m, K_m and, if b_1 is not estimated, b_1; by default the values of the
+        handout.
     friction : {"viscous", "coulomb", "both"}, optional
-        As for `greybox`; the offset of the input is estimated as there. If T_c is estimated,
-        stretches nearly at rest are not used.
+        As for `greybox`. The rule of `greybox` also decides whether the offset of the input is
+        estimated. If T_c is estimated, stretches nearly at rest are not used.
     width : float, optional
-        Standard deviation s of the smoothing kernel in s; by default the width with the least std²
-        + bias² of a series with the ratio sqrt(2). A narrow kernel passes more noise of the
-        velocity, which biases J_1. A wide kernel loses excitation and data.
+        Standard deviation s of the smoothing kernel in s. By default, several widths with the ratio
+        sqrt(2) are tried, and the width with the least std² + bias² is used. A narrow kernel passes
+        more noise of the velocity, which biases J_1. A wide kernel loses excitation and data.
     fixed_std : mapping of str to float, optional
         As for `greybox`.
 
     Returns
     -------
     GreyFit
-        Both standard deviations are those of the sandwich form, because smoothed noise is never
-        white. `whiteness` is the p value of the hypothesis that the residuals are smoothed white
-        noise of the angle. `width` is s. `bias` is the first-order bias due to the noise of the
-        velocity; it is not subtracted.
+        Both standard deviations come from the sandwich form, because smoothed noise is never white.
+        `whiteness` is the p value of the hypothesis that the residuals are smoothed white noise of
+        the angle. `width` is s. `bias` is the first-order bias due to the noise of the velocity; it
+        is not subtracted.
 
     Raises
     ------

@@ -36,8 +36,8 @@ class Linearised:
     e: Vector
     """Residuals (M,) after the fit of the free responses."""
     Psi: Matrix
-    """Derivatives of the output with respect to the coordinates, (M, d), less their projection on
-    the free responses."""
+    """Derivatives of the output with respect to the coordinates, (M, d). Their projection on the
+    free responses is subtracted."""
     size: Vector
     """Norm of each derivative before the projection, (d,)."""
     spans: tuple[Matrix, ...]
@@ -48,7 +48,10 @@ class Linearised:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GreyBox:
-    """Problem min |y - model(parameters) - free responses|, the free responses projected out."""
+    """Problem min |y - model(parameters) - free responses| without the free responses.
+
+    The free responses are projected out.
+    """
 
     physics: Physics
     """Model with its fixed parameters."""
@@ -103,9 +106,10 @@ class GreyBox:
 class GreyBoxWithFriction:
     """The least-squares problem with Coulomb friction, which is nonlinear in the free responses.
 
-    The coordinates are those of the parameters, then T_c, then x0 of each experiment. If the input
-    is bipolar, u0 follows x0. With an input of one sign, as on the rig, the chassis hardly ever
-    turns back. A friction of constant sign cannot be distinguished from an offset, so u0 is then 0.
+    The vector of coordinates contains the coordinates of the parameters, then T_c, then x0 of each
+    experiment. If the input is bipolar, u0 follows x0. With an input of one sign, as on the rig,
+    the chassis hardly ever turns back. A friction of constant sign cannot be distinguished from an
+    offset, so u0 is then 0.
     """
 
     plain: GreyBox
@@ -114,7 +118,7 @@ class GreyBoxWithFriction:
     """Index of the state that is the speed of the chassis."""
 
     def start(self, eta: Vector) -> Vector:
-        """Return start coordinates from those of the problem without friction.
+        """Return start coordinates, computed from the coordinates of the problem without friction.
 
         If u0 is not free here, T_c is computed from the u0 of the problem without friction.
         Otherwise the search begins with a small T_c.

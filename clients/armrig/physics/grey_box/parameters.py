@@ -33,7 +33,7 @@ _RECORDED = get_args(OutputName)
 
 
 def free_names(free: Sequence[str], friction: Friction | None) -> tuple[str, ...]:
-    """Return the names of the free parameters, those of the friction last."""
+    """Return the names of the free parameters; the parameters of the friction are last."""
     if isinstance(free, str):
         free = (free,)
     if friction not in (None, "viscous", "coulomb", "both"):

@@ -131,8 +131,8 @@ def _reversed(
 ) -> Matrix:
     """Return the derivatives after a step in which the chassis turns back.
 
-    The friction is s V (2 f - 1), with f = v / (v - v') the share of the step before the turn. v'
-    is the final speed for an unchanged friction s V. f depends on all parameters.
+    The friction is s V (2 f - 1). The share of the step before the turn is f = v / (v - v'), which
+    depends on all parameters. The speed v' is the final speed for an unchanged friction s V.
     """
     row, gain, v = model.Phi[speed], model.Gamma[speed], x[speed]
     s = np.sign(v)
@@ -164,7 +164,8 @@ class _Walk:
     frictions: Vector
     """Friction in volts of each step, (N - 1,)."""
     stretches: list[tuple[int, int, int]]
-    """For each stretch: first step, last step + 1, and the sign of the speed, 0 or REVERSAL."""
+    """For each stretch: first step, last step + 1, and the motion. The motion is the sign of the
+    speed (0 during stick), or REVERSAL."""
 
 
 def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
@@ -188,7 +189,7 @@ def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
 def _step(v: float, ahead: float, pull: float, V: float, gain: float) -> tuple[float, int]:
     """Return the friction in volts and the sign of a step that begins at the speed v.
 
-    `ahead` is the final speed without friction, and `pull` the driving voltage at standstill.
+    `ahead` is the final speed without friction, and `pull` is the driving voltage at standstill.
     """
     if v == 0.0:
         if abs(pull) <= V:

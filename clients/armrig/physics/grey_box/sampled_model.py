@@ -84,7 +84,7 @@ class Physics:
             )
         if self.output not in system.output_labels:
             raise InputError(
-                f"output={self.output!r} is none of the model's {system.output_labels}"
+                f"output={self.output!r} is none of the model's outputs {system.output_labels}"
             )
 
     def parameters(self, values: dict[str, float]) -> ArmParameters:

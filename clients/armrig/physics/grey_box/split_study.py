@@ -81,7 +81,7 @@ class Split:
 
     @property
     def p_value(self) -> float:
-        """Probability of such a large `chi2` if all true values are equal; NaN for one part."""
+        """Probability of at least this `chi2` if all true values are equal; NaN for one part."""
         from scipy.special import chdtrc
 
         return float(chdtrc(self.k - 1, self.chi2)) if self.k > 1 else float("nan")
@@ -100,7 +100,10 @@ class SplitStudy:
 
     @property
     def exponent(self) -> float:
-        """Slope of log std against log N over all parts; the law is -1/2; NaN for one length."""
+        """Slope of log std against log N over all parts; NaN if all parts have the same length.
+
+        According to the law 1/sqrt(N), the slope is -1/2.
+        """
         N = np.concatenate([s.N for s in self.splits])
         std = np.concatenate([s.std for s in self.splits])
         if np.ptp(np.log(N)) < 0.1:

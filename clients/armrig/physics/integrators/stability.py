@@ -2,8 +2,8 @@
 
 For each eigenvalue lambda the roots of the stability polynomial pi(zeta; h lambda) must be inside
 the unit circle. The reduction of Schur and Cohn converts this condition into the signs of a few
-polynomials in h. A finite limit other than 0 is one of their roots, so that no scan over h is
-necessary.
+polynomials in h. A finite limit other than 0 is a root of one of these polynomials, so that no scan
+over h is necessary.
 
 References
 ----------

@@ -64,7 +64,7 @@ def integrate(
     t : ndarray, shape (n + 1,)
         Time in s.
     x : ndarray, shape (n + 1, nx)
-        States. Beyond the stability limit they grow without bound, up to inf and NaN.
+        States. If h is above the stability limit, the states grow without bound, up to inf and NaN.
 
     Raises
     ------

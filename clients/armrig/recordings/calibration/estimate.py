@@ -174,8 +174,8 @@ def estimate(
         Recording at 0 V and then one voltage or more, each held for a few turns. The voltage at
         which the motor stops is estimated from two or more voltages.
     deflected : Recording or Readings, optional
-        Recording at 0 V, the arm held by hand towards positive alpha. The sign of alpha is
-        estimated from `deflected`, and from `turns` if `deflected` shows no deflection.
+        Recording at 0 V, during which a hand holds the arm towards positive alpha. The sign of
+        alpha is estimated from `deflected`, and from `turns` if `deflected` shows no deflection.
     meter : sequence of (float, float), optional
         Pairs of a code's voltage and the voltage measured at the motor's terminals, both in V.
     meter_std_v : float, default 0.01

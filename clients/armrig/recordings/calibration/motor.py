@@ -84,7 +84,8 @@ def terminal_voltage(
     for volts, shown in meter:
         if not (0 < volts <= U_MAX_V and isfinite(shown) and 0 < shown < 2 * U_MAX_V):
             raise InputError(
-                f"{shown:g} V at a code of {volts:g} V: must be above 0 V at a code above 0 V"
+                f"the meter reads {shown:g} V at a code of {volts:g} V: the reading must be above "
+                f"0 V and below {2 * U_MAX_V:g} V, at a code above 0 V, at most {U_MAX_V:g} V"
             )
     if u.size == 1:
         gain, std = y[0] / u[0], meter_std_v / u[0]
@@ -102,9 +103,9 @@ def terminal_voltage(
 def speeds(turned: Turning, terminal: TerminalVoltage) -> Speeds | None:
     """Return the line of the speed against the voltage; None for fewer than two voltages.
 
-    The speeds are 2 pi b_j / d. Their covariance follows from the covariance of the slopes b_j and
-    the counts of a turn d. The inverse of the speeds' covariance weights the line. The errors of
-    the meter are independent of the b_j and d.
+    The speeds are 2 pi b_j / d, with the slopes b_j and the number d of counts of a turn. Their
+    covariance follows from the covariance of b_j and d. The inverse of the speeds' covariance
+    weights the line. The errors of the meter are independent of the b_j and d.
     """
     d = turned.per_turn.value
     omega = 2 * pi * turned.direction * turned.slopes / d

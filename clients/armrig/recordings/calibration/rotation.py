@@ -203,7 +203,10 @@ def _fitted(
 
 
 def _places(settled: _Settled, x: Vector, direction: int, centre: float) -> tuple[Vector, Vector]:
-    """Return each sample's place on its line, within half a turn of `centre`, and its turns."""
+    """Return the place of each sample on its line, and the number of turns of each sample.
+
+    Each place is within half a turn of `centre`.
+    """
     m, d = settled.volts.size, x[-1]
     line = x[settled.level] + x[m + settled.level] * settled.t
     n = direction * np.floor((line - centre) / d + 0.5)
@@ -237,6 +240,9 @@ def _least(values: Vector, otherwise: float) -> float:
 
 
 def _bracketed(bracket: tuple[float, float], variance: float) -> Figure:
-    """Return the middle of an interval; `variance` is added to that of a uniform distribution."""
+    """Return the middle of an interval with its standard deviation.
+
+    The variance is the variance of a uniform distribution plus `variance`.
+    """
     low, high = bracket
     return Figure(value=(low + high) / 2, std=sqrt((high - low) ** 2 / 12 + variance))

@@ -36,10 +36,11 @@ def remarks(calibration: Calibration | None, manifest: Manifest) -> list[str]:
     if uid != made.device_uid:
         found.append(
             f"The calibration is of another device: it was made on {made.device_uid or 'none'}, "
-            f"the recording on {uid or 'a device without an id'}."
+            f"the recording was made on {uid or 'a device without an id'}."
         )
     elif manifest.rig != made.rig:
-        found.append(f"The calibration is of rig {made.rig}, the recording of rig {manifest.rig}.")
+        of = f"The calibration is of rig {made.rig}"
+        found.append(f"{of}, and the recording is of rig {manifest.rig}.")
     age = _age(made.date, manifest.started)
     if age is None:
         found.append("The age of the calibration is not known.")
