@@ -31,7 +31,7 @@ def plot_timing(
     quantity: Literal["jitter", "lateness"] = "jitter",
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot the histogram of a time, both axes logarithmic, with its p50, p99 and maximum.
+    """Plot the histogram of a time on logarithmic axes, and mark its p50, p99 and maximum.
 
     If all times are the same to the clock's resolution, the figure contains the time as text.
 

@@ -22,7 +22,11 @@ if TYPE_CHECKING:
 
 
 LEAST_RATIO, NO_RATIO = 3.0, 0.3
-"""Signal to noise below which 30 s determine inertias only to some per cent, or not at all."""
+"""Signal-to-noise ratios.
+
+Below the first ratio, a recording of 30 s determines the inertias only to some per cent. Below the
+second ratio, it does not determine the inertias.
+"""
 MOST_HIDDEN = 0.15
 """Largest share of samples without theta_1 that a dead band of an eighth of a turn causes."""
 MOST_MISSING = 0.01
@@ -106,7 +110,7 @@ def check_step(r: Recording) -> Iterator[Finding]:
 
 
 def check_arm(r: Recording) -> Iterator[Finding]:
-    """Check that alpha is not at an end of its track; in a greybox run, check that it rests."""
+    """Check that alpha is not at an end of its track; in a greybox run, check that alpha rests."""
     if _is_greybox(r):
         yield from _check_removed_arm(r)
         return
@@ -224,7 +228,7 @@ class HiddenStep:
 
 
 def hidden_step(r: Recording) -> HiddenStep | None:
-    """Return the hidden interval of the rise; None if the rise is visible, or without one step.
+    """Return the hidden interval of the rise; None if the rise is visible or u is no step.
 
     The duration of the rise is taken as the equivalent time (`armrig.numerics.step_times`). This
     time is the lag of the angle relative to its final straight line. It can be computed without

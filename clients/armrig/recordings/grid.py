@@ -89,7 +89,8 @@ def grid(
     gaps : iterable of (int, int)
         First index and number of missing samples of each gap record.
     between : (int, int)
-        Index of the first row, and of the row after the last, to which the grid is limited.
+        Limits of the grid: the least index of its first row, and the largest index after its last
+        row.
 
     Raises
     ------
@@ -101,8 +102,8 @@ def grid(
         first, last = first_of(manifest), manifest.k_first + max(manifest.samples, 0)
         if k.size and not (first <= begin and end <= last):
             raise InputError(
-                f"its samples are k={begin} to {end - 1}, but those of the run are {first} to "
-                f"{last - 1}"
+                f"its samples are k={begin} to {end - 1}, but the samples of the run are "
+                f"k={first} to {last - 1}"
             )
         ends = [end, *(k_gap + count for k_gap, count in gaps), first]
         if outcome is not None:

@@ -109,7 +109,7 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
 
 
 def angle_of_jitter(timing: SamplingStatistics, data: Dataset) -> float:
-    """Return the error of an angle because jitter shifts its reading from k Ts.
+    """Return the error of an angle because jitter moves its reading away from the time k Ts.
 
     The error, in the unit of the data, is the product of the standard deviation of the interval and
     `fastest_rate`.

@@ -54,7 +54,8 @@ def load(
 ) -> Recording:
     """Load the recording in a file, or in the parts of one run.
 
-    Of a truncated or damaged file, the part before the damage is loaded, and `truncated` is True.
+    If the file is truncated or damaged, the part before the damage is loaded, and `truncated` is
+    True.
 
     Parameters
     ----------
@@ -63,8 +64,8 @@ def load(
         selected by the name of the run (all parts), the name of one part, or the names of
         consecutive parts.
     calibration : Calibration, str or Path, optional
-        Calibration for the counts and codes, or its TOML file of `armrig calibrate`; by default the
-        calibration that the daemon attached.
+        Calibration that converts the counts and codes, or the TOML file in which `armrig calibrate`
+        stored it. The default is the calibration that the daemon attached to the recording.
     start, stop : float, optional
         Range of samples, start <= t < stop, in s from the first sample of the run, as in `t`.
         Samples outside the range are not loaded. `theta_1` counts its turns from the first sample
@@ -138,7 +139,10 @@ class RunContent(NamedTuple):
     outcome: Outcome | None
     calibration: Calibration | None
     between: tuple[int, int]
-    """First index, and the index after the last; `content` may have further samples."""
+    """First index, and the index after the last.
+
+    `content` may contain samples outside this range.
+    """
 
 
 def run_content(
@@ -203,7 +207,7 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
             records.check_whole_numbers(recovered)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
         raise FileError(
-            f"{path}: its manifest or calibration is not armrig's: {_first_line(err)}"
+            f"{path}: armrig did not write its manifest or calibration: {_first_line(err)}"
         ) from err
     try:
         check_sampling_time(manifest)
@@ -334,7 +338,10 @@ def clock_of(content: Content, manifest: Manifest, k_first: int) -> Clock:
 
 
 def _input(samples: NDArray[np.void], rows: Grid, gaps: tuple[Gap, ...]) -> Vector:
-    """Return u (N,) in V: applied, or held during a gap; NaN for a missing sample without a gap."""
+    """Return u (N,), the applied voltage in V. In a gap, u is the voltage that was held.
+
+    For a missing sample without a gap, u is NaN.
+    """
     applied = samples["u_applied_v"]
     if applied.size == rows.N:
         return applied.copy()

@@ -25,7 +25,7 @@ class Published(NamedTuple):
     """A message of the daemon, with its stream and its time of publication."""
 
     t: float
-    """Time of publication in s from the run's first sample; negative for messages before it."""
+    """Time of publication in s from the run's first sample; negative before this sample."""
     stream: str
     """Name of the stream, such as sample."""
     data: bytes
@@ -85,7 +85,7 @@ def published(path: Path, start: float | None = None, stop: float | None = None)
     Raises
     ------
     FileError
-        `armrig.load` would raise it, or the range contains no message.
+        `armrig.load` would raise this error, or the range contains no message.
     OSError
         The file cannot be opened or read.
     """

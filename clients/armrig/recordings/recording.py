@@ -69,16 +69,20 @@ class Recording:
     t: Vector
     """Time in s from the first sample that was due, (N,)."""
     u: Vector
-    """Voltage in V at the motor's terminals from `t` on, (N,): as held by the device, calibrated.
+    """Voltage in V at the motor's terminals from `t` on, (N,).
 
-    For a missing sample, u is the voltage in its gap record; NaN without a record.
+    It is the voltage that the device held, converted by the calibration. For a missing sample, it
+    is the voltage in the gap record, or NaN without a record.
     """
     theta_1: Vector
     """Angle of the chassis in rad with its turns counted, (N,); NaN where it is not `valid`."""
     alpha: Vector
     """Angle of the arm against the chassis in rad, (N,); NaN where it is not `valid_alpha`."""
     valid: Mask
-    """Mask (N,) of theta_1: False in the dead band, at the next sample, and if missing."""
+    """Mask (N,) of theta_1.
+
+    It is False in the dead band, at the first sample after the dead band, and for a missing sample.
+    """
     valid_alpha: Mask
     """Mask (N,) of alpha: False at a rail, and if the sample is missing.
 

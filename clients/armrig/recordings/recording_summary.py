@@ -119,8 +119,9 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     def names(self, *, validation: bool) -> set[str]:
         """Return all names that select the recording: its name, run id, experiment and file name.
 
-        A validation is selected by its own id and experiment. With `validation`, it is selected by
-        the names of the recording that it validates.
+        The name of a validation is the name of the validated recording, so it does not select the
+        validation. With `validation`, the result is the names of the validated recording; it is
+        empty if this recording is no validation.
         """
         if not validation:
             own = {self.name} if self.name and not self.is_validation else set()
@@ -133,7 +134,7 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
 
 @lru_cache(maxsize=1000)
 def _parts(experiment: str) -> tuple[str, bool, str]:
-    """Split an experiment into its kind, whether it is a validation, and the name it was given."""
+    """Return the kind of an experiment, True for a validation, and the name of the experiment."""
     found = _EXPERIMENT.fullmatch(experiment)
     return (found[1], bool(found[2]), found[3] or "") if found else (experiment, False, "")
 
@@ -232,7 +233,7 @@ def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
 
 
 def _indexes(stream: IO[bytes], size: int) -> Iterator[MetadataIndex]:
-    """Yield the indexes of the metadata records, from the summary between data and footer."""
+    """Yield the indexes of the metadata records; the summary between data and footer has them."""
     end = size - _FOOTER.size - len(MAGIC)
     if end < len(MAGIC):
         raise CutOffError("it ends without its footer")

@@ -43,10 +43,11 @@ class SampleRows:
         self._pending_size = 0
 
     def add_run(self, chunk: memoryview, at: int) -> int:
-        """Add the consecutive message records at `at` of a sample's length; return their size in B.
+        """Add the consecutive records with the length of a sample, from `at` on; return their size.
 
-        All these records are of the channel of the first record. Their layout is checked later, for
-        many records together. Call `settle` before adding the run of another chunk.
+        All these records are messages of the channel of the first record; their size is in B. Their
+        layout is checked later, for many records together. Call `settle` before adding the run of
+        another chunk.
         """
         found = _RUN.match(chunk, at)
         end = found.end() if found else at

@@ -54,7 +54,7 @@ class DataVerdict:
     findings: tuple[Finding, ...]
     """Findings of the checks, in the order of the checks."""
     signal_rad: float
-    """Effective value of theta_1 about a straight line over each second, without noise, in rad."""
+    """Rms deviation of theta_1 from a line fitted to each second, without the noise, in rad."""
     noise_rad: float
     """Standard deviation of the part of theta_1 that its past and u do not explain, in rad."""
     step_rad: float
@@ -102,11 +102,11 @@ class DataVerdict:
 def data_verdict(recording: Recording) -> DataVerdict:
     """Judge the data of a recording: run, rails, signal against noise, samples, timing, turns.
 
-    The signal is the effective value of theta_1 about a straight line, over stretches of 1 s. The
-    power of the noise is subtracted. The first second, in which the chassis starts, is left out.
-    The noise is the standard deviation of the residuals of an ARX model of order 10 or less. For
-    white noise on the angle, this value is close to the noise's standard deviation. Its least value
-    is a step of the converter divided by sqrt(12).
+    The signal is the rms deviation of theta_1 from a straight line, which is fitted to each second.
+    The power of the noise is subtracted. The first second, in which the chassis starts, is left
+    out. The noise is the standard deviation of the residuals of an ARX model of order 10 or less.
+    For white noise on the angle, this value is close to the noise's standard deviation. Its least
+    value is a step of the converter divided by sqrt(12).
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def _step(r: Recording) -> float:
 
 
 def _signal(data: Dataset, noise: float) -> float:
-    """Return the effective value of y about a line over each second, without the noise's power."""
+    """Return the rms deviation of y from a line fitted to each second, without the noise."""
     n = max(8, round(_STRETCH_S / data.Ts))
     moving = data[n:] if data.N * data.Ts > _START_S else data
     squares, known = 0.0, 0
@@ -285,7 +285,10 @@ def doubts_of_pair(first: Recording, other: Recording, *, one_plant: bool = True
 
 
 def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[str]:
-    """Return the doubts about each recording, and about each pair with the first exciting one."""
+    """Return the doubts about each recording.
+
+    Return also the doubts about each pair that contains the first exciting recording.
+    """
     found = [text for r in recordings for text in doubts(r)]
     excited = [r for r in recordings if r.manifest.experiment.partition("-")[0] not in NO_MODEL]
     for n, other in enumerate(excited[1:]):

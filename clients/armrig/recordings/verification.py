@@ -129,9 +129,8 @@ def check_file(r: Recording) -> Check:
         )
     came, missing = r.samples.size, r.missing
     if r.manifest.part == 0 and (r.outcome.samples, r.outcome.missing) != (came, missing):
-        text = (
-            f"it reports {r.outcome.samples} samples and {r.outcome.missing} missing, and contains "
-        )
+        text = f"it reports {r.outcome.samples} samples and {r.outcome.missing} missing samples, "
+        text += "but contains "
         return _failed("file", f"{text}{came} and {missing}")
     return _passed(
         "file", f"complete, all checksums correct; outcome of the run: {r.outcome.outcome}"
@@ -190,7 +189,7 @@ def check_envelope(r: Recording) -> Check:
 
 
 def check_input(r: Recording, u: Vector) -> Check:
-    """Check that the voltage of each sample k is that of index k in the input `u` (N,), in V."""
+    """Check that each sample has its voltage of the input `u` (N,), in V."""
     at = r.samples["k"].astype(np.int64) - max(r.manifest.k_first, 0)
     if u.size != r.manifest.samples:
         text = f"{u.size} voltages are attached, but the run has {r.manifest.samples} samples"
@@ -249,7 +248,8 @@ def check_clock(r: Recording) -> Check:
     # The times at both ends may be wrong by a sampling time each.
     allowed = MAX_DRIFT_PPM + 2 * (r.Ts * 1e9) / host * 1e6
     if abs(ppm) > allowed:
-        text = f"the device's clock is {ppm:.0f} ppm off the host's over the run, more than "
+        text = f"the device's clock is {ppm:.0f} ppm off the host's clock over the run; "
+        text += "the limit is "
         return _failed("clock", f"{text}{allowed:.0f}")
     for before, after in pairwise(r.clock):
         change = after.offset_ns - before.offset_ns
@@ -261,7 +261,8 @@ def check_clock(r: Recording) -> Check:
             <= _MAX_JUMP_SIGMAS * spread + before.bound_ns + after.bound_ns
         ):
             text = f"the offset of the clocks jumps by {(change - expected) / 1e3:.0f} µs at "
-            return _failed("clock", f"{text}{after.t:.1f} s, against ± {spread / 1e3:.0f} µs")
+            text += f"{after.t:.1f} s (standard deviation {spread / 1e3:.0f} µs)"
+            return _failed("clock", text)
     if not r.clock:
         return _passed(
             "clock", f"the device's clock is {ppm:+.1f} ppm off; no comparisons recorded"
@@ -299,7 +300,7 @@ def _check_configuration(r: Recording) -> Check:
     u = r.samples["u_cmd_v"]
     low, high = limits.u_min_v - 0.5 * _CODE_V, limits.u_max_v + 0.5 * _CODE_V
     if u.size and not (low <= u.min() and u.max() <= high):
-        found = f"{u.min():.4g} to {u.max():.4g} V were requested, outside its limits "
+        found = f"{u.min():.4g} to {u.max():.4g} V were requested, outside the limits "
         return _failed("configuration", f"{found}{limits.u_min_v:g} to {limits.u_max_v:g} V")
     return _passed("configuration", "its hash is correct, and its limits were observed")
 

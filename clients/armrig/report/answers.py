@@ -14,7 +14,10 @@ from armrig_core.toml_file import read_toml
 MAX_STUDENTS: Final = 2
 """Largest number of students: the handout's cover has this number of lines for names."""
 MAX_NAME, MAX_REASONS = 80, 4000
-"""Largest numbers of characters of a name and of an assignment's reasons, to fit on ten pages."""
+"""Largest number of characters of a name, and of the reasons for one assignment.
+
+The limits keep the report within ten pages.
+"""
 _KEYS: Final = ("name", "registration_number")
 _QUOTED: Final = 'each value is a text in quotes, such as registration_number = "900101-1234"'
 
@@ -42,7 +45,7 @@ def read_answers(path: Path) -> Answers:
     Raises
     ------
     FileError
-        The file cannot be read, has an unknown key, or a value is not a text or is too long.
+        The file cannot be read, a key is unknown, or a value is too long or is not a text.
     """
     try:
         tables = read_toml(path, CONFIGURATION_LIMIT)
@@ -69,7 +72,9 @@ def _answers(tables: dict[str, Any]) -> Answers:
             f"{len(students)} students: the handout's cover has room for {MAX_STUDENTS}"
         )
     if not isinstance(reasons, dict):
-        raise FileError('reasons: give a table [reasons] with a text for each, such as "2.1"')
+        raise FileError(
+            'reasons: give a table [reasons] with one text for each assignment, such as "2.1"'
+        )
     for student in students:
         _check_keys(student, _KEYS, "students: ")
     _check_keys(reasons, tuple(QUESTIONS), "reasons: ")

@@ -23,7 +23,7 @@ from armrig.recordings.recording import Recording
 from armrig.report.study import AssessedFit, Study
 
 MIN_BIASED_RMS_RATIO = 3.0
-"""An ARX model is called biased above this ratio of its rms error to that of the best model."""
+"""Ratio of the rms errors of an ARX model and the best model, above which ARX is called biased."""
 
 
 def conclusions(study: Study) -> list[str]:
@@ -83,7 +83,7 @@ def _structure_verdicts(study: Study) -> Iterator[str]:
 def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
     """Return the doubts about the calibrations of recordings, without repeated sentences.
 
-    A sentence that is not true for all recordings begins with the names of its files.
+    A sentence that holds only for some of the recordings begins with the names of their files.
     """
     of: dict[str, list[str]] = {}
     for r in recordings:
@@ -105,8 +105,8 @@ def _jitter_verdict(study: Study) -> str:
         "The sampling interval of the validation data has a standard deviation of "
         f"{microseconds(timing.std_us)}. At {number(fastest_rate(data))} {data.unit}/s, the "
         "rate that 99 % of the data do not exceed, this jitter moves θ₁ by "
-        f"{error(angle_of_jitter(timing, data), data.unit)}. It affects both the measurement and "
-        "the response to the input."
+        f"{error(angle_of_jitter(timing, data), data.unit)}. The jitter affects both the "
+        "measurement and the response to the input."
     )
 
 

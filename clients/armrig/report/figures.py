@@ -39,7 +39,7 @@ _LOW_HEIGHT, _HEIGHT = 1.35, 1.55
 _TWO_PANELS_HEIGHT, _LEGENDS_HEIGHT = 1.95, 1.75
 """Heights, in inches: for two panels below each other, and for a panel with long legends."""
 _STEP_HEIGHT = 2.6
-"""Height, in inches: the slope at t = 0, for assignment 2.2, must be visible below the legend."""
+"""Height, in inches, at which the slope at t = 0 (assignment 2.2) is visible below the legend."""
 Draw = Callable[[Axes], object]
 
 

@@ -130,8 +130,8 @@ def check_length(places: Sequence[tuple[str, float]]) -> None:
     """
     if not places:
         raise OperationError(
-            f"{TEMPLATE}: the #mark of each section is missing: keep the marks, which the lengths "
-            "of the sections are computed from"
+            f"{TEMPLATE}: the #mark of each section is missing: keep the marks, because armrig "
+            "computes the lengths of the sections from the marks"
         )
     pages = int(places[-1][1])
     if pages <= MOST_PAGES:

@@ -84,7 +84,7 @@ def handout_study(
         Orders of the black-box models.
     cases : dict of str to ArmParameters, optional
         Sets of parameters that assignment 2.3 compares, by name; the first is the handout's set. By
-        default, J_1 and K_lin are doubled.
+        default there are two more sets: one with J_1 doubled, and one with K_lin doubled.
     amplitude, omega : float
         Amplitude in V and angular frequency in rad/s of the input in assignments 4.1 to 4.4.
     """

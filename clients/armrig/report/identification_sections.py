@@ -46,7 +46,7 @@ def identification_sections(study: HandoutStudy) -> list[Section]:
 
 
 def _lacking(study: HandoutStudy, number_: str, name: str, command: str) -> Section:
-    """Return a section without a result, with the reason and the command for the recording."""
+    """Return a section without a result: its reason, and the command that makes the recording."""
     refused = study.refused.get(name, "")
     lack = f"No result: {refused}." if refused else "No recording for this assignment yet."
     if command == _GREYBOX:
@@ -101,7 +101,7 @@ def _hints(study: HandoutStudy) -> Section:
         number="3.2",
         answer=(
             f"{plural(found.nf, 'pole')}, {integrator}nb = {found.nb} and nk = {found.nk}. The "
-            "structure is output error, because the noise is the potentiometer's.",
+            "structure is output error, because the noise arises in the potentiometer.",
             f"{slope}Resonances, two poles each: {peaks}; antiresonances, two zeros each: {dips}. "
             f"The Hankel singular values are {shown} …; uncertainty alone explains values up to "
             f"{found.threshold:.2g}, and {plural(found.order - apart, 'value')} above this limit "
@@ -151,10 +151,11 @@ def _black_box(study: HandoutStudy) -> Section:
             f"The {best.name} model simulates the validation data{halves} with an rms error of "
             f"{error(best.comparison.rms_error, black.validation.unit)}. It is estimated from "
             f"{best.fit.N} of {black.estimation.N} samples at {milliseconds(black.estimation.Ts)}: "
-            f"the samples with known angle and past. ± is one standard deviation.{other}",
-            f"The equation is that of the {best.name} model, with the delay q⁻¹ and white noise "
+            "the angle and the past of these samples are known. ± is one standard deviation."
+            f"{other}",
+            f"The equation of the {best.name} model contains the delay q⁻¹ and white noise "
             f"e(t). The table contains the coefficients of the polynomials.{_fixed_root(black)} "
-            "The rms error is that of the simulated angle on the validation data. p white and p "
+            "The rms error is the error of the simulated angle on the validation data. p white and p "
             "dynamics are the p values of two hypotheses: the residuals are white, and past input "
             "does not explain the residuals. A value below 0.01 speaks against the model.",
         ),

@@ -136,7 +136,7 @@ def arm_at_rest(study: Study) -> str:
 
 
 def _deviation(m: AssessedFit, study: Study) -> tuple[str, str, str]:
-    """Return median and greatest deviation from the physics, and the frequency of the greatest."""
+    """Return median and greatest deviation from the physics, and the frequency of the latter."""
     at = float(study.omega[np.argmax(m.deviation)])
     median, most = float(np.median(m.deviation)), float(np.max(m.deviation))
     return percent(100 * median), percent(100 * most), f"{number(at)} rad/s"

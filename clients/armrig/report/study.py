@@ -48,7 +48,7 @@ class Orders:
     nb: int = ARM_POLES
     """Number of b coefficients of both models."""
     nf: int = ARM_POLES
-    """Number of f coefficients of the OE model, including the integrator's."""
+    """Number of f coefficients of the OE model, including the coefficient of an integrator."""
     nk: int = 1
     """Number of samples before u acts on y, in both models."""
     integrator: bool = True
@@ -143,8 +143,8 @@ def study(
     """Estimate ARX and OE models, and compare them and the physical model with validation data.
 
     No model is estimated from a step or a staircase, or validated on it. The models are estimated
-    from the first other recording, and validated on the second. If there is only one, its first
-    half is for estimation and its second half for validation.
+    from the first other recording, and validated on the second. If there is only one such
+    recording, its first half is used for estimation, and its second half for validation.
 
     Parameters
     ----------

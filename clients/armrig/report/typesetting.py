@@ -114,7 +114,10 @@ def compiled(source: Path) -> tuple[bytes, Places]:
 
 
 def _check_links(folder: Path) -> None:
-    """Raise OperationError for a link that points out of a folder: the compiler follows links."""
+    """Raise OperationError for a link that points out of a folder.
+
+    The compiler would follow the link.
+    """
     inside = folder.resolve()
     for path in folder.rglob("*"):
         if path.is_symlink() and not path.resolve().is_relative_to(inside):
@@ -124,7 +127,7 @@ def _check_links(folder: Path) -> None:
 
 
 def _interruptible(work: Callable[[], tuple[bytes, str]]) -> tuple[bytes, str]:
-    """Run `work` in a thread, so that Ctrl-C ends the wait although the compiler ignores it."""
+    """Run `work` in a thread, so that Ctrl-C ends the wait although the compiler ignores Ctrl-C."""
     done: Future[tuple[bytes, str]] = Future()
 
     def run() -> None:

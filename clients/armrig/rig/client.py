@@ -58,11 +58,12 @@ class Rig:
     rig : str, default "1"
         Id of the rig.
     connect : str, optional
-        Endpoint of the daemon. The default is the endpoint in `[client]` of the configuration.
-        Without it, the sockets of this user's daemon and of this machine's service are tried in
-        this order.
+        Endpoint of the daemon. The default is the endpoint in `[client]` of the configuration. If
+        there is no endpoint in `[client]`, the client tries two sockets: first the socket of this
+        user's daemon, then the socket of this machine's service.
     certificate : str or Path, optional
-        Credential for an endpoint such as tls/lab-1.local:7447; by default the one in `[client]`.
+        Credential for an endpoint such as tls/lab-1.local:7447; by default the credential in
+        `[client]`.
 
     Raises
     ------
@@ -127,7 +128,7 @@ class Rig:
         owner : str
             Name of the owner, which other users see; 1 to 80 characters.
         Ts : float, optional
-            Sampling time in s; by default the configured one.
+            Sampling time in s; by default the configured sampling time.
 
         Returns
         -------
@@ -166,10 +167,11 @@ class Rig:
         Parameters
         ----------
         u : array_like, shape (N,)
-            Motor voltage at each sample, in V, inside the limits of `arm`; N from 1 to 4 000 000.
+            Motor voltage at each sample, in V, inside the limits of `arm`. N is from 1 to 4 000
+            000.
         pacing : {"scheduled", "exchange"}
-            Source of the sampling: the device's timer, or the host at each tick. With the host, the
-            data contain its jitter.
+            Source of the sampling: the device's timer, or the host at each tick. If the host paces
+            the samples, its jitter is in the data.
         experiment : str, default "run"
             Kind of experiment, of a-z, 0-9 and -; part of the recording's name.
         details : mapping, optional
@@ -268,7 +270,7 @@ class Rig:
         Raises
         ------
         RefusedError
-            The rig is not armed, or another client has it.
+            The rig is not armed, or another client has the lease.
         ValueError
             The voltage is not allowed or not a number; nothing was sent.
         """
@@ -309,7 +311,7 @@ class Rig:
         Parameters
         ----------
         text : str
-            Text, such as that somebody touched the arm; 1 to 500 printable characters.
+            Text, such as "touched the arm"; 1 to 500 printable characters.
         owner : str, optional
             Author; by default the owner given to `arm`, or this user.
 
@@ -321,7 +323,7 @@ class Rig:
         Raises
         ------
         RefusedError
-            The daemon is too old for notes; a `BusyError` after too many notes.
+            The daemon is too old for notes. After too many notes, the exception is a `BusyError`.
         NoReplyError
             The daemon does not answer.
         ValueError
@@ -345,7 +347,7 @@ class Rig:
         return self._ask_again(commands.Reset(), commands.Done).done
 
     def calibrate(self, path: str | Path) -> None:
-        """Make the daemon use a calibration from a TOML file of `armrig calibrate` until it ends.
+        """Make the daemon use a calibration from a TOML file until the daemon ends.
 
         The daemon accepts a calibration only if the rig is safe. It applies the calibration from
         the next sample on. A command that is refused temporarily is sent again for up to 2.5 s.
@@ -353,7 +355,8 @@ class Rig:
         Parameters
         ----------
         path : str or Path
-            Path of the file; the samples from which it was estimated must be in the same folder.
+            Path of the file that `armrig calibrate` wrote. The samples from which the calibration
+            was estimated must be in the same folder.
 
         Raises
         ------
@@ -381,7 +384,7 @@ class Rig:
         return arrivals(self._connected(), topics.stream_key(self.rig, name))
 
     def _allowed(self, u: ArrayLike) -> NDArray[np.float64]:
-        """Return the voltages (N,); raise ValueError if one is outside the limits."""
+        """Return the voltages (N,); raise ValueError if a voltage is outside the limits."""
         volts = np.asarray(u, dtype=np.float64)
         if volts.ndim != 1 or volts.size == 0:
             raise InputError(
@@ -429,9 +432,9 @@ class Rig:
         payload = msgspec.json.encode(request)
         if self._name and len(payload) > commands.MOST_REMOTE_BYTES:
             raise RigError(
-                f"{request.name}: {len(payload)} B, over a network at most "
-                f"{commands.MOST_REMOTE_BYTES} B are allowed: play it in parts, or on the rig's "
-                "own machine"
+                f"{request.name} has {len(payload)} B; over a network at most "
+                f"{commands.MOST_REMOTE_BYTES} B are allowed: play the input in parts, or on the "
+                "rig's own machine"
             )
         replies = self._connected().get(
             key, payload=payload, encoding="application/json", timeout=longest_reply_s(request)

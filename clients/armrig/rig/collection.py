@@ -33,7 +33,7 @@ from armrig.rig.replies import Progress, RefusedError, RunEndedError
 from armrig.rig.session import NoReplyError, RigError, ServiceStoppedError, service_has_stopped
 
 Shown = Callable[[Rig, str, int], AbstractContextManager[Progress]]
-"""Function of a rig, a kind of experiment and N that returns a context with a progress callback."""
+"""Function of rig, kind of experiment and N; it returns a context with a progress callback."""
 
 LONGEST_TS = 1.0
 """Longest sampling time that the daemon allows, in s."""
@@ -134,7 +134,7 @@ def number_of_samples(seconds: float, Ts: float) -> int:
 
 @contextmanager
 def on_the_terminal(rig: Rig, experiment: str, N: int) -> Iterator[Progress]:
-    """Show the progress of a run of N samples as a bar, followed by its timing."""
+    """Show the progress of a run of N samples as a bar, followed by the run's timing."""
     with timing_note(rig, N) as note, bar(experiment, note=note) as progress:
         yield progress
 
@@ -268,7 +268,7 @@ def planned_input(plan: Plan, Ts: float, tell: Callable[[str], None]) -> NDArray
 
 
 def refusal_sentence(err: RigError, way_out: str) -> str:
-    """Return the reason for the refusal of a command; for a latched fault, with the remedy."""
+    """Return the reason for the refusal of a command; for a latched fault, also the remedy."""
     if isinstance(err, RefusedError) and err.code == RefusalCode.IN_FAULT:
         return f"in fault ({err.parameters.get('reason', '')}): repair it, then {way_out}"
     return str(err)
@@ -285,7 +285,11 @@ def reset_command(rig: str, connect: str | None) -> str:
 
 
 def _reason(rig: Rig, err: RigError, way_out: str) -> str:
-    """Return the reason why a collection failed; after a trip, `err` reports only a lost lease."""
+    """Return the reason why a collection failed.
+
+    After a trip, `err` reports only that the lease was lost, so the status of the rig gives the
+    reason.
+    """
     try:
         status = rig.status()
     except NoReplyError as gone:

@@ -14,7 +14,7 @@ from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample
 
 MOST_TOLD, MOST_TOLD_BYTES = 10_000, 1 << 20
-"""Limits of the reported gaps that are stored until a later sample arrives; a gap has 60 B."""
+"""Largest number and size in B of the gaps that are stored until a later sample arrives."""
 _T = TypeVar("_T")
 
 
@@ -92,7 +92,8 @@ def _missed(before: Sample, after: Sample, first: int, end: int) -> LiveGap:
 
 
 class Newest(Generic[_T]):
-    """Bounded store that drops the oldest values; one thread may add while another takes."""
+    """Bounded store that drops the oldest values; one thread may add values while another takes
+    them."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
         """Create a store of at most `most` values with a total size of at most `most_bytes`."""

@@ -1,4 +1,4 @@
-"""A daemon of this machine as a child process that always ends with its block."""
+"""A daemon of this machine as a child process, which always ends with its `with` block."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _POLL_INTERVAL_S = 0.1
 
 @contextmanager
 def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run `armrigd run` until the block ends, which sets the motor to 0 V.
+    """Run `armrigd run` until the block ends; the end of the block sets the motor to 0 V.
 
     The daemon also sets the motor to 0 V and ends if this process is killed or the calling thread
     ends. In this case the kernel sends the daemon a signal.
@@ -42,7 +42,7 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
     ------
     RigError
         Another daemon answers for this rig, or the new daemon ended or does not answer. The message
-        contains its last line.
+        contains the last line of the daemon's log.
     """
     _require_none(rig)
     program = [sys.executable, "-m", "armrig_daemon", "run", "--parent", str(os.getpid())]
@@ -96,7 +96,7 @@ def stop(daemon: subprocess.Popen[bytes]) -> None:
 
 
 def require_running(daemon: subprocess.Popen[bytes], log: Path) -> None:
-    """Raise RigError with the daemon's last line if it has ended."""
+    """Raise RigError with the last line of the log if the daemon has ended."""
     if daemon.poll() is None:
         return
     raise RigError(f"the daemon ended with exit code {daemon.returncode}: {_last_line(log)}")

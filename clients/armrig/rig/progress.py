@@ -24,7 +24,9 @@ _WINDOW_NS = 1_000_000_000
 def bar(
     name: str, console: Console | None = None, *, note: Callable[[], str] = str
 ) -> Iterator[Callback]:
-    """Show a progress bar, and yield the function that updates it with the numbers done and total.
+    """Show a progress bar, and yield the function that updates the bar.
+
+    The arguments of the function are two numbers: the work done so far, and the whole work.
 
     At each update, the text that `note` returns is shown after the bar.
     """
@@ -44,7 +46,8 @@ class TimingNote:
     """Text on the timing of a run so far, computed from the rig's streams."""
 
     def __init__(self, N: int, samples: _Arrived, gaps: _Arrived, reports: _Arrived) -> None:
-        """Store the run's length in samples, and a function of each stream for new messages."""
+        """Store the run's length in samples, and for each stream a function that returns new
+        messages."""
         self._N = N
         self._samples, self._gaps, self._reports = samples, gaps, reports
         self._late: NDArray[np.int64] = np.zeros((0, 2), np.int64)

@@ -1,4 +1,4 @@
-"""Recording of a rig over a network: published messages are stored in files like the daemon's."""
+"""Recording of a rig over a network; its files have the form of the daemon's recordings."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ class RemoteRecording:
             raise RigError(msg + "is not an armrigd")
         self._missing += sample.k - last.k - 1
         if self._missing > MISSING_LIMIT:
-            text = f"{sample.k - last.k - 1} samples are missing after its last"
+            text = f"{sample.k - last.k - 1} samples are missing after its last sample"
             self._end(Ending(OutcomeCode.RECORDER, text))
         elif sample.k - first.k >= MOST_ROWS:
             self._end(CONTINUED)
@@ -324,7 +324,7 @@ def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMess
     """
     try:
         if not 0 <= clock_offset_ns < _LIMIT:
-            raise InputError(f"a clock offset of {clock_offset_ns} ns")
+            raise InputError(f"the clock offset {clock_offset_ns} ns is not possible")
         value = decoded(stream, data)
         _check(stream, value)
     except (ValueError, DecodeError) as err:
@@ -345,10 +345,10 @@ def _check(stream: str, value: Any) -> None:
         times = [value.t_host_ns]
     for ns in times:
         if not 0 <= ns < _LIMIT:
-            raise InputError(f"a time or an index of {ns}")
+            raise InputError(f"the time or index {ns} is not possible")
     # Without a rig there is no sampling time yet.
     if stream == "state" and value.Ts_s != 0 and not TS_LEAST_S <= value.Ts_s < TS_LIMIT_S:
-        raise InputError(f"a sampling time of {value.Ts_s:g} s")
+        raise InputError(f"the sampling time {value.Ts_s:g} s is not possible")
 
 
 def _host_ns(stream: str, value: Any, clock_offset_ns: int) -> int:

@@ -32,9 +32,13 @@ from armrig.report.batch.rows import Kind, Row, columns_of, row_of
 from armrig.report.batch.tasks import Report, Task, Validate, digest, name_of, sha256
 
 Count = Callable[[int, int, str], None]
-"""Callable with the number of items done since the start, their total, and the last item's name."""
+"""Callback that reports the progress.
+
+Its arguments are the number of items done since the start, the number of all items, and the name of
+the last item done.
+"""
 MOST_DEATHS = 2
-"""An item is abandoned after this number of its workers died while it ran alone."""
+"""An item that runs alone is abandoned after this number of its workers died."""
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
@@ -52,7 +56,7 @@ class Batch:
     rows: tuple[Row, ...]
     """Rows of the table, one for each run, sorted by the run's name."""
     done_before: int
-    """Number of rows that earlier starts computed, whose files have not changed since."""
+    """Number of rows that were kept from earlier starts because their files have not changed."""
 
     @property
     def problems(self) -> list[Row]:

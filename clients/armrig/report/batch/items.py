@@ -40,7 +40,7 @@ def items_in(
     ----------
     rigs, kinds : collection of str
         Rigs and kinds of experiment of the returned runs; empty for all. An unreadable file is
-        included only if both are empty.
+        included only if `rigs` and `kinds` are both empty.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def items_in(
 
 
 def _run(name: str) -> str:
-    """Return the name of the run whose recording, or whose part, a file contains."""
+    """Return the name of the run to which a file belongs, from the name of the file."""
     return name.rpartition(PART)[0] + ".mcap" if part_number(Path(name)) else name
 
 

@@ -1,4 +1,4 @@
-"""Storage of each row as soon as it is computed, from which a start after a failure continues."""
+"""Storage of each row as soon as it is computed; a start after a failure continues from it."""
 
 from __future__ import annotations
 
@@ -111,8 +111,8 @@ def still_right(
     """Return the rows, by name, of the items whose files have not changed.
 
     An item that is left out is computed again. A row with a problem is left out, because its
-    process may have been killed or the disk full. A row without all columns is left out. The row of
-    a report is left out if its validation recording has changed.
+    process may have been killed, or the disk may have been full. A row without all columns is left
+    out. The row of a report is left out if its validation recording has changed.
     """
     state = {item.name: (item.bytes, item.modified_ns) for item in items}
     validated_by = {item.name: Path(item.validation).name for item in items}

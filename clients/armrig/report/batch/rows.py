@@ -47,9 +47,9 @@ OF_THE_RUN: dict[str, Kind] = {
     "damage": "text",
 }
 OF_THE_RESULT: dict[str, Kind] = {"problem": "text", "doubts": "texts"}
-"""Columns of every task; `problem` is the reason for a missing result, "" for a result."""
+"""Columns of every task; `problem` is the reason for a missing result, or ""."""
 CHECKS = ("file", "samples", "envelope", "input", "timing", "configuration", "clock")
-"""Checks of `armrig verify`; the table has a column for the result and the finding of each."""
+"""Checks of `armrig verify`; the table has two columns for each check: result and finding."""
 OF_THE_TASK: dict[str, dict[str, Kind]] = {
     "identify": {
         "structure": "text",
@@ -250,7 +250,10 @@ def _model(text: str) -> Fit:
 
 
 def _output(fit: Fit) -> OutputName:
-    """Return the output of a model; theta_1 for a model of another signal, refused by `compare`."""
+    """Return the output of a model.
+
+    For a model of any other signal the result is theta_1, and `compare` then refuses the model.
+    """
     outputs: tuple[OutputName, ...] = get_args(OutputName)
     return next((output for output in outputs if fit.output == output), THETA_1)
 
