@@ -130,7 +130,7 @@ def test_an_observer_watches_and_does_nothing(lab: Laboratory) -> None:
         assert next(samples(rig)).u_applied_v == 0.0
         assert settled(rig) == "safe"
         for command in (rig.stop, rig.reset, lambda: rig.arm("a test")):
-            with pytest.raises(NoReplyError, match="list contains the rights of bob"):
+            with pytest.raises(NoReplyError, match="look for bob in the access list"):
                 command()
 
 
@@ -146,7 +146,7 @@ def test_a_client_on_no_list_gets_no_answer(lab: Laboratory, who: str) -> None:
 @pytest.mark.parametrize(
     ("who", "says"),
     [
-        ("forged", "its certificate is not of the authority that signed yours"),
+        ("forged", "the authority that signed your certificate did not sign its certificate"),
         ("expired", "expired.pem: the certificate has expired: `armrig pki renew`"),
     ],
 )

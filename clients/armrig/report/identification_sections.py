@@ -155,9 +155,9 @@ def _black_box(study: HandoutStudy) -> Section:
             f"{other}",
             f"The equation of the {best.name} model contains the delay q⁻¹ and white noise "
             f"e(t). The table contains the coefficients of the polynomials.{_fixed_root(black)} "
-            "The rms error is the error of the simulated angle on the validation data. p white and p "
-            "dynamics are the p values of two hypotheses: the residuals are white, and past input "
-            "does not explain the residuals. A value below 0.01 speaks against the model.",
+            "The rms error is the error of the simulated angle on the validation data. p white and "
+            "p dynamics are the p values of two hypotheses: the residuals are white, and past "
+            "input does not explain the residuals. A value below 0.01 speaks against the model.",
         ),
         formula=typst_form(best.fit),
         table=Table(

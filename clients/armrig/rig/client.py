@@ -432,7 +432,7 @@ class Rig:
         payload = msgspec.json.encode(request)
         if self._name and len(payload) > commands.MOST_REMOTE_BYTES:
             raise RigError(
-                f"{request.name} has {len(payload)} B; over a network at most "
+                f"the command {request.name} has {len(payload)} B; over a network at most "
                 f"{commands.MOST_REMOTE_BYTES} B are allowed: play the input in parts, or on the "
                 "rig's own machine"
             )

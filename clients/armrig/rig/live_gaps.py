@@ -92,8 +92,10 @@ def _missed(before: Sample, after: Sample, first: int, end: int) -> LiveGap:
 
 
 class Newest(Generic[_T]):
-    """Bounded store that drops the oldest values; one thread may add values while another takes
-    them."""
+    """Bounded store that drops the oldest values.
+
+    One thread may add values while another thread takes values.
+    """
 
     def __init__(self, most: int, most_bytes: int) -> None:
         """Create a store of at most `most` values with a total size of at most `most_bytes`."""

@@ -46,8 +46,10 @@ class TimingNote:
     """Text on the timing of a run so far, computed from the rig's streams."""
 
     def __init__(self, N: int, samples: _Arrived, gaps: _Arrived, reports: _Arrived) -> None:
-        """Store the run's length in samples, and for each stream a function that returns new
-        messages."""
+        """Store the run's length in samples.
+
+        The other arguments are functions that return the new messages of their stream.
+        """
         self._N = N
         self._samples, self._gaps, self._reports = samples, gaps, reports
         self._late: NDArray[np.int64] = np.zeros((0, 2), np.int64)

@@ -1,4 +1,4 @@
-"""Connection to a daemon: its endpoint, a zenoh session, and the errors without a reply."""
+"""Connection to a daemon: the endpoint, the zenoh session, and errors if no reply arrives."""
 
 from __future__ import annotations
 
@@ -156,11 +156,12 @@ def open_connection(
     Parameters
     ----------
     connect : str, optional
-        Endpoint; by default the endpoint in `[client]`. Without either, the sockets of this user's
-        daemon and of this machine's service are tried. Their directories must be writable for their
-        owners only.
+        Endpoint; by default the endpoint in `[client]`. If neither is given, the sockets of this
+        user's daemon and of this machine's service are tried. The directories of the sockets must
+        be writable for their owners only.
     certificate : str or Path, optional
-        Credential of the client, for an endpoint tls/HOST:PORT; by default the one in `[client]`.
+        Credential of the client, for an endpoint tls/HOST:PORT; by default the credential in
+        `[client]`.
 
     Raises
     ------
@@ -168,7 +169,7 @@ def open_connection(
         Nobody listens at the endpoint.
     RigError
         `connect` is not an endpoint, the credential cannot be used, or another user may own the
-        directory.
+        directory of a socket.
     """
     settings = _settings(rig)
     where = connect or settings.connect
@@ -222,7 +223,7 @@ def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -
             ((user, password), *others) = read_users(Path(settings.password)).items()
             if others:
                 raise RigError(
-                    f"{settings.password}: {1 + len(others)} users: keep only your own line"
+                    f"{settings.password} has {1 + len(others)} users: keep only your own line"
                 )
             proof = ("transport/auth/usrpwd", {"user": user, "password": password})
             return _Way(where, user, (proof,))
@@ -234,7 +235,7 @@ def _way(where: str, certificate: str | Path | None, settings: ClientSettings) -
 def _way_by_certificate(where: str, certificate: str | Path) -> _Way:
     if not certificate:
         raise RigError(
-            f"{where}: needs your certificate: name its file in [client] certificate of "
+            f"{where} needs your certificate: name its file in [client] certificate of "
             "~/.config/armrig/armrig.toml, or in ARMRIG_CLIENT_CERTIFICATE"
         )
     path = Path(certificate)
@@ -316,8 +317,8 @@ def _check_directory(directory: Path, owners: Collection[int]) -> None:
 def not_permitted(rig: str, where: str, name: str, command: str) -> NoReplyError:
     """Return the error for a daemon over a network that does not answer a client's command."""
     return NoReplyError(
-        f"no reply from rig {rig} at {where} to {command!r}: not running, or not permitted: its "
-        f"access list contains the rights of {name}"
+        f"no reply from rig {rig} at {where} to {command!r}: not running, or not permitted: "
+        f"look for {name} in the access list of the rig"
     )
 
 
@@ -339,7 +340,7 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
 
 
 def service_has_stopped(rig: str, where: str) -> bool:
-    """Return True if an endpoint that does not answer is of a service of this machine.
+    """Return True if an endpoint that does not answer is the socket of this machine's service.
 
     If this user may not enter the service's folder, the answer is False.
     """
@@ -361,7 +362,7 @@ def no_daemon(rig: str, where: str, what: str) -> RigError:
 
 
 def why_not_connected(host: str, port: int, credential: Credential, path: Path) -> str:
-    """Try a TLS handshake, and return its fault and the remedy; "" if the handshake succeeds.
+    """Try a TLS handshake, and return the fault with its remedy; "" if the handshake succeeds.
 
     Parameters
     ----------
@@ -429,6 +430,6 @@ def _of_its_certificate(err: ssl.SSLCertVerificationError, host: str) -> str:
     if err.verify_code == _EXPIRED:
         return "its certificate has expired: `armrig pki renew` makes a new one"
     return (
-        f"its certificate is not of the authority that signed yours ({err.verify_message}): it is "
-        "another laboratory's, or a stranger's"
+        "the authority that signed your certificate did not sign its certificate "
+        f"({err.verify_message}): the listener belongs to another laboratory, or to a stranger"
     )

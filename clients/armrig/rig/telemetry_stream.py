@@ -37,16 +37,16 @@ def stream(
 ) -> Iterator[Any]:
     """Iterate over the live messages of a key such as `rig/1/sample`.
 
-    In a stream of samples, a `LiveGap` replaces missing samples. Its reason is the reason that the
-    daemon reports. If the daemon reports none, this listener was too slow and missed the oldest
-    samples.
+    In a stream of samples, a `LiveGap` replaces missing samples. The field `reason` contains the
+    reason that the daemon reports. If the daemon reports no reason, this listener was too slow and
+    missed the oldest samples.
 
     Parameters
     ----------
     key : str
         `rig/<id>/STREAM`; STREAM is sample, gap, event, timing, clock or state.
     connect : str, optional
-        zenoh endpoint of the daemon; the default is as for `armrig.Rig`.
+        zenoh endpoint of the daemon; the default is the default of `armrig.Rig`.
     certificate : str or Path, optional
         Credential of the client, for an endpoint such as tls/lab-1.local:7447.
 
@@ -98,7 +98,7 @@ def _is_over(k: int, gap: Any) -> bool:
 def _reported_gaps(
     session: zenoh.Session, rig: str, name: str
 ) -> AbstractContextManager[Callable[[], list[Any]]]:
-    """Yield a function that returns newly reported gaps; for other streams than samples, none."""
+    """Yield a function that returns newly reported gaps; a stream without samples has no gaps."""
     if name != "sample":
         return nullcontext(list)
     return arrivals(session, topics.stream_key(rig, "gap"))
@@ -129,7 +129,7 @@ def _until_gone(
 
 @contextmanager
 def arrivals(session: zenoh.Session, key: str) -> Iterator[Callable[[], list[Any]]]:
-    """Yield a function that returns, without waiting, the messages of a key since its last call."""
+    """Yield a function that returns the messages since the previous call, without waiting."""
     rig, name = _stream_of(key)
     ring: Newest[bytes] = Newest(_RING_MESSAGES, _RING_BYTES)
 

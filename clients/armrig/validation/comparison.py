@@ -131,8 +131,9 @@ def compare(
     The initial state of each experiment is estimated from these data by least squares. For a model
     with an integrator, the input offset of each experiment is also estimated. Missing samples are
     not compared. If the output integrates, the fit is near 100 % for every model, because the ramp
-    dominates |y - mean y|. Then use the rms error and the fit of the velocity. The velocity is the
-    difference of the angle, so the measured velocity contains the noise of two samples.
+    dominates |y - mean y|. In this case, use the rms error and the fit of the velocity. The
+    velocity is the difference of the angle, so the measured velocity contains the noise of two
+    samples.
 
     Parameters
     ----------
@@ -154,8 +155,8 @@ def compare(
     Raises
     ------
     ValueError
-        No model was given, the number of labels is not that of the models, or a model has another
-        output, unit or sampling time.
+        No model was given, the numbers of labels and models differ, or a model has another output,
+        unit or sampling time than the data.
     """
     if not models:
         raise InputError("compare needs at least one model: compare(data, fit)")
@@ -171,7 +172,9 @@ def compare(
         )
     names = [model.label for model in models] if labels is None else list(labels)
     if len(names) != len(models):
-        raise InputError(f"{len(names)} labels for {len(models)} models; give one each")
+        raise InputError(
+            f"{len(names)} labels for {len(models)} models; give one label for each model"
+        )
     integrating = data.output in INTEGRATING_OUTPUTS or any(m.integrator for m in models)
     note = "initial state" + (" and input offset" if any(m.integrator for m in models) else "")
     return ComparisonTable(

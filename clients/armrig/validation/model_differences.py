@@ -31,7 +31,8 @@ _BECAUSE = {
     "resonance": "it depends on both inertias, the spring and the motor's damping",
     "antiresonance": "on the rig it is sqrt(K_lin/J_2), the frequency of the arm alone on its "
     "spring; chassis and motor have no effect",
-    "bandwidth": "at the anti-resonance |G| is below −3 dB, so K_lin/J_2 affects it most",
+    "bandwidth": "at the anti-resonance |G| is below −3 dB, so K_lin/J_2 affects the bandwidth "
+    "most",
     "rise_time": "J_1 R_m / (N K_m)² determines the first rise, before the spring is wound",
     "equivalent_time": "on the rig it is (J_1 + J_2) R_m / (N K_m)²; the spring has no effect",
     "slowest_time": "the motor's damping stops the swing of the arm; with a heavier chassis this "

@@ -50,15 +50,16 @@ def search(
 ) -> SearchResult:
     """Estimate many structures, rank them on other data, choose the simplest as good as the best.
 
-    A candidate of order n has n poles and n numerator coefficients; a Box-Jenkins candidate also
-    has nc = nd = 1 and 2. The best candidate has the least mean squared error on the validation
-    data. A candidate is as good as the best if its mean of e² - e²_best is at most the standard
-    error of this mean. The errors of a simulation are correlated, so the standard error is computed
-    from 30 batch means. The simplest candidate has the fewest parameters.
+    A candidate of order n has n poles and n numerator coefficients. A Box-Jenkins candidate also
+    has a noise model; nc = nd = 1 and nc = nd = 2 are tried. The best candidate has the least mean
+    squared error on the validation data. A candidate is as good as the best if its mean of e² -
+    e²_best is at most the standard error of this mean. The errors of a simulation are correlated,
+    so the standard error is computed from 30 batch means. The simplest candidate has the fewest
+    parameters.
 
     An output-error system of order 3 was simulated in 200 runs, with N = 1000 to estimate, N = 1000
-    to validate and orders 1 to 5. The chosen model had the true order in 82 % of the runs, the best
-    candidate in 48 %. In all other runs the order was too high.
+    to validate and orders 1 to 5. The chosen model had the true order in 82 % of the runs. The best
+    candidate had the true order in 48 % of the runs. In all other runs the order was too high.
 
     No candidate has a pole on or outside the unit circle, except a known integrator. The estimators
     are called with `stable=True`; the chosen model reports a pole that was moved.
@@ -76,10 +77,10 @@ def search(
     orders : iterable of int
         Numbers of poles to try, >= 1, including the pole of an integrator.
     nk : int or iterable of int, optional
-        Samples before u reaches y; each is tried. By default it is the result of `delay`, at least
-        1, and also 0 if a direct term is not ruled out. In closed loop a direct term is not tried,
-        because a controller would cause it. If the data do not distinguish feedback from a direct
-        term, 0 is tried, and `doubts` contains this finding.
+        Numbers of samples before u reaches y; each number is tried. By default it is the result of
+        `delay`, at least 1, and also 0 if a direct term is not ruled out. In closed loop a direct
+        term is not tried, because a controller would cause it. If the data do not distinguish
+        feedback from a direct term, 0 is tried, and `doubts` contains this finding.
     integrator : bool, optional
         If True, structures with this option have a pole at exactly 1. The default is True if the
         output is an angle, or if a test finds that the output integrates.

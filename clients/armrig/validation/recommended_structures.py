@@ -48,7 +48,7 @@ class Recommended:
     nb: int
     """Number of b's."""
     nf: int
-    """Number of f's, with that of an integrator."""
+    """Number of f's, including the f of an integrator."""
     nk: int
     """Samples before u reaches y."""
     integrator: bool
@@ -136,7 +136,7 @@ class _Record:
         return replace(self, parts=tuple(found))
 
     def problem(self, s: Recommended) -> PredictionErrorProblem:
-        """Return the problem with u advanced by the delay, whose unknown past costs time."""
+        """Return the problem with u shifted by its delay; an unknown past of u would cost time."""
         d, cut = max(s.nk - 1, 0), self.latest - 1
         letter: Literal["f", ""] = "f" if s.integrator else ""
         n = Structure(nb=s.nb, nf=s.nf - s.integrator, nk=s.nk - d, integrator=letter, offset=True)
@@ -157,7 +157,7 @@ class Recommendation:
     B: Vector
     """Numerator of the model of the first structure, from lag 0 on."""
     F: Vector
-    """Denominator of that model."""
+    """Denominator of the model of the first structure."""
     whitening: Vector
     """D of the noise e/D, the filter of the signals."""
 
@@ -174,7 +174,7 @@ def recommended(
 
     An autoregression 1/D describes the noise that a first model leaves; D u and D y then have white
     noise. For white noise output error is the maximum of the likelihood, and the description length
-    (MDL) separates orders. Each order is fitted at the given lags and at those that ARX models
+    (MDL) separates orders. Each order is fitted at the given lags and at the lags that ARX models
     prefer. The joint covariance of the b's then decides which b's are kept.
 
     Parameters
@@ -184,7 +184,8 @@ def recommended(
     integrates : bool
         True if y is the sum of its rate.
     decide : bool
-        True if the description length may decide against it; then one of each is recommended.
+        True if the description length may decide against `integrates`. If it does not decide, a
+        structure with an integrator and a structure without are recommended.
     """
     data = _busiest(data)
     nks = [*dict.fromkeys([*lags, *_arx_lags(data)])][:_MAX_LAGS]
@@ -223,9 +224,10 @@ def recommended(
 
 
 def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
-    """Return the shortest two, or one with and one without an integrator; three at most.
+    """Return at most three structures, of least description length.
 
-    The third is the shortest with nb = nf, which a plant under a hold has.
+    If the decision on the integrator is `shown`, the third structure has nb = nf, as a plant under
+    a hold has. Otherwise there is at least one structure with and one without an integrator.
     """
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
     two = ranked[:2] if shown else _joined([s[:1] for s in scans])
@@ -284,7 +286,7 @@ def _scanned(record: _Record, nks: list[int], *, integrates: bool) -> list[Tried
 
 
 def _refined(record: _Record, ranked: list[Tried]) -> list[Tried]:
-    """Return structures that are fitted as they are, with all neighbours of the shortest three."""
+    """Return structures with their own fits, until all neighbours of the best three are fitted."""
     shortest = {t.structure.nf: t for t in reversed(ranked)}
     known = {nf: t.fitted.f for nf, t in shortest.items()}
     found: dict[Recommended, Tried | None] = {}
@@ -303,7 +305,7 @@ def _refined(record: _Record, ranked: list[Tried]) -> list[Tried]:
 
 
 def _neighbours(s: Recommended) -> Iterator[Recommended]:
-    """Yield structures with one pole, one b at either end, or both more or fewer."""
+    """Yield structures whose nf, nb and ends of B differ by at most 1 from the structure."""
     for poles, first, last in product((-1, 0, 1), repeat=3):
         nb, nf, nk = s.nb + first + last, s.nf + poles, s.nk - first
         if abs(first + last) <= 1 and nb >= 1 and 1 <= nf <= HIGHEST and nk >= min(s.nk, 1):
@@ -395,7 +397,7 @@ def _begun(
 
 
 def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
-    """Return the description length, `more` added to the cost and `fewer` coefficients counted.
+    """Return the description length with `more` cost and `fewer` coefficients than in the model.
 
     Each dimension of one experiment's initial state costs log N, as a coefficient does. Through
     that state, a pair of poles on the unit circle fits a sine of the noise, at the best of N/2
@@ -408,7 +410,7 @@ def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
 
 
 def _trimmed(model: _Fitted) -> Iterator[Tried]:
-    """Yield the structure without the first and the last b's, by what the loss would rise."""
+    """Yield the structure without some first and last b's, with the predicted rise of its cost."""
     solution = model.problem.solve(model.f)
     R: Matrix = qr(solution.Psi, mode="r", check_finite=False)[0][: solution.Psi.shape[1]]
     scale = np.sqrt(np.sum(R**2, axis=0))

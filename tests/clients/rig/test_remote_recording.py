@@ -120,7 +120,7 @@ def test_a_break_that_no_file_can_hold_begins_another(recording: RemoteRecording
 
     assert (ks(first), ks(second)) == ([5], [behind, behind + 1])
     assert first.outcome is not None
-    assert first.outcome.outcome == "200001 samples are missing after its last"
+    assert first.outcome.outcome == "200001 samples are missing after its last sample"
     assert second.path.name == "monday-2.mcap"
 
 

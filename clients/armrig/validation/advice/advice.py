@@ -44,10 +44,11 @@ class Advice:
 def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     """Examine data or a model, and return the findings with their remedies.
 
-    Of data: excitation, integrator, missing samples, outliers, drift, feedback, and the agreement
-    of ARX with OE. Of a model: search, residuals, poles and zeros that cancel (an order too high),
-    poles that no sampled rig has (negative real, unstable), and an integrator that is not fixed.
-    Also a first coefficient that may be 0 (a delay).
+    For data, the advice covers excitation, integrator, missing samples, outliers, drift, feedback,
+    and the agreement of ARX with OE. For a model, it covers the search, the residuals, and an
+    integrator that is not fixed. It also covers poles and zeros that cancel (an order too high),
+    poles that no sampled rig has (negative real, unstable), and a first coefficient that may be 0
+    (a delay).
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
 
 ORDER = 4
-"""Number of poles, and of numerator coefficients, of the compared models: those of the arm."""
+"""Number of poles of the compared models, and number of numerator coefficients, as of the arm."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
 _MIN_POLE_SIGMAS = 10.0  # least distance from 1 of a pole that is no integrator; σ may be wrong
@@ -39,7 +39,7 @@ class Tested:
     loop: OpenLoop | None
     """Test for feedback; None if there are too few samples."""
     late: Delay | str
-    """Test for a delay, or the reason why there is none."""
+    """Test for a delay, or the reason why the test is not possible."""
 
     @property
     def closed(self) -> bool:

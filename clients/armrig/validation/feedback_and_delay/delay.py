@@ -32,7 +32,7 @@ from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING, possib
 Vector = NDArray[np.float64]
 
 SECOND_ORDER = frozenset({THETA_1, ALPHA})
-"""Outputs whose second derivative is the first to change after a step of the voltage."""
+"""Outputs of which a step of the voltage changes the second derivative, but not the first."""
 _MIN_SAMPLES = 50  # samples
 _LOSS_LAGS = 3  # lags past nk to which losses are kept
 _MAX_FEW_CHANGES = 10  # of u; with more changes the error of quantisation averages out
@@ -55,16 +55,16 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     The first k for which H_k is rejected is the latest lag at which u can act first. At an earlier
     lag, a coefficient that is not significant may only be too small to see. Such a lag is ruled out
     if the data exclude a coefficient as large as a bound (0.1 %, one-sided). The bound is 1/(1 + 3
-    n) of the coefficient n samples later: for the slowest onset of a mechanical rig (t²/2 under a
-    hold) the ratio is 1/(1 + 2 n). If the response begins more slowly, the bound is that of an
-    onset (t/Ts)^d, with d from the first lags. The first two coefficients of a plant of relative
-    degree d have the ratio 1 : 2^d - 1. If several lags remain, and y is an angle or integrates,
-    the shape of the onset decides (`smooth_onsets`).
+    n) of the coefficient n samples later. The slowest onset of a mechanical rig, t²/2 under a hold,
+    has the ratio 1/(1 + 2 n). If the response begins more slowly, the bound is the ratio of an
+    onset (t/Ts)^d, and d is estimated from the first lags. The first
+    two coefficients of a plant of relative degree d have the ratio 1 : 2^d - 1. If several lags
+    remain for an angle or for an integrating y, the shape of the onset decides (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
     nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the
     coefficient at lag 0 would be due to the controller. The model then begins at lag 1. If a direct
-    term looks the same, the interval begins at 0.
+    term would look the same as the feedback, the interval begins at 0.
 
     Parameters
     ----------
@@ -179,7 +179,7 @@ def _lag_zero(data: Dataset) -> _LagZero:
 
 
 def _enough(data: Dataset) -> int:
-    """Return the number of samples with y; refuse too few."""
+    """Return the number of samples with a known y; raise InputError if they are too few."""
     samples = data.N - data.missing
     if samples < _MIN_SAMPLES:
         raise InputError(
@@ -230,7 +230,10 @@ class _Readings:
 
 
 def _readings(data: Dataset, response: ImpulseResponse, first: int) -> _Readings:
-    """Return the quantisation, with b of y = b |Δu| t²/2 at the first sample above 1 LSB."""
+    """Return the quantisation.
+
+    The coefficient b solves y = b |Δu| t²/2 at the first sample of the response above 1 LSB.
+    """
     step, moves = quantum(data), np.abs(np.diff(data.u))
     change = float(np.max(moves, initial=0.0))
     rise = np.abs(np.cumsum(response.g[first:])) * change
@@ -253,8 +256,8 @@ def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, li
         return onset.first, []
     hidden = ceil(read.t_q / Ts)
     return min(onset.first, max(onset.last - hidden, 1)), [
-        f"u changes {plural(read.changes, 'time')} only, which does not excite enough to separate "
-        f"a delay from the first {hidden} samples that quantisation hides"
+        f"u changes only {plural(read.changes, 'time')}, so the data do not separate a delay from "
+        f"the first {hidden} samples, which quantisation hides"
     ]
 
 
@@ -266,16 +269,17 @@ def determined_lags(data: Dataset, most: int) -> int:
     Raises
     ------
     ValueError
-        u determines too few lags: it has power in a narrow band only and follows from its own past.
-        The effect of a coefficient beyond the last lag of the model would then appear near lag 0.
+        u determines too few lags. Such a u has power only in a narrow band, and its own past
+        determines it. The effect of a coefficient beyond the last lag of the model would then
+        appear near lag 0.
     """
     R = triangle(_windows_of_u(data, most), most)
     own = np.abs(np.diag(R)) > _MIN_OWN_SHARE * column_norms(R)
     found = int(np.argmin(np.append(own, False)))
     if found < min(_MIN_DETERMINED_LAGS, most):
         raise InputError(
-            f"u determines {found} lags only: its band is too narrow to find a delay; record with "
-            "a telegraph or a PRBS"
+            f"u determines {found} lags only: the band of u is too narrow to find a delay; record "
+            "with a telegraph or a PRBS"
         )
     return found
 

@@ -79,7 +79,7 @@ class Delay:
     def delay(self) -> int:
         """Samples of delay in addition to the sample of the hold, nk - 1; -1 is a direct term.
 
-        If several delays are possible, this is the least.
+        If several delays are possible, this value is the least of them.
         """
         return self.nk - 1
 
@@ -118,7 +118,7 @@ class Delay:
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 
     def brief(self) -> str:
-        """Return the answer, the remedy if several are possible, and the limits of the answer."""
+        """Return the answer, the remedy if it is not unique, and the limits of the answer."""
         lines = [f"{self._answer()} (level {100 * self.level:g} %)"]
         lines += [] if self.told else [self._way_out()]
         lines += [f"  note: {r}" for r in self.remarks]
@@ -146,7 +146,7 @@ class Delay:
 
     def _way_out(self) -> str:
         if self.may_be_feedback:
-            return "Take nk = 1 if y was read before u was applied, and nk = 0 if after."
+            return "Take nk = 1 if y was read before u was applied, otherwise nk = 0."
         return (
             f"A delay is claimed only if it is shown: take nk = {self.nk}, since one coefficient "
             "too many does little harm. To determine nk, record longer, with more and larger "
@@ -172,8 +172,8 @@ class Delay:
 
 _ASSUMED = (
     "Assumption: the first coefficient is at least 1/(1 + 3 n) of the coefficient n samples later. "
-    "If the response begins more slowly, the bound is that of an onset (t/Ts)^d as slow as the "
-    "first lags. A slower onset looks like a delay."
+    "If the response begins more slowly, the bound is the ratio of an onset (t/Ts)^d as slow as "
+    "the first lags. A slower onset looks like a delay."
 )
 
 
@@ -196,7 +196,7 @@ def _overlooked_sentence(b: Before) -> str:
 def _shape_sentence(misfit: dict[int, float]) -> str:
     lags, values = ", ".join(map(str, misfit)), ", ".join(f"{x:.3g}" for x in misfit.values())
     return (
-        f"so near the noise the shape of the onset decides: a smooth onset at lag {lags} has chi² "
+        f"near the noise, the shape of the onset decides: a smooth onset at lag {lags} has chi² "
         f"{values} ({SURPRISING:g} at 1 %)"
     )
 

@@ -31,8 +31,8 @@ _BEYOND = 6  # lags shown past nk
 def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
     """Show the coefficients of u in the regression of y(t), and the test that decides.
 
-    At positive lags u precedes y, and its coefficients may differ from 0. At the other lags, which
-    are shaded, all coefficients are 0 in open loop.
+    At positive lags u precedes y, and the coefficients of u may differ from 0. At the other lags,
+    which are shaded, all coefficients are 0 in open loop.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -105,7 +105,7 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
 
 
 def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, band: Vector, share: str) -> None:
-    """Show coefficients with the band about zero that contains a share of them."""
+    """Show coefficients, and the band that contains the given share of coefficients that are 0."""
     ax.fill_between(
         lags,
         -band,

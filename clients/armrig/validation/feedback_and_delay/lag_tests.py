@@ -38,11 +38,11 @@ class Before:
     k: int
     """The lag."""
     found: float
-    """Size of its coefficient, in σ."""
+    """Size of the lag's coefficient, in σ."""
     predicted: float
-    """Least size of its coefficient if u acted there first, in σ, from the later coefficients."""
+    """Least size of the coefficient if u acted first at this lag, in σ, from later coefficients."""
     p_value: float
-    """p value of the hypothesis that u acts there first; one-sided."""
+    """One-sided p value of the hypothesis that u acts first at this lag."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,7 +54,7 @@ class LagTests:
     p_values: Vector
     """p values of H_k: b_first = … = b_k = 0, (n,)."""
     coefficient: Vector
-    """b_k of the model that begins at lag k, (n,), in y's unit per u's."""
+    """b_k of the model that begins at lag k, (n,), in the unit of y per unit of u."""
     std: Vector
     """Standard deviation of `coefficient`, (n,)."""
     loss: Vector
@@ -68,7 +68,7 @@ class LagTests:
 
     @property
     def shown(self) -> int:
-        """First lag at which H_k is rejected; one past the last lag if none is."""
+        """First lag at which H_k is rejected; the last lag + 1 if no H_k is rejected."""
         return self.first + _first(self.p_values)
 
     @property
@@ -79,9 +79,9 @@ class LagTests:
     def before(self, k: int) -> Before:
         """Test whether u may act first at lag k with a coefficient that is not significant.
 
-        A first coefficient is at least 1/(1 + 3 n) of any coefficient n samples later: for the
-        slowest onset of a mechanical rig, t²/2 under a hold, the ratio is 1/(1 + 2 n). If the
-        response begins more slowly, the bound is that of its own onset, (t/Ts)^d under a hold.
+        A first coefficient is at least 1/(1 + 3 n) of any coefficient n samples later. The slowest
+        onset of a mechanical rig, t²/2 under a hold, has the ratio 1/(1 + 2 n). If the response
+        begins more slowly, the bound is the ratio of its own onset, (t/Ts)^d under a hold.
         """
         from scipy.special import ndtr
 
@@ -124,16 +124,17 @@ def lag_tests(
     """Test the first lags in an ARX model, or in the impulse response if too many y are missing.
 
     The model is ARX with a level of each experiment. AIC chooses na <= 20 and the number of lags of
-    u, at most those of `response`. Together they are at most as many as u determines; otherwise
-    past outputs could replace lags of u. An ARX model of high order approximates any linear system
-    and any colour of the noise [1]_. The F test of the ARX model ::
+    u. The number of lags is at most the number of lags in `response`. na plus this number is at
+    most the number of lags that u determines; otherwise past outputs could replace lags of u. An
+    ARX model of high order approximates any linear system and any colour of the noise [1]_. The F
+    test of the ARX model ::
 
         F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
 
     therefore has the correct level without a separate model of the noise. V_k is the sum of squares
-    of the model that begins at lag k. The tests begin at lag `first`: with feedback, b_0 would be
-    due to the controller. All V_k are computed from one QR decomposition with the columns u(t - L)
-    … u(t).
+    of the model that begins at lag k. The tests begin at lag `first`, which is 1 with feedback,
+    because b_0 would be due to the controller. All V_k are computed from one QR decomposition with
+    the columns u(t - L) … u(t).
 
     References
     ----------
@@ -191,7 +192,7 @@ def _in_arx(blocks: list[Matrix], most: int, lags: range) -> LagTests:
 
 
 def _first(p_values: Vector) -> int:
-    """Return the index of the first p value below the level; their number if none is."""
+    """Return the index of the first p value below the level; the number of p values if none is."""
     found = np.flatnonzero(p_values < LEVEL)
     return int(found[0]) if found.size else p_values.size
 
@@ -205,7 +206,10 @@ def _response(T: Matrix, scale: Vector, na: int, left_out: int, first: int) -> V
 
 
 def _triangle_of(R: Matrix, columns: list[int]) -> Matrix:
-    """Return the triangle of these columns of R; the rest of the last column is its last row."""
+    """Return the triangular factor of these columns of R.
+
+    Its last row contains the part of the last column that the other columns do not explain.
+    """
     return np.asarray(np.linalg.qr(R[:, columns], mode="r"))
 
 

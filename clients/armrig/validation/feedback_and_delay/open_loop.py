@@ -40,7 +40,7 @@ class OpenLoop:
     """True if u(t) is a y(t) + b in every sample, as under a P controller with a constant set
     point."""
     remarks: tuple[str, ...]
-    """Limits of the answer, or the reason why there is none."""
+    """Limits of the answer, or the reason why there is no answer."""
     few_levels: bool
     """True if u has at most 20 levels; then only a relay can carry the noise of y into u."""
     output: str
@@ -112,8 +112,8 @@ class OpenLoop:
         ]
         if self.p_value >= _MIN_REPEAT_P:
             lines.append(
-                f"But one open-loop experiment in {1 / self.level:.0f} fails by chance, and p is "
-                "not far below the level: record again, and test that recording, too."
+                f"But one open-loop experiment in {1 / self.level:.0f} fails the test by chance, "
+                "and p is not far below the level: record again, and test that recording, too."
             )
         return lines
 
@@ -149,7 +149,7 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     Parameters
     ----------
     data : Dataset
-        u and y as applied and measured; y(t) is read before u(t) is applied. A missing sample
+        u as applied and y as measured; y(t) is read before u(t) is applied. A missing sample
         removes its row, and no row contains samples of two experiments.
     level : float, default 0.05
         Level of the test, between 0 and 1.

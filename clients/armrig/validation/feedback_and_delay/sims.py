@@ -73,10 +73,11 @@ def sims(data: Dataset) -> Sims:
                  + f_0 u(t) + … + f_4 u(t+4) + e(t)
         w_j(t) = l_j w_j(t-1) + u(t-1),     l = 1, 1 - 1/(3 p), 1 - 1/p
 
-    with a c for each experiment and H0: f = 0. y(t) is read before u(t) is applied, so in open loop
-    u(t), u(t + 1), … do not depend on e(t). The test makes no assumption on how u was generated.
-    (Granger's test of u on past y assumes a model of u's own past; a PRBS, or a held or low-pass
-    input, then looks like feedback.) In closed loop u(t) contains the noise of y(t).
+    with one constant c for each experiment. The hypothesis H0 is f_0 = … = f_4 = 0. y(t) is read
+    before u(t) is applied, so in open loop u(t), u(t + 1), … do not depend on e(t). The test makes
+    no assumption on how u was generated. (Granger's test of u on past y assumes a model of u's own
+    past; to that test, a PRBS, a held input and a low-pass input look like feedback.) In closed
+    loop u(t) contains the noise of y(t).
 
     p = 15 lg N, at most 60. The sums w represent the input more than p samples ago; without them,
     future u could replace the missing past in open loop. y's past has more lags than the plant has
@@ -86,8 +87,8 @@ def sims(data: Dataset) -> Sims:
     between its neighbours. The later neighbour is y(t) or earlier, so the interpolation contains no
     effect of future u. No row extends over the end of an experiment or over a gap longer than p/2.
 
-    Time is linear in N. Memory beyond u and y is constant: the QR factorisation computes R block by
-    block.
+    Time is linear in N. The memory in addition to u and y is constant, because the QR factorisation
+    computes R block by block.
 
     Raises
     ------
@@ -99,7 +100,7 @@ def sims(data: Dataset) -> Sims:
 
     References
     ----------
-    .. [1] C. A. Sims, American Economic Review 62 (1972) 540-552; with y's own past as
+    .. [1] C. A. Sims, American Economic Review 62 (1972) 540-552; with y's own past as in
        J. Geweke, R. Meese, W. Dent, J. Econometrics 21 (1983) 161-194.
     .. [2] C. A. Sims, J. H. Stock, M. W. Watson, Econometrica 58 (1990) 113-144.
     .. [3] H. Y. Toda, T. Yamamoto, J. Econometrics 66 (1995) 225-250.
@@ -139,7 +140,7 @@ def _tail(F: float, q: int, degrees: int) -> float:
 
 
 def _lags(data: Dataset) -> int:
-    """Return p = 15 lg N, or fewer if there are too few rows for so many parameters."""
+    """Return p = 15 lg N, or a smaller p if there are too few rows for so many parameters."""
     there, fixed = data.N - data.missing, len(data.starts) + len(_FORGETTING) + FUTURE
     affordable = (there // _ROWS_PER_PARAMETER - fixed) // 2
     p = min(round(_LAGS_PER_DECADE * log10(max(there, 1))), _MOST_LAGS, affordable)
