@@ -82,7 +82,9 @@ def of_router(people: AccessList) -> dict[str, Any]:
 
 
 def at_router(rig: str) -> dict[str, Any]:
-    """Return a daemon's access control towards its router: the router's, with swapped directions.
+    """Return a daemon's access control towards its router.
+
+    It has the rules of the router for this rig, with both directions swapped.
 
     The router verifies the client's certificate and guarantees the client's name in the key.
     """

@@ -72,7 +72,7 @@ def require_parameters(p: object) -> None:
     if not isinstance(p, ArmParameters):
         raise InputTypeError(
             f"p is a {type(p).__name__}: give the rig's parameters, armrig.ArmParameters(), or "
-            "with others in SI units, armrig.ArmParameters(J_1=0.0017)"
+            "other values in SI units, armrig.ArmParameters(J_1=0.0017)"
         )
 
 

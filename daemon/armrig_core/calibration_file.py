@@ -55,7 +55,7 @@ def tables_of(path: Path) -> dict[str, Any]:
     ------
     FileError
         The file cannot be read or is not TOML, or the samples next to it are not the samples from
-        which it was estimated.
+        which the calibration was estimated.
     """
     try:
         tables = read_toml(path, _TOML_LIMIT)
@@ -81,7 +81,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def check_measured(calibration: Calibration, raw: bytes) -> Made:
-    """Return the origin of a calibration; refuse it if `armrig calibrate` cannot have written it.
+    """Return the origin of a calibration; refuse a calibration not from `armrig calibrate`.
 
     Parameters
     ----------

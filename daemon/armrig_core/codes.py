@@ -95,7 +95,7 @@ class OutcomeCode(StrEnum):
     DISARMED = "disarmed"
     """The owner released the rig."""
     CLIENT_GONE = "client_gone"
-    """The client was silent for longer than the dead-man's time."""
+    """The client was silent for longer than the dead-man time."""
     FAULT = "fault"
     """The run ended at a fault of the rig."""
     DEVICE = "device"

@@ -99,7 +99,8 @@ class Stop(Request, frozen=True, kw_only=True, omit_defaults=True):
 
     name: ClassVar[str] = "stop"
     by: str = ""
-    """Name of the client, for the recording; of any length, as no stop is refused for a name."""
+    """Name of the client, for the recording. A name of any length is allowed, because no stop may
+    be refused for a name."""
 
 
 class Note(Request, frozen=True, kw_only=True, omit_defaults=True):

@@ -48,7 +48,7 @@ class Credential:
     name: str
     """Common name of the certificate."""
     expires: datetime
-    """Time at which the first of the certificate and its authority's certificate expires."""
+    """Time at which the certificate or its authority's certificate expires, whichever is first."""
     key: bytes
     """Private key, as PEM, like the certificates."""
     certificate: bytes
@@ -127,7 +127,8 @@ def read_credential(path: Path, purpose: Purpose) -> Credential:
     if len(keys) != 1 or len(certificates) < 2:
         raise FileError(
             f"{path}: {len(keys)} private keys and {len(certificates)} certificates; needed are a "
-            f"key, its certificate and its authority's, as `{_MADE_BY[purpose]}` writes them"
+            "key, its certificate and the authority's certificate: "
+            f"`{_MADE_BY[purpose]}` writes them"
         )
     if b"ENCRYPTED" in keys[0]:
         raise FileError(f"{path}: the key is encrypted; a key without a passphrase is needed")

@@ -87,11 +87,11 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def emulated(self) -> bool:
-        """True if the device's identity or the port is an emulator's."""
+        """True if the identity of the device or the port belongs to an emulator."""
         return is_emulated(uid=str(self.device.get("uid", "")), port=str(self.host.get("port", "")))
 
     def metadata(self) -> dict[str, str]:
-        """Return the fields as MCAP wants them: each a JSON text."""
+        """Return the fields as MCAP needs them; each value is a JSON text."""
         return _metadata(self)
 
 
@@ -108,7 +108,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     """Outcome for programs, an `OutcomeCode`; `outcome_of` finds the code for an older file."""
 
     def metadata(self) -> dict[str, str]:
-        """Return the fields as MCAP wants them: each a JSON text."""
+        """Return the fields as MCAP needs them; each value is a JSON text."""
         return _metadata(self)
 
 
@@ -127,7 +127,7 @@ class Recovered(msgspec.Struct, frozen=True, kw_only=True):
     """Omitted attachments, and why the rest was unreadable; empty for an undamaged file."""
 
     def metadata(self) -> dict[str, str]:
-        """Return the fields as MCAP wants them: each a JSON text."""
+        """Return the fields as MCAP needs them; each value is a JSON text."""
         return _metadata(self)
 
 

@@ -80,8 +80,8 @@ def transport(most_received: int, answer_us: int | None = None) -> dict[str, Any
     most_received : int
         Longest received message, in B.
     answer_us : int, optional
-        Time for which an answer or a query may wait for a client that does not read, in µs;
-        default: zenoh's.
+        Time for which an answer or a query may wait for a client that does not read, in µs; the
+        default is zenoh's own limit.
     """
     control: dict[str, Any] = {"drop": {"wait_before_drop": 0}}
     if answer_us is not None:

@@ -64,7 +64,7 @@ def _check_user(name: str, password: str, before: dict[str, str]) -> None:
     try:
         check_name(name)
     except ValueError as err:
-        raise InputError(f"{err}, then : and the password") from err
+        raise InputError(f"{err}; after the name come : and the password") from err
     if (length := len(password)) < MIN_PASSWORD_LENGTH:
         raise InputError(
             f"the password of {name!r} has {length} characters: at least {MIN_PASSWORD_LENGTH}"

@@ -226,8 +226,8 @@ def recommended(
 def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
     """Return at most three structures, of least description length.
 
-    If the decision on the integrator is `shown`, the third structure has nb = nf, as a plant under
-    a hold has. Otherwise there is at least one structure with and one without an integrator.
+    If the decision on the integrator is `shown`, they include a structure with nb = nf, as a plant
+    under a hold has. Otherwise they include a structure with and one without an integrator.
     """
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
     two = ranked[:2] if shown else _joined([s[:1] for s in scans])

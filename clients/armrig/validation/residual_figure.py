@@ -26,9 +26,9 @@ def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
     """Show the residuals' autocorrelation and, below, their correlation with the input.
 
     If the residuals are white, the upper band contains 99 % of the values of each lag. If they are
-    independent of the input, the lower band contains 99 %. On average one lag of 100 is outside its
-    band, so a test of all lags together decides. A correlation at negative lags indicates feedback.
-    A correlation at positive lags indicates missing dynamics.
+    independent of the input, the lower band contains 99 % of the values. On average one lag of 100
+    is outside its band, so a test of all lags together decides. A correlation at negative lags
+    indicates feedback. A correlation at positive lags indicates missing dynamics.
     """
     ax, below = panels(ax, 0.5, sharex=False)
     shade: dict[str, Any] = {"color": GREY, "alpha": 0.25, "lw": 0, "label": BAND}

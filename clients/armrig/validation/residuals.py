@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 
 MOST_ALLOWED = 10.0
-"""Factor by which parameter deviations widen the bands, beyond which a test has no power."""
+"""A test has no power if the deviations of the parameters widen its bands by more than this."""
 _COLUMNS = 8  # of the lagged inputs that are worked on at once
 
 
@@ -56,7 +56,7 @@ class ResidualTest:
     whiteness: float
     """p value of the hypothesis that the residuals are white, from the test that decides."""
     whiteness_test: str
-    """Name of the test that decides: portmanteau, or Ljung-Box if the former cannot be trusted."""
+    """Name of the test that decides: portmanteau, or Ljung-Box if the portmanteau is unreliable."""
     ljung_box: float
     """p value of the Ljung-Box test, for comparison with other programs."""
     cross_lags: NDArray[np.int_]
@@ -140,8 +140,8 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
     cannot be trusted, the Ljung-Box test decides (see `armrig.numerics.whiteness`). The result
     always contains the Ljung-Box test, for comparison with other programs. On estimation data the
     degrees of freedom of the Ljung-Box test are reduced by na + nc + nd. Independence of the input
-    is tested by the sums s_k = sum of e(t) u(t - k) of all lags together. The statistic s^T M^-1 s
-    is chi-squared, with ::
+    is tested by the sums s_k = sum of e(t) u(t - k), for all lags k together. The statistic s^T
+    M^-1 s is chi-squared, with ::
 
         M = Z_p^T R_e Z_p                                        on estimation data
         M = Z^T R_e Z + (Z^T Psi) cov(theta) (Psi^T Z)           on other data
@@ -152,8 +152,8 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
 
     The band for a single lag has the variance P/(N R_e(0) R_u(0)), P = sum of R_e(k) R_u(k). The
     variance is 1/N only if e or u is white. The band holds for a known model. `cross_std` is
-    computed from the diagonal of M: it is smaller at some lags on estimation data, and larger on
-    other data.
+    computed from the diagonal of M. Relative to the band, it is smaller at some lags on estimation
+    data, and larger on other data.
 
     Parameters
     ----------

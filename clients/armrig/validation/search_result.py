@@ -44,7 +44,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Structure and orders, as a comparison names them."""
+        """Structure and orders as text, such as the name of a model in a comparison."""
         return STRUCTURES[self.family].short(dict(self.orders))
 
     @property
@@ -121,7 +121,7 @@ class SearchResult:
     tests: ResidualTest
     """Tests of the chosen model's residuals on the validation data."""
     horizon: int | None
-    """Samples ahead; None for simulation."""
+    """Number of samples that the models predict ahead; None for simulation."""
     unit: str
     """Unit of y."""
 
@@ -254,8 +254,8 @@ def _about_families(found: SearchResult) -> Iterator[str]:
         ratio = float(found.rms[best["arx"]] / found.rms[best["oe"]])
         if isfinite(ratio) and not found.within[best["arx"]] and ratio > 1.1:
             yield (
-                f"the best ARX model's error is {ratio:.3g} times that of the best OE model: "
-                "noise on the output biases A of an ARX model"
+                f"the best ARX model's error is {ratio:.3g} times the error of the best OE "
+                "model: noise on the output causes a bias of A in an ARX model"
             )
 
 

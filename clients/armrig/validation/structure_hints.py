@@ -49,46 +49,60 @@ class StructureHints:
     """Orders, integrator and delay suggested by estimates without a structure."""
 
     structures: tuple[Recommended, ...]
-    """At most three, best first: the two of least description length, or one with and one without
-    an integrator. Then the structure with nb = nf of least description length."""
+    """At most three structures, best first.
+
+    If the integrator is shown, they are the two structures of least description length, and the
+    structure with nb = nf of least description length. Otherwise they include a structure with and
+    a structure without an integrator.
+    """
     integrator: bool
     """True if the first structure has a pole at 1: y is the sum of its rate."""
     integrator_shown: bool
-    """True if description length and step response agree on it. Otherwise the structures contain
-    one with and one without an integrator."""
+    """True if the description length and the step response agree on the integrator.
+
+    Otherwise `structures` includes a structure with and a structure without an integrator.
+    """
     low_slope: float | None
     """Slope of |G| at low frequency, in dB a decade: 0 for a gain, -20 for an integrator. None if
     the first structure has another slope."""
     low_slope_std: float
-    """Standard deviation of a line through the points. Neighbours are smoothed together, so noise
-    moves the slope by more."""
+    """Standard deviation of the slope of a line through the points.
+
+    The points of neighbouring frequencies are correlated by the smoothing, so noise moves the slope
+    by more.
+    """
     low_band: Vector
-    """Frequencies of the slope, in rad/s."""
+    """Frequencies at which the slope was estimated, in rad/s."""
     high_slope: float | None
     """Slope of |G| over the last third of a decade in which u explains y, in dB a decade. None if
     the first structure has another slope."""
     high_band: Vector
-    """Frequencies of the slope, in rad/s."""
+    """Frequencies at which the slope was estimated, in rad/s."""
     relative_degree: int
-    """Poles less zeros, from the high slope; 0 if |G| does not fall, or without a slope."""
+    """Number of poles minus number of zeros, from the slope at high frequency.
+
+    It is 0 if |G| does not fall, or if there is no such slope.
+    """
     resonances: tuple[float, ...]
     """Frequencies of peaks that the first structure also has, in rad/s. If y integrates, they are
     peaks of the rate's |G|."""
     antiresonances: tuple[float, ...]
     """Frequencies of dips that the first structure also has, in rad/s."""
     phase_delay: float | None
-    """Excess of the phase at the highest frequencies over that of their slope, as a time in s. None
-    if it is not nk less half a sample."""
+    """Phase at the highest frequencies in addition to the phase of the slope there, as a time in s.
+
+    None if this time differs from (nk - 1/2) Ts by more than Ts/2.
+    """
     nk_interval: tuple[int, int] | None
-    """Least and greatest nk of `delay`; None if `delay` refused, or if nk is outside."""
+    """Least and greatest nk of `delay`; None if `delay` refused, or if it excludes nk."""
     singular_values: Vector
-    """Singular values of the Hankel matrix of the decaying response, over the largest."""
+    """Singular values of the Hankel matrix of the decaying response, divided by the largest."""
     threshold: float
-    """Largest singular value from the uncertainty alone (95 %), over the largest."""
+    """Largest singular value that the uncertainty alone causes (95 %), divided by the largest."""
     order: int
     """Number of singular values above the threshold, plus 1 for an integrator; at most nf."""
     trusted: float
-    """Highest frequency at which u explains y, in rad/s; 0 if there are fewer than three."""
+    """Highest frequency at which u explains y, in rad/s; 0 if it does so at fewer than three."""
     spectrum: SpectralEstimate
     """Frequency response of y."""
     response: ImpulseResponse
@@ -101,7 +115,7 @@ class StructureHints:
 
     @property
     def nf(self) -> int:
-        """Number of poles of the first structure, with that of an integrator."""
+        """Number of poles of the first structure, including the pole of an integrator."""
         return self.structures[0].nf
 
     @property
@@ -110,7 +124,7 @@ class StructureHints:
         return self.structures[0].nk
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of |G| with what was read off it: see `armrig.plots.plot_structure`."""
+        """Return a figure of |G| with slopes and extremes: see `armrig.plots.plot_structure`."""
         from armrig.estimation.nonparametric.figures import plot_structure
         from armrig.plots.layout import figure_of
 
@@ -136,21 +150,23 @@ def structure_hints(
 ) -> StructureHints:
     """Recommend at most three structures, with the reasons for them.
 
-    The structures are those of output-error models of least description length (`recommended`).
-    The signals are filtered before, so that the noise is white. The third structure has nb = nf, as
-    a plant under a hold has. Estimates without a structure give the reasons, if the first structure
-    shows the same:
+    The structures are those of output-error models of least description length (`recommended`). The
+    signals are filtered before, so that the noise is white. If the integrator is shown, the
+    structures include one with nb = nf, as a plant under a hold has. Estimates without a structure
+    give the following reasons, if the first structure agrees:
 
     - Integrator: the rate's step response does not return to 0, and the description is shorter with
-      a pole at 1. If only one of these holds, or if the lengths hardly differ, a structure with and
-      one without an integrator are recommended. theta_1 is taken as integrating, unless its rate's
-      step response surely returns to 0: then another rig has the arm's names. With an integrator
-      the slope of |G| at low frequency is -20 dB a decade.
-    - Order: the singular values of the Hankel matrix of the regularised impulse response, above
-      those that its uncertainty alone causes.
-    - Poles less zeros: the slope at the highest frequencies at which u explains y (coherence above
-      one half), 20 dB a decade each. Sampling hides it near Nyquist.
-    - Delay: the result of `delay`, and the phase beyond that of the roll-off.
+      a pole at 1. If only one of these holds, or if the description lengths hardly differ, a
+      structure with an integrator and a structure without an integrator are recommended. theta_1 is
+      taken as integrating, unless its rate's step response surely returns to 0. In that case the
+      data are of another rig that uses the name theta_1. With an integrator the slope of |G| at low
+      frequency is -20 dB a decade.
+    - Order: the number of singular values of a Hankel matrix that are larger than the values that
+      the uncertainty alone causes. The matrix is computed from the regularised impulse response.
+    - Number of poles minus number of zeros: the slope at the highest frequencies at which u
+      explains y (coherence above one half). Each pole in excess makes 20 dB a decade. Sampling
+      hides the slope near the Nyquist frequency.
+    - Delay: the result of `delay`, and the phase in addition to the phase of the roll-off.
 
     Parameters
     ----------
@@ -235,7 +251,10 @@ def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
 
 
 def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
-    """Return the indices at which u explains y; if there are too few, none, or refuse."""
+    """Return the indices at which u explains y.
+
+    If there are too few indices, return none of them, or raise ValueError if `needed`.
+    """
     try:
         return explained(estimate)
     except ValueError:
@@ -253,7 +272,7 @@ def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> flo
 def _confirmed(
     found: tuple[float, ...], best: Recommendation, Ts: float, *, dips: bool
 ) -> tuple[float, ...]:
-    """Return the extremes near which the first structure has a pair of roots, or an extreme."""
+    """Return the extremes near which the first structure has complex roots or an extreme."""
     roots = np.roots(np.trim_zeros(best.B, "f")) if dips else np.roots(best.F)
     at = np.abs(np.log(roots[np.imag(roots) > 0])) / Ts
 
@@ -280,7 +299,7 @@ def _returns(of_rate: ImpulseResponse) -> bool:
 
 
 def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
-    """Return the end of the rate's step response and its deviation, over its largest value."""
+    """Return end and deviation of the rate's step response, divided by its largest value."""
     g, _ = of_rate.decaying
     steps = np.abs(np.cumsum(g))
     largest = float(np.max(steps))
@@ -288,7 +307,7 @@ def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
 
 
 def _sign(response: ImpulseResponse) -> float:
-    """Return the sign of the steady answer: of a negative one the phase begins at 180°."""
+    """Return the sign of the steady response; the phase of a negative response begins at 180°."""
     return -1.0 if float(np.sum(response.decaying[0])) < 0 else 1.0
 
 
@@ -297,10 +316,10 @@ def _extremes(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the frequencies of peaks and dips that surely stand out from both sides.
 
-    They come from the transform of the impulse response: a lag window blunts extremes, the more
-    the longer the delay. |G| at the extreme and at its foot on either side differ by `SURE`
-    standard deviations of the difference. The feet are further apart than the resolution of the n
-    lags, 2 pi/(n Ts).
+    The frequencies come from the transform of the impulse response. A spectrum with a lag window
+    would have flatter extremes, and a longer delay would make them even flatter. |G| at the extreme
+    and at its foot on either side differ by `SURE` standard deviations of the difference. The feet
+    are further apart than the resolution of the n lags, 2 pi/(n Ts).
     """
     from scipy.signal import find_peaks
 
@@ -341,7 +360,7 @@ def _covariance(response: ImpulseResponse) -> Matrix:
 
 
 def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tuple[Vector, float]:
-    """Return singular values and the threshold, both over the largest, from lag nk on."""
+    """Return singular values from lag nk on and the threshold, divided by the largest value."""
     g, _ = response.decaying
     # The rate's backward difference is itself a state, a pole at 0 that acts on g(nk) alone.
     h = g[nk + 1 :] if response.integrator else g[nk:]
@@ -397,8 +416,8 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         )
     if h.phase_delay is not None and h.phase_delay > h.spectrum.Ts / 2:
         yield (
-            f"phase: beyond what the roll-off accounts for it lags like {times(h.phase_delay)} of "
-            f"delay, {times(h.spectrum.Ts / 2)} of which are the hold's half sample"
+            "phase: in addition to the lag of the roll-off, the phase lags like a delay of "
+            f"{times(h.phase_delay)}; the hold causes {times(h.spectrum.Ts / 2)} of this delay"
         )
     yield from _about_delay(h)
     yield from _others(h)
@@ -423,12 +442,12 @@ def _others(h: StructureHints) -> Iterator[str]:
 def _about_integrator(h: StructureHints) -> Iterator[str]:
     verdict = "y integrates: fix a pole at 1" if h.integrator else "no integrator"
     if not h.integrator_shown:
-        verdict = "not shown, a slow pole looks the same: try both"
+        verdict = "not shown, because a slow pole looks the same: try both"
     if h.low_slope is None:
         yield f"integrator: {verdict}"
         return
     if h.integrator_shown and not h.integrator and h.low_slope < -10:
-        verdict = f"a slow pole, and {verdict}, since what a pulse of u does to y dies out"
+        verdict = f"a slow pole, and {verdict}, since the effect of a pulse of u on y dies out"
     yield (
         f"integrator: |G| has a slope of {minus(f'{h.low_slope:.3g}')} dB "
         f"a decade at low frequency (0 without one, −20 with one): {verdict}"

@@ -259,7 +259,7 @@ class Recording:
             self._changed()
 
     def _give_up(self, err: Exception) -> None:
-        """Close the file at its last flush: to continue it would leave an unreported gap."""
+        """Close the file at its last flush, because continuing would leave an unreported gap."""
         reason = err.strerror if isinstance(err, OSError) else repr(err)
         # Another file may have taken the name, but RemovedError proves that this file is removed.
         there = not isinstance(err, RemovedError) and os.access(self.kept, os.F_OK)

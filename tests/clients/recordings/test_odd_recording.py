@@ -327,7 +327,8 @@ def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
         "sample k=3999 is outside the 600 attached voltages",
         f"the time of the device's clock does not increase at k={k}",
         f"the time of the host's clock does not increase at k={k}",
-        f"the offset of the clocks jumps by {off_us} µs at 20.0 s (standard deviation {spread_us:.0f} µs)",
+        f"the offset of the clocks jumps by {off_us} µs at 20.0 s "
+        f"(standard deviation {spread_us:.0f} µs)",
         f"the device's clock is {ppm:+.1f} ppm off; no comparisons recorded",
         "it reports 490 samples and 28 missing samples, but contains 497 and 21",
     ]

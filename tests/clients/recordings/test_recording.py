@@ -263,7 +263,7 @@ def test_a_run_that_was_cut_off_is_as_long_as_is_known(tmp_path: Path) -> None:
 def test_a_sample_outside_its_run_is_reported(tmp_path: Path, k: int) -> None:
     messages = sorted([sample(50), sample(k)])
 
-    with pytest.raises(FileError, match=r"those of the run are 40 to 139"):
+    with pytest.raises(FileError, match=r"the samples of the run are k=40 to 139"):
         load(written(tmp_path, recorded(messages, manifest=a_run())))
 
 

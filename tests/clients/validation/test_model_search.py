@@ -62,7 +62,7 @@ def test_the_arm_gets_its_integrator_and_the_reasons(plant: HandoutPlant) -> Non
     assert found.chosen.candidate.name == "OE[4 4 1]"
     assert found.fit.integrator
     text = found.explain()
-    assert "noise on the output biases A" in text
+    assert "noise on the output causes a bias of A" in text
     assert "fewer parameters are not enough: OE[3 3 1]" in text
 
 

@@ -124,10 +124,10 @@ def lag_tests(
     """Test the first lags in an ARX model, or in the impulse response if too many y are missing.
 
     The model is ARX with a level of each experiment. AIC chooses na <= 20 and the number of lags of
-    u. The number of lags is at most the number of lags in `response`. na plus this number is at
-    most the number of lags that u determines; otherwise past outputs could replace lags of u. An
-    ARX model of high order approximates any linear system and any colour of the noise [1]_. The F
-    test of the ARX model ::
+    u. The number of lags is at most the number of lags in `response`. The sum of na and this number
+    is at most `determined`. Otherwise past outputs could replace lags of u. An ARX model of high
+    order approximates any linear system and any colour of the noise [1]_. The F test of the ARX
+    model ::
 
         F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
 

@@ -147,7 +147,7 @@ def _lags(data: Dataset) -> int:
     if p < _LEAST_LAGS:
         needed = _ROWS_PER_PARAMETER * (2 * _LEAST_LAGS + fixed)
         msg = f"the test for feedback needs at least {needed} samples, got {there}: "
-        raise InputError(msg + "record longer, or lose fewer")
+        raise InputError(msg + "record longer, or lose fewer samples")
     return p
 
 
@@ -216,7 +216,7 @@ def _require_information(R: Array, constants: int, d: int, degrees: int) -> None
     if degrees < d:
         raise InputError(
             f"the test for feedback needs {2 * d + FUTURE} samples with a complete past, got "
-            f"{degrees + d + FUTURE}: record longer, or lose fewer"
+            f"{degrees + d + FUTURE}: record longer, or lose fewer samples"
         )
     left, power = R[d, d] ** 2, float(np.sum(R[constants:, d] ** 2))
     if left <= _MIN_U_REST * power:

@@ -336,7 +336,7 @@ def test_if_a_slow_pole_may_be_at_1_both_are_recommended() -> None:
     assert not found.integrator_shown
     assert {s.integrator for s in found.structures[:2]} == {True, False}
     assert (1, 1, 1, False) in [(s.nb, s.nf, s.nk, s.integrator) for s in found.structures]
-    assert "not shown, a slow pole looks the same: try both" in found.explain()
+    assert "not shown, because a slow pole looks the same: try both" in found.explain()
     assert "and the integrator" not in found.explain()
 
 
