@@ -26,8 +26,8 @@ def homes(package: str) -> dict[str, str]:
 def public(package: str, name: str) -> Any:
     """Return a public name of a package, and store it in the package.
 
-    If the name is unknown, raise AttributeError. A package may first check
-    the name in `homes` and raise a more helpful error.
+    If the name is unknown, raise AttributeError. A package may first check the name in `homes` and
+    raise a more helpful error.
     """
     if name not in homes(package):
         raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name)

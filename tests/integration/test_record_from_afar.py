@@ -447,7 +447,7 @@ def test_a_recording_that_is_played_at_a_daemon_s_place_reaches_no_motor(
         rig.set(0.0)
 
         assert main(["play", str(run), "--listen", endpoint]) == 1
-        assert "cannot be listened at" in capsys.readouterr().err
+        assert "no session can listen at" in capsys.readouterr().err
 
         with bench.rig() as other:
             heard = list(itertools.islice(other.stream("sample"), 50))

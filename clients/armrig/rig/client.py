@@ -167,8 +167,8 @@ class Rig:
         Parameters
         ----------
         u : array_like, shape (N,)
-            Motor voltage at each sample, in V, inside the limits of `arm`. N is from 1 to 4 000
-            000.
+            Motor voltage at each sample, in V, inside the limits of `arm`. N is at least 1 and at
+            most 4 000 000.
         pacing : {"scheduled", "exchange"}
             Source of the sampling: the device's timer, or the host at each tick. If the host paces
             the samples, its jitter is in the data.

@@ -385,7 +385,7 @@ def staged(where: str, rig: str) -> Iterator[Stage]:
             session = zenoh.open(zenoh.Config.from_json5(json.dumps(config)))
     except zenoh.ZError as err:
         raise RigError(
-            f"{where} cannot be listened at: {rig} is played there already, or {where} is not a "
+            f"no session can listen at {where}: {rig} is played there already, or {where} is not a "
             "zenoh endpoint, such as tcp/127.0.0.1:7447; choose another endpoint with --listen"
         ) from err
     with session:

@@ -66,7 +66,7 @@ def refusal_of(name: str, payload: bytes) -> commands.Refused:
 def _check_length(name: str, payload: bytes) -> None:
     if len(payload) > MOST_BYTES:
         raise MalformedReplyError(
-            f"the answer to {name!r} has {len(payload)} B, at most {MOST_BYTES} B are read"
+            f"the answer to {name!r} has {len(payload)} B; at most {MOST_BYTES} B are read"
         )
 
 

@@ -57,9 +57,9 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     if the data exclude a coefficient as large as a bound (0.1 %, one-sided). The bound is 1/(1 + 3
     n) of the coefficient n samples later. The slowest onset of a mechanical rig, t²/2 under a hold,
     has the ratio 1/(1 + 2 n). If the response begins more slowly, the bound is the ratio of an
-    onset (t/Ts)^d, and d is estimated from the first lags. The first
-    two coefficients of a plant of relative degree d have the ratio 1 : 2^d - 1. If several lags
-    remain for an angle or for an integrating y, the shape of the onset decides (`smooth_onsets`).
+    onset (t/Ts)^d, and d is estimated from the first lags. The first two coefficients of a plant of
+    relative degree d have the ratio 1 : 2^d - 1. If several lags remain for an angle or for an
+    integrating y, the shape of the onset decides (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
     nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the

@@ -125,9 +125,9 @@ def lag_tests(
 
     The model is ARX with a level of each experiment. AIC chooses na <= 20 and the number of lags of
     u. The number of lags is at most the number of lags in `response`. The sum of na and this number
-    is at most `determined`. Otherwise past outputs could replace lags of u. An ARX model of high
-    order approximates any linear system and any colour of the noise [1]_. The F test of the ARX
-    model ::
+    is at most `determined`, the number of lags that u determines. Otherwise past outputs could
+    replace lags of u. An ARX model of high order approximates any linear system and any colour of
+    the noise [1]_. The F test of the ARX model ::
 
         F_k = (V_k+1 - V_0)/(k + 1) / (V_0/(N - d)),      H_k: b_0 = … = b_k = 0
 
