@@ -79,6 +79,14 @@ NO_MEMBERS = {
     "*.facts": "the fields again",
     "*.metadata": "texts",
     "Dataset.replaced": "a copy",
+    "Signals.replaced": "a copy",
+    "Signals.treated": "treatments call it",
+    "Signals.channels": "Signals calls it",
+    "Signals.dataset": "Dataset has them",
+    "Signals.experiments": "parts of Signals",
+    "Signals.split": "parts of Signals",
+    "Signals.N": "the length of u",
+    "Signals.equidistant": "Ts again",
     "Dataset.experiments": "Dataset calls it",
     "Dataset.select": "Dataset calls it",
     "Dataset.split": "Dataset calls it",
@@ -410,6 +418,33 @@ def Dataset() -> Variants:
     yield "unlike split", unlike(1.0).split(4)
 
 
+def several() -> armrig.Signals:
+    """Return two experiments of two inputs and two outputs, with missing values."""
+    d = data()["holes"]
+    return armrig.Signals(
+        u=np.column_stack([d.u, np.roll(d.u, 30)]),
+        y=np.column_stack([d.y, np.cumsum(d.u)]),
+        Ts=d.Ts,
+        starts=(0, 140),
+        inputs=["u", "v"],
+        outputs=["y", "sum"],
+    )
+
+
+@variants
+def Signals() -> Variants:
+    signals = several()
+    yield "whole", signals
+    yield "part", signals[40:170]
+    yield "channels", signals.channels("sum", "v")
+    yield "merged", armrig.merge([signals[:50], signals[200:]])
+    yield "detrended", armrig.detrend(signals, 1)
+    yield "resampled", armrig.resample(signals, 2 * signals.equidistant())
+    yield "prefiltered", armrig.prefilter(signals, [0.5, 0.2], [1.0, -0.4])
+    yield "outliers", armrig.hampel(signals)
+    yield "times", armrig.Signals(u=signals.u[:9], y=signals.y[:9], t=np.arange(9.0) ** 2)
+
+
 @variants
 def merge() -> Variants:
     yield "trends", armrig.merge([data()["mean"], data()["plain"], data()["line"]])
@@ -501,6 +536,14 @@ def load_data() -> Variants:
     yield "Ts", armrig.load_data(path, Ts=0.2, time="time")
     np.savez(path.with_suffix(".npz"), u=d.u[:50], y=d.y[:50], Ts=0.3)
     yield "npz", armrig.load_data(path.with_suffix(".npz"))
+
+
+@variants
+def load_signals() -> Variants:
+    d, path = several(), folder() / "signals.csv"
+    rows = (",".join(f"{x:.6g}" for x in row) for row in np.column_stack([d.t, d.u, d.y]))
+    path.write_text("\n".join(["t,u,v [V],y [m],sum", *rows]))
+    yield "csv", armrig.load_signals(path, inputs=["u", "v"], outputs=["sum", "y"])
 
 
 # Estimation.

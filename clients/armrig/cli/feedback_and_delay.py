@@ -30,7 +30,7 @@ from armrig.cli.options import (
     say,
     tell,
 )
-from armrig.cli.recorded_data import Signals, from_recording, source_facts
+from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,7 +72,7 @@ def check(
 
     check_plot(plot, [file])
     require_level(level)
-    signals = Signals(
+    signals = SignalChoice(
         signal=signal,
         input=input,
         time=time,
@@ -108,7 +108,7 @@ def check(
     _say_next(file, signals, of_rig=of_rig)
 
 
-def _say_next(file: Path, signals: Signals, *, of_rig: bool) -> None:
+def _say_next(file: Path, signals: SignalChoice, *, of_rig: bool) -> None:
     """Print the next command; for a rig it concerns the chassis alone (handout 3.5, 3.6)."""
     if not of_rig:
         say_next("check other", file=typed(file), given=signals.options())

@@ -25,7 +25,7 @@ from armrig.cli.options import (
     print_table,
     say,
 )
-from armrig.cli.recorded_data import Signals, from_recording, loaded, source_facts
+from armrig.cli.recorded_data import SignalChoice, from_recording, loaded, source_facts
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -93,7 +93,7 @@ def sampling(
     from armrig.estimation.nonparametric.sampling_time import sampling_time
 
     check_plot(plot, [file])
-    signals = Signals(
+    signals = SignalChoice(
         signal=signal,
         input=input,
         time=time,
@@ -191,7 +191,7 @@ def hints(
     from armrig.validation.structure_hints import structure_hints
 
     check_plot(plot, [file])
-    signals = Signals(
+    signals = SignalChoice(
         signal=signal,
         input=input,
         time=time,

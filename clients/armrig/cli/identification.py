@@ -38,7 +38,7 @@ from armrig.cli.options import (
     say,
     tell,
 )
-from armrig.cli.recorded_data import Signals, from_recording, source_facts
+from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
 from armrig.estimation.request import Request
 from armrig.models.structure_table import users
 
@@ -105,7 +105,7 @@ def identify(
     else:
         wanted = requested(given)
     _check_files(file, validate, plot=plot, save=save)
-    signals = Signals(
+    signals = SignalChoice(
         signal=signal,
         input=input,
         time=time,
@@ -314,7 +314,7 @@ def _print_json(found: _Found, data: Dataset) -> None:
 
 
 def _say_next(
-    found: _Found, file: Path, validate: Path | None, save: Path | None, signals: Signals
+    found: _Found, file: Path, validate: Path | None, save: Path | None, signals: SignalChoice
 ) -> None:
     """Print the next command: act on the findings, save the model, or validate it."""
     from armrig.cli import model_output

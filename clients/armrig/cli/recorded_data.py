@@ -55,7 +55,7 @@ def loaded(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Signals:
+class SignalChoice:
     """Signals to read from files: recordings, or other data."""
 
     signal: str | None
@@ -185,7 +185,7 @@ def options_of(
     data: Dataset, calibration: Path | None, start: float | None, stop: float | None
 ) -> str:
     """Return the options with which another command reads the same part of a recording."""
-    signals = Signals(signal=None, calibration=calibration, start=start, stop=stop)
+    signals = SignalChoice(signal=None, calibration=calibration, start=start, stop=stop)
     return signals.options(data)
 
 

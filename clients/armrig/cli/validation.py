@@ -31,7 +31,7 @@ from armrig.cli.options import (
     say,
 )
 from armrig.cli.recorded_data import (
-    Signals,
+    SignalChoice,
     from_recording,
     spectral_beside,
     warn_of_estimation_data,
@@ -88,7 +88,7 @@ def validate(
 
     check_plot(plot, [file, model])
     fit = load_fit(model)
-    signals = Signals(
+    signals = SignalChoice(
         signal=signal,
         input=input,
         time=time,

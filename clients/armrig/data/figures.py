@@ -21,7 +21,7 @@ MIN_RAMP_SHARE = 0.95  # share of the variance above which a straight line hides
 _MIN_INPUT_CHANGES = 5  # an input with fewer changes is a step
 
 
-class Signals(Protocol):
+class InputAndOutput(Protocol):
     """Input and output at N instants; `Dataset` has these fields and documents them."""
 
     @property
@@ -60,19 +60,19 @@ class Signals(Protocol):
     def source(self) -> str:
         """Hash of the recording, or ""."""
 
-    def experiments(self) -> Iterable[Signals]:
+    def experiments(self) -> Iterable[InputAndOutput]:
         """Iterate over the experiments."""
 
 
 @runtime_checkable
-class HasSignals(Protocol):
+class HasInputAndOutput(Protocol):
     """An object with signals, such as a `Recording`."""
 
-    def dataset(self) -> Signals:
+    def dataset(self) -> InputAndOutput:
         """Return the signals."""
 
 
-def without_ramp(data: Signals) -> tuple[Vector, str, tuple[str, ...]]:
+def without_ramp(data: InputAndOutput) -> tuple[Vector, str, tuple[str, ...]]:
     """Return the ramp (N,) that dominates an output, the label of the axis, and legend lines.
 
     The lines explain the label in the legend; there are none if the ramp is 0.
@@ -95,13 +95,13 @@ def without_ramp(data: Signals) -> tuple[Vector, str, tuple[str, ...]]:
     return slope * data.t, label, (f"{name} less its mean rate, {rate}",)
 
 
-def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
+def plot_data(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
     """Plot output and, below it, input against time; times without an output are shaded.
 
     A recording's output is theta_1. An output that is nearly a ramp is drawn without the ramp: see
     `without_ramp`.
     """
-    data = _signals(source)
+    data = _data_of(source)
     ax, below = panels(ax, 0.28)
     ramp, label, notes = without_ramp(data)
     ax.plot(data.t, data.y - ramp, color=BLUE, lw=0.9)
@@ -116,7 +116,7 @@ def plot_data(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
     return sign(ax, data.source, above=legend(ax, *notes))
 
 
-def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
+def plot_spectrum(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
     """Plot the power density of the output and, below it, of the input, on logarithmic axes.
 
     The density is averaged over the stretches without a gap: see `armrig.numerics.power_spectrum`.
@@ -125,7 +125,7 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
     """
     from armrig.numerics.power_spectrum import power_spectrum
 
-    data = _signals(source)
+    data = _data_of(source)
     ax, below = panels(ax, 0.5)
     notes: list[str] = []
     for panel, signals, colour, label, unit in (
@@ -151,12 +151,12 @@ def plot_spectrum(source: Signals | HasSignals, *, ax: Axes | None = None) -> Ax
     return sign(ax, data.source, above=legend(ax, notes[0], lift=hertz(ax)))
 
 
-def plot_values(source: Signals | HasSignals, *, ax: Axes | None = None) -> Axes:
+def plot_values(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
     """Plot histograms of the output and, below it, of the input.
 
     The counts are logarithmic, so that a single sample far from all others is visible.
     """
-    data = _signals(source)
+    data = _data_of(source)
     ax, below = panels(ax, 0.5, sharex=False)
     ramp, label, notes = without_ramp(data)
     for panel, values, colour, name in (
@@ -177,5 +177,5 @@ def squared(unit: str) -> str:
     return f"({unit})² " if "/" in unit else f"{unit}² " if unit else ""
 
 
-def _signals(source: Signals | HasSignals) -> Signals:
-    return source.dataset() if isinstance(source, HasSignals) else source
+def _data_of(source: InputAndOutput | HasInputAndOutput) -> InputAndOutput:
+    return source.dataset() if isinstance(source, HasInputAndOutput) else source

@@ -17,7 +17,7 @@ def merge(parts: Sequence[Dataset]) -> Dataset: ...
 @overload
 def merge(parts: Sequence[Signals]) -> Signals: ...
 @checked_call
-def merge(parts: Any) -> Dataset | Signals:
+def merge(parts: Sequence[Any]) -> Dataset | Signals:
     """Return several experiments as one value, with boundaries between them.
 
     Parameters
@@ -35,9 +35,8 @@ def merge(parts: Any) -> Dataset | Signals:
     ValueError
         The sequence is empty, or the parts differ in Ts, names or units.
     """
-    if isinstance(parts, Dataset | Signals):
-        parts = (None,)
-    kinds = {type(part) for part in parts}
+    given: Any = parts
+    kinds = {type(part) for part in ((None,) if isinstance(given, Dataset | Signals) else given)}
     if kinds - {Dataset} and kinds - {Signals}:
         raise InputTypeError(
             "merge takes one list of Datasets, merge([d1, d2]), or one list of Signals; for a "

@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from armrig.data.signals import Signals
 from armrig.plots.captions import legend, named, sign
 from armrig.plots.layout import BLUE, INK, finish, rows, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+    from armrig.data.signals import Signals
 
 _ROW_HEIGHT = 1.15  # inches
 _WIDTH = 6.4  # inches

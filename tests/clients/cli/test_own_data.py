@@ -351,7 +351,7 @@ def test_a_signal_of_a_recording_is_chosen_by_name(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ("--input u", "--input u applies to other data (.csv, .dat, .mat, .npz); the recording"),
+        ("--input u", "--input u applies to other data (.csv, .dat, .mat, .npz); /"),
         ("--Ts 0.01", "--Ts 0.01 applies to other data (.csv"),
         ("--time t", "--time t applies to other data (.csv"),
         ("--signal speed", "--signal speed: a recording has theta_1, alpha, velocity"),
