@@ -194,8 +194,8 @@ FIGURES: dict[str, Callable[[Examples], Any]] = {
     ),
     "plot_data, samples lost": lambda e: second_order(N=40, lost=slice(10, 13)).plot(ax=ax()),
     "plot_signals": lambda e: plots.plot_signals(e.second.signals(), ax=ax()),
-    "plot_signals, straight lines": lambda e: plots.plot_signals(
-        of.several().replaced(step=None, intersample=("zoh", "foh")), ax=ax()
+    "plot_signals, a straight line": lambda e: plots.plot_signals(
+        e.step.signals()[:60].replaced(step=None, intersample="foh", starts=(0, 30)), ax=ax()
     ),
     "plot_data, placed": lambda e: second_order(N=40).plot(
         ax=Figure().add_axes((0.1, 0.2, 0.5, 0.6))
