@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armrig.plots.captions import legend, named, sign
-from armrig.plots.layout import BLUE, INK, finish, rows, shade
+from armrig.plots.layout import BLUE, INK, axes, finish, rows, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -48,7 +48,6 @@ def plot_signals(signals: Signals, *, ax: Axes | None = None) -> Axes:
 
 def _axes(n: int) -> Axes:
     """Return the axes of a new figure that is high enough for n panels."""
-    from matplotlib import pyplot as plt
-
-    size = (_WIDTH, max(_LEAST_HEIGHT, _ROW_HEIGHT * n))
-    return plt.subplots(figsize=size, layout="constrained")[1]
+    ax = axes(None)
+    ax.figure.figure.set_size_inches(_WIDTH, max(_LEAST_HEIGHT, _ROW_HEIGHT * n))
+    return ax
