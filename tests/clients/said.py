@@ -61,11 +61,11 @@ def assert_said(file: Path, folder: Path) -> None:
 
 def compare(file: Path, found: str) -> None:
     """Fail where a stored text is another than the one found; or store that (`WRITE_STORED`)."""
-    if os.environ.get("WRITE_STORED"):
-        file.write_text(found, encoding="utf-8")
-        return
-    stored = file.read_text(encoding="utf-8").splitlines()
+    stored = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
     lines = _rounded_as(stored, found.splitlines())
+    if os.environ.get("WRITE_STORED"):
+        file.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        return
     differs = unified_diff(stored, lines, f"{file.name}, stored", "now", n=2, lineterm="")
     if shown := "\n".join(differs):
         pytest.fail(f"{shown}\n\nIf it is to be said so: make stored", pytrace=False)
