@@ -195,7 +195,7 @@ def test_the_table_of_black_boxes_has_each_figure_in_its_column(done: HandoutStu
         "with an rms error of 4\xa0mrad. It is estimated from 1459 of 1500 samples at 10\xa0ms"
         in (found["3.3"].answer[0])
     )
-    assert "The equation is that of the OE model" in found["3.3"].answer[1]
+    assert "The equation of the OE model contains" in found["3.3"].answer[1]
     assert "Its root at 1 is fixed" in found["3.3"].answer[1]
 
 

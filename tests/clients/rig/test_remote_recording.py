@@ -251,7 +251,7 @@ def test_what_no_daemon_sends_is_refused(
 
 @pytest.mark.parametrize("offset_ns", [-1, 1 << 62, -(2**63)])
 def test_a_clock_that_no_machine_has_is_refused(recording: RemoteRecording, offset_ns: int) -> None:
-    with pytest.raises(RigError, match="a clock offset"):
+    with pytest.raises(RigError, match="the clock offset"):
         recording.add(piece(state(), sample(1), offset_ns=offset_ns))
 
 
