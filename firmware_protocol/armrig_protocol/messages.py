@@ -139,7 +139,7 @@ class Flag(IntFlag):
     RANGE = 0x0010
     """Latched by a code out of range."""
     SLEW = 0x0020
-    """Latched by a step too large."""
+    """Latched by a change of the input that is too large."""
     ADC0_RAIL = 0x0040
     """Theta_1 at a rail: dead band or broken wire."""
     ADC1_RAIL = 0x0080

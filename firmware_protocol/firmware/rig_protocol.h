@@ -78,7 +78,7 @@ enum {
     RIG_FLAG_UNDERRUN = 0x4, // no setpoint for this k
     RIG_FLAG_WATCHDOG = 0x8, // latched by the watchdog
     RIG_FLAG_RANGE = 0x10, // latched by a code out of range
-    RIG_FLAG_SLEW = 0x20, // latched by a step too large
+    RIG_FLAG_SLEW = 0x20, // latched by a change of the input that is too large
     RIG_FLAG_ADC0_RAIL = 0x40, // theta_1 at a rail: dead band or broken wire
     RIG_FLAG_ADC1_RAIL = 0x80, // alpha at a rail
     RIG_FLAG_TICK_LATE = 0x100, // this sample was taken late

@@ -60,7 +60,7 @@ def trigger(host: Host, m: int) -> tuple[int, int]:
     return elapsed(before, t_us), elapsed(before, rx_us[last.host_ns])
 
 
-@rule(5, "t_us is theta_1's trigger, `skew_us` after alpha's, which follows the EXCHANGE")
+@rule(5, "the EXCHANGE triggers alpha, and theta_1 `skew_us` later; t_us is the trigger of theta_1")
 def _time(host: Host) -> None:
     for _ in range(10):
         at, end = trigger(host, 1)
