@@ -178,7 +178,9 @@ def test_a_run_that_is_too_long_for_a_network_is_refused_by_the_client(lab: Labo
     """The daemon would drop it, because it keeps no message of that size."""
     with lab.rig("alice") as rig:
         rig.arm("a test")
-        with pytest.raises(RigError, match="at most 8323072 B are allowed: play the input in parts"):
+        with pytest.raises(
+            RigError, match="at most 8323072 B are allowed: play the input in parts"
+        ):
             rig.run([1.0 + 1e-15] * 500_000)
 
 

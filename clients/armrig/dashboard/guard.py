@@ -60,7 +60,7 @@ class Pass:
 
 
 class Guard:
-    """Filter before an application, which passes on only requests of the dashboard's own page."""
+    """Filter that passes only the requests of the dashboard's own page on to an application."""
 
     def __init__(
         self, app: ASGIApp, *, origins: Collection[str], token: str, once: Pass | None = None

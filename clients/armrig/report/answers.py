@@ -124,7 +124,7 @@ QUESTIONS: Final = {
     ),
     "2.2": Question(
         title="Step response",
-        asks="the slope at time 0, in your own words; your Simulink model",
+        asks="why the response has its slope at time 0, in your own words; your Simulink model",
     ),
     "2.3": Question(
         title="Two parameters changed",

@@ -30,7 +30,7 @@ def state_of(data: bytes) -> State:
 
 
 def order_of(data: bytes) -> Orders:
-    """Return an order of version 1 with its current tag."""
+    """Return an order to the loop from a trace of version 1, with the current name of its type."""
     fields = msgspec.msgpack.decode(data)
     fields["type"] = _TAGS.get(fields["type"], fields["type"])
     order: Orders = msgspec.convert(fields, Orders)

@@ -93,7 +93,7 @@ class Device:
         self._next_ns = min(self._next_ns, self._rx.first_ns)
 
     def rx_backlog_ns(self, now_ns: int) -> int:
-        """Return the time for which the bytes so far still occupy the wire to the device, in ns."""
+        """Return the time for which the sent bytes still occupy the wire to the device, in ns."""
         return self._rx.backlog_ns(now_ns)
 
     def next_ns(self) -> int:

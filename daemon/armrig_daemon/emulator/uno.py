@@ -119,7 +119,7 @@ class Uno:
         self._pins.send(self.harness.cycle, data)
 
     def rx_backlog_ns(self, now_ns: int) -> int:
-        """Return the time for which the bytes so far still occupy the wire to the device, in ns."""
+        """Return the time for which the sent bytes still occupy the wire to the device, in ns."""
         return max(0, self._line_free_ns - now_ns)
 
     def visible_ns(self) -> int:

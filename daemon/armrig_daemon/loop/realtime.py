@@ -126,7 +126,7 @@ def leave_fifo(but: int | None = None) -> bool:
 
 
 def be_prompt(thread: int) -> None:
-    """Set a thread that only waits to the lowest real-time priority, if this is permitted."""
+    """Give a thread that only waits the lowest real-time priority, if this is permitted."""
     with contextlib.suppress(OSError):
         if os.sched_getscheduler(thread) == os.SCHED_OTHER:
             os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(1))

@@ -276,7 +276,7 @@ def hampel(
     The samples with the largest |z| are marked. For the rest of the search they are set to the
     model's values. If the neighbours of a marked sample explain its pattern, the sample is
     unmarked. The returned data contain no interpolated value. The first n samples after the start
-    or a gap are searched in the reversed data, for outliers of twice the size. No outlier can be
+    or a gap are searched in the reversed data, with twice the threshold. No outlier can be
     found in a stretch of n samples or fewer.
 
     Parameters
