@@ -134,7 +134,7 @@ def _latches_after_the_run(patch: Patch) -> None:
 
 
 SPOILT: dict[str, SpoiltDevice] = {
-    "t_us is not the trigger": SpoiltDevice(_t_us_of_the_answer, "theta_1's trigger"),
+    "t_us is not the trigger": SpoiltDevice(_t_us_of_the_answer, "the trigger of theta_1"),
     "u_k is not what the duty gives": SpoiltDevice(_raw_code, "code of the applied duty"),
     "CAL has less readings": SpoiltDevice(_fewer_readings, "n readings of one channel"),
     "one reading has a variance": SpoiltDevice(_variance_over_n, "n readings of one channel"),
@@ -149,5 +149,5 @@ SPOILT: dict[str, SpoiltDevice] = {
     "STATUS is slow": SpoiltDevice(_slow_status, "once a second"),
     "no stack left": SpoiltDevice(_no_stack, "once a second"),
     "a waiting u is latched after the run": SpoiltDevice(_latches_after_the_run, "RUN ends before"),
-    "HELLO_R has a wrong skew": SpoiltDevice(_wrong_skew, "`skew_us` after alpha's"),
+    "HELLO_R has a wrong skew": SpoiltDevice(_wrong_skew, "theta_1 `skew_us` later"),
 }
