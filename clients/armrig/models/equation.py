@@ -61,7 +61,7 @@ def form(model: Model) -> str:
         (False, True): "1/D(q) e(t)",
         (True, True): "C(q)/D(q) e(t)",
     }["C" in known, "D" in known]
-    if isinstance(model, Estimate) and model.structure == "iv4":
+    if isinstance(model, Estimate) and model.structure in ("iv4", "channel"):
         noise = "v(t)"
     return f"{left} = {driven} u(t) + {noise}"
 

@@ -12,7 +12,7 @@ from armrig.data.finding import EstimateFinding
 from armrig.models.model import Matrix, Model, Vector, freeze, standard_deviations
 from armrig.models.responses import NoiseSpectrum
 from armrig.models.structure import FreeResponse
-from armrig.models.structure_table import STRUCTURES
+from armrig.models.structure_table import DESCRIBED
 from armrig.numerics import criteria
 from armrig.numerics.whiteness import Whiteness
 
@@ -92,18 +92,18 @@ class Estimate(Model):
     @property
     def label(self) -> str:
         """Structure and orders: OE[4 4 1]."""
-        return STRUCTURES[self.structure].short(self.orders)
+        return DESCRIBED[self.structure].short(self.orders)
 
     @property
     def heading(self) -> str:
         """Structure and orders by their names: OE(nb=4, nf=4, nk=1)."""
-        return STRUCTURES[self.structure].long(self.orders)
+        return DESCRIBED[self.structure].long(self.orders)
 
     @property
     def orders(self) -> dict[str, int]:
         """Orders of the structure by name: na, nb, nc, nd, nf or order, and nk."""
         sizes = self._sizes | {"order": self.A.size - 1}
-        return {name: sizes[name] for name in (*STRUCTURES[self.structure].orders, "nk")}
+        return {name: sizes[name] for name in (*DESCRIBED[self.structure].orders, "nk")}
 
     @property
     def std(self) -> Vector:

@@ -42,7 +42,7 @@ EVERY = ("nk", "stable")
 class RegisteredStructure:
     """Specification of one structure."""
 
-    name: StructureName
+    name: StructureName | Literal["channel"]
     """Name of the structure and of its estimator, in small letters."""
     equation: str
     """Equation of y, without delays and levels."""
@@ -147,6 +147,15 @@ _ROWS = (
 )
 STRUCTURES: dict[str, RegisteredStructure] = {row.name: row for row in _ROWS}
 """Specifications of all structures by name."""
+CHANNEL = RegisteredStructure(
+    name="channel",
+    equation="y = B/F u + v",
+    orders={"nb": None, "nf": None},
+    poles="nf",
+)
+"""One input and output of a model with several, whose noise is not a polynomial of one e."""
+DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | {CHANNEL.name: CHANNEL}
+"""Specifications of everything that a `Fit` may be, by name."""
 OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for name in OFFERED_NAMES}
 """Specifications of the structures that commands offer."""
 

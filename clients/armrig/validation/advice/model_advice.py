@@ -9,7 +9,7 @@ from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.models.characteristics import overlapping
 from armrig.models.equation import whiteness_sentence
 from armrig.models.fit import Fit
-from armrig.models.structure_table import STRUCTURES
+from armrig.models.structure_table import DESCRIBED
 from armrig.numerics.quantities import near_one
 from armrig.validation.advice.data_advice import finding
 
@@ -76,7 +76,7 @@ def _about_overlap(fit: Fit, pairs: list[_Pair]) -> Finding:
     text = (
         f"pole and zero {places} (z plane) cannot be distinguished: they cancel, and the order is "
     )
-    kind = STRUCTURES[fit.structure]
+    kind = DESCRIBED[fit.structure]
     lower = " and ".join(name for name in ("nb", kind.poles) if name in kind.orders)
     return finding("order", text + f"too high by the number of pairs; lower {lower}", good=False)
 

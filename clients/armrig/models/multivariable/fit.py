@@ -1,0 +1,350 @@
+"""Model with several inputs and outputs, estimated from `Signals`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+from armrig_core.errors import InputError, InputTypeError
+from numpy.typing import ArrayLike
+
+from armrig.data.finding import EstimateFinding
+from armrig.data.signals import Signals
+from armrig.models.estimate import Start
+from armrig.models.fit import Fit
+from armrig.models.model import Matrix, Vector, freeze
+from armrig.models.multivariable.polynomials import Channel
+from armrig.models.multivariable.state_space import StateSpace, predicted
+from armrig.models.responses import FrequencyResponse, Roots, StepResponse
+from armrig.numerics.whiteness import Whiteness
+
+if TYPE_CHECKING:
+    import control
+
+    from armrig.models.multivariable.comparison import SignalsComparisonTable
+
+
+class Form(Protocol):
+    """Parameters of a model, and the functions that follow from them."""
+
+    @property
+    def theta(self) -> Vector:
+        """Parameters (d,)."""
+
+    def channel(self, i: int, j: int) -> Channel:
+        """Return the polynomials from input j to output i."""
+
+    def has(self, i: int, j: int) -> bool:
+        """Return whether input j affects output i."""
+
+    def realised(self) -> StateSpace:
+        """Return the innovations form."""
+
+    @property
+    def coupled(self) -> bool:
+        """True if a channel has no noise polynomials of its own."""
+
+    @property
+    def integrators(self) -> tuple[bool, ...]:
+        """True for each output that integrates by construction."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OutputQuality:
+    """Quality of a model for one output, one step ahead, on the estimation data."""
+
+    loss: float
+    """Mean squared error."""
+    N: int
+    """Number of errors in the loss."""
+    fit_percent: float
+    """100 (1 - |y - ŷ| / |y - mean y|)."""
+    white: Whiteness
+    """Result of the whiteness test of the errors."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class MultivariableFit:
+    """A model of several outputs and inputs with its uncertainty.
+
+    `fit["alpha", "u"]` returns the model from u to alpha as a `Fit`, with its poles, responses,
+    standard deviations, texts and figures.
+    """
+
+    structure: str
+    """Name of the estimator, such as "oe"."""
+    orders: str
+    """Orders as text, such as "nb=2, nf=2, nk=1"."""
+    form: Form
+    """Parameters and equations."""
+    inputs: tuple[str, ...]
+    """Names of the inputs."""
+    outputs: tuple[str, ...]
+    """Names of the outputs."""
+    input_units: tuple[str, ...]
+    """Units of the inputs."""
+    units: tuple[str, ...]
+    """Units of the outputs."""
+    Ts: float
+    """Sampling time in s."""
+    shared: bool = False
+    """True if all outputs share one denominator."""
+    covariance: Matrix
+    """Covariance of theta (d, d), valid if the residuals are white."""
+    covariance_robust: Matrix
+    """Covariance of theta (d, d), sandwich form; also valid if the residuals are coloured."""
+    noise_covariance: Matrix
+    """Covariance Lambda of e (ny, ny)."""
+    quality: tuple[OutputQuality, ...]
+    """Loss, fit and whiteness of each output."""
+    converged: bool = True
+    """True if the search for the minimum is within its tolerance."""
+    starts: tuple[Start, ...] = ()
+    """Start values with their results, best first; empty for a closed form."""
+    findings: tuple[EstimateFinding, ...] = ()
+    """Findings about the reliability of the numbers."""
+    source: str = ""
+    """Hash of the recording or data file, or ""."""
+    history: tuple[str, ...] = ()
+    """Treatment of the data."""
+    digest: str = ""
+    """Fingerprint of the estimation data."""
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        freeze(self, ("covariance", "covariance_robust", "noise_covariance"))
+
+    @property
+    def ny(self) -> int:
+        """Number of outputs."""
+        return len(self.outputs)
+
+    @property
+    def nu(self) -> int:
+        """Number of inputs."""
+        return len(self.inputs)
+
+    @property
+    def theta(self) -> Vector:
+        """Parameters (d,), row after row."""
+        return self.form.theta
+
+    @property
+    def std(self) -> Vector:
+        """Standard deviations of theta (d,), from the classic covariance."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+
+    @property
+    def std_robust(self) -> Vector:
+        """Standard deviations of theta (d,), from the sandwich form."""
+        return np.sqrt(np.maximum(np.diag(self.covariance_robust), 0.0))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentences of the findings."""
+        return tuple(f.text for f in self.findings)
+
+    @property
+    def label(self) -> str:
+        """Name in tables and legends: OE, 1 input, 2 outputs."""
+        return f"{self.structure.upper()}({self.orders})"
+
+    def __getitem__(self, channel: tuple[str, str] | str) -> Fit:
+        """Return the model from one input to one output: fit["alpha", "u"].
+
+        The input may be left out if there is one input.
+
+        Raises
+        ------
+        ValueError
+            There is no such output or input, or the input does not affect the output.
+        """
+        output, input = channel if isinstance(channel, tuple) else (channel, None)
+        i = _index("output", output, self.outputs)
+        j = _index("input", input, self.inputs)
+        part = self.form.channel(i, j)
+        quality = self.quality[i]
+        return Fit(
+            structure="channel" if self.form.coupled else self.structure,
+            A=part.polynomials["A"],
+            B=part.polynomials["B"],
+            C=part.polynomials["C"],
+            D=part.polynomials["D"],
+            F=part.polynomials["F"],
+            nk=part.nk,
+            integrator=part.integrator,
+            offset=part.integrator,
+            Ts=self.Ts,
+            output=self.outputs[i],
+            unit=self.units[i],
+            input_unit=self.input_units[j],
+            covariance=part.J @ self.covariance @ part.J.T,
+            covariance_robust=part.J @ self.covariance_robust @ part.J.T,
+            noise_variance=float(self.noise_covariance[i, i]),
+            loss=quality.loss,
+            N=quality.N,
+            fit_percent=quality.fit_percent,
+            whiteness=quality.white.p_value,
+            whiteness_test=quality.white.test,
+            converged=self.converged,
+            findings=self.findings,
+            source=self.source,
+            history=self.history,
+        )
+
+    def channels(self) -> Iterator[tuple[int, int, Fit]]:
+        """Iterate over output, input and model of each channel that has a model."""
+        for i, output in enumerate(self.outputs):
+            for j, input in enumerate(self.inputs):
+                if self.form.has(i, j):
+                    yield i, j, self[output, input]
+
+    def poles(self) -> Roots:
+        """Return the poles: each denominator once, output after output."""
+        found: list[Fit] = []
+        for _, _, fit in self.channels():
+            if not any(np.array_equal(fit.denominator, known.denominator) for known in found):
+                found.append(fit)
+        if self.shared or self.form.coupled:
+            found = [max(found, key=lambda fit: fit.denominator.size)]
+        roots = [fit.poles() for fit in found]
+        return Roots(
+            values=np.concatenate([r.values for r in roots]),
+            covariance=np.concatenate([r.covariance for r in roots]),
+        )
+
+    def frequency_response(self, omega: ArrayLike) -> FrequencyResponse:
+        """Return G (n, ny, nu) at omega (n,) in rad/s, with standard deviations.
+
+        Raises
+        ------
+        ValueError
+            A frequency is outside 0 to pi/Ts.
+        """
+        omega_ = np.atleast_1d(np.asarray(omega, dtype=np.float64))
+        G = np.zeros((omega_.size, self.ny, self.nu), dtype=np.complex128)
+        magnitude, phase = np.zeros((2, *G.shape))
+        for i, j, fit in self.channels():
+            own = fit.frequency_response(omega_)
+            G[:, i, j], magnitude[:, i, j], phase[:, i, j] = own.G, own.std_magnitude, own.std_phase
+        return FrequencyResponse(omega=omega_, G=G, std_magnitude=magnitude, std_phase=phase)
+
+    def step_response(self, n: int, *, rate: bool = False) -> StepResponse:
+        """Return the first n samples (n, ny, nu) of the responses to a unit step of each input."""
+        y, std = np.zeros((2, n, self.ny, self.nu))
+        t: Vector = self.Ts * (np.arange(n, dtype=np.float64) + 0.5 * rate)
+        for i, j, fit in self.channels():
+            own = fit.step_response(n, rate=rate)
+            y[:, i, j], std[:, i, j] = own.y, own.std
+        return StepResponse(t=t, y=y, std=std, rate=rate)
+
+    def simulate(self, u: ArrayLike) -> Matrix:
+        """Return the outputs (N, ny) for the inputs u (N, nu), from rest and without noise.
+
+        Raises
+        ------
+        ValueError
+            u is not (N, nu).
+        """
+        u_ = np.asarray(u, dtype=np.float64)
+        u_ = u_[:, None] if u_.ndim == 1 else u_
+        if u_.ndim != 2 or u_.shape[1] != self.nu:
+            raise InputError(
+                f"u has shape {np.shape(u)}; give (N, {self.nu}), a column for each of "
+                f"{', '.join(self.inputs)}"
+            )
+        return self.form.realised().deterministic.simulated(u_)
+
+    def predict(self, data: Signals, horizon: int | None = 1) -> Matrix:
+        """Return ŷ(t) (N, ny) from u up to t and y up to t - horizon; with None, from u alone.
+
+        The initial state of each experiment is estimated from the data by least squares. For an
+        integrating output the input offset is estimated too, as a ramp.
+
+        Raises
+        ------
+        ValueError
+            The data have other channels or another sampling time than the model.
+        """
+        require_same_channels(self, data)
+        if horizon is not None and (isinstance(horizon, bool) or int(horizon) < 1):
+            raise InputError(f"horizon={horizon!r} must be an integer >= 1, or None for simulation")
+        system = self.form.realised()
+        return np.concatenate(
+            [
+                predicted(
+                    system,
+                    part,
+                    horizon=horizon,
+                    integrating=self.form.integrators,
+                    noise_std=np.sqrt(np.diag(self.noise_covariance)),
+                )
+                for part in data.experiments()
+            ]
+        )
+
+    def state_space(self) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:
+        """Return A, B, C, D and K of the innovations form."""
+        s = self.form.realised()
+        return s.A, s.B, s.C, s.D, s.K
+
+    def to_control(self) -> control.StateSpace:
+        """Return the model from u to y as a python-control system with named signals, dt=Ts."""
+        import control
+
+        s = self.form.realised().deterministic
+        return control.ss(
+            s.A, s.B, s.C, s.D, self.Ts, inputs=list(self.inputs), outputs=list(self.outputs)
+        )
+
+    def compare(
+        self, data: Signals, *others: MultivariableFit, horizon: int | None = None
+    ) -> SignalsComparisonTable:
+        """Return `armrig.compare(data, fit, *others, horizon=horizon)`."""
+        from armrig.models.multivariable.comparison import compare
+
+        return compare(data, self, *others, horizon=horizon)
+
+    def estimated_from(self, data: Signals) -> bool:
+        """Return whether the model was estimated from these data."""
+        return bool(self.digest) and self.digest == data.digest
+
+    def __repr__(self) -> str:
+        """Return the model as lines of text: one equation for each output."""
+        from armrig.models.multivariable.text import described
+
+        return described(self)
+
+
+def require_same_channels(fit: MultivariableFit, data: Any) -> None:
+    """Refuse data whose channels, units or sampling time differ from the model."""
+    if not isinstance(data, Signals):
+        raise InputTypeError(
+            f"data is a {type(data).__name__}: give Signals with {', '.join(fit.outputs)} and "
+            f"{', '.join(fit.inputs)}; for inputs alone, use fit.simulate(u)"
+        )
+    if not np.isclose(fit.Ts, data.equidistant(), rtol=1e-9, atol=0.0):
+        raise InputError(
+            f"the model has Ts={fit.Ts:g} s and the data have Ts={data.Ts:g} s; identify and "
+            "validate at the same rate"
+        )
+    for what, own, theirs in (
+        ("outputs", fit.outputs, data.outputs),
+        ("inputs", fit.inputs, data.inputs),
+    ):
+        if own != theirs:
+            raise InputError(
+                f"the model's {what} are {', '.join(own)} and the data have {', '.join(theirs)}; "
+                "choose them with signals.channels(outputs, inputs)"
+            )
+
+
+def _index(what: str, name: str | None, names: tuple[str, ...]) -> int:
+    if name is None and len(names) == 1:
+        return 0
+    if name not in names:
+        said = f"{what} {name!r}: there is no such {what}" if name else f"which {what}?"
+        raise InputError(f"{said}; the model has {', '.join(names)}")
+    return names.index(name)

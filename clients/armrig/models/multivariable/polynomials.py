@@ -1,0 +1,262 @@
+"""Polynomials of A(q) y(t) = B(q)/F(q) u(t) + C(q)/D(q) e(t) with several inputs and outputs.
+
+Row i of the model is ::
+
+    sum_k A_ik y_k = sum_j B_ij/F_ij u_j + C_i/D_i e_i
+
+Either all F and D are 1 (ARX, ARMAX), or A is the identity (OE, BJ).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from armrig_core.errors import InputError
+from scipy.linalg import block_diag
+
+from armrig.models.model import Matrix, Vector
+from armrig.models.multivariable.state_space import StateSpace
+
+Row = tuple[Vector, ...]
+_CIRCLE_RADIUS = 1.05
+"""Radius of the circle on which determinants are interpolated, relative to the largest root."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Channel:
+    """Polynomials from one input to one output, and their derivatives."""
+
+    polynomials: dict[str, Vector]
+    """Coefficients of A, B, C, D and F by letter."""
+    J: Matrix
+    """Derivatives of the channel's theta with respect to the theta of the whole model."""
+    nk: int
+    """Samples before the input reaches the output."""
+    integrator: bool
+    """True if F, or A without F, has the factor 1 - q^-1 by construction."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Polynomials:
+    """Polynomials of all rows."""
+
+    A: tuple[Row, ...]
+    """A_ik for each row i and output k; A_ii begins with 1, A_ik with 0."""
+    B: tuple[Row, ...]
+    """B_ij for each row i and input j, beginning with nk zeros."""
+    C: Row
+    """C_i of each row."""
+    D: Row
+    """D_i of each row."""
+    F: tuple[Row, ...]
+    """F_ij for each row i and input j."""
+    nk: tuple[tuple[int, ...], ...]
+    """Samples before input j reaches output i."""
+    integrators: tuple[bool, ...]
+    """True for each output whose row has the factor 1 - q^-1 by construction."""
+
+    @property
+    def theta(self) -> Vector:
+        """Parameters, row after row: a, b, c, d, f."""
+        return np.concatenate([p for *_, p in self._parts()])
+
+    @property
+    def names(self) -> tuple[tuple[str, int, int, int], ...]:
+        """Letter, row, column and lag of each parameter; the column of C and D is the row."""
+        return tuple(
+            (letter, i, k, first + n)
+            for letter, i, k, first, p in self._parts()
+            for n in range(p.size)
+        )
+
+    def _parts(self) -> Iterator[tuple[str, int, int, int, Vector]]:
+        """Yield letter, row, column, first lag and the estimated coefficients."""
+        for i in range(len(self.A)):
+            for k, a in enumerate(self.A[i]):
+                yield "a", i, k, 1, a[1:]
+            for j, b in enumerate(self.B[i]):
+                yield "b", i, j, self.nk[i][j], b[self.nk[i][j] :]
+            yield "c", i, i, 1, self.C[i][1:]
+            yield "d", i, i, 1, self.D[i][1:]
+            for j, f in enumerate(self.F[i]):
+                yield "f", i, j, 1, f[1:]
+
+    def slice_of(self, letter: str, i: int, k: int) -> slice:
+        """Return the slice of theta with the coefficients of one polynomial."""
+        begin = 0
+        for name, row, column, _, p in self._parts():
+            if (name, row, column) == (letter, i, k):
+                return slice(begin, begin + p.size)
+            begin += p.size
+        raise InputError(f"the model has no polynomial {letter}[{i}, {k}]")
+
+    @property
+    def coupled(self) -> bool:
+        """True if an output affects another output: A is not diagonal."""
+        return any(a.any() for i, row in enumerate(self.A) for k, a in enumerate(row) if i != k)
+
+    def has(self, i: int, j: int) -> bool:
+        """Return whether input j affects output i."""
+        return self.coupled or self.B[i][j].size > self.nk[i][j]
+
+    def channel(self, i: int, j: int) -> Channel:
+        """Return the polynomials from input j to output i."""
+        if not self.has(i, j):
+            raise InputError("this input does not affect this output: nb is 0")
+        if self.coupled:
+            return self._coupled_channel(i, j)
+        p = {"A": self.A[i][i], "B": self.B[i][j], "C": self.C[i], "D": self.D[i]}
+        p["F"] = self.F[i][j]
+        columns = {"a": i, "b": j, "c": i, "d": i, "f": j}
+        at = np.concatenate(
+            [np.r_[self.slice_of(letter, i, k)] for letter, k in columns.items()]
+        ).astype(np.int_)
+        return Channel(
+            polynomials=p,
+            J=np.eye(self.theta.size)[at],
+            nk=self.nk[i][j],
+            integrator=self.integrators[i],
+        )
+
+    def _coupled_channel(self, i: int, j: int) -> Channel:
+        """Return B/F with F = det A and B = row i of adj A times column j of B.
+
+        Both are interpolated from their values on a circle in q^-1. With X = inv(A) the derivatives
+        are ::
+
+            d det A = det A tr(X dA)
+            d (adj A B) = (d det A) X B + det A (X dB - X dA X B)
+        """
+        ny = len(self.A)
+        degrees = [max(a.size - 1 for a in row) for row in self.A]
+        degree = sum(degrees)
+        last = max(degree - degrees[k] + self.B[k][j].size - 1 for k in range(ny))
+        n = max(degree, last) + 1
+        x = np.exp(-2j * np.pi * np.arange(n) / n) / self._radius()
+        A = np.array([[np.polyval(a[::-1], x) for a in row] for row in self.A]).transpose(2, 0, 1)
+        b = np.array([np.polyval(self.B[k][j][::-1], x) for k in range(ny)]).T
+        X = np.linalg.inv(A)
+        det = np.linalg.det(A)
+        Xb = np.einsum("tik,tk->ti", X, b)
+        d = self.theta.size
+        by_det, by_B = np.zeros((2, n, d), dtype=np.complex128)
+        for letter, k, m, first, p in self._parts():
+            if not p.size or letter not in "ab" or (letter == "b" and m != j):
+                continue
+            powers = x[:, None] ** (first + np.arange(p.size))
+            at = self.slice_of(letter, k, m)
+            if letter == "a":
+                by_det[:, at] = (det * X[:, m, k])[:, None] * powers
+                by_B[:, at] = by_det[:, at] * Xb[:, i, None]
+                by_B[:, at] -= (det * X[:, i, k] * Xb[:, m])[:, None] * powers
+            else:
+                by_B[:, at] = (det * X[:, i, k])[:, None] * powers
+        F, B = (_coefficients(v, x) for v in (det, det * Xb[:, i]))
+        dF, dB = (_coefficients(v, x) for v in (by_det, by_B))
+        paths = [k for k in range(ny) if self.B[k][j].size > self.nk[k][j]]
+        nk = min(self.nk[k][j] + int(k != i) for k in paths)
+        return Channel(
+            polynomials={
+                "A": np.ones(1),
+                "B": np.append(np.zeros(nk), B[nk : last + 1]),
+                "C": np.ones(1),
+                "D": np.ones(1),
+                "F": np.append(1.0, F[1 : degree + 1]),
+            },
+            J=np.vstack([dB[nk : last + 1], dF[1 : degree + 1]]),
+            nk=nk,
+            integrator=False,
+        )
+
+    def _radius(self) -> float:
+        """Return the radius of a circle in q that contains all roots."""
+        poles = np.linalg.eigvals(self.realised().A)
+        return _CIRCLE_RADIUS * max(1.0, float(np.max(np.abs(poles), initial=0.0)))
+
+    def realised(self) -> StateSpace:
+        """Return the innovations form, with the noise states of OE and BJ models last."""
+        rows = [self._row(i) for i in range(len(self.A))]
+        ny = len(rows)
+        driven = [r[0] for r in rows]
+        noise = [r[1] for r in rows]
+        A = block_diag(*(p["A"] for p in (*driven, *noise)))
+        B = np.vstack([p["B"] for p in (*driven, *noise)])
+        K = np.vstack([p["K"] for p in (*driven, *noise)])
+        feedback = np.vstack([p["Y"] for p in (*driven, *noise)])
+        C = np.zeros((ny, A.shape[0]))
+        begin = 0
+        for k, p in enumerate((*driven, *noise)):
+            size = p["A"].shape[0]
+            C[k % ny, begin : begin + size] = p["C"]
+            begin += size
+        D = np.vstack([p["D"] for p in driven])
+        # The rows of an ARX model are driven by y = C x + D u + e.
+        return StateSpace(
+            A=A + feedback @ C,
+            B=B + feedback @ D,
+            C=C,
+            D=D,
+            K=K + feedback,
+            noise_states=sum(p["A"].shape[0] for p in noise),
+        )
+
+    def _row(self, i: int) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Return the states that the inputs drive, and the states of the noise, of row i."""
+        ny, nu = len(self.A), len(self.B[i])
+        D = np.array([b[0] if b.size else 0.0 for b in self.B[i]])
+        if all(f.size == 1 for f in self.F[i]) and self.D[i].size == 1:
+            n = max(p.size for p in (*self.A[i], *self.B[i], self.C[i])) - 1
+            part = _observer(n, nu, ny)
+            part["Y"] = -np.column_stack([_tail(a, n) for a in self.A[i]])
+            part["B"] = np.column_stack([_tail(b, n) for b in self.B[i]])
+            part["K"][:, i] = _tail(self.C[i], n)
+            part["D"] = D
+            return part, _observer(0, nu, ny)
+        blocks = []
+        for j, (b, f) in enumerate(zip(self.B[i], self.F[i], strict=True)):
+            n = max(b.size, f.size) - 1
+            block = _observer(n, nu, ny)
+            block["A"][:, :1] -= _tail(f, n)[:, None]
+            block["B"][:, j] = _tail(b, n) - _tail(f, n) * D[j]
+            blocks.append(block)
+        driven = {
+            "A": block_diag(*(p["A"] for p in blocks)),
+            "B": np.vstack([p["B"] for p in blocks]),
+            "K": np.vstack([p["K"] for p in blocks]),
+            "Y": np.vstack([p["Y"] for p in blocks]),
+            "C": np.concatenate([p["C"] for p in blocks]),
+            "D": D,
+        }
+        n = max(self.C[i].size, self.D[i].size) - 1
+        noise = _observer(n, nu, ny)
+        noise["A"][:, :1] -= _tail(self.D[i], n)[:, None]
+        noise["K"][:, i] = _tail(self.C[i], n) - _tail(self.D[i], n)
+        return driven, noise
+
+
+def _observer(n: int, nu: int, ny: int) -> dict[str, Any]:
+    """Return the matrices of n shifts whose first state is the output."""
+    return {
+        "A": np.eye(n, k=1),
+        "B": np.zeros((n, nu)),
+        "K": np.zeros((n, ny)),
+        "Y": np.zeros((n, ny)),
+        "C": np.eye(1, n)[0],
+        "D": np.zeros(nu),
+    }
+
+
+def _tail(p: Vector, n: int) -> Vector:
+    """Return the coefficients after the first, padded to n."""
+    return np.pad(p[1:], (0, n + 1 - p.size))
+
+
+def _coefficients(values: Any, x: Any) -> Any:
+    """Return the coefficients, in powers of x, of polynomials with the given values (n, …)."""
+    n = x.size
+    scale = np.abs(x[0]) ** np.arange(n)
+    found = np.fft.ifft(values, axis=0).real
+    return found / scale.reshape((n,) + (1,) * (found.ndim - 1))

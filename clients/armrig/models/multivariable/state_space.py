@@ -1,0 +1,136 @@
+"""State-space model with several inputs and outputs: simulation and prediction.
+
+The innovations form is ::
+
+    x(t+1) = A x(t) + B u(t) + K e(t),    y(t) = C x(t) + D u(t) + e(t)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from armrig.data.signals import Signals
+from armrig.models.model import Complex, Matrix, Vector, freeze
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array
+from armrig.numerics.recursion import recursion
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StateSpace:
+    """Matrices of the innovations form."""
+
+    A: Matrix
+    """Transition matrix (n, n)."""
+    B: Matrix
+    """Input matrix (n, nu)."""
+    C: Matrix
+    """Output matrix (ny, n)."""
+    D: Matrix
+    """Direct term (ny, nu)."""
+    K: Matrix
+    """Gain of the innovations (n, ny)."""
+    noise_states: int = 0
+    """Number of last states that no input affects."""
+
+    def __post_init__(self) -> None:
+        """Make the arrays read-only."""
+        freeze(self, ("A", "B", "C", "D", "K"))
+
+    @property
+    def order(self) -> int:
+        """Number of states."""
+        return int(self.A.shape[0])
+
+    @property
+    def deterministic(self) -> StateSpace:
+        """The model from u to y, without the states that no input affects."""
+        n = self.order - self.noise_states
+        return StateSpace(
+            A=self.A[:n, :n],
+            B=self.B[:n],
+            C=self.C[:, :n],
+            D=self.D,
+            K=np.zeros((n, self.C.shape[0])),
+        )
+
+    def frequency_response(self, z: Complex) -> Complex:
+        """Return C (z - A)^-1 B + D at each z, (n, ny, nu)."""
+        inverse = np.linalg.solve(
+            z[:, None, None] * np.eye(self.order) - self.A, self.B.astype(np.complex128)
+        )
+        return np.asarray(self.C @ inverse + self.D)
+
+    def simulated(self, u: Array) -> Array:
+        """Return the output (N, ny) for the input u (N, nu), from rest and without noise."""
+        x = recursion(self.A, u @ self.B.T, np.zeros(self.order))[:-1]
+        return np.asarray(x @ self.C.T + u @ self.D.T)
+
+
+def predicted(
+    system: StateSpace,
+    part: Signals,
+    *,
+    horizon: int | None,
+    integrating: tuple[bool, ...],
+    noise_std: Vector,
+) -> Array:
+    """Return ŷ (N, ny) of one experiment from y up to t - horizon, or from u alone with None.
+
+    The initial state and a ramp of each integrating output, which represents the offset of the
+    input, are estimated by least squares. The innovation of a missing output is taken as 0. If the
+    model is unstable, ŷ may be infinite.
+
+    Parameters
+    ----------
+    noise_std : ndarray (ny,)
+        Standard deviation of e, which weights the outputs.
+    """
+    if horizon is None:
+        system = system.deterministic
+    at = [i for i, integrates in enumerate(integrating) if integrates]
+    n, y = system.order, np.where(part.valid, part.y, 0.0)
+    # The first column is the response to the data, then one for each state and each ramp.
+    inputs, outputs = np.zeros((2, part.N, 1 + n + len(at), max(part.nu, part.ny)))
+    inputs, outputs = inputs[:, :, : part.nu], outputs[:, :, : part.ny]
+    inputs[:, 0], outputs[:, 0] = part.u, y
+    for k, i in enumerate(at, 1 + n):
+        outputs[:, k, i] = np.arange(1.0, part.N + 1.0)
+    x0 = np.zeros((1 + n + len(at), n))
+    x0[1 : 1 + n] = np.eye(n)
+    used = part.valid if horizon is not None else np.zeros_like(part.valid)
+    with np.errstate(over="ignore", invalid="ignore"):
+        x = _states(system, inputs, outputs, x0, used)
+        errors = outputs - _outputs(system, x, inputs)
+        if not np.isfinite(errors).all():
+            return np.full(y.shape, np.inf)
+        weighted = (errors / noise_std).transpose(0, 2, 1)[part.valid]
+        c = np.append(1.0, -orthonormal(weighted[:, 1:]).coefficients(weighted[:, 0]))
+        for _ in range((horizon or 1) - 1):
+            ahead = x[:-1] @ system.A.T + inputs[:-1] @ system.B.T
+            x = np.concatenate([x[:1], ahead])
+        own = _outputs(system, x, inputs) - outputs * (np.arange(c.size) > n)[:, None]
+    return np.asarray(np.einsum("k,tki->ti", c, own))
+
+
+def _outputs(system: StateSpace, x: Array, u: Array) -> Array:
+    return np.asarray(x @ system.C.T + u @ system.D.T)
+
+
+def _states(system: StateSpace, u: Array, y: Array, x0: Array, used: Array) -> Array:
+    """Return x(0) … x(N-1) of several columns, (N, m, n), from the outputs marked in `used`."""
+    A, B, C, D, K = system.A, system.B, system.C, system.D, system.K
+    if not used.any() or not K.any():
+        return recursion(A, u @ B.T, x0)[:-1]
+    if used.all():
+        return recursion(A - K @ C, u @ (B - K @ D).T + y @ K.T, x0)[:-1]
+    x = np.empty((*u.shape[:2], A.shape[0]))
+    now, driven = x0, u @ B.T
+    direct = y - u @ D.T
+    for t in range(u.shape[0]):
+        x[t] = now
+        e = (direct[t] - now @ C.T) * used[t]
+        now = now @ A.T + driven[t] + e @ K.T
+    return x
