@@ -7,16 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from armrig.plots.captions import legend, named, sign
-from armrig.plots.layout import BLUE, INK, axes, finish, rows, shade
+from armrig.plots.layout import BLUE, INK, finish, high_axes, rows, shade
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.data.signals import Signals
-
-_ROW_HEIGHT = 1.15  # inches
-_WIDTH = 6.4  # inches
-_LEAST_HEIGHT = 3.6  # inches
 
 
 def plot_signals(signals: Signals, *, ax: Axes | None = None) -> Axes:
@@ -24,7 +20,7 @@ def plot_signals(signals: Signals, *, ax: Axes | None = None) -> Axes:
 
     A vertical line marks the begin of each experiment but the first.
     """
-    panels = rows(ax or _axes(signals.ny + signals.nu), signals.ny + signals.nu)
+    panels = rows(ax or high_axes(signals.ny + signals.nu), signals.ny + signals.nu)
     t = signals.t
     for i, panel in enumerate(panels[: signals.ny]):
         panel.plot(t, signals.y[:, i], color=BLUE, lw=0.9)
@@ -44,10 +40,3 @@ def plot_signals(signals: Signals, *, ax: Axes | None = None) -> Axes:
     panels[-1].set_xlabel("$t$ [s]")
     finish(*panels, xlim=(float(np.min(t)), float(np.max(t)) or 1.0))
     return sign(panels[0], signals.source, above=legend(panels[0]))
-
-
-def _axes(n: int) -> Axes:
-    """Return the axes of a new figure that is high enough for n panels."""
-    ax = axes(None)
-    ax.figure.figure.set_size_inches(_WIDTH, max(_LEAST_HEIGHT, _ROW_HEIGHT * n))
-    return ax

@@ -7,6 +7,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.several_signals import accepts_signals
 from armrig.estimation.data_faults import NO_OPTION, data_faults, undetermined
 from armrig.estimation.orders import require_samples
 from armrig.estimation.stability import reflection_warnings, stabilised, with_stability_warning
@@ -17,6 +18,7 @@ from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.regressors import arx_rows
 
 
+@accepts_signals("armrig.estimation.multivariable.arx")
 @takes_recordings
 def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) by least squares.

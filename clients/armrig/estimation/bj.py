@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.several_signals import accepts_signals
 from armrig.estimation.prediction_error_fit import searched
 from armrig.models.fit import Fit
 from armrig.models.structure import Structure
@@ -11,6 +12,7 @@ from armrig.models.structure_table import Initial, Starts
 from armrig.numerics.checks import require_flags, require_integers
 
 
+@accepts_signals("armrig.estimation.multivariable.bj")
 @takes_recordings
 def bj(
     data: Dataset,

@@ -40,6 +40,9 @@ DASHES: tuple[Any, ...] = (
     (0, (8, 3)),
 )
 WIDTHS = (3.6, 2.0, 0.8, 1.2, 1.2, 0.8)
+_PANEL_HEIGHT = 1.15  # inches
+_WIDTH = 6.4  # inches
+_LEAST_HEIGHT = 3.6  # inches
 
 
 def axes(ax: Axes | None) -> Axes:
@@ -49,6 +52,13 @@ def axes(ax: Axes | None) -> Axes:
     from matplotlib import pyplot as plt
 
     return plt.subplots(layout="constrained")[1]
+
+
+def high_axes(n: int) -> Axes:
+    """Return the axes of a new figure that is high enough for n panels."""
+    ax = axes(None)
+    ax.figure.figure.set_size_inches(_WIDTH, max(_LEAST_HEIGHT, _PANEL_HEIGHT * n))
+    return ax
 
 
 def figure_of(ax: Axes) -> Figure:

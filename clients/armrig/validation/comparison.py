@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
 from armrig.models.model import Model
@@ -119,6 +120,7 @@ class ComparisonTable:
         return "\n".join(lines)
 
 
+@accepts_signals("armrig.models.multivariable.comparison")
 @takes_recordings
 def compare(
     data: Dataset,

@@ -1,0 +1,1 @@
+"""Estimators for several inputs and outputs."""

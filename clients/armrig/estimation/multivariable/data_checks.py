@@ -1,0 +1,50 @@
+"""Checks of several signals before an estimate."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from armrig_core.errors import InputError
+
+from armrig.data.signals import Signals
+from armrig.numerics.least_squares import orthonormal
+
+
+def origin(data: Signals) -> dict[str, Any]:
+    """Return names, units, sampling time and history by the names of the fields of a fit."""
+    return {
+        "inputs": data.inputs,
+        "outputs": data.outputs,
+        "input_units": data.input_units,
+        "units": data.units,
+        "Ts": data.equidistant(),
+        "source": data.source,
+        "history": data.history,
+        "digest": data.digest,
+    }
+
+
+def require_informative(data: Signals) -> None:
+    """Refuse an output that never moves, and inputs that are combinations of each other."""
+    data.equidistant()
+    for i, name in enumerate(data.outputs):
+        y = data.y[data.valid[:, i], i]
+        if np.ptp(y) == 0:
+            raise InputError(
+                f"{name} is always {y[0]:.4g}, so that it has no model; leave this output out, or "
+                "record it again"
+            )
+    for j, name in enumerate(data.inputs):
+        if np.ptp(data.u[:, j]) == 0:
+            raise InputError(
+                f"{name} is always {data.u[0, j]:.4g}, so that its effect cannot be estimated; "
+                "leave this input out, or record again"
+            )
+    rank = orthonormal(data.u - data.u.mean(axis=0)).rank
+    if rank < data.nu:
+        raise InputError(
+            f"the {data.nu} inputs have rank {rank}: some are copies or sums of others, so that "
+            "their effects cannot be separated; leave inputs out, or record with independent "
+            "inputs"
+        )

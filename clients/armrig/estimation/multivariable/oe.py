@@ -1,0 +1,66 @@
+"""Output-error models with several inputs and outputs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+from armrig.data.signals import Signals
+from armrig.estimation.multivariable.orders import as_text, by_channel
+from armrig.estimation.multivariable.plans import Shared, integrating_outputs, plans_of
+from armrig.estimation.multivariable.search import estimated
+from armrig.models.multivariable.fit import MultivariableFit
+
+
+def oe(
+    data: Signals,
+    *,
+    nb: Any,
+    nf: Any,
+    nk: Any = 1,
+    integrator: bool | str | Sequence[str] = False,
+    initial: Literal["estimate", "zero"] = "estimate",
+    shared: Shared = "",
+) -> MultivariableFit:
+    """Estimate B and F in y_i(t) = sum of B_ij(q)/F_ij(q) u_j(t) + e_i(t).
+
+    Parameters
+    ----------
+    data : Signals
+        N samples of nu inputs and ny outputs. A missing y removes only its own equation.
+    nb, nf : int, array_like (ny, nu) or mapping
+        Numbers of coefficients for each output and input. nb is 0 if the input does not affect the
+        output. The root of an integrator counts in nf, except with a shared denominator.
+    nk : int, array_like (ny, nu) or mapping, default 1
+        Samples before each input reaches each output; 0 is a direct term.
+    integrator : bool, str or sequence of str, default False
+        Outputs with one root of F at exactly 1; True for all outputs. Level and ramp of these
+        outputs are estimated too.
+    initial : {"estimate", "zero"}
+        State at the start of each experiment: estimated, or at rest.
+    shared : {"", "denominator"}
+        With "denominator" all outputs and inputs have one F, of order `nf`, and the outputs are
+        weighted by the covariance of e. The root of an integrator is an additional factor.
+
+    Returns
+    -------
+    MultivariableFit
+        Without a shared denominator each output is estimated alone.
+
+    Raises
+    ------
+    ValueError
+        An order has a wrong shape, or the data do not determine the parameters.
+
+    References
+    ----------
+    .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 7.2 and 10.2.
+    """
+    integrators = integrating_outputs(integrator, data)
+    orders = {
+        "nb": by_channel("nb", nb, data, least=0),
+        "nf": by_channel("nf", nf, data, least=0),
+        "nk": by_channel("nk", nk, data, least=0),
+    }
+    plans = plans_of(data, orders, integrators=integrators, initial=initial, shared=shared)
+    return estimated(data, plans, name="oe", orders=as_text(**orders), shared=bool(shared))

@@ -1,0 +1,53 @@
+"""Whitening of several outputs by the covariance of their noise, with missing samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from armrig.numerics.polynomial import Array
+
+
+def whitening(noise_covariance: Array, rows: Array) -> Array:
+    """Return matrices G (N, ny, ny) so that G(t) e(t) is white with covariance 1.
+
+    `rows` (N, ny) is False where an output is missing. G(t) is the inverse Cholesky factor of the
+    covariance of the outputs measured at t, and 0 in the rows and columns of missing outputs.
+    """
+    N, ny = rows.shape
+    G = np.zeros((N, ny, ny))
+    for pattern in np.unique(rows, axis=0):
+        at = np.flatnonzero(pattern)
+        if at.size:
+            L = np.linalg.cholesky(noise_covariance[np.ix_(at, at)])
+            whole = np.zeros((ny, ny))
+            whole[np.ix_(at, at)] = np.linalg.inv(L)
+            G[(rows == pattern).all(axis=1)] = whole
+    return G
+
+
+def spread(G: Array, blocks: Sequence[Array]) -> Array:
+    """Return the whitened sum of columns: blocks (N, k) of all rows to (ny N, k)."""
+    ny = len(blocks)
+    return np.vstack(
+        [np.sum([G[:, i, j, None] * blocks[j] for j in range(ny)], axis=0) for i in range(ny)]
+    )
+
+
+def spread_apart(G: Array, blocks: Sequence[Array]) -> Array:
+    """Return whitened columns side by side: blocks (N, k_i) to (ny N, sum of k_i)."""
+    ny = len(blocks)
+    return np.vstack(
+        [np.hstack([G[:, i, j, None] * blocks[j] for j in range(ny)]) for i in range(ny)]
+    )
+
+
+def unspread(G: Array, M: Array) -> list[Array]:
+    """Return, for each row, the columns (N, k) whose whitened sum has the products G^T M."""
+    ny = G.shape[1]
+    parts = np.split(M, ny)
+    return [
+        np.asarray(np.sum([G[:, i, j, None] * parts[i] for i in range(ny)], axis=0))
+        for j in range(ny)
+    ]

@@ -1,0 +1,332 @@
+"""Models with several inputs and outputs: what is true, what is equal, and what is refused."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig import Dataset, Signals
+from armrig.models.multivariable.fit import MultivariableFit
+from armrig.numerics.polynomial import Array, filtered
+from armrig_core.errors import InputError
+
+N = 900
+F = [[[1, -1.2, 0.5], [1, -0.7]], [[1, -0.3], [1, -1.5, 0.7]]]
+B = [[[0, 1, 0.5], [0, 0, 2]], [[0, 0.3], [0, 0.2, 0.1]]]
+ORDERS: dict[str, Any] = {
+    "nb": [[2, 1], [1, 2]],
+    "nf": [[2, 1], [1, 2]],
+    "nk": {("a", "v"): 2},
+}
+LAMBDA = np.array([[0.04, 0.03], [0.03, 0.05]])
+
+
+def inputs(rng: np.random.Generator, nu: int = 2) -> Array:
+    """Return telegraph signals."""
+    return np.repeat(np.sign(rng.standard_normal((N // 2, nu))), 2, axis=0)
+
+
+def noise(rng: np.random.Generator, C: Any = (1,), D: Any = (1,)) -> Array:
+    """Return correlated noise of both outputs, filtered by C/D."""
+    e = rng.multivariate_normal([0, 0], LAMBDA, N)
+    return np.column_stack([filtered(C, D, x) for x in e.T])
+
+
+def plant(
+    seed: int = 1, scale: float = 1.0, missing: float = 0.0, C: Any = (1,), D: Any = (1,)
+) -> Signals:
+    """Return two experiments with the plant B/F."""
+    rng = np.random.default_rng(seed)
+    u = inputs(rng)
+    y = np.column_stack(
+        [sum(filtered(B[i][j], F[i][j], u[:, j]) for j in range(2)) for i in range(2)]
+    )
+    y += scale * noise(rng, C, D)
+    valid = rng.random(y.shape) >= missing
+    return Signals(u=u, y=y, Ts=0.1, valid=valid, outputs=["a", "b"], inputs=["u", "v"])
+
+
+def coupled(seed: int = 1, scale: float = 1.0) -> Signals:
+    """Return data of an ARX model whose outputs affect each other."""
+    rng = np.random.default_rng(seed)
+    u, e, y = inputs(rng), scale * noise(rng), np.zeros((N, 2))
+    for t in range(2, N):
+        y[t, 0] = 0.8 * y[t - 1, 0] - 0.2 * y[t - 2, 0] - 0.1 * y[t - 1, 1] + u[t - 1, 0] + e[t, 0]
+        y[t, 1] = 0.5 * y[t - 1, 1] + 0.2 * y[t - 1, 0] + 0.7 * u[t - 2, 1] + e[t, 1]
+    return Signals(u=u, y=y, Ts=0.1, outputs=["a", "b"], inputs=["u", "v"])
+
+
+COUPLED: dict[str, Any] = {
+    "na": [[2, 1], [1, 1]],
+    "nb": [[1, 0], [0, 1]],
+    "nk": [[1, 1], [1, 2]],
+}
+COUPLED_THETA = [-0.8, 0.2, 0.1, 1.0, -0.2, -0.5, 0.7]
+
+
+def several(name: str, data: Signals, **orders: Any) -> MultivariableFit:
+    """Return the fit of the estimator of several signals, also for one input and output."""
+    module = import_module(f"armrig.estimation.multivariable.{name}")
+    fit: MultivariableFit = getattr(module, name)(data, **orders)
+    return fit
+
+
+SINGLE: dict[str, dict[str, Any]] = {
+    "arx": {"na": 2, "nb": 2},
+    "oe": {"nb": 2, "nf": 2},
+    "armax": {"na": 2, "nb": 2, "nc": 1},
+    "bj": {"nb": 2, "nc": 1, "nd": 1, "nf": 2},
+}
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_one_input_and_output_give_the_estimate_of_the_dataset(name: str) -> None:
+    rng = np.random.default_rng(2)
+    u = inputs(rng, 1)[:, 0]
+    y = filtered([0, 1, 0.5], [1, -1.5, 0.7], u) + filtered([1, 0.4], [1, -0.8], noise(rng)[:, 0])
+    # The SISO estimators treat the unknown past of the noise in a second experiment otherwise.
+    starts = (0,) if name in ("bj", "armax") else (0, 300)
+    data = Dataset(u=u, y=y, Ts=0.1, starts=starts)
+    signals = Signals(u=u, y=y, Ts=0.1, starts=starts)
+
+    known = getattr(armrig, name)(data, **SINGLE[name])
+    found = several(name, signals, **SINGLE[name])
+    fit = found["y", "u"]
+
+    np.testing.assert_allclose(fit.theta, known.theta, rtol=1e-7)
+    np.testing.assert_allclose(fit.covariance, known.covariance, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(
+        fit.covariance_robust, known.covariance_robust, rtol=1e-6, atol=1e-12
+    )
+    assert fit.noise_variance == pytest.approx(known.noise_variance, rel=1e-9)
+    assert fit.whiteness == pytest.approx(known.whiteness, rel=1e-5)
+    assert fit.fit_percent == pytest.approx(known.fit_percent)
+    for horizon in (1, 5, None):
+        ours, theirs = found.predict(signals, horizon)[:, 0], known.predict(data, horizon)
+        both = np.isfinite(theirs)
+        np.testing.assert_allclose(ours[both], theirs[both], rtol=1e-6, atol=1e-7)
+
+
+def test_signals_of_one_input_and_output_are_estimated_as_their_dataset() -> None:
+    signals = plant().channels("a", "u")
+
+    assert repr(armrig.oe(signals, nb=2, nf=2)) == repr(armrig.oe(signals.dataset(), nb=2, nf=2))
+
+
+def test_an_integrating_output_alone_gives_the_estimate_of_the_dataset() -> None:
+    rng = np.random.default_rng(3)
+    u = inputs(rng, 1)[:, 0] + 0.2
+    y = filtered([0, 0.1, 0.05], np.convolve([1, -1], [1, -0.9]), u) + 0.02 * rng.normal(size=N)
+    known = armrig.oe(Dataset(u=u, y=y, Ts=0.1), nb=2, nf=2, integrator=True)
+
+    found = several("oe", Signals(u=u, y=y, Ts=0.1), nb=2, nf=2, integrator="y")
+
+    np.testing.assert_allclose(found["y"].theta, known.theta, rtol=1e-6)
+    np.testing.assert_allclose(found["y"].covariance, known.covariance, rtol=1e-5, atol=1e-13)
+    assert found["y"].integrator
+    assert 1.0 in found.poles().values
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.2])
+def test_noise_free_data_give_back_the_plant(missing: float) -> None:
+    fit = armrig.oe(plant(scale=0.0, missing=missing), **ORDERS)
+
+    for i, output in enumerate(("a", "b")):
+        for j, input in enumerate(("u", "v")):
+            channel = fit[output, input]
+            np.testing.assert_allclose(channel.F, F[i][j], atol=1e-6)
+            np.testing.assert_allclose(channel.B, B[i][j], atol=1e-6)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.2])
+def test_estimates_lie_within_their_deviations(missing: float) -> None:
+    data = plant(missing=missing, C=(1, 0.4), D=(1, -0.8))
+    truth = np.concatenate([*(B[0][0][1:], B[0][1][2:], [0.4], [-0.8], F[0][0][1:], F[0][1][1:])])
+
+    fit = armrig.bj(data, nc=1, nd=1, **ORDERS)
+
+    z = (fit.theta[: truth.size] - truth) / fit.std[: truth.size]
+    assert np.abs(z).max() < 3.5
+    assert all(not q.white.coloured for q in fit.quality)
+    np.testing.assert_allclose(fit.noise_covariance, LAMBDA, rtol=0.2)
+
+
+def test_rows_are_weighted_by_the_covariance_of_their_noise() -> None:
+    """Rows with fewer regressors have smaller deviations."""
+    fit = armrig.arx(coupled(), **COUPLED)
+
+    assert np.abs((fit.theta - COUPLED_THETA) / fit.std).max() < 3.5
+    alone = armrig.arx(coupled(), na=[[2, 1], [1, 1]], nb=[[2, 2], [2, 2]], nk=[[1, 1], [1, 1]])
+    assert fit.std[0] < alone.std[0]
+
+
+def test_equal_regressors_make_weights_superfluous() -> None:
+    data = coupled()
+    fit = armrig.arx(data, na=2, nb=2)
+    past = [data.y[1:-1], data.y[:-2], data.u[1:-1], data.u[:-2]]
+    X = np.hstack(past)
+    theta = np.linalg.lstsq(X, data.y[2:], rcond=None)[0]
+
+    names = [(letter, k, lag) for letter, i, k, lag in fit.form.names if i == 0]
+    order = [(n, k, lag) for n in "ab" for lag in (1, 2) for k in (0, 1)]
+    signs = np.array([-1.0] * 4 + [1.0] * 4)
+    expected = dict(zip(order, signs * theta[:, 0], strict=True))
+    np.testing.assert_allclose(fit.theta[: len(names)], [expected[n] for n in names], rtol=1e-8)
+
+
+def test_a_channel_of_a_coupled_model_is_its_transfer_function() -> None:
+    fit = armrig.arx(coupled(), **COUPLED)
+    omega = np.array([0.5, 3.0, 20.0])
+    system = fit.to_control()
+
+    response = fit.frequency_response(omega)
+
+    for k, w in enumerate(omega):
+        np.testing.assert_allclose(response.G[k], system(np.exp(1j * w * fit.Ts)), rtol=1e-9)
+    assert np.sort(fit.poles().values) == pytest.approx(
+        np.sort(np.linalg.eigvals(fit.state_space()[0]))[-3:], abs=1e-6
+    ) or np.allclose(np.sort_complex(fit.poles().values), np.sort_complex(system.poles())[-3:])
+
+
+def test_the_covariance_of_a_channel_is_that_of_many_runs() -> None:
+    """The gain from v to a of a coupled model, and its deviation, in 60 runs."""
+    gains, deviations = [], []
+    for seed in range(60):
+        answer = armrig.arx(coupled(seed=100 + seed), **COUPLED).frequency_response([1.0])
+        gains.append(np.abs(answer.G[0]))
+        deviations.append(answer.std_magnitude[0])
+
+    ratio = np.mean(deviations, axis=0) / np.std(gains, axis=0, ddof=1)
+    assert np.abs(ratio - 1).max() < 0.35
+
+
+def test_a_shared_denominator_gains_from_the_second_output() -> None:
+    rng = np.random.default_rng(5)
+    u = np.repeat(np.sign(rng.standard_normal(N // 5)), 5)
+    den = np.real(np.poly([0.9 * np.exp(0.3j), 0.9 * np.exp(-0.3j), 0.8]))
+    y = np.column_stack(
+        [
+            filtered([0, 0.01, 0.02, 0.03, 0.01], np.convolve([1, -1], den), u) + 3.0,
+            filtered([0, 0.1, -0.15, 0.05], den, u),
+        ]
+    )
+    y += 0.05 * rng.standard_normal((N, 2))
+    data = Signals(u=u, y=y, Ts=0.01, outputs=["theta_1", "alpha"])
+
+    fit = armrig.oe(
+        data, nb={("theta_1", "u"): 4, ("alpha", "u"): 3}, nf=3, shared="denominator",
+        integrator="theta_1",
+    )  # fmt: skip
+    alone = armrig.oe(data.dataset("theta_1"), nb=4, nf=4, integrator=True)
+
+    assert fit["alpha"].F.size == 4
+    np.testing.assert_array_equal(fit["theta_1"].F, np.convolve([1, -1], fit["alpha"].F))
+    np.testing.assert_allclose(fit["alpha"].F, den, atol=0.01)
+    pair = [np.sqrt(np.trace(f.poles().covariance[0])) for f in (fit["theta_1"], alone)]
+    assert pair[0] < pair[1]
+    assert len(fit.poles()) == 4
+
+
+def test_predictions_continue_over_missing_samples() -> None:
+    data = plant(missing=0.3, C=(1, 0.4), D=(1, -0.8))
+    whole = plant(C=(1, 0.4), D=(1, -0.8))
+    fit = armrig.bj(data, nc=1, nd=1, **ORDERS)
+
+    y = fit.predict(data, 1)
+
+    assert np.isfinite(y).all()
+    error = np.std((whole.y - y)[50:], axis=0)
+    simulated = np.std((whole.y - fit.predict(data, None))[50:], axis=0)
+    assert (error < 0.9 * simulated).all()
+
+
+def test_compare_is_one_function() -> None:
+    data = plant()
+    fit = armrig.oe(data, **ORDERS)
+
+    table = armrig.compare(data, fit)
+
+    assert repr(table) == repr(fit.compare(data))
+    assert table[0].on_estimation_data
+    y = fit.simulate(data.u)
+    np.testing.assert_allclose(y[100:], table[0].y[100:], atol=1e-4)
+    expected = 100 * (1 - np.linalg.norm(data.y - table[0].y, axis=0) / np.linalg.norm(
+        data.y - data.y.mean(axis=0), axis=0
+    ))  # fmt: skip
+    np.testing.assert_allclose(table[0].fit_percent, expected)
+    assert len(table.plot().axes) == 2
+
+
+def test_an_armax_model_may_share_its_denominator() -> None:
+    rng = np.random.default_rng(8)
+    u = inputs(rng)
+    A = np.array([1.0, -1.3, 0.6])
+    e = noise(rng)
+    y = np.column_stack(
+        [
+            filtered([0, 1], A, u[:, 0]) + filtered([0, 0.5], A, u[:, 1]),
+            filtered([0, 0.3], A, u[:, 0]) + filtered([0, -1], A, u[:, 1]),
+        ]
+    ) + np.column_stack([filtered([1, c], A, x) for c, x in zip((0.5, -0.4), e.T, strict=True)])
+    data = Signals(u=u, y=y, Ts=0.1)
+
+    fit = armrig.armax(data, na=2, nb=1, nc=1, shared="denominator")
+    own = armrig.armax(data, na=2, nb=1, nc=1)
+
+    np.testing.assert_array_equal(fit["y1", "u1"].A, fit["y2", "u2"].A)
+    np.testing.assert_allclose(fit["y1", "u1"].A, A, atol=0.05)
+    assert fit["y1", "u1"].std[0] < own["y1", "u1"].std[0]
+    assert len(fit.poles()) == 2
+    assert len(own.poles()) == 4
+
+
+@pytest.mark.parametrize(
+    ("orders", "message"),
+    [
+        ({"nb": [[2, 1]], "nf": 1}, "nb is 2 × 2, got 1 × 2: a row for each output"),
+        ({"nb": [[2, 1], [1]], "nf": 1}, "nb is 2 × 2, got 2: a row for each output"),
+        ({"nb": {("a", "u"): 1}, "nf": 1}, r"nb: \('a', 'v'\) is not named"),
+        ({"nb": 1, "nf": 1, "nk": {("a", "x"): 2}}, r"nk: there is no \('a', 'x'\)"),
+        ({"nb": 1.5, "nf": 1}, "nb: 1.5 must be an integer >= 0"),
+        ({"nb": [[0, 0], [1, 1]], "nf": 1}, "nb is 0 for all inputs of a"),
+        ({"nb": 1, "nf": 0, "integrator": True}, "nf must be at least 1 with an integrator"),
+        ({"nb": 1, "nf": 1, "integrator": "c"}, "there is no output 'c'"),
+        ({"nb": 1, "nf": [[1, 2], [1, 1]], "shared": "denominator"}, "need one order nf"),
+        ({"nb": 1, "nf": 1, "shared": "F"}, "shared='F' must be"),
+        ({"nb": 1, "nf": 1, "initial": "x"}, "initial='x' must be"),
+        ({"nb": 400, "nf": 1}, "needs at least"),
+    ],
+)
+def test_orders_that_do_not_fit_are_refused(orders: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        armrig.oe(plant(), **orders)
+
+
+def test_data_without_information_are_refused() -> None:
+    rng = np.random.default_rng(1)
+    u, y = inputs(rng), rng.normal(size=(N, 2))
+    copies = Signals(u=np.column_stack([u, u[:, 0] - u[:, 1]]), y=y, Ts=1.0)
+    still = Signals(u=u, y=np.column_stack([y[:, 0], np.full(N, 2.5)]), Ts=1.0)
+    idle = Signals(u=np.column_stack([u[:, 0], np.ones(N)]), y=y, Ts=1.0)
+
+    for data, message in (
+        (copies, "the 3 inputs have rank 2"),
+        (still, "y2 is always 2.5"),
+        (idle, "u2 is always 1"),
+    ):
+        with pytest.raises(InputError, match=message):
+            armrig.arx(data, na=1, nb=1)
+
+
+def test_other_channels_are_refused() -> None:
+    fit = armrig.oe(plant(), **ORDERS)
+
+    with pytest.raises(InputError, match="the model's outputs are a, b and the data have b, a"):
+        fit.predict(plant().channels(["b", "a"]))
+    with pytest.raises(InputError, match="output 'c': there is no such output; the model has a, b"):
+        fit["c", "u"]
+    with pytest.raises(InputError, match="u has shape"):
+        fit.simulate(np.zeros((10, 3)))
