@@ -79,7 +79,7 @@ OF_DEVICE: dict[int, str] = {
     Cause.REV_LIMIT: "the chassis reached limits.revolutions",
     Cause.UNDERRUN: "its queue of setpoints ran dry",
     Cause.VCC_LOW: "its supply is too low",
-    Cause.INTERNAL: "a check of its firmware on itself failed",
+    Cause.INTERNAL: "an internal check of its firmware failed",
 }
 """Meaning of each cause for which a device stops by itself."""
 

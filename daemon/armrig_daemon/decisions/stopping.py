@@ -74,7 +74,7 @@ def stop(
 
 
 def leave(state: State) -> Step:
-    """Exit without a lease, so that later frames of the same step cannot cause a fault."""
+    """Remove the lease and exit, so that later frames of the same step cannot cause a fault."""
     return moved(state, On.ENDED, lease=None, code=0), [Exit()]
 
 

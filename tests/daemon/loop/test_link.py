@@ -52,7 +52,7 @@ def test_what_the_line_takes_only_in_part_is_a_loss_of_the_line(
     link = Link(port, 115_200)
     data = bytes(100_000)
 
-    with pytest.raises(LinkError, match="takes no more bytes: the device does not read"):
+    with pytest.raises(LinkError, match="accepts no more bytes, because the device does not"):
         link.write(data)
 
     assert select.select([master], [], [], 1)[0], "nothing was sent: that would be no part"
