@@ -85,7 +85,10 @@ def run(
     system: _System = False,
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Run the daemon until SIGTERM or Ctrl-C; after its end, the motor is at 0 V."""
+    """Run the daemon until SIGTERM or Ctrl-C.
+
+    When the daemon has ended, the motor is at 0 V.
+    """
     with held_back():  # Python may ignore an exception during an import
         from armrig_daemon import config as configuration
         from armrig_daemon.loop.realtime import end_with_parent

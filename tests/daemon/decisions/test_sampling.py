@@ -512,7 +512,7 @@ def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
         assert decided.state.fault is not None
         assert decided.state.fault.id is Id.APPLIED
     else:
-        assert "no setpoint was there" in decided.told(Log)[0].message
+        assert "had no setpoint" in decided.told(Log)[0].message
 
 
 def test_a_sample_that_is_ahead_reports_the_missing_ones_before_it() -> None:
