@@ -65,7 +65,7 @@ def refill(state: State, now_ns: int) -> Step:
         done += sending
         moved_ns = now_ns if sent == queue.held else moved_ns
         sent += n
-    if sent != queue.sent or moved_ns != queue.moved_ns:  # at most ticks nothing was sent
+    if sent != queue.sent or moved_ns != queue.moved_ns:  # usually nothing was sent
         state = replace(state, queue=replace(queue, sent=sent, moved_ns=moved_ns))
     return state, done
 
