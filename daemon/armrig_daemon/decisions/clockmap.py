@@ -36,7 +36,7 @@ _DRIFT_PRIOR = 1 / 3.0**2  # (ns/µs)⁻²: 3000 ppm; a ceramic resonator is wit
 _C_VARIANCE = 1 / 12  # of c, uniform in [-1/2, 1/2]
 _WINDOW_SIZE = 100  # newest round trips, whose minimum is taken
 _MIN_QUANTILE_SIZE = 8  # with fewer round trips a quantile is meaningless
-_GATE_VARIANCES = 5.0**2  # |c| <= 1/2 keeps an error within √3 of its standard deviation
+_GATE_VARIANCES = 5.0**2  # |c| <= 1/2 keeps an error within √3 standard deviations
 _MAX_REJECTED = 8
 _LAG_GAIN = 4.0  # the lag is a mean over a quarter of the regression's memory
 _MAX_FADING = 10.0  # time constants; with more, 1/weight would overflow

@@ -72,7 +72,7 @@ REMEDIES: dict[Id, str] = {
 
 
 OF_DEVICE: dict[int, str] = {
-    Cause.WATCHDOG: "it heard nothing from this host in time",
+    Cause.WATCHDOG: "it received nothing from this host in time",
     Cause.RANGE: "a voltage was outside its limits",
     Cause.SLEW: "the voltage changed by more than limits.slew_v in a sample",
     Cause.ADC_RAIL: "a potentiometer was at a rail for device.rail_ticks samples",

@@ -190,7 +190,7 @@ def _publish(
 
 
 def _check_applied(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:
-    """Trip if the device applied another code than the commanded code (S5)."""
+    """Trip if the device applied another code than the commanded code (S5 of ARCHITECTURE.md)."""
     if m.u_k == due.expected:
         return state, []
     text = f"the device applied code {m.u_k}, but code {due.code} was commanded"

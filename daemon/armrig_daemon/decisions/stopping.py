@@ -79,7 +79,7 @@ def leave(state: State) -> Step:
 
 
 def trip(state: State, now_ns: int, fault: Fault) -> Step:
-    """Stop the motor and latch the fault, which ends only by a reset and an arming (S6)."""
+    """Stop the motor and latch the fault, which only a reset ends (S6 of ARCHITECTURE.md)."""
     state = ending(state, fault.cause, OutcomeCode.FAULT)
     state = moved(state, On.TRIPPED, fault=fault, lease=None, code=0)
     if state.link is not None:

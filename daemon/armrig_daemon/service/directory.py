@@ -12,7 +12,7 @@ from armrig_core.commands import Refused, refused
 
 
 def check_directory(directory: Path, needed: int) -> Refused | None:
-    """Return the refusal if `directory` cannot take a recording of `needed` B, or None."""
+    """Return the refusal if `directory` cannot store a recording of `needed` B, or None."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         room = shutil.disk_usage(directory).free

@@ -314,7 +314,7 @@ def test_a_device_that_is_met_latched_says_why() -> None:
     decided = heard(bench, latched, awaiting(met, RequestKind.HELLO))
 
     assert decided.state.reason == (
-        "the device is in FAULT: WATCHDOG, it heard nothing from this host in time"
+        "the device is in FAULT: WATCHDOG, it received nothing from this host in time"
     )
     assert decided.state.fault.device_cause == Cause.WATCHDOG
 
