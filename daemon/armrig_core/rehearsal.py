@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 _Array = NDArray[np.float64]
 
 MOST_POINTS = 20_000_000
-"""Largest number of points in time of one rehearsal, for half a second of computing time."""
+"""Largest number of points in time of one rehearsal; they take half a second to compute."""
 _BLOCK_SAMPLES = 64  # samples that one matrix product advances
-_STEP_PHASE_RAD = 0.2  # phase of the arm's oscillation between two points: misses 0.5 % of a peak
+_STEP_PHASE_RAD = 0.2  # phase of the arm's oscillation from point to point: 0.5 % error at a peak
 
 
 class Rehearsal(msgspec.Struct, frozen=True, kw_only=True):
@@ -58,18 +58,19 @@ def rehearse(
     Ts : float
         Sampling time, in s.
     parameters : ArmParameters, optional
-        Parameters of the rig; default: the handout's.
+        Parameters of the rig; by default, the parameters of the handout.
     arm_removed : bool, default False
         True if the rotating part is removed: the chassis turns alone, and alpha is 0.
     theta_1_rad : float, optional
         Angle of the chassis at the start, in rad.
     revolutions, alpha_rad : float, default 0
-        Limits, in turns from the start and in rad; 0 is no limit.
+        Limits, in turns from the start and in rad; 0 sets no limit.
 
     Raises
     ------
     InputError
-        A limit is reached or exceeded. The device also stops as soon as a limit is reached.
+        A limit is reached or exceeded. During the run, the device enters FAULT as soon as
+        `revolutions` is reached; nothing watches alpha.
     """
     volts = np.asarray(u, dtype=np.float64)
     Phi, Gamma, m = _steps(parameters, arm_removed, Ts, volts.size)
@@ -146,9 +147,8 @@ def _augmented(Phi: _Array, Gamma: _Array) -> _Array:
 def _states(Phi: _Array, Gamma: _Array, u: _Array) -> _Array:
     """Return x (N + 1, 4) of x[k+1] = Phi x[k] + Gamma u[k] from x[0] = 0, block by block.
 
-    Within a block, the responses to the block's first state and to its input are products with
-    powers of Phi. Only the first states of the
-    blocks form a recursion.
+    Within a block, the response to the block's first state and the response to its input are
+    products with powers of Phi. Only the first states of the blocks form a recursion.
     """
     n, N = Phi.shape[0], u.size
     blocks = -(-N // _BLOCK_SAMPLES)

@@ -36,7 +36,7 @@ class SignalPipe:
         handler : callable, optional
             Called for each signal in the main thread. It must take no lock.
         """
-        # Sockets: recording over a network also runs on Windows, whose select takes only sockets.
+        # Sockets: recording over a network also runs on Windows, whose select accepts only sockets.
         self._reader, self._waker = socket.socketpair()
         self._reader.setblocking(False)
         self._waker.setblocking(False)
@@ -48,7 +48,7 @@ class SignalPipe:
             signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
 
     def wake(self) -> None:
-        """Make the pipe readable from any thread, as a signal does."""
+        """Make the pipe readable, as a signal does; any thread may call this."""
         if self._is_woken:
             return  # a pipe full of zeros would have no room for a signal
         self._is_woken = True
@@ -78,8 +78,8 @@ class SignalPipe:
     def close(self, *, ignores: bool = False) -> None:
         """Restore the previous handlers, or ignore the signals from now on.
 
-        A process ignores signals at its end: Python restores each default handler during its exit,
-        and a second signal would then kill the process.
+        A process ignores signals at its end, because Python restores each default handler during
+        its exit, and a second signal would then kill the process.
         """
         for number, before in self._before.items():
             signal.signal(number, signal.SIG_IGN if ignores else before)
@@ -90,7 +90,7 @@ class SignalPipe:
 
 @contextmanager
 def until_signal() -> Iterator[SignalPipe]:
-    """Yield a pipe that Ctrl-C or another ending signal sets; a second signal interrupts.
+    """Yield a pipe that Ctrl-C or another ending signal sets; a second one raises an interrupt.
 
     The first signal interrupts nothing, because it may arrive between a message and its file. A
     signal that nohup ignores stays ignored.
@@ -116,7 +116,7 @@ def until_signal() -> Iterator[SignalPipe]:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Block signals until the block ends, and in a process started in the block also later.
+    """Block signals during the `with` block; a process started in it keeps them blocked.
 
     Such a process unblocks the signals when it creates its `SignalPipe`. A Ctrl-C reaches all
     processes of a terminal, and one of them may still import modules. If a KeyboardInterrupt is

@@ -1,8 +1,9 @@
 """The messages that armrig publishes and records, and the constant layout of a sample.
 
-All `SAMPLE_FIELDS` have a fixed width and are always written. The bytes of a protobuf `Sample`
-are therefore at constant places: the struct module encodes a sample, and numpy reads a million.
-Other programs read plain protobuf. Fields are only appended. A field's name ends in its unit.
+All `SAMPLE_FIELDS` have a fixed width and are always written. The bytes of a protobuf `Sample` are
+therefore at constant places, so that the struct module can encode a sample, and numpy can read a
+million samples at once. Other programs read plain protobuf. Fields are only appended. A field's
+name ends in its unit.
 """
 
 from __future__ import annotations

@@ -44,7 +44,7 @@ def toml_tables(text: str) -> dict[str, Any]:
         tables = tomllib.loads(text)
     except RecursionError as err:
         raise FileError("nested too deeply") from err
-    except ValueError as err:  # TOMLDecodeError is one
+    except ValueError as err:  # such as TOMLDecodeError
         raise FileError(f"not a TOML file: {err}") from err
     _check_depth(tables)
     return tables

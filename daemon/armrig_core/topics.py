@@ -15,7 +15,7 @@ EVERY_RIG = "*"
 """Wildcard for a rig's id in a key: all rigs."""
 _MAX_LENGTH = 40
 PLAYED = "played-"
-"""First characters of the id under which a recording is played again, but of no rig's id."""
+"""Beginning of each id under which a recording is played again; no id of a rig begins with it."""
 
 
 def is_rig_id(text: str) -> bool:
@@ -79,7 +79,7 @@ def alive_key(rig: str) -> str:
 
 
 def rig_of_alive(key: str) -> str:
-    """Return the rig whose liveliness token has this key; "" if no rig's token has."""
+    """Return the rig whose liveliness token has this key; "" for any other key."""
     parts = key.split("/")
     return (
         parts[1] if len(parts) == 3 and is_rig_id(parts[1]) and key == alive_key(parts[1]) else ""

@@ -1,6 +1,6 @@
-"""Conversion of sentences of version 1 of files and replies, which had no codes, to codes.
+"""Conversion of the sentences in files and replies of version 1, which had no codes, to codes.
 
-Files and replies of the current version contain codes, so this module does not read them.
+Files and replies of the current version contain codes and do not need this module.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _GAPS = {
 
 
 def passes(error: str) -> bool:
-    """Return whether a refusal of a daemon without codes passes by itself."""
+    """Return whether a refusal, from a daemon without codes, is temporary."""
     return error.endswith(TRY_AGAIN)
 
 
@@ -59,6 +59,6 @@ def gap_code(reason: str) -> GapCode:
 
 
 def emulator_stall_ns(message: str) -> int:
-    """Return the time of an emulator's stall in an event's sentence, in ns; 0 for others."""
+    """Return the length of the stall that an event's sentence reports, in ns; otherwise 0."""
     found = _EMULATOR_STALL.match(message)
     return int(found[1]) * 1_000_000 if found else 0

@@ -21,7 +21,7 @@ def code_of(u: float) -> int:
     ValueError
         `u` is not a number in [0, 5]. The voltage is never clamped.
     """
-    if not 0.0 <= u <= U_MAX_V:  # NaN fails this, too
+    if not 0.0 <= u <= U_MAX_V:  # also true of NaN
         why = f"a voltage outside 0 … {U_MAX_V:g} V destroys the rig"
         raise InputError(f"{u!r} V is not allowed: {why}")
     return round(u / U_MAX_V * CODE_FULL_SCALE)

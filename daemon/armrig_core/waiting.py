@@ -40,7 +40,7 @@ _until_at = ctypes.byref(_until)
 
 
 def sleep_until(deadline_ns: int, spin_ns: int = 0) -> int:
-    """Sleep until `spin_ns` before the deadline, spin until it, and return the time, in ns."""
+    """Sleep until `spin_ns` before the deadline, then spin up to it; return the time, in ns."""
     now = time.monotonic_ns()
     wake = deadline_ns - spin_ns
     if now < wake:
@@ -99,14 +99,14 @@ class Waiter:
         return self._but_timer(self._epoll.poll(0, _MAX_EVENTS))
 
     def wait_until(self, deadline_ns: int) -> list[tuple[int, int]]:
-        """Return the ready descriptors, each with its `EPOLL…` flags; none at the deadline.
+        """Return the ready descriptors, each with its `EPOLL…` flags; [] at the deadline.
 
         Parameters
         ----------
         deadline_ns : int
-            Time on the monotonic clock, in 64 bit; a past deadline returns at once.
+            Time on the monotonic clock, in 64 bits; if it is past, the call returns at once.
         """
-        if deadline_ns != self._due_ns:  # a loop waits for one deadline many times
+        if deadline_ns != self._due_ns:  # a loop waits for the same deadline many times
             self._due_ns = deadline_ns
             due = self._set.it_value
             due.tv_sec, due.tv_nsec = divmod(max(deadline_ns, 1), 1_000_000_000)

@@ -85,7 +85,10 @@ def run(
     system: _System = False,
     parent: Annotated[int | None, typer.Option(hidden=True)] = None,
 ) -> None:
-    """Run the daemon until SIGTERM or Ctrl-C; the motor is then at 0 V."""
+    """Run the daemon until SIGTERM or Ctrl-C.
+
+    When the daemon has ended, the motor is at 0 V.
+    """
     with held_back():  # Python may ignore an exception during an import
         from armrig_daemon import config as configuration
         from armrig_daemon.loop.realtime import end_with_parent
@@ -93,7 +96,7 @@ def run(
         from armrig_daemon.service.service import Service
         from armrig_daemon.service.systemd import Notifier
 
-    if parent is not None:  # `armrig lab`, which may be killed without a message
+    if parent is not None:  # the parent is `armrig lab`, which may be killed without a message
         end_with_parent(parent)
     notifier = Notifier(os.environ)
     load = _configuration(config, port, rig, _EMULATION_DEFAULTS if emulate else {}, system=system)
@@ -209,7 +212,7 @@ def emulate(
         Path | None, typer.Option(help="File (TOML) with a table [emulator]; default: no file.")
     ] = None,
     trace: Annotated[
-        Path | None, typer.Option(help="File for a line at each change of the motor voltage.")
+        Path | None, typer.Option(help="File to write, a line for each change of the voltage.")
     ] = None,
     seed: Annotated[
         int | None, typer.Option(help="Seed of all noise and of the boot ids; default: 1.")
@@ -272,7 +275,8 @@ def show_config(
     elif example:
         typer.echo(example_text())
     else:
-        _refuse("config: give --example or --check FILE: `armrigd config --example > armrig.toml`")
+        for_example = "for example `armrigd config --example > armrig.toml`"
+        _refuse(f"config: give --example or --check FILE, {for_example}")
 
 
 def _check_file(file: Path) -> None:
@@ -332,7 +336,8 @@ def conformance(
 
     is_simulated = firmware or image is not None
     if is_simulated == (device is not None):
-        _refuse("conformance: give either --device PORT, or --firmware for the Uno's in simavr", 2)
+        of_uno = "--firmware for the firmware of the Uno in simavr"
+        _refuse(f"conformance: give either --device PORT, or {of_uno}", 2)
     if not is_simulated:
         _confirm_that_the_motor_is_unplugged(motor_unplugged)
     for number in (signal.SIGTERM, signal.SIGHUP):
@@ -351,7 +356,7 @@ def conformance(
     except (LinkError, OperationError) as err:
         _refuse(f"conformance: {err}")
     except Broken as err:
-        where = f"{device} at {baud} baud: {err}; check that it is the device's port"
+        where = f"{device} at {baud} baud: {err}; check that this is the port of the device"
         _refuse(f"conformance: {where if device is not None else err}")
     except KeyboardInterrupt:
         _refuse("conformance: interrupted; a stop was sent to the device", 130)
@@ -372,20 +377,20 @@ def _line_and_rules(
 
     if device is not None:
         return stack.enter_context(closing(SerialLine(device, baud))), RULES
-    # In the dead band, so that the guard over the rails can be tested. With this resistance the
-    # motor never turns the arm out of the dead band.
+    # theta_1 is in the dead band, so that the guard over the rails can be tested. With this
+    # resistance the motor never turns theta_1 out of the dead band.
     settings = EmulatorSettings(baud=baud, theta_1_zero_deg=356.0, arm={"R_m": 1e9})
     uno = stack.enter_context(closing(_firmware(image)(settings, 0)))
     return VirtualLine(uno), (*RULES, *pin_rules(uno.violations))
 
 
 def _confirm_that_the_motor_is_unplugged(is_confirmed: bool) -> None:
-    """Ask for a confirmation: the rules drive the pin up to 5 V."""
+    """Ask for a confirmation, because the rules drive the pin up to 5 V."""
     if is_confirmed:
         return
     typer.echo("The test drives the motor's pin up to 5 V: the motor must be unplugged.", err=True)
     if not sys.stdin.isatty():
-        _refuse("conformance: no terminal to ask at; confirm with --motor-unplugged")
+        _refuse("conformance: no terminal for the question; confirm with --motor-unplugged")
     if not typer.confirm("Is the motor unplugged?", err=True):
         _refuse("conformance: unplug the motor first; nothing was sent")
 
@@ -407,7 +412,7 @@ def virtual(
     """Play runs on an emulated rig in virtual time, and record them.
 
     Each line of the standard input is a run, as JSON: {"u": [1.5, 1.5, …], "experiment": "step"}.
-    Each line of the standard output is a recording.
+    Each line of the standard output is the path of a recording.
 
     The same seed, runs and configuration result in the same bytes.
     """
@@ -443,7 +448,7 @@ def _started(port: Path, baud: int) -> str:
 
 def _print_stall(ns: int) -> None:
     """Print how long the emulator was held up."""
-    with suppress(OSError):  # nobody reads it any more
+    with suppress(OSError):  # nobody reads the standard error any more
         print(f"armrigd: {held_up(ns)}", file=sys.stderr, flush=True)
 
 
@@ -471,7 +476,7 @@ def _socket_directory() -> Path:
 
 
 def _check_no_file(path: Path) -> None:
-    """Refuse to start if another file has the socket's name: zenoh would delete the file."""
+    """Refuse to start if another file has the socket's name, because zenoh would delete it."""
     if os.path.lexists(path) and not path.is_socket():
         _refuse(f"{path}: another file has the name of the socket; move it away", EX_CONFIG)
 

@@ -111,7 +111,7 @@ class Timing(Table, frozen=True, kw_only=True):
     stop_after: Annotated[int, Meta(ge=0, le=1_000_000)] = 0
     """Consecutive missed ticks after which the motor is stopped; 0 is no limit."""
     spin_us: Annotated[float, Meta(ge=0, le=500)] = 120
-    """Time before a deadline in which the loop spins, in µs; only under SCHED_FIFO."""
+    """Time for which the loop spins before a deadline, in µs; only under SCHED_FIFO."""
 
     def __post_init__(self) -> None:
         """Refuse a sampling time that is not a whole number of µs."""
@@ -207,7 +207,7 @@ class Recording(Table, frozen=True, kw_only=True):
     part_mb: Annotated[float, Meta(ge=0, le=1e6)] = 2000.0
     """Largest file, in MB; a larger run is recorded in several files; 0 is no limit."""
     stop_when_full: bool = True
-    """True to stop a run if the disk is full; false to play it on without recording."""
+    """True to stop a run if the disk is full; false to continue the run without recording."""
     keep_days: Annotated[float, Meta(ge=0, le=1e5)] = 0.0
     """Age at which a complete recording of this rig is removed, in days; 0 keeps all."""
     keep_gb: Annotated[float, Meta(ge=0, le=1e6)] = 0.0
@@ -215,7 +215,7 @@ class Recording(Table, frozen=True, kw_only=True):
 
 
 class Access(Table, frozen=True, kw_only=True):
-    """`[access]`: access over a network; without it, clients connect only by the Unix socket."""
+    """`[access]`: network access; without this table, clients connect only by the Unix socket."""
 
     listen: str = ""
     """Endpoint at which to listen in addition to the Unix socket, such as tls/0.0.0.0:7447."""
@@ -262,7 +262,7 @@ class Config(Table, frozen=True, kw_only=True):
     access: Access = Access()
     client: Client = Client()
     calibration: Calibration = Calibration()
-    """`[calibration]`: the conversion of readings to angles and codes to volts, by file or key."""
+    """`[calibration]`: conversion of readings to angles, and of codes to volts; a file or keys."""
     emulator: EmulatorSettings = EmulatorSettings()
 
     @property
@@ -291,7 +291,7 @@ class Config(Table, frozen=True, kw_only=True):
         return Rules(
             code_min=code_of(limits.u_min_v),
             code_max=code_of(limits.u_max_v),
-            # One code more: a step of exactly the limit may round up.
+            # One code more, because a step of exactly the limit may round up.
             slew=min(code_of(limits.slew_v) + 1, CODE_FULL_SCALE) if limits.slew_v else 0,
             ts_us=self.ts_us,
             watchdog_ms=self.device.watchdog_ms,
@@ -401,7 +401,7 @@ def _calibrated(layer: dict[str, Any], directory: Path, where: str) -> dict[str,
     file, others = given["file"], [key for key in given if key != "file"]
     if not isinstance(file, str) or not file:
         raise InputError(
-            f"{where}: calibration.file = {file!r}: must be the path of a calibration's TOML"
+            f"{where}: calibration.file = {file!r}: must be the path of a calibration file"
         )
     if others:
         raise InputError(
@@ -458,7 +458,7 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
         both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
         merged[key] = _merged(merged[key], value) if both else value
         if key == "calibration" and value:
-            merged[key].pop("made", None)  # overridden, so the values are not the measured ones
+            merged[key].pop("made", None)  # no longer the measured values
     return merged
 
 

@@ -209,7 +209,7 @@ def _bound(value: float) -> str:
 
 
 def _toml(value: Any) -> str:
-    # JSON's strings, numbers and booleans are TOML's, too.
+    # JSON and TOML have the same notation for these strings, numbers and booleans.
     return json.dumps(value, ensure_ascii=False)
 
 

@@ -84,7 +84,7 @@ class Clock(Tagged, frozen=True, kw_only=True):
 
     t_host_ns: int
     offset_ns: int
-    """Host's time minus 1000 times the device's."""
+    """Time of the host, in ns, minus 1000 times the time of the device, in µs."""
     offset_std_ns: float
     drift_ppm: float
     """Rate of the offset; positive if the device's clock is slow."""
@@ -128,7 +128,7 @@ class Trace(Tagged, frozen=True, kw_only=True):
 
 
 class RunStarted(Tagged, frozen=True, kw_only=True):
-    """Begin of a run: the samples from `k_first` on belong to the run."""
+    """Beginning of a run: the samples from `k_first` on belong to the run."""
 
     run_id: str
     k_first: int

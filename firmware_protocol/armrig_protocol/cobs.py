@@ -1,4 +1,4 @@
-"""Consistent overhead byte stuffing: no 00 inside a frame, so that 00 can end one.
+"""Consistent overhead byte stuffing: no 00 inside a frame, so that a 00 can end the frame.
 
 References
 ----------
@@ -9,7 +9,7 @@ References
 from __future__ import annotations
 
 MAX_TEXT = 253
-"""Longest text, in bytes, that needs one byte of overhead and no code FF; frames are shorter."""
+"""Length of the longest text with one byte of overhead and no code FF; frames are shorter."""
 
 
 def stuff(text: bytes) -> bytes:

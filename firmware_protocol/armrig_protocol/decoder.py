@@ -1,7 +1,7 @@
 """Decoding of bytes, in any pieces, to messages.
 
 The decoder is a pure function of the leftover bytes and the new bytes. It can therefore be part of
-any state, be replayed, and be tested with the bytes cut anywhere.
+any state, be replayed, and be tested with the bytes in any pieces.
 """
 
 from __future__ import annotations

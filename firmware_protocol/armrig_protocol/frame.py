@@ -25,7 +25,7 @@ def wire_length(message: type[Message]) -> int:
 
 
 def config_crc(config: Config) -> int:
-    """Return the CRC-32 of a CONFIG's body, by which ARM names a configuration."""
+    """Return the CRC-32 of a CONFIG's body, by which ARM identifies the configuration."""
     return crc32(_TEXTS[TYPES[Config]].pack(TYPES[Config], *config)[_HEADER.size :])
 
 
@@ -38,10 +38,10 @@ class Unknown(NamedTuple):
 
 
 class Spoilt(NamedTuple):
-    """Bytes up to a 00 that are not a frame; they are counted, and never answered."""
+    """Bytes before a 00 that are not a frame; a device counts them, and never answers them."""
 
     reason: str
-    """`cobs`, `crc` or `length`."""
+    """`cobs`, `crc` or `length`: the check that failed."""
 
 
 def encode(message: Message) -> bytes:
@@ -81,5 +81,6 @@ def decode(stuffed: bytes) -> Message | Unknown | Spoilt:
     if number in ARRAYS:
         count = ARRAYS[number]
         fields = (*fields[:-count], fields[-count:])
-    # Twice as fast as `_make`, which also checks the number of fields; the layout guarantees it.
+    # Twice as fast as `_make`, which also checks the number of fields. The layout guarantees this
+    # number.
     return tuple.__new__(MESSAGES[number], fields)

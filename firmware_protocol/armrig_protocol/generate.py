@@ -22,8 +22,8 @@ SIZES = {"u8": 1, "u16": 2, "u32": 4, "u64": 8}
 PYTHON = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q"}
 C = {"u8": "uint8_t", "u16": "uint16_t", "u32": "uint32_t", "u64": "uint64_t"}
 HEADER = (
-    {"name": "state", "type": "u8", "enum": "State", "doc": "of the sender"},
-    {"name": "seq", "type": "u16", "doc": "+1 each frame of this sender"},
+    {"name": "state", "type": "u8", "enum": "State", "doc": "state of the device; 0 from a host"},
+    {"name": "seq", "type": "u16", "doc": "number of the frame, counted by its sender"},
 )
 BEGIN, END = "<!-- tables: begin -->", "<!-- tables: end -->"
 
@@ -68,7 +68,7 @@ def python_text(schema: Table) -> str:
 
 
 def _python_lines(schema: Table) -> Iterator[str]:
-    yield '"""What the wire carries; generated from schema.toml, not edited.'
+    yield '"""Messages of the wire; generated from schema.toml, not to be edited.'
     yield ""
     yield "`python -m armrig_protocol.generate` makes this file. Fields are raw integers."
     yield '"""'
@@ -81,7 +81,7 @@ def _python_lines(schema: Table) -> Iterator[str]:
     yield f"VERSION = {schema['version']}"
     yield '"""Version of the protocol."""'
     yield f"SCHEMA_HASH = 0x{schema_hash(schema):08X}"
-    yield '"""CRC-32 of the schema; both ends must have the same."""'
+    yield '"""CRC-32 of the schema; host and device must have the same."""'
     for constant in schema["constant"]:
         yield f"{constant['name']} = {constant['value']}"
         yield f'"""{constant["doc"]}"""'
@@ -116,14 +116,14 @@ def _python_lines(schema: Table) -> Iterator[str]:
     for message in schema["message"]:
         yield f'    0x{message["type"]:02X}: "{_layout(message)}",'
     yield "}"
-    yield '"""Layout of each type behind its type byte, in the letters of the struct module."""'
+    yield '"""Layout of each type after its type byte, in the letters of the struct module."""'
     yield "ARRAYS: dict[int, int] = {"
     for message in schema["message"]:
         for field in message["fields"]:
             if "count" in field:
                 yield f"    0x{message['type']:02X}: {field['count']},"
     yield "}"
-    yield '"""Length of the array that a type ends with, where it has one."""'
+    yield '"""Length of the array at the end of a type; types without an array are left out."""'
 
 
 def _sentence(text: str) -> str:
@@ -141,8 +141,8 @@ def c_text(schema: Table) -> str:
 
 
 def _c_lines(schema: Table) -> Iterator[str]:
-    yield "// What the wire carries; generated from schema.toml, not edited."
-    yield "// Structures lie as the bytes do before stuffing: packed, little-endian."
+    yield "// Messages of the wire; generated from schema.toml, not to be edited."
+    yield "// A structure has the bytes of its frame before stuffing: packed, little-endian."
     yield "#ifndef RIG_PROTOCOL_H"
     yield "#define RIG_PROTOCOL_H"
     yield ""
@@ -167,7 +167,7 @@ def _c_lines(schema: Table) -> Iterator[str]:
         for field in (*HEADER, *message["fields"]):
             size = f"[{field['count']}]" if "count" in field else ""
             yield f"    {C[field['type']]} {field['name']}{size}; // {field_doc(field)}"
-        yield "    uint32_t crc; // CRC-32/ISO-HDLC of all before it"
+        yield "    uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it"
         yield f"}} {struct};"
         yield f'_Static_assert(sizeof({struct}) == {length}, "{name}");'
         yield f'_Static_assert(sizeof({struct}) <= RIG_MAX_DECODED, "{name}");'

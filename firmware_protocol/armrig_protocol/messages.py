@@ -1,4 +1,4 @@
-"""What the wire carries; generated from schema.toml, not edited.
+"""Messages of the wire; generated from schema.toml, not to be edited.
 
 `python -m armrig_protocol.generate` makes this file. Fields are raw integers.
 """
@@ -11,25 +11,25 @@ from typing import NamedTuple
 VERSION = 2
 """Version of the protocol."""
 SCHEMA_HASH = 0xF7128A84
-"""CRC-32 of the schema; both ends must have the same."""
+"""CRC-32 of the schema; host and device must have the same."""
 MAX_DECODED = 64
 """Longest decoded frame, header and CRC included, in bytes."""
 QUEUE_CAPACITY = 512
-"""Most setpoints that a device may hold ahead in scheduled mode; HELLO_R says in `queue` what it does hold."""
+"""Largest capacity of a device's queue of setpoints; `queue` in HELLO_R is the capacity of the device."""
 SETPOINTS_PER_FRAME = 24
-"""Places for codes in one SETPOINTS frame."""
+"""Largest number of codes in one SETPOINTS frame."""
 CODE_FULL_SCALE = 65535
-"""Code of the full-scale voltage; 0 is 0 V, linear between."""
+"""Code of the full-scale voltage. Code 0 is 0 V, and the codes are linear in the voltage."""
 FULL_SCALE_MV = 5000
-"""Full-scale motor voltage, in mV. Above it the rig is destroyed."""
+"""Full-scale motor voltage, in mV. A higher voltage destroys the rig."""
 WATCHDOG_MIN_MS = 20
-"""Shortest watchdog that a device accepts, in ms."""
+"""Shortest watchdog time that a device accepts, in ms."""
 WATCHDOG_MAX_MS = 250
-"""Longest watchdog that a device accepts, in ms. There is no off."""
+"""Longest watchdog time that a device accepts, in ms. The watchdog cannot be switched off."""
 WATCHDOG_DEFAULT_MS = 100
-"""Watchdog that a host asks for unless told otherwise, in ms."""
+"""Watchdog time that a host requests by default, in ms."""
 MAX_UNECHOED = 2
-"""EXCHANGE frames that a host may have sent and not yet seen echoed."""
+"""Largest number of EXCHANGE frames that a host has sent and that are not yet echoed."""
 
 
 class State(IntEnum):
@@ -50,36 +50,36 @@ class State(IntEnum):
     FAULT = 6
     """Latched; 0 V; left by CLEAR_FAULT with its token."""
     ESTOP = 7
-    """Latched on request; 0 V; left as FAULT is."""
+    """Latched on request; 0 V; left by CLEAR_FAULT with its token."""
 
 
 class Cause(IntEnum):
     """Why a device changed its state."""
 
     NONE = 0
-    """No cause to tell."""
+    """No cause to report."""
     POWER_ON = 1
-    """Reset by power or by the port being opened."""
+    """Reset, for example at power-on or when the port is opened."""
     REQUEST = 2
-    """A host asked for it."""
+    """Requested by a host."""
     END = 3
-    """The last sample asked for was taken."""
+    """The last requested sample was taken, and its input held for its Ts."""
     WATCHDOG = 4
     """No valid host frame for watchdog_ms."""
     RANGE = 5
     """A code outside [u_min, u_max]."""
     SLEW = 6
-    """A code further from the last than slew."""
+    """A change of the code of more than `slew`."""
     ADC_RAIL = 7
-    """A potentiometer out of its range for too long."""
+    """A potentiometer at a rail for `rail_ticks` samples."""
     REV_LIMIT = 8
-    """More turns than allowed."""
+    """`turns`/100 turns or more."""
     UNDERRUN = 9
-    """The setpoint queue ran dry."""
+    """Reserved: an empty queue of setpoints is no fault."""
     VCC_LOW = 10
     """Supply too low."""
     INTERNAL = 11
-    """A check of the firmware on itself failed."""
+    """An internal check of the firmware failed."""
 
 
 class Code(IntEnum):
@@ -92,19 +92,19 @@ class Code(IntEnum):
     WRONG_STATE = 2
     """Not in this state; nothing changed."""
     UNSUPPORTED = 3
-    """This device does not do that; see `capabilities`."""
+    """The device does not have this function; see `capabilities`."""
     BAD_VALUE = 4
-    """A field is out of its range; nothing changed."""
+    """A field has a value that is not allowed; nothing changed."""
     WRONG_BOOT = 5
-    """Boot_id is not that of this boot."""
+    """Not the boot_id of this boot."""
     WRONG_CONFIG = 6
-    """Config_crc is not that of the configuration in force."""
+    """Not the config_crc of the configuration in force."""
     WRONG_TOKEN = 7
     """Not the token of this fault."""
     STALE = 8
-    """Seq or k is not newer than the last accepted; nothing changed."""
+    """Seq or k is not newer than the last accepted seq or k; nothing changed."""
     WRONG_NONCE = 9
-    """Not the nonce of the newest CONFIG accepted: sent again from before."""
+    """Not the nonce of the newest accepted CONFIG; for example an old frame, sent again."""
 
 
 class Mode(IntEnum):
@@ -117,7 +117,7 @@ class Mode(IntEnum):
 
 
 class Underrun(IntEnum):
-    """What a device latches when its queue is dry."""
+    """What a device latches if its queue is empty."""
 
     ZERO = 0
     """U_rest at once."""
@@ -126,7 +126,7 @@ class Underrun(IntEnum):
 
 
 class Flag(IntFlag):
-    """What a device has to say of one sample."""
+    """Conditions that a device reports with a sample."""
 
     RUN = 0x0001
     """U_k drives the motor."""
@@ -135,11 +135,11 @@ class Flag(IntFlag):
     UNDERRUN = 0x0004
     """No setpoint for this k."""
     WATCHDOG = 0x0008
-    """Latched by the watchdog."""
+    """In FAULT, caused by the watchdog."""
     RANGE = 0x0010
-    """Latched by a code out of range."""
+    """In FAULT, caused by a code out of range."""
     SLEW = 0x0020
-    """Latched by a change of the input that is too large."""
+    """In FAULT, caused by a change of the input that is too large."""
     ADC0_RAIL = 0x0040
     """Theta_1 at a rail: dead band or broken wire."""
     ADC1_RAIL = 0x0080
@@ -155,7 +155,7 @@ class Flag(IntFlag):
     TX_DROP = 0x1000
     """Frames to the host were dropped since the last sample."""
     REV_LIMIT = 0x2000
-    """Latched by too many turns."""
+    """In FAULT, caused by too many turns."""
     VCC_LOW = 0x4000
     """Supply below 4000 mV when last measured."""
 
@@ -170,16 +170,16 @@ class Capability(IntFlag):
     CAL = 0x0004
     """CAL."""
     ENABLE_LINE = 0x0008
-    """Drives the motor driver's enable line."""
+    """Enable line of the motor driver, driven by the device."""
 
 
 class Hello(NamedTuple):
-    """Ask who is there; also re-synchronises seq."""
+    """Ask for the identity of the device. Outside ARMED and RUN, also begin a new sequence."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     version: int
     """Protocol version of the host."""
     schema: int
@@ -190,9 +190,9 @@ class Config(NamedTuple):
     """Set the run's parameters, in IDLE or READY."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     ts_us: int
     """Sampling time, in µs."""
     u_min: int
@@ -200,32 +200,32 @@ class Config(NamedTuple):
     u_max: int
     """Highest code accepted, in code."""
     u_rest: int
-    """Code of standstill, where RUN begins and a dry queue ends; other than 0 only with an enable line, in code."""
+    """Code of standstill, latched when RUN begins and after an underrun; other than 0 only with an enable line, in code."""
     slew: int
-    """Largest change from one sample to the next; 0 is none, in code."""
+    """Largest change from one sample to the next; 0 sets no limit, in code."""
     watchdog_ms: int
     """Silence of the host before FAULT(WATCHDOG), in ms."""
     mode: int
-    """Who paces (`Mode`)."""
+    """Who paces the samples (`Mode`)."""
     underrun: int
-    """Policy for a dry queue (`Underrun`)."""
+    """Policy for an empty queue (`Underrun`)."""
     hold: int
-    """Length of HOLD, in ticks."""
+    """Longest HOLD, in ticks."""
     oversampling: int
     """Conversions averaged in one reading of each channel, at least 1."""
     rail_ticks: int
-    """Samples in a row at a rail before FAULT(ADC_RAIL) in RUN; 0 is none, in samples."""
+    """Samples in a row at a rail that cause FAULT(ADC_RAIL) in RUN; 0 sets no limit, in samples."""
     turns: int
-    """Turns of theta_1 since START before FAULT(REV_LIMIT); 0 is none, in turns/100."""
+    """Net turns of theta_1 since START that cause FAULT(REV_LIMIT); 0 sets no limit, in turns/100."""
 
 
 class Arm(NamedTuple):
     """READY to ARMED, bound to this boot, this configuration and its nonce."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     boot_id: int
     """As in HELLO_R."""
     config_crc: int
@@ -238,51 +238,51 @@ class Start(NamedTuple):
     """ARMED to RUN."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     k_stop: int
-    """Scheduled mode: samples to take, 0 until STOP; exchange mode: 0."""
+    """Scheduled mode: number of samples, or 0 for samples until STOP; exchange mode: 0."""
     nonce: int
     """As in ARM."""
 
 
 class Stop(NamedTuple):
-    """To IDLE from READY, ARMED and RUN; taken whatever its seq."""
+    """To IDLE from READY, ARMED and RUN. STOP takes effect whatever its seq."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
 
 
 class ClearFault(NamedTuple):
-    """FAULT or ESTOP to IDLE; never sent by a program on its own."""
+    """FAULT or ESTOP to IDLE. No program sends it without a user's order."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     token: int
-    """As in the EVENT or HELLO_R that told of the fault."""
+    """As in the EVENT or HELLO_R that reported the fault."""
 
 
 class Estop(NamedTuple):
-    """To ESTOP from any state; taken whatever its seq; sent three times."""
+    """To ESTOP from any state. ESTOP takes effect whatever its seq. A host sends it three times."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
 
 
 class Exchange(NamedTuple):
-    """Sample now, then latch u. In any state; only RUN drives the motor."""
+    """Take a sample. In RUN of exchange mode, also latch u."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     k: int
     """The host's tick index."""
     u: int
@@ -290,16 +290,16 @@ class Exchange(NamedTuple):
 
 
 class Setpoints(NamedTuple):
-    """Scheduled mode: u[k0] … u[k0 + n - 1]. Idempotent; overlaps must agree."""
+    """Scheduled mode: the inputs of samples k0 … k0 + n - 1. A repeated code must be the code in the queue."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     k0: int
-    """Sample index of the first."""
+    """Sample index of the first code."""
     n: int
-    """How many of u count, at most 24."""
+    """Number of codes, 1 to 24."""
     zero: int
     """0."""
     u: tuple[int, ...]
@@ -310,29 +310,29 @@ class Ping(NamedTuple):
     """Ask for the device's clock."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     host_ns: int
-    """The host's clock when it sent this; given back, in ns."""
+    """Host's clock when the host sent PING; returned in PONG, in ns."""
 
 
 class Keepalive(NamedTuple):
-    """Feeds the watchdog, nothing else."""
+    """Feed the watchdog. KEEPALIVE has no other effect."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
 
 
 class Cal(NamedTuple):
     """Raw readings of one channel, at 0 V only."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     channel: int
     """0 theta_1, 1 alpha."""
     zero: int
@@ -342,20 +342,20 @@ class Cal(NamedTuple):
 
 
 class HelloReply(NamedTuple):
-    """Who is there."""
+    """Identity and properties of the device."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     version: int
     """Protocol version of the device."""
     schema: int
     """Schema hash of the device."""
     uid: int
-    """Of this piece of hardware."""
+    """Identifies this piece of hardware."""
     boot_id: int
-    """Drawn anew at each boot."""
+    """Drawn at each boot, never 0."""
     firmware: int
     """CRC-32 of the firmware's image."""
     token: int
@@ -365,36 +365,36 @@ class HelloReply(NamedTuple):
     full_scale_mv: int
     """Voltage of code 65535, in mV."""
     queue: int
-    """Setpoints it can hold."""
+    """Capacity of the queue, in setpoints."""
     capabilities: int
-    """What it can do (`Capability`)."""
+    """What the device can do (`Capability`)."""
     skew_us: int
-    """Alpha is sampled this long before theta_1, rounded up; so far apart are conversions, in µs."""
+    """Time from a conversion to the next, and so from alpha's conversion to theta_1's conversion; rounded up, in µs."""
     hold_us: int
-    """From the trigger (t_us) to the sampling of theta_1 and the latch of u, in µs."""
+    """Time from the trigger (t_us) to the hold of theta_1 and the latch of u, in µs."""
     adc_bits: int
-    """Of the converter; readings are left-justified to 16."""
+    """Resolution of the converter; readings are left-justified to 16 bits."""
     pwm_bits: int
-    """Of the duty; 16 if not quantised."""
+    """Resolution of the duty; 16 if the duty is not quantised."""
     cause: int
-    """Of the last change of state (`Cause`)."""
+    """Cause of the last change of state (`Cause`)."""
     reset: int
-    """Reset flags of the processor as it gives them (MCUSR)."""
+    """Reset flags of the processor, unchanged (MCUSR)."""
 
 
 class ConfigReply(NamedTuple):
-    """What was accepted: the configuration in force, after a refusal too."""
+    """The configuration in force, also after a refusal."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     code: int
     """OK or why not (`Code`)."""
     zero: int
     """0."""
     config_crc: int
-    """CRC-32 of the CONFIG body in force, 0 where none is."""
+    """CRC-32 of the CONFIG body in force; 0 if no configuration is in force."""
     ts_us: int
     """As CONFIG, in µs."""
     u_min: int
@@ -420,16 +420,16 @@ class ConfigReply(NamedTuple):
     turns: int
     """As CONFIG, in turns/100."""
     nonce: int
-    """What ARM and START must carry; 0 where no configuration is in force."""
+    """What ARM and START must carry; 0 if no configuration is in force."""
 
 
 class Ack(NamedTuple):
     """Answer to ARM, START, STOP, CLEAR_FAULT, ESTOP, and to any frame that had no effect."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     of_type: int
     """Type of the frame answered."""
     code: int
@@ -442,9 +442,9 @@ class Event(NamedTuple):
     """The state changed."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     boot: int
     """Low half of boot_id."""
     was: int
@@ -463,19 +463,19 @@ class Status(NamedTuple):
     """Counters since boot, once a second."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     boot: int
     """Low half of boot_id."""
     vcc_mv: int
-    """Supply, as measured last; 0 where it is not measured, in mV."""
+    """Last measured supply; 0 if the device has not measured it, in mV."""
     uptime_ms: int
-    """Since boot, in ms."""
+    """Time since the reset, in ms."""
     frames: int
     """Valid frames received."""
     spoilt: int
-    """Frames dropped for COBS, length or CRC."""
+    """Frames dropped because of COBS, length or CRC."""
     refused: int
     """Valid frames without effect."""
     rx_lost: int
@@ -489,62 +489,62 @@ class Status(NamedTuple):
     isr_max_us: int
     """Longest interrupt, in µs."""
     stack_free: int
-    """Least stack left, in B."""
+    """Smallest free stack since boot, in B."""
 
 
 class Sample(NamedTuple):
-    """Both potentiometers at one instant, and the input latched then."""
+    """Readings of both potentiometers, and the input latched at the last conversion."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     boot: int
     """Low half of boot_id: a reset is never silent."""
     echo: int
-    """Seq of the newest host frame accepted."""
+    """Seq of the newest host frame taken in."""
     u_seq: int
-    """Seq of the frame that supplied u_k."""
+    """Seq of the frame that u_k came from; 0 if there was no such frame."""
     k: int
-    """Sample index: of the EXCHANGE, or since START in scheduled mode."""
+    """Sample index: k of the EXCHANGE, or in scheduled mode counted from 0 at START."""
     t_us: int
     """Device clock at theta_1's trigger; wraps after 71.6 min, in µs."""
     y0: int
-    """Theta_1, left-justified to 16 bit, in counts."""
+    """Theta_1, left-justified to 16 bits, in counts."""
     y1: int
-    """Alpha, left-justified to 16 bit, in counts."""
+    """Alpha, left-justified to 16 bits, in counts."""
     u_k: int
-    """Code latched at sample k: what the motor really gets, in code."""
+    """Code of the duty that the motor has from sample k on, in code."""
     u_km1: int
-    """Code before it: repairs u across one lost frame, in code."""
+    """Code in force just before the latch: gives u of the sample before, if its SAMPLE is lost, in code."""
     flags: int
-    """What there is to say (`Flag`)."""
+    """Conditions of the sample (`Flag`)."""
     queued: int
-    """Setpoints left after latching."""
+    """Setpoints in the queue after the latch."""
 
 
 class Pong(NamedTuple):
     """The device's clock."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     host_ns: int
     """From PING, in ns."""
     rx_us: int
-    """Device clock when PING had come, in µs."""
+    """Device clock after PING was received, in µs."""
     tx_us: int
-    """Device clock when this began to leave, in µs."""
+    """Device clock at which the first byte of PONG leaves, in µs."""
 
 
 class CalReply(NamedTuple):
     """Statistics of raw readings."""
 
     state: int
-    """Of the sender (`State`)."""
+    """State of the device; 0 from a host (`State`)."""
     seq: int
-    """+1 each frame of this sender."""
+    """Number of the frame, counted by its sender."""
     channel: int
     """From CAL."""
     zero: int
@@ -554,7 +554,7 @@ class CalReply(NamedTuple):
     mean_256: int
     """Mean, in counts/256."""
     variance_256: int
-    """Variance, over n - 1; at most 2^32 - 1, and 0 for n = 1, in counts²/256."""
+    """Variance with the divisor n - 1; at most 2^32 - 1, and 0 for n = 1, in counts²/256."""
     least: int
     """Smallest, in counts."""
     greatest: int
@@ -632,8 +632,8 @@ LAYOUTS: dict[int, str] = {
     0x92: "BHQII",
     0x94: "BHBBHIIHH",
 }
-"""Layout of each type behind its type byte, in the letters of the struct module."""
+"""Layout of each type after its type byte, in the letters of the struct module."""
 ARRAYS: dict[int, int] = {
     0x11: 24,
 }
-"""Length of the array that a type ends with, where it has one."""
+"""Length of the array at the end of a type; types without an array are left out."""

@@ -27,7 +27,7 @@ def vectors_of(name: str, number: int, layout: str, fields: Sequence[str]) -> It
         Names of the fields; the last field takes all remaining values.
     """
     text = Struct("<" + layout)
-    # Derived from the name: a field added at the end changes no byte before it.
+    # The bytes depend on the name alone: a field added at the end changes no byte before it.
     mixed = shake_128(name.encode()).digest(text.size)
     raws = (bytes(text.size), b"\xff" * text.size, mixed)
     for filling, raw in zip(FILLINGS, raws, strict=True):
@@ -48,7 +48,7 @@ def is_generated(line: str) -> bool:
 
 
 def vectors_text(before: str, generated: Sequence[str]) -> str:
-    """Return the text of the file: its lines by hand unchanged, then the generated lines."""
+    """Return the text of the file: its lines by hand, unchanged, then the generated lines."""
     lines = [line.rstrip(",") for line in before.splitlines()[1:-1]]
     by_hand = [line for line in lines if not is_generated(line)]
     return "[\n" + ",\n".join([*by_hand, *generated]) + "\n]\n"

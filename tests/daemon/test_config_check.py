@@ -85,7 +85,7 @@ def test_a_file_that_the_daemon_refuses_is_refused_in_its_words(
     ("text", "says"),
     [
         (OVER_TLS, "access.toml: there is no such file; `armrig pki ca` writes one"),
-        ('[access]\nnames = "access.toml"\n', "[access] names is given and listen is not"),
+        ('[access]\nnames = "access.toml"\n', "[access] names is given, but listen is not"),
     ],
 )
 def test_the_files_of_access_are_checked(tmp_path: Path, text: str, says: str) -> None:

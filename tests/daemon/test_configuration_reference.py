@@ -102,6 +102,6 @@ def test_the_command_prints_the_example() -> None:
     assert printed.stdout.decode() == example() + "\n"
     assert (bare.returncode, bare.stdout) == (1, "")
     assert bare.stderr == (
-        "armrigd: config: give --example or --check FILE: "
+        "armrigd: config: give --example or --check FILE, for example "
         "`armrigd config --example > armrig.toml`\n"
     )

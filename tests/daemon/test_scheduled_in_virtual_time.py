@@ -354,7 +354,7 @@ def test_an_underrun_is_flagged_in_its_sample_and_reported() -> None:
     dry = [s for s in bench.samples if s.flags & Flag.UNDERRUN]
     assert dry
     assert {s.u_applied_v for s in dry} == {0.0}
-    assert any("no setpoint was there" in log.message for log in bench.of(Log))
+    assert any("had no setpoint" in log.message for log in bench.of(Log))
     assert len(volts) == 4000
 
 

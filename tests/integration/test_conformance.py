@@ -117,5 +117,5 @@ def test_a_port_that_another_holds_is_left_alone(rig: Path) -> None:
     held.close()
 
     assert asks.returncode == 1
-    assert "taken by another program" in complaint
+    assert "in use by another program" in complaint
     assert complaint.count("\n") == 1

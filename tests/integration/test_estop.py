@@ -30,7 +30,7 @@ def test_a_daemon_that_lives_is_not_disturbed(served: Bench) -> None:
 
     assert stop.popen.wait(WITHIN_S) == 1
     assert stop.said == (
-        f"armrigd: estop: nothing sent: {served.port} cannot be opened: it is taken by another "
+        f"armrigd: estop: nothing sent: {served.port} cannot be opened: it is in use by another "
         "program, maybe another rig's daemon; end that program, or give this rig a port of its "
         "own; `armrig stop` stops the motor of a running daemon\n"
     )

@@ -216,7 +216,7 @@ def test_a_port_that_is_taken_is_said(served: Bench) -> None:
     second = served.start("armrig_daemon", "run", "--config", str(served.config), "--rig", "2")
 
     assert second.popen.wait(WITHIN_S) == EX_CONFIG
-    assert "it is taken by another program" in second.said
+    assert "it is in use by another program" in second.said
     assert served.settled() == "safe"
 
 

@@ -36,7 +36,7 @@ def test_words_do_not_change_the_hash_and_fields_do(tmp_path: Path) -> None:
     schema = (root / "schema.toml").read_text()
     ours = f"SCHEMA_HASH = 0x{SCHEMA_HASH:08X}"
 
-    (root / "schema.toml").write_text(schema.replace("Ask who is there", "Who is it"))
+    (root / "schema.toml").write_text(schema.replace("Ask for the identity", "Who is it"))
     assert ours in _generated_python(root)
 
     (root / "schema.toml").write_text(

@@ -34,7 +34,7 @@ TRIPS = (
     "the device stopped by itself: ADC_RAIL",
     "the device stopped by itself: REV_LIMIT",
     "the device stopped by itself: SLEW",
-    "the device has heard frame",
+    "the device has received frame",
     "the service is frozen",
 )
 """Beginnings of the causes of trips that a campaign must contain.

@@ -321,7 +321,7 @@ def test_two_units_on_one_port_leave_the_first_in_its_run(rig: Rig) -> None:
     assert left == GIVEN_UP
     (error,) = (line for line in lines if line.startswith("3 "))
     assert (
-        "/run/rig1/tty cannot be opened: it is taken by another program, maybe another rig's"
+        "/run/rig1/tty cannot be opened: it is in use by another program, maybe another rig's"
         in error
     )
     assert rig.phase() == "active", rig.status()

@@ -1,6 +1,7 @@
-"""Recovery of unfinished recordings: the undamaged beginning is completed and named.
+"""Recovery of unfinished recordings: the undamaged beginning becomes a complete recording.
 
-The daemon recovers its recordings when it starts; `armrig recover` does it by hand, on any machine.
+The daemon recovers its recordings when it starts. `armrig recover` recovers the recordings that its
+user names, on any machine.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ CUT_OFF = "cut off: its daemon died"
 MOST_CUT_OFF = 1 << 20
 """Largest part that is cut off, in B.
 
-The limit exceeds one torn write. A longer rest follows damage in the middle of the file; the file
-is kept, because the rest may become readable.
+One torn write is shorter than this limit. If more bytes follow the damage, the damage is in the
+middle of the file. The file is then kept unchanged, because the bytes may become readable.
 """
 
 
@@ -60,7 +61,7 @@ class RecoveredFile(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovery:
-    """Settings of a recovery: its author, and the files that it may recover."""
+    """Settings of a recovery: the program that recovers, and the files that it may recover."""
 
     armrig: str
     """Version of armrig."""
@@ -77,7 +78,7 @@ class Recovery:
         """Complete an unfinished recording NAME.mcap.active as NAME.mcap.
 
         The undamaged beginning is kept. The outcome, if it is missing, and a record of the recovery
-        are appended. The new file replaces the old file when it is on the disk.
+        are appended. The new file replaces the old file after the new file is on the disk.
 
         Raises
         ------
@@ -96,13 +97,13 @@ class Recovery:
             with held(path, self.owner) as stream:
                 if os.path.lexists(final):
                     raise RecoveryError(
-                        f"{path}: {final.name} exists already; move one of them away"
+                        f"{path}: {final.name} exists already; move one of the two files away"
                     )
-                # A copy of a process that died: this process holds the lock.
+                # Any copy was left by a process that died, because this process holds the lock.
                 copy.unlink(missing_ok=True)
                 try:
                     done = self._copied(path, stream, copy)
-                    if sys.platform == "win32":  # it renames no open file
+                    if sys.platform == "win32":  # Windows renames no open file
                         stream.close()
                     # If the process dies between these calls, the file under one of the names is
                     # complete.
@@ -134,7 +135,7 @@ class Recovery:
             rest = size - source.whole
             if damage and rest > MOST_CUT_OFF:
                 msg = f"{path}: {damage}, and {rest} B follow; the file stays as it is; "
-                raise RecoveryError(msg + "`armrig info` reads what comes before")
+                raise RecoveryError(msg + "`armrig info` reads the undamaged data")
             manifest = _manifest(path, rewriter, self.rig)
             if manifest is None:
                 why = damage or "it contains no metadata named armrig.run"
@@ -152,7 +153,8 @@ class Recovery:
                 if tally.samples < outcome.samples:
                     raise RecoveryError(
                         f"{path}: the run was recorded to the end, but only {tally.samples} of its "
-                        f"{outcome.samples} samples are readable; it stays as it is: copy it again"
+                        f"{outcome.samples} samples are readable; the file stays as it is; "
+                        "copy it again"
                     )
             else:
                 rewriter.add_metadata(OUTCOME, outcome.metadata())
@@ -163,7 +165,7 @@ class Recovery:
                 cut_off_bytes=rest,
                 damage="; ".join([*rewriter.left_out, *([str(damage)] if damage else [])]),
             )
-            if RECOVERED in rewriter.metadata:  # an earlier recovery died
+            if RECOVERED in rewriter.metadata:  # from an earlier recovery that died
                 recovered = _checked(path, recovered_of, rewriter.metadata[RECOVERED])
             else:
                 rewriter.add_metadata(RECOVERED, recovered.metadata())
@@ -181,8 +183,8 @@ class Recovery:
             for record in all_records(source):
                 for channel, data in rewriter.add(record):
                     tally.add(stream_of(rewriter.topics[channel]), data)
-                # Checked as soon as the manifest is known, not after the whole file of another rig
-                # was copied.
+                # Check the rig as soon as the manifest is known, so that no whole file of another
+                # rig is copied first.
                 is_known = is_known or _manifest(path, rewriter, self.rig) is not None
                 self.breath()
         except DamageError as damage:
@@ -208,7 +210,7 @@ class _Tally:
             self._gaps.append(range(gap.k_first, gap.k_first + gap.count))
 
     def missing(self, manifest: Manifest) -> int:
-        """Return the number of the run's samples that are missing in the gaps."""
+        """Return the number of the run's samples that lie in the gaps."""
         due = manifest.due
         within = (range(max(g.start, due.start), min(g.stop, due.stop)) for g in self._gaps)
         return min(sum(len(gap) for gap in within), 1 << 62)
@@ -239,10 +241,11 @@ _R = TypeVar("_R", Manifest, Outcome, Recovered)
 
 
 def _checked(path: Path, read: Callable[[dict[str, str]], _R], metadata: dict[str, str]) -> _R:
-    """Return the contents of a metadata record of armrig, checked."""
+    """Return the checked contents of a metadata record of armrig."""
     try:
         record = read(metadata)
         check_whole_numbers(record)
     except (msgspec.DecodeError, ValueError, RecursionError, OverflowError) as err:
-        raise RecoveryError(f"{path}: its manifest is not armrig's; it stays as it is") from err
+        msg = f"{path}: a metadata record of armrig is not valid; the file stays as it is"
+        raise RecoveryError(msg) from err
     return record

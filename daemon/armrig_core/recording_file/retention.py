@@ -58,9 +58,9 @@ class Retention:
     folder: Path
     rig: str
     keep_days: float
-    """Age above which a run is removed, in days; 0 is no limit."""
+    """Age above which a run is removed, in days; 0 sets no limit."""
     keep_gb: float
-    """Largest size of the rig's recordings, in GB; 0 is no limit."""
+    """Largest size of the rig's recordings, in GB; 0 sets no limit."""
     owner: int
     """User to whose files the removal is restricted."""
     breath: Callable[[], None] = lambda: None
@@ -89,7 +89,7 @@ class Retention:
         total = sum(run.size for run in found)
         for run in found[:-1]:
             if why := self._reason(run, total, now_s):
-                # Also after a failed removal: no other run must be removed in its place.
+                # Also if the removal fails, so that no other run is removed in its place.
                 total -= run.size
                 if (done := self._removed(run, why)) is not None:
                     yield done
@@ -119,7 +119,7 @@ class Retention:
         except OSError:  # nothing can be read, so nothing is removed
             return []
         runs = [_run(parts) for name, parts in files.items() if name not in unfinished]
-        # The name is not enough: the files of rig 1-b look like those of rig 1.
+        # The name is not enough: the names of the files of rig 1-b also begin with "1-".
         own = [run for run in runs if self._rig_of(run) == self.rig]
         return sorted(own, key=lambda run: (run.ended_s, run.files))
 
@@ -148,7 +148,8 @@ class Retention:
                 outcomes = [self._outcome(stream) for stream in streams]
                 if outcomes[-1] == OutcomeCode.CONTINUED:
                     raise DamageError("its last part is missing")
-                # The last part goes last: if a loss of power leaves it, the next call removes it.
+                # The last part is removed last: after a loss of power, the next call can then
+                # remove the parts that are left.
                 for file in run.files:
                     file.unlink()
         except NotOursError:
@@ -156,8 +157,8 @@ class Retention:
         except _READ_ERRORS as err:
             self._reported.add((path, run.ended_s))
             reason = err.strerror if isinstance(err, OSError) else err
-            text = f"{path}: {why}, but it stays: it cannot be read completely or removed: {reason}"
-            return Removal(False, text)
+            text = f"{path}: {why}, but it stays, because it cannot be read completely or removed"
+            return Removal(False, f"{text}: {reason}")
         parts = f" and the {len(run.files) - 1} parts before it" if len(run.files) > 1 else ""
         return Removal(True, f"{path}{parts}: removed, {run.size / 1e6:.1f} MB: {why}")
 

@@ -1,7 +1,7 @@
 """Rewriting of a recording in chunks of a size that suits readers.
 
-During a run, each flush ends a chunk, ten times a second: the chunks are small, but safe. The
-finished recording has chunks of 1 MiB.
+During a run, each flush ends a chunk, ten times a second. The chunks are therefore small, and
+little is lost if the process dies. The finished recording has chunks of 1 MiB.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class Rewriter:
             case Opcode.ATTACHMENT:
                 self._add_attachment(body)
             case _:
-                pass  # indexes; the new file gets its own
+                pass  # indexes; the writer makes the indexes of the new file
 
     def _add_channel(self, channel: Channel) -> None:
         if channel.id in self._channels:
@@ -162,7 +162,7 @@ def all_records(source: ByteSource) -> Iterator[Record]:
 
 def sync_directory(directory: Path) -> None:
     """Sync the names in `directory` to the disk, if the system can do it."""
-    if sys.platform == "win32":  # it opens no directory
+    if sys.platform == "win32":  # Windows opens no directory
         return
     fd = os.open(directory, os.O_RDONLY)
     try:

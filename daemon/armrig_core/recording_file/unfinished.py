@@ -54,7 +54,8 @@ def remove_copies(folder: Path, rig: str, owner: int) -> list[Path]:
 def held(path: Path, owner: int | None) -> Iterator[IO[bytes]]:
     """Yield a file that no process writes, locked during the block."""
     try:
-        # Checked before it is opened: opening a device may have an effect; a link leads elsewhere.
+        # Checked before the file is opened: opening a device may have an effect, and a link may
+        # lead to another file.
         before = path.lstat()
         _check_regular(path, before, owner)
         with open(path, "rb", opener=no_link) as stream:

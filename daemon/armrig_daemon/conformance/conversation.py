@@ -73,7 +73,7 @@ class Conversation:
     def limit(self, ms: float = inf, received: float = inf) -> None:
         """Let reads raise `EndlessError` after `ms` of the line's clock, or after `received` B.
 
-        Each wait has its own limit, but a device can cause any number of waits.
+        Each wait has its own limit, but a device can cause an unlimited number of waits.
         """
         self._limits = self.line.now_ns() + ms * 1e6, self._received + received
 

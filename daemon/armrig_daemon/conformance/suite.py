@@ -52,8 +52,8 @@ def run(
 ) -> list[Result]:
     """Test each rule and return the results; at the end the device is at 0 V in every case.
 
-    A device that floods the line, or takes minutes, breaks the current rule. The later rules are
-    then not tested.
+    A device that floods the line, or answers for minutes, breaks the current rule. The later rules
+    are then not tested.
 
     Parameters
     ----------

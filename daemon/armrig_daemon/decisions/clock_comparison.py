@@ -62,6 +62,6 @@ def _compared(
     )
     rx = clockmap.extend(clock.device_us or rx_us, rx_us)
     tx = clockmap.extend(rx, tx_us)
-    # Each pair of frames has its own time on the wire; it is subtracted here.
+    # Each pair of frames has its own time on the wire, which is subtracted here.
     compared = clockmap.update(clock.map, h1_ns + request_ns, rx, tx, h4_ns - answer_ns)
     return replace(state, clock=Clock(clock.boot_id, h4_ns, tx, compared))

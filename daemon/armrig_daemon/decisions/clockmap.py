@@ -32,11 +32,11 @@ from armrig_core.errors import InputError
 
 _WRAP = 1 << 32
 _BACK_US = 1 << 24  # 16.8 s; leaves 71.3 min of silence before a wrap is missed
-_DRIFT_PRIOR = 1 / 3.0**2  # (ns/µs)⁻²: 3000 ppm, a ceramic resonator is good to 0.5 %
+_DRIFT_PRIOR = 1 / 3.0**2  # (ns/µs)⁻²: 3000 ppm; a ceramic resonator is within 0.5 %
 _C_VARIANCE = 1 / 12  # of c, uniform in [-1/2, 1/2]
 _WINDOW_SIZE = 100  # newest round trips, whose minimum is taken
 _MIN_QUANTILE_SIZE = 8  # with fewer round trips a quantile is meaningless
-_GATE_VARIANCES = 5.0**2  # |c| <= 1/2 keeps an error within √3 of its standard deviation
+_GATE_VARIANCES = 5.0**2  # |c| <= 1/2 keeps an error within √3 standard deviations
 _MAX_REJECTED = 8
 _LAG_GAIN = 4.0  # the lag is a mean over a quarter of the regression's memory
 _MAX_FADING = 10.0  # time constants; with more, 1/weight would overflow
@@ -252,7 +252,7 @@ def _variance(clock: ClockMap, d: float, fading: float) -> float:
 
 
 def _fading(link: Link, past_ns: int) -> float:
-    """Return the share of its weight that an exchange still has after a time."""
+    """Return the share of its first weight that an exchange still has after a time."""
     return math.exp(-min(max(0.0, past_ns / link.tau_ns), _MAX_FADING))
 
 

@@ -72,14 +72,14 @@ REMEDIES: dict[Id, str] = {
 
 
 OF_DEVICE: dict[int, str] = {
-    Cause.WATCHDOG: "it heard nothing from this host in time",
+    Cause.WATCHDOG: "it received nothing from this host in time",
     Cause.RANGE: "a voltage was outside its limits",
     Cause.SLEW: "the voltage changed by more than limits.slew_v in a sample",
     Cause.ADC_RAIL: "a potentiometer was at a rail for device.rail_ticks samples",
     Cause.REV_LIMIT: "the chassis reached limits.revolutions",
     Cause.UNDERRUN: "its queue of setpoints ran dry",
     Cause.VCC_LOW: "its supply is too low",
-    Cause.INTERNAL: "a check of its firmware on itself failed",
+    Cause.INTERNAL: "an internal check of its firmware failed",
 }
 """Meaning of each cause for which a device stops by itself."""
 

@@ -1,4 +1,7 @@
-"""Gaps: each sample is published, or reported missing with the voltage that was held (L2)."""
+"""Gaps: each sample is published, or reported missing with the voltage that was held.
+
+This is L2 of ARCHITECTURE.md.
+"""
 
 from __future__ import annotations
 

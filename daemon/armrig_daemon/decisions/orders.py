@@ -195,7 +195,8 @@ def _refusal(state: State, order: Leased) -> list[Action]:
                 return refuse(order, text, RefusalCode.RUNNING)
             if refusal := _cannot_pace(state, order):
                 return refusal
-            # Each code is checked when it is sent: to check a million at once would delay the tick.
+            # Each code is checked when it is sent, because the check of a million codes would delay
+            # the tick.
             return [] if order.codes else refuse(order, "the experiment is empty")
     return []
 

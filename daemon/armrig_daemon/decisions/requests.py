@@ -40,7 +40,7 @@ from armrig_daemon.decisions.state import (
 from armrig_daemon.pipe import Answer, Log, Order
 from armrig_daemon.pipe import State as StateRecord
 
-NO_DEVICE = "no device answers; see that it is plugged in, and that its supply is on: try again"
+NO_DEVICE = "no device answers; check that it is plugged in, and that its supply is on: try again"
 """Refusal of an order that needs a device while none answers."""
 Step = tuple[State, list[Action]]
 """Result of each part of the core: the next state, and the actions."""
@@ -228,7 +228,7 @@ def ask(
         case RequestKind.CLEAR:
             request = ClearFault(0, seq, link.token)
     asked = PendingRequest(want, now_ns, seq, tries, ts_us, scheduled, order)
-    # The line may hold noise before HELLO: a 00 ends it.
+    # The line may hold noise before HELLO; a 00 ends the noise.
     lead = b"\0" if want is RequestKind.HELLO else b""
     state, sending = send(replace(state, asked=asked), now_ns, lead + encode(request))
     return state, [*overtaken, *sending]

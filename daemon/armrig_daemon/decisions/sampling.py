@@ -51,7 +51,7 @@ def handle(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Handle the answer to an EXCHANGE of the daemon; ignore any other sample and its state."""
+    """Handle the answer to an EXCHANGE of the daemon; ignore any other sample, with its state."""
     link, device = state.link, state.device
     at = None if link is None else _find_exchange(link.sent, m.k)
     if link is None or at is None or device is None or is_ahead(link, m.echo):
@@ -90,8 +90,8 @@ def _find_exchange(sent: tuple[Sent, ...], k: int) -> int | None:
 
 def _handle_self_paced(state: State, now_ns: int, m: DeviceSample) -> Step:
     """Handle a sample of a device that samples by its own timer."""
-    # The echo is checked first: the sample makes us send setpoints, and an echo that is ahead
-    # could then look like an echo of ours.
+    # The echo is checked first. At this sample the daemon sends setpoints, and an echo that is
+    # ahead could then look like the echo of one of its frames.
     state, done = _check_echo(state, now_ns, m)
     # The state is noted before the sample: RUN shows that START has worked, and defines k.
     state, actions = transitions.note_state(note_echo(state, m.echo), now_ns, m.state)
@@ -105,7 +105,7 @@ def _check_echo(state: State, now_ns: int, m: DeviceSample) -> Step:
     link = state.link
     if link is None or state.phase not in (_ARMED, _ACTIVE) or not is_ahead(link, m.echo):
         return state, []
-    cause = f"the device has heard frame {m.echo}, and the next of ours is {link.seq}"
+    cause = f"the device has received frame {m.echo}, but this daemon sends {link.seq} next"
     return trip(state, now_ns, Fault(Id.STATE, cause))
 
 
@@ -125,7 +125,7 @@ def _handle_of_run(state: State, now_ns: int, m: DeviceSample) -> Step:
     state, actions = setpoints.note_queue(state, now_ns, m.k + 1, m.queued)
     done += actions
     if m.flags & _UNDERRUN:
-        text = f"no setpoint was there for sample {due.k}: the input was {volts_of(m.u_k):.3g} V"
+        text = f"sample {due.k} had no setpoint: its input was {volts_of(m.u_k):.3g} V"
         return state, [*done, log(now_ns, "warning", text)]
     # Also in a fault: if the device still plays its queue, STOP is sent again at once.
     state, actions = _check_applied(state, now_ns, m, due)
@@ -190,8 +190,8 @@ def _publish(
 
 
 def _check_applied(state: State, now_ns: int, m: DeviceSample, due: _Due) -> Step:
-    """Trip if the device applied another code than the commanded code (S5)."""
+    """Trip if the device applied another code than the commanded code (S5 of ARCHITECTURE.md)."""
     if m.u_k == due.expected:
         return state, []
-    text = f"the device applied code {m.u_k} where {due.code} was commanded"
+    text = f"the device applied code {m.u_k}, but code {due.code} was commanded"
     return trip(state, now_ns, Fault(Id.APPLIED, text))

@@ -1,9 +1,9 @@
 """Scheduled runs: setpoints are sent ahead of the device.
 
-The device's timer paces the samples; u[k] must be in the device before sample k. The protocol of
+The device's timer paces the samples, so u[k] must be in the device before sample k. The protocol of
 the setpoints is go-back-N: `queued` of a sample shows up to which index the device has them. If the
-index does not grow in time, all setpoints from this index on are sent again. Setpoints have no
-other acknowledgement.
+index does not grow in time, the daemon sends all setpoints from this index on again. Setpoints have
+no other acknowledgement.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def refill(state: State, now_ns: int) -> Step:
         done += sending
         moved_ns = now_ns if sent == queue.held else moved_ns
         sent += n
-    if sent != queue.sent or moved_ns != queue.moved_ns:  # at most ticks nothing was sent
+    if sent != queue.sent or moved_ns != queue.moved_ns:  # usually nothing was sent
         state = replace(state, queue=replace(queue, sent=sent, moved_ns=moved_ns))
     return state, done
 
@@ -98,7 +98,7 @@ def _is_filled(state: State) -> bool:
 
 
 def is_stopping(state: State) -> bool:
-    """Return whether the device must stop; a stopping device gets no setpoint and no keepalive."""
+    """Return whether the device must stop; it is then sent no setpoint and no KEEPALIVE."""
     asked = state.asked
     return state.phase is _FAULT or (asked is not None and asked.want is RequestKind.STOP)
 

@@ -107,7 +107,7 @@ class PendingRequest(NamedTuple):
     scheduled: bool
     """True if CONFIG requests scheduled mode."""
     order: Order | None
-    """Order that caused the request and gets the answer; None if no order caused it."""
+    """Order that caused the request and is answered by it; None if no order caused it."""
 
 
 class Traffic(NamedTuple):
@@ -268,7 +268,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     clock: Clock | None = None
     """None until a device has answered HELLO."""
     pace_us: int = 0
-    """Period of the loop's ticks, in µs; in a scheduled run the device has its own ticks."""
+    """Period of the loop's ticks, in µs; a scheduled run has the device's own sampling times."""
     tick_ns: int = 0
     """Time of the last tick."""
     service_ns: int = 0
@@ -284,7 +284,7 @@ class State(msgspec.Struct, frozen=True, gc=False):
     t_us: int = 0
     """Device's time of the last sample, without wraps."""
     sampled_ns: int = 0
-    """Time at which the newest sample was requested or, scheduled, arrived; 0 without a sample."""
+    """Time at which the newest sample was requested, or in a scheduled run arrived; 0 at first."""
     lease: Lease | None = None
     run: ActiveRun | None = None
     queue: Queue | None = None

@@ -3,7 +3,7 @@
 The function is pure: no clock, I/O, randomness, logging or threads. It keeps these invariants of
 ARCHITECTURE.md. Every non-zero code that the function sends belongs to a command of the lease's
 holder (S5). The code is within the limits (S1), and the last round trip is recent enough (S4). A
-trip latches (S6).
+trip latches a fault (S6).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ ARMED_NS = 10_000_000_000
 """Longest time for which the rig is held armed without a command, at 0 V, in ns."""
 _NEVER = 1 << 62
 _NOISE = (Spoilt, Unknown)
-# Names of their own: to look a member up in its enum takes 0.08 µs each time.
+# Names at module level: the lookup of a member in its enum takes 0.08 µs each time.
 _RUN, _ARMED, _ACTIVE = DeviceState.RUN, Phase.ARMED, Phase.ACTIVE
 _DRIVING = (_ARMED, _ACTIVE)
 

@@ -74,12 +74,12 @@ def stop(
 
 
 def leave(state: State) -> Step:
-    """Exit without a lease, so that later frames of the same step cannot cause a fault."""
+    """Remove the lease and exit, so that later frames of the same step cannot cause a fault."""
     return moved(state, On.ENDED, lease=None, code=0), [Exit()]
 
 
 def trip(state: State, now_ns: int, fault: Fault) -> Step:
-    """Stop the motor and latch the fault, which ends only by a reset and an arming (S6)."""
+    """Stop the motor and latch the fault, which only a reset ends (S6 of ARCHITECTURE.md)."""
     state = ending(state, fault.cause, OutcomeCode.FAULT)
     state = moved(state, On.TRIPPED, fault=fault, lease=None, code=0)
     if state.link is not None:

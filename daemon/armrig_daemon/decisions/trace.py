@@ -152,7 +152,7 @@ def restored(data: bytes, codes: bytes, version: int = VERSION) -> State:
 
 
 def steps_of(chunk: bytes, version: int = VERSION) -> list[Step]:
-    """Return the steps of a chunk; raises as `restored` does."""
+    """Return the steps of a chunk; raises the exceptions of `restored`."""
     order_of = _known(_ORDER_OF, version)
     return [
         Step(now_ns, tuple(_event(number, data, order_of) for number, data in events), tuple(sent))

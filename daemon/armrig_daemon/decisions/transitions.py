@@ -212,7 +212,7 @@ def _started(state: State, now_ns: int, asked: PendingRequest) -> Step:
         return replace(state, code=order.code), done
     if state.run is None or state.queue is None:
         return replace(state, run=ActiveRun(order.run_id, order.codes, -1)), done
-    # The device takes its first sample one Ts after it heard START.
+    # The device takes its first sample one Ts after it received START.
     heard_ns = (asked.sent_ns + now_ns) // 2
     run = replace(state.run, k_first=state.k + 1, t_zero_ns=heard_ns + state.ts_us * 1000)
     started = RunStarted(
@@ -266,7 +266,7 @@ def handle_hello(state: State, now_ns: int, reply: HelloReply) -> Step:
     if (reply.version, reply.schema) != (VERSION, SCHEMA_HASH):
         error = (
             f"the firmware speaks version {reply.version}, schema {reply.schema:08x}; "
-            f"this daemon {VERSION}, {SCHEMA_HASH:08x}"
+            f"this daemon speaks version {VERSION}, schema {SCHEMA_HASH:08x}"
         )
         return _latch(state, now_ns, asked, Fault(Id.FIRMWARE, error))
     if unfit := _unfit(reply):
@@ -331,8 +331,8 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
         error = f"the device refuses the configuration: {name_of(reply.code)}"
         if state.rules.oversampling > 1:
             error += (
-                f"; it may not have [device] oversampling = {state.rules.oversampling}, or not at "
-                f"Ts={asked.ts_us / 1e6:g} s: lower it, or sample slower"
+                f"; it may not permit [device] oversampling = {state.rules.oversampling}, or not "
+                f"at Ts={asked.ts_us / 1e6:g} s: lower the oversampling, or sample slower"
             )
         if isinstance(asked.order, Arm | Run):
             return give_up(state, now_ns, error)
@@ -340,7 +340,7 @@ def handle_config(state: State, now_ns: int, reply: ConfigReply) -> Step:
     wanted = config(state.rules, asked.ts_us, 0, scheduled=asked.scheduled)
     if reply.config_crc != config_crc(wanted):
         if asked.tries < _MAX_TRIES:
-            return state, []  # a late answer to an earlier CONFIG; ours is sent again in time
+            return state, []  # a late answer to an earlier CONFIG; CONFIG is sent again later
         return give_up(state, now_ns, "the device accepted another configuration than was sent")
     before_us = state.pace_us
     pace_us = CARE_PERIOD_US if asked.scheduled else asked.ts_us
@@ -401,7 +401,8 @@ def begin_arming(state: State, now_ns: int, order: Arm) -> Step:
     if ts_us < least_us:
         error = f"Ts={ts_us / 1e6:g} s is too short for the device: at least"
         return state, refuse(order, f"{error} {least_us / 1e6:g} s")
-    # Until a run begins the host paces: at this Ts if the wire carries it, else at the default.
+    # Until a run begins, the host paces the samples: at this Ts if the wire carries this Ts, else
+    # at the default Ts.
     fits = ts_us >= exchange_us(baud, device.skew_us, m)
     paced_us = ts_us if fits else state.rules.ts_us
     return ask(state, now_ns, RequestKind.CONFIGURE, order, ts_us=paced_us)

@@ -1,7 +1,7 @@
 """The board: the pin that drives the motor, the converter's inputs, and the arm.
 
 Only this module sets the terminal voltage. It asserts at each change that the voltage is in
-[0, 5] V (S1), independently of the layers above.
+[0, 5] V (S1 of ARCHITECTURE.md), independently of the layers above.
 """
 
 from __future__ import annotations

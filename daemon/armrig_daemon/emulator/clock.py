@@ -18,7 +18,7 @@ class Clock:
     reset_ns: int
     """Given time at which the clock began at 0."""
     second_ns: int = _NS_PER_S
-    """Given time, in ns, in which the clock counts one second; above 1e9 for a slow oscillator."""
+    """Given time, in ns, for which the clock counts one second; above 1e9 for a slow oscillator."""
 
     def device_ns(self, now_ns: int) -> int:
         """Return the device time at a given time, in whole ns."""

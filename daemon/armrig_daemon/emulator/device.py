@@ -105,8 +105,8 @@ class Device:
 
         The time is later than `next_ns` if only internal work is due. A caller that only writes
         bytes can sleep until this time and gets the same bytes. Answers are ready `LEAD_NS` before
-        they are due. A sample of the timer is ready only when it is due: no host waits for the
-        sample, and one sleep is saved.
+        they are due. A sample of the timer is ready only when it is due, because no host waits
+        for it. This saves one sleep.
         """
         fw, sample_ns = self._fw, self._sample_ns
         timer_ns, answer_ns = fw.timer_ns, max(0, sample_ns - LEAD_NS)

@@ -1,8 +1,8 @@
 """The time given to an emulated device: the host's time, without the host's stalls.
 
 An emulated device receives nothing while its process is stalled. With the host's time, its watchdog
-would trip after a stall. Therefore the device's clock and the arm stop during a stall. The time of
-the watchdog is measured by this clock and stays the same.
+would trip after a stall. Therefore the device's clock and the arm stop during a stall. This clock
+also measures the watchdog's time, which therefore stays the same.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 STALL_NS: Final = 10_000_000
-"""Tolerated lateness of the process, in ns; for the device, this part of each stall elapses."""
+"""Tolerated lateness of the process, in ns; this part of each stall also passes for the device."""
 LOOK_NS: Final = 10_000_000
 """Longest wait between two readings of the clock, in ns; a stall during a wait is not detected."""
 

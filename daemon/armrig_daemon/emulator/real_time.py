@@ -36,7 +36,7 @@ from armrig_daemon.emulator.settings import EmulatorSettings
 from armrig_daemon.emulator.socket_line import SocketLine
 from armrig_daemon.emulator.uart import wire_ns
 
-PRIORITY = 20  # below the loop's: the device is fast enough, and must not starve the daemon
+PRIORITY = 20  # below the loop's: the device is fast enough, and must not delay the daemon
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>
 _libc = ctypes.CDLL(None)
 _REPORT_INTERVAL_NS = 1_000_000_000
@@ -144,7 +144,7 @@ def emulate(
         lost = line.backlog
         if lost.dropped_frames:
             text = f"{lost.dropped_frames} frames ({lost.dropped_bytes} bytes) dropped"
-            print(f"{port}: {text}, not read in time", file=sys.stderr)
+            print(f"{port}: {text}, because they were not read in time", file=sys.stderr)
             # The firmware itself counts the bytes that the host sends too fast.
         wrong = {violated.what for violated in device.violations} - {Violation.RX_OVERRUN}
     return 1 if wrong else 0

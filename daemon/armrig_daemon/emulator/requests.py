@@ -91,8 +91,8 @@ def _trip(fw: Firmware, m: Exchange) -> Cause:
         return _NONE
     if not config.u_min <= m.u <= config.u_max:
         return Cause.RANGE
-    # Compared with the code that the host sent: compared with the rounded duty, an allowed ramp may
-    # trip.
+    # The step counts from the last code as the host sent it. If it counted from the rounded duty,
+    # an allowed ramp could trip.
     if config.slew and abs(m.u - fw.u) > config.slew:
         return Cause.SLEW
     return _NONE

@@ -114,7 +114,7 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     stiffening: float = 0.0
     """Cubic part of the spring, in Nm/rad³; 0 for a linear spring."""
     arm: dict[str, float] = {}
-    """Parameters of the arm other than the handout's values, by name; b_1 is viscous friction."""
+    """Parameters of the arm that differ from the handout's, by name; b_1 is viscous friction."""
 
     def __post_init__(self) -> None:
         """Refuse a value out of its range."""

@@ -18,8 +18,8 @@ def departure_ns(free_ns: int, now_ns: int, n_bytes: int, baud: int) -> int:
 def arrivals(free_ns: int, now_ns: int, data: bytes, baud: int) -> list[tuple[int, bytes]]:
     """Return the pieces of `data`, each up to a 00, and the rest, with their arrival times.
 
-    The arrival time of a piece is that of its last byte. The wire is busy until `free_ns`, and free
-    again at the last arrival time.
+    The arrival time of a piece is the arrival time of its last byte. The wire is busy until
+    `free_ns`, and free again at the last arrival time.
     """
     start_ns = max(free_ns, now_ns)
     pieces: list[tuple[int, bytes]] = []

@@ -42,7 +42,7 @@ def estop(port: str, baud: int) -> bool:
             last = seq + _ESTOP_COUNT if has_to_hear else seq
             heard = []
             while seq < last:
-                # The 00 first ends an unfinished frame of another sender.
+                # The leading 00 ends an unfinished frame of another sender.
                 link.write(b"\0" + encode(Estop(0, seq)))
                 seq += 1
                 pending, messages = _hear(link, pending, time.monotonic() + _SPACING_S)

@@ -30,12 +30,12 @@ READ = 2048
 SEND_BUFFER_BYTES: Final = 1 << 16
 """SO_SNDBUF of a socket, in bytes: room for 171 frames, which occupy about 0.75 kB each.
 
-At Ts 0.5 ms, exchange mode sends 100 unanswered frames in the 50 ms until S4 stops the motor. With
-more room, the device would only receive more old frames.
+In exchange mode, at most `MAX_UNECHOED` EXCHANGE frames have no answer yet. With more room, the
+device would only receive more old frames after a stall.
 """
 
 _TAKEN = (
-    "it is taken by another program, maybe another rig's daemon; end that program, or give "
+    "it is in use by another program, maybe another rig's daemon; end that program, or give "
     "this rig a port of its own"
 )
 
@@ -130,7 +130,8 @@ class Link:
         except OSError as err:
             raise LinkError(f"{self.port} is gone: {err.strerror}") from err
         if sent < len(data):
-            raise LinkError(f"{self.port} takes no more bytes: the device does not read")
+            why = "because the device does not read them"
+            raise LinkError(f"{self.port} accepts no more bytes, {why}")
 
     def close(self) -> None:
         """Give the port back."""
@@ -166,7 +167,7 @@ class SocketLink(Link):
 
 
 def _connected(path: Path, stack: contextlib.ExitStack) -> socket.socket:
-    """Lock the port and connect to its emulator; `stack` first closes the socket, then the lock."""
+    """Lock the port and connect to its emulator; `stack` later closes the socket, then the lock."""
     try:
         require_safe_folder(path)
     except InputError as err:
@@ -191,7 +192,7 @@ def _connected(path: Path, stack: contextlib.ExitStack) -> socket.socket:
 
 
 def _distinguish_empty_from_end(fd: int) -> None:
-    """Make a read of an empty line fail with EAGAIN; pyserial's setting returns 0 bytes."""
+    """Make a read of an empty line fail with EAGAIN; with pyserial's setting it returns 0 bytes."""
     attributes = termios.tcgetattr(fd)
     attributes[6][termios.VMIN] = 1
     termios.tcsetattr(fd, termios.TCSANOW, attributes)

@@ -59,7 +59,7 @@ class Loop:
         due = self._pace.due_ns(self._k)
         until = due - self.ports.margin_ns
         now = self._serve_until(until, due)
-        # Otherwise the pace has changed meanwhile, or the loop has ended.
+        # If this is false, the pace has changed meanwhile, or the loop has ended.
         if not self.ended and now >= until:
             self._tick(due)
         if self._late and not self.ended:
@@ -75,7 +75,7 @@ class Loop:
             events = ports.wait(until_ns if wake > until_ns else max(wake, now))
             now = ports.now_ns()
             if now >= due_ns:
-                # The tick goes first: after a pause it trips, and earlier orders are refused.
+                # The tick is first: after a pause it trips, and the earlier orders are refused.
                 self._late = [e for e in events if isinstance(e, Ordered)]
                 events = [e for e in events if not isinstance(e, Ordered)]
             if events:

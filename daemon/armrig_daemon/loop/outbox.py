@@ -21,12 +21,12 @@ from armrig_daemon.pipe import (
 )
 
 MAX_WAITING_RECORDS = 1000
-"""Number of waiting records from which on records that only inform are dropped."""
+"""Largest number of waiting records; beyond it, records that only inform are dropped."""
 _INFORM = (Log, State, Timing, Clock, Trace)
 
 
 class Outbox:
-    """Queue of records for the service: the queue never blocks, keeps the order and reports losses.
+    """Queue of records for the service; it never blocks, keeps the order and reports losses.
 
     Samples that find no room are counted and reported as one gap. Other records wait for room. If
     too many records wait, further records that only inform are dropped and counted.

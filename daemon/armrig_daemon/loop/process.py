@@ -124,7 +124,7 @@ class ProcessPorts:
                 # Each arrival is reported once. The bytes of a line that hung up are read first.
                 self._is_hung_up = bool(flags & ~EPOLLIN)
                 if events and isinstance(events[0], Received):
-                    self._is_unread = True  # a step takes one piece: see `READ`
+                    self._is_unread = True  # a step reads one piece: see `READ`
                 else:
                     events += self._read()
         return events
@@ -246,8 +246,8 @@ def main(arguments: list[str]) -> int:
             )
         )
     ports.end_at(SignalPipe())
-    # The end of the pipes may come late: a service that is killed while its disk is slow ends when
-    # the disk has answered, and keeps the pipes open until then.
+    # The end of the pipes may come late. If the service is killed while its disk is slow, it ends
+    # only when the disk has answered, and keeps the pipes open until then.
     realtime.end_with_parent()
     granted = realtime.prepare(settings.priority, settings.cpu)
     if granted["fifo"]:  # otherwise a spin only takes time from processes for which the loop waits

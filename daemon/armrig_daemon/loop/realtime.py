@@ -24,7 +24,7 @@ def now_ns() -> int:
 
 
 def prepare(priority: int, cpu: int | None) -> dict[str, Any]:
-    """Ask the kernel for real-time properties, and return those that it granted.
+    """Ask the kernel for real-time properties, and return the granted properties.
 
     The loop also runs without these properties; each refused property is reported with a remedy.
     """
@@ -79,7 +79,7 @@ def _fifo_priority() -> int:
     return os.sched_getparam(0).sched_priority if policy == os.SCHED_FIFO else 0
 
 
-_awake: list[int] = []  # the request holds while the descriptor is open
+_awake: list[int] = []  # the request is in force while the descriptor is open
 
 
 def _keep_awake() -> bool:

@@ -119,8 +119,8 @@ def _check_keys(access: Access) -> None:
             given = [key for key in given if key != "certificate"]
         if given:
             raise InputError(
-                f"[access] {given[0]} is given and listen is not: nobody could connect; give "
-                "listen, such as tls/0.0.0.0:7447"
+                f"[access] {given[0]} is given, but listen is not, so that nobody could connect; "
+                "give listen, such as tls/0.0.0.0:7447"
             )
         return
     protocol = check_listen(access.listen)
@@ -128,7 +128,7 @@ def _check_keys(access: Access) -> None:
     makes = {"certificate": "armrig pki rig", "names": "armrig pki ca"}
     for key in needed:
         if key not in given:
-            made = f"; `{makes[key]}` makes one" if key in makes else ": a line user:password each"
+            made = f"; `{makes[key]}` makes one" if key in makes else ": lines user:password"
             raise InputError(f"[access] listen = {access.listen!r}: needs {key}, too{made}")
     for key in given:
         if key not in needed:

@@ -24,10 +24,10 @@ def refusal(name: str, payload: bytes, lease: bytes) -> Refused | None:
     name : str
         Name of the command; an unknown name is admitted here, and refused by the service.
     payload : bytes
-        Bytes of the command. A lease consists of hexadecimal digits: a payload without the lease in
-        force cannot be the holder's.
+        Bytes of the command. A lease consists of hexadecimal digits, which JSON encoders do not
+        escape. A payload without the lease in force is therefore not from the holder.
     lease : bytes
-        Lease in force, as far as the service knows; empty without one.
+        Lease in force, as far as the service knows; empty if no lease is in force.
     """
     if name in LEASED and not (lease and lease in payload):
         return refused(RefusalCode.NOT_HELD, NOT_HELD)

@@ -20,7 +20,7 @@ def checked_calibration(
 ) -> Calibration:
     """Return the calibration in the form in which it is recorded, or refuse it.
 
-    The bounds for files have already been checked for its zeros, angles, gain and offset.
+    Zeros, angles, gain and offset have already been checked against the bounds for files.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def checked_calibration(
                 f"{name}.wraps = {str(wraps).lower()}: must be {str(now).lower()}, as the "
                 "configuration of this rig says"
             )
-    # The daemon has read no file.
+    # The calibration came from a client: the daemon has read no file.
     return replace(calibration, made=replace(made, file=""))
 
 

@@ -126,11 +126,11 @@ class Starter(threading.Thread):
 
 
 def start(settings: Settings) -> LoopChild:
-    """Start the loop; call this before a session exists, or the loop inherits the session."""
+    """Start the loop; call this before a session exists, because the loop would inherit it."""
     orders_out, orders_in = os.pipe()
     records_out, records_in = os.pipe()
     for fd in (orders_in, records_in):
-        with contextlib.suppress(OSError):  # a smaller pipe only holds fewer seconds
+        with contextlib.suppress(OSError):  # a smaller pipe holds the records of fewer seconds
             fcntl.fcntl(fd, _F_SETPIPE_SZ, _PIPE_BYTES)
     arguments = [str(orders_out), str(records_in), msgspec.json.encode(settings).decode()]
     program = [sys.executable, "-m", "armrig_daemon.loop.process", *arguments]

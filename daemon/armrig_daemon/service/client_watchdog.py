@@ -1,4 +1,4 @@
-"""Dead-man of a run: if its client gives no sign of life, the run is stopped.
+"""Dead-man switch of a run: if the run's client gives no sign of life, the run is stopped.
 
 Each sign of life is a separate command, sent by the code that waits for the run. A process that is
 killed, frozen or cut off sends no sign. A process whose main code hangs also sends no sign, even if
@@ -23,7 +23,7 @@ class ClientWatchdog(NamedTuple):
     n: int
     """Number of the client's newest command."""
     period_s: float
-    """Longest silence, in s; infinite if the run has no dead-man."""
+    """Longest silence, in s; infinite if the run has no dead-man switch."""
     heard_s: float
     """Time of the newest sign of life, on the monotonic clock."""
 

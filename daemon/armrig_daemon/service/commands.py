@@ -44,9 +44,9 @@ _SILENT = commands.refused(
 )
 _NOT_HELD = commands.refused(RefusalCode.NOT_HELD, orders.NOT_HELD)
 _SOMEBODY = "somebody on this machine"
-_MAX_COMMANDS = 16  # of a kind, between two checks of the loop and of the run's client
+_MAX_COMMANDS = 16  # commands of one kind between two checks of the loop and the run's client
 _MAX_PENDING = 16  # unanswered orders; with more, a stranger's orders are not passed on
-_NOTES_PER_S, _MAX_NOTES = 2, 20  # of all people: a flood must not fill the recording or the log
+_NOTES_PER_S, _MAX_NOTES = 2, 20  # of all clients: a flood must not fill the recording or the log
 _MAX_UNANSWERED = 64  # of all clients; more would delay the orders of the service itself
 
 
@@ -57,7 +57,7 @@ class _Waiting(NamedTuple):
     until: float
     order: Orders
     body: Any
-    """Answer to the client instead of the loop's body."""
+    """Answer to the client; it replaces the body of the loop's answer."""
     who: str
     """Name of the client, for the log."""
 
@@ -102,7 +102,7 @@ class Commands:
         self._note = note
         self._notes = Bucket(_MAX_NOTES)
         self._waiting: dict[int, _Waiting] = {}
-        self._calibration: tuple[int, commands.Calibrate] | None = None  # ordered, not yet taken
+        self._calibration: tuple[int, commands.Calibrate] | None = None  # not yet accepted
         self._numbers = 0
         self._Ts = config.ts_us / 1e6  # of the newest lease
         self._lease = ""
@@ -142,7 +142,8 @@ class Commands:
     def answer(self, answer: Answer) -> None:
         """Pass on an answer of the loop."""
         if self._calibration is not None and answer.order == self._calibration[0]:
-            # Also after the client was refused for the delay: the loop uses the calibration now.
+            # Also if the client was refused because of the delay, because the loop uses the
+            # calibration now.
             (_, request), self._calibration = self._calibration, None
             if answer.code is None:
                 self._note_calibration(request)
@@ -222,8 +223,9 @@ class Commands:
             case commands.Run():
                 self._check_holder(request)
                 start = self._rig.theta_1_rad
-                # For millions of samples planning takes seconds, at 0 V. Each step shows the loop
-                # that we are not frozen; the first step was to read the command.
+                # For millions of samples, planning takes seconds, while the motor is at 0 V. Each
+                # step shows the loop that the service is not frozen. The first step was to read
+                # the command.
                 alive = partial(self._loop.order, Alive())
                 alive()
                 self._order(command, *self._runs.plan(request, self._Ts, start, alive))
@@ -247,7 +249,7 @@ class Commands:
         """Publish and record a note, which never reaches the loop and cannot affect the motor."""
         left = take_at(_NOTES_PER_S, _MAX_NOTES, self._notes, time.monotonic())
         if left is None:
-            text = f"too many notes came, {_NOTES_PER_S:g} a second are taken: try again"
+            text = f"too many notes, at most {_NOTES_PER_S:g} a second are accepted: try again"
             raise CommandRefusedError(
                 commands.refused(RefusalCode.TOO_MANY, text, per_s=_NOTES_PER_S)
             )

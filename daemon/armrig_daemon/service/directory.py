@@ -1,4 +1,4 @@
-"""Check that the directory of the recordings can take a recording."""
+"""Check that a recording can be stored in the directory of the recordings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from armrig_core.commands import Refused, refused
 
 
 def check_directory(directory: Path, needed: int) -> Refused | None:
-    """Return the refusal if `directory` cannot take a recording of `needed` B, or None."""
+    """Return the refusal if `directory` cannot store a recording of `needed` B, or None."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
         room = shutil.disk_usage(directory).free
@@ -34,7 +34,7 @@ def _no_room(text: str) -> Refused:
 def _way_out(directory: Path) -> str:
     try:
         user = pwd.getpwuid(os.getuid()).pw_name
-    except KeyError:  # it has no name
+    except KeyError:  # the user's id has no name
         user = str(os.getuid())
     made = f"`install -d -o {user} {directory}`"
     return f"{made} and restart the daemon, or set [recording] directory"

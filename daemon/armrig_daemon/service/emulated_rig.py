@@ -24,8 +24,8 @@ _START_S = 30.0  # on a busy machine a program takes seconds to load
 def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     """Start an emulator with these settings, on a socket; yield the configuration that drives it.
 
-    Also yield a descriptor of lines. Each line is a time, in ns, for which the device's clock stood
-    still.
+    The second value is a descriptor from which lines can be read. Each line is a time, in ns, for
+    which the device's clock stood still.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def emulated(config: Config, directory: Path) -> Iterator[tuple[Config, int]]:
     settings = msgspec.structs.replace(config.emulator, baud=config.device.baud)
     program = [sys.executable, "-m", "armrig_daemon", "emulate", "--port", port_of(path)]
     program += ["--settings", msgspec.json.encode(settings).decode()]
-    program += ["--parent", str(os.getpid())]  # we may end before it has loaded
+    program += ["--parent", str(os.getpid())]  # this process may end first
     stalls_out, stalls_in = os.pipe()
     os.set_blocking(stalls_in, False)
     try:

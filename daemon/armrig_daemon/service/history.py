@@ -12,7 +12,7 @@ MOST_BYTES = 2 << 20
 
 
 class History:
-    """Messages by their numbers; one thread may add messages while another reads them."""
+    """Messages by their numbers; one thread may add messages while another thread reads."""
 
     def __init__(self, life: bytes, most_bytes: int = MOST_BYTES) -> None:
         """Create an empty history.

@@ -47,7 +47,7 @@ _COUNTED = (*REQUESTS, _SCHEMA, _HISTORY)
 MAX_LINKS = 250
 """Number of simultaneous links over a network."""
 _RETRY_MS = 1000  # longest time between two attempts to connect to a lost router
-_MAX_QUESTION_BYTES = 64  # of a question for the history
+_MAX_QUESTION_BYTES = 64  # of a request for the history
 
 
 def session_config(endpoint: str, network: Network | None = None) -> zenoh.Config:
@@ -138,7 +138,8 @@ class Listener:
         self._admit = admit
         self._known_by = "" if network is None else network.known_by
         self._buckets: dict[str, token_bucket.Bucket] = {}
-        # A network has no socket in a folder, and its opening must not delay another session.
+        # A network endpoint creates no socket file. Its opening must not delay another session,
+        # which waits in `group_may_open`.
         with group_may_open() if network is None else nullcontext():
             self._session = zenoh.open(session_config(endpoint, network))
         self._publishers = {

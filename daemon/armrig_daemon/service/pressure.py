@@ -17,9 +17,9 @@ from armrig_daemon.pipe import State, Timing
 
 CPU = Path("/proc/pressure/cpu")
 MAX_LATENESS_MS = 100
-"""Largest 99th percentile of a second's lateness at which a host may begin a run, in ms.
+"""Largest lateness at which a run may begin: the 99th percentile of the last second, in ms.
 
-A longer watchdog tolerates a stall during a run, but does not permit the begin of a run on a late
+A longer watchdog tolerates a stall during a run, but does not permit that a run begins on a late
 host.
 """
 _OF_LOAD = (Id.STALE, Id.PAUSE, Id.MISSED)
@@ -36,8 +36,8 @@ class Pressure:
     def read(self) -> tuple[float, int]:
         """Return two numbers; NaN and -1 if this kernel does not report them.
 
-        The first number is the share of the time since the last call in which some task waited
-        for a processor, in percent. The second number is the number of runnable tasks now.
+        The first number is the share of the time since the last call, in percent, during which at
+        least one task waited for a processor. The second number is the number of runnable tasks.
         """
         now_ns, stalled_us = monotonic_ns(), self._stalled_us()
         (then_ns, before_us), self._last = self._last, (now_ns, stalled_us)
@@ -71,7 +71,7 @@ def load(path: Path = CPU) -> str:
     text = f"load {mean:.1f} on {processors}"
     with contextlib.suppress(OSError, ValueError, IndexError):
         share = float(path.read_text(encoding="ascii").split()[1].removeprefix("avg10="))
-        text += f", some task waited for one {share:.0f} % of the last 10 s"
+        text += f", a task waited for a processor in {share:.0f} % of the last 10 s"
     return text
 
 
@@ -84,7 +84,7 @@ def untimely(timing: Timing | None, watchdog_ms: int, load: str) -> Refused | No
         return None
     return refused(
         RefusalCode.LATE,
-        f"the host woke up to {late_ms:.0f} ms late in the last second, at most {most_ms} ms are "
+        f"the host was up to {late_ms:.0f} ms late in the last second, at most {most_ms} ms are "
         f"allowed ({load}; see `armrig doctor`): try again",
         late_ms=round(late_ms),
         most_ms=most_ms,

@@ -76,11 +76,11 @@ class Session:
         Raises
         ------
         zenoh.ZError
-            The endpoint is taken or cannot be made.
+            The endpoint is in use or cannot be created.
         NetworkError
             The endpoint of the network is in use or cannot be opened.
         """
-        self.lease = b""  # in force; without it no command of a holder is admitted
+        self.lease = b""  # lease in force; b"" admits no command of a holder
         self._waiting = {
             kind: queue.Queue[Command](1 if kind is Kind.CALIBRATE else MAX_WAITING)
             for kind in Kind
@@ -118,7 +118,7 @@ class Session:
         Raises
         ------
         NetworkError
-            The endpoint is taken or cannot be made.
+            The endpoint is in use or cannot be opened.
         """
         if self._network is None:
             return

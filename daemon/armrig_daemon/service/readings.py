@@ -2,9 +2,10 @@
 
 At rest a constant reading proves nothing, because a still shaft and a torn wire give the same
 reading. Two faults can be detected. The first is alpha at an end of its track, which alpha never
-reaches in motion. The second is a constant theta_1 while the motor was driven for the time of a
-whole turn. At rest, theta_1 at a rail is no fault: the chassis may be in the dead band. A constant
-alpha is no fault either: under a constant voltage the arm follows without deflection.
+reaches in motion. The second is a constant theta_1 although the motor was driven long enough for
+a whole turn. At rest, theta_1 at a rail is no fault, because the chassis may be in the dead band. A
+constant alpha is no fault either, because under a constant voltage the arm follows without
+deflection.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ STILL_COUNTS = 256
 FRICTION_V = 1.0
 """Voltage below which the motor may not overcome the friction, in V."""
 APART_S = 0.2
-"""Largest time between two samples, in s; at 5 V, the chassis turns less than 1/3 turn in it."""
+"""Largest time between two samples, in s; at 5 V, the chassis turns by less than 1/3 turn."""
 _ADC1_RAIL = int(Flag.ADC1_RAIL)
 
 

@@ -16,7 +16,7 @@ from armrig_daemon.pipe import Host, State, Timing
 from armrig_daemon.service import pressure, readings
 from armrig_daemon.service.calibration import taken
 
-_VERSION = version("armrig")  # read from a file: not at each status
+_VERSION = version("armrig")  # read once, because it is read from a file
 _UNKNOWN = State(t_host_ns=0, phase="init", reason="", owner="", ts_us=0, device={})
 
 

@@ -135,8 +135,8 @@ class Runs:
         Raises
         ------
         CommandRefusedError
-            Another run is requested or running, or there is no room for the recording; a
-            ValueError.
+            Another run is requested or running, or there is no room for the recording. The
+            exception is a ValueError.
         ValueError
             A voltage or the rehearsal is outside the limits.
         """
@@ -285,7 +285,7 @@ class Runs:
         if recording is None or not recording.error or recording.error == self._reported_error:
             return ""
         error = self._reported_error = recording.error
-        return "" if self._config.recording.stop_when_full else f"{error}; the run plays on"
+        return "" if self._config.recording.stop_when_full else f"{error}; the run continues"
 
     def finished(self, timeout: float = 0.0) -> tuple[str, str]:
         """Return a level and a line for a person if a recording is complete, else two empty texts.

@@ -41,7 +41,7 @@ def endpoint_error(endpoint: str, rig: str, err: Exception) -> str:
     """Return the reason why the service cannot listen at `endpoint`."""
     if "lock" in str(err):
         return f"a daemon of rig {rig} already runs at {endpoint}; end it, or choose another --rig"
-    return f"{endpoint}: {str(err).splitlines()[0][:200]}; see that the directory can be written"
+    return f"{endpoint}: {str(err).splitlines()[0][:200]}; check that the directory is writable"
 
 
 def unreachable(endpoint: str, devices: str) -> str:
@@ -88,13 +88,14 @@ def network_error(endpoint: str, err: Exception) -> str:
         return f"[access] listen = {endpoint!r}: this machine has no such address"
     if number == errno.EAFNOSUPPORT:
         return (
-            f"[access] listen = {endpoint!r}: the sandbox lets no network in; open one by "
+            f"[access] listen = {endpoint!r}: the sandbox permits no network; permit one by "
             "`systemctl edit armrigd@ID`, as docs/access.md shows"
         )
     if number == errno.EACCES:
-        return f"[access] listen = {endpoint!r}: not permitted; take a port from 1024 on"
+        return f"[access] listen = {endpoint!r}: not permitted; use a port from 1024 on"
     reason = str(err).splitlines()[0][:200]
-    return f"[access] listen = {endpoint!r}: {reason}; see that host and port are this machine's"
+    way_out = "check that host and port belong to this machine"
+    return f"[access] listen = {endpoint!r}: {reason}; {way_out}"
 
 
 def state_sentence(state: State, line: str) -> str:
@@ -115,8 +116,8 @@ def log_line(log: Log) -> str:
 def print_line(level: str, message: str, fields: Mapping[str, str] | None = None) -> None:
     """Print a line on standard error; a closed standard error must not end the service.
 
-    On a terminal, the program's name precedes the line. The journal knows the name, and gets the
-    line with its priority and its fields.
+    On a terminal, the program's name precedes the line. The journal knows the name, and
+    receives the line with its priority and its fields.
     """
     with contextlib.suppress(OSError):
         prefix = log_prefix(level)

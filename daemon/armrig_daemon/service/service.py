@@ -78,8 +78,8 @@ _QUIT_S = 2.0  # longest time for a frozen loop to end
 _LOAD_S = 30.0  # a loop that still loads has not reached the device yet
 _AT_FIFO = "not granted: the ordinary policy for the service, whose threads may delay the loop"
 _READ = 1 << 16
-_BREATH_S = 0.005  # between two looks at a loop with too many unanswered orders
-_SWITCH_S = 0.0005  # longest time for which a thread of zenoh's holds the interpreter
+_BREATH_S = 0.005  # between two checks of a loop with too many unanswered orders
+_SWITCH_S = 0.0005  # longest time for which a thread of zenoh holds the interpreter
 
 
 class Service:
@@ -300,7 +300,7 @@ class Service:
         return message
 
     def _about(self, log: Log) -> dict[str, str]:
-        """Return the fields of a line: the rig, its holder, the current run, and its own fields."""
+        """Return the fields of a line: rig, holder, current run, and the line's own fields."""
         about = {
             "rig": self._config.rig.id,
             "run": self._runs.run_id,
@@ -315,7 +315,7 @@ class Service:
         self._handle([Log(t_host_ns=now_ns, level=level, message=message, fields=fields)])
 
     def _note(self, t_host_ns: int, text: str, owner: str) -> None:
-        """Publish and record a note; no note is dropped by the thinning of the log."""
+        """Publish and record a note; the thinning of the log drops no note."""
         fields = {"owner": owner, "command": commands.Note.name}
         log = Log(t_host_ns=t_host_ns, level="info", message=text, fields=fields, is_note=True)
         self._runs.add(self._published([log]))
@@ -381,7 +381,7 @@ class Service:
             return
         try:
             networks_of(check_configuration())
-        except ValueError as err:  # InputError is one
+        except ValueError as err:  # such as InputError
             self._say("error", f"configuration not reloaded, the old configuration stays: {err}")
             return
         self._restarts = True

@@ -50,10 +50,10 @@ class Notifier:
             self._send(f"STATUS={line}")
 
     def progress(self) -> None:
-        """Report progress of the loop; after too long without a report, systemd ends the service.
+        """Report progress of the loop; if no report comes for too long, systemd ends the service.
 
-        Call this at reports of the loop, never by a timer: a timer would also run while the loop
-        hangs.
+        Call this at reports of the loop, never by a timer, because a timer would also run while the
+        loop hangs.
         """
         self._send("WATCHDOG=1")
 

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from armrig_daemon.pipe import Log
 
 HOLD_NS = 1_000_000_000
-"""Time, in ns, for which repeated lines, which differ only in their numbers, are held back."""
+"""Time for which repeated lines are held back, in ns; they differ only in their numbers."""
 MAX_KINDS = 100
 """Largest number of distinguished kinds of lines; a line of a further kind is always logged."""
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
@@ -28,7 +28,7 @@ class _Repeated(NamedTuple):
 
 
 class Thinning:
-    """Filter of a log that holds back repeated lines, but never an error."""
+    """Filter of a log; it holds back repeated lines, but never an error."""
 
     def __init__(self) -> None:
         """Create a filter that has seen no line."""

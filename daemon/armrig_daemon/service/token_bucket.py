@@ -18,11 +18,11 @@ BURST = 100
 
 
 class Bucket(NamedTuple):
-    """Number of queries that remain allowed at a time."""
+    """Number of queries that are allowed at the time `at_s`."""
 
     tokens: float = BURST
     at_s: float = 0.0
-    """Time of `tokens`, on the monotonic clock."""
+    """Time at which `tokens` was computed, on the monotonic clock."""
 
 
 def take(bucket: Bucket, now_s: float) -> Bucket | None:

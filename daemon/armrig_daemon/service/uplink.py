@@ -36,7 +36,7 @@ class Uplink:
         self._thread.start()
 
     def put(self, stream: str, data: bytes) -> None:
-        """Publish if a router is connected; clients get missed messages from the history."""
+        """Publish if a router is connected; clients request missed messages from the history."""
         if self._listener is not None:
             self._listener.put(stream, data)
 

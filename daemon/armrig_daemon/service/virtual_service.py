@@ -1,6 +1,6 @@
 """Runs on an emulated rig in virtual time, requested and recorded as by `armrigd run`.
 
-Loop, core, codec, device and recorder are the same. There is no session, no priority and no
+Loop, core, codec, device and recorder are the same code. There is no session, no priority and no
 terminal. A recording contains no data of the host, so the same seed results in the same bytes.
 """
 
@@ -47,7 +47,7 @@ LEASE = "0" * 32
 """Lease of the only client; this lease need not be secret."""
 BEGINNING = datetime(2000, 1, 1, tzinfo=UTC)
 """Start of virtual time for seed 0; for seed n the start is n seconds later."""
-_DISTINCT_SEEDS = 10 * 365 * 86_400  # further seeds repeat the beginnings
+_DISTINCT_SEEDS = 10 * 365 * 86_400  # further seeds repeat the start times
 _STEP_NS = 500_000_000
 _SETTLE_NS = 10_000_000_000
 _FINISH_S = 60.0
@@ -61,7 +61,7 @@ class VirtualService:
     ) -> None:
         """Switch the rig on; `seed` determines its noise, and the names and times of the runs."""
         emulator = replace(config.emulator, seed=seed, baud=config.device.baud)
-        # Folder and port are facts of the host: without them the same rig gives the same file.
+        # Folder and port are facts of the host. Without them, the same rig gives the same file.
         device = replace(config.device, port=VIRTUAL_PORT)
         self._config = replace(config, device=device, emulator=emulator, recording=Recording())
         self._began = BEGINNING + timedelta(seconds=seed % _DISTINCT_SEEDS)

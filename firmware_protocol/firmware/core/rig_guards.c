@@ -9,8 +9,7 @@ bool rig_at_rail(uint16_t y)
     return y < RAIL_CODES || y >= 0x10000UL - RAIL_CODES;
 }
 
-// Returns the new number of successive samples at a rail. The largest possible limit bounds the
-// number.
+// Returns the new number of successive samples at a rail, at most the largest possible limit.
 static uint16_t counted(uint16_t in_a_row, uint16_t y)
 {
     if (!rig_at_rail(y))

@@ -25,7 +25,7 @@ void rig_begin(void)
     rig_tell_transition();
 }
 
-// Returns true if a valid frame is an EXCHANGE, and as many EXCHANGEs as possible wait already.
+// Returns true if a valid frame is an EXCHANGE for which no place is left: the others still wait.
 static bool is_one_too_many(const union rig_message *m)
 {
     return m->header.type == RIG_TYPE_EXCHANGE && !rig_is_timed() && rig.asked_count == RIG_MOST_ASKED;
@@ -58,7 +58,7 @@ void rig_receive(uint8_t byte)
     if (byte != 0) {
         if (rig.rx_bytes < RIG_LONGEST_STUFFED)
             rig.rx.wire[rig.rx_bytes] = byte;
-        if (rig.rx_bytes <= RIG_LONGEST_STUFFED) // one byte more shows that it is too long
+        if (rig.rx_bytes <= RIG_LONGEST_STUFFED) // one byte more shows that the frame is too long
             rig.rx_bytes++;
         return;
     }

@@ -92,8 +92,8 @@ static bool leaves_slew(const struct rig_queue *queue, const struct view *view,
     }
     if (offset > 0 || offset <= -(int32_t)m->n)
         return false;
-    // The queue is empty: the step counts from the code in force, whatever the frame contains
-    // before.
+    // The queue is empty. The step counts from the code in force, whatever codes for earlier
+    // samples the frame contains.
     *refused = m->u[-offset];
     return too_steep(config, view->u, *refused);
 }
@@ -124,7 +124,7 @@ enum rig_put rig_queue_put(
 {
     if (leaves_range(config, m, refused))
         return RIG_PUT_OUT_OF_RANGE;
-    for (;;) { // repeat if the queue ran empty, which takes a Ts; a pass takes less
+    for (;;) { // repeat if the queue ran empty: it does so after a Ts at least, a pass takes less
         const struct view view = view_of(queue);
         const int32_t offset = (int32_t)(m->k0 - view.next);
         if (leaves_slew(queue, &view, config, m, offset, refused))

@@ -4,7 +4,7 @@
 
 #include "rig_frame.h"
 
-// Executes a valid frame.
+// Executes a valid frame, or answers STALE.
 void rig_take(const union rig_message *m);
 
 // Answers a valid frame of a type that the schema does not contain.

@@ -26,7 +26,8 @@ bool rig_supply_is_low(void)
     return mv != 0 && mv < LOW_MV;
 }
 
-// Requests one measurement. A board that cannot measure never answers, and gets no second request.
+// Requests one measurement. A board that cannot measure the supply never answers, so that no second
+// request follows.
 static void ask(void)
 {
     rig.is_measuring = true;

@@ -10,7 +10,7 @@ void rig_take_config(const rig_config_t *m);
 // Enters ARMED if the host names this boot, the configuration in force and its nonce.
 void rig_take_arm(const union rig_message *m);
 
-// Enters RUN: the motor gets u_rest, and in scheduled mode the timer starts.
+// Enters RUN: u_rest is applied, and in scheduled mode the timer starts.
 void rig_take_start(const union rig_message *m);
 
 // Returns to IDLE from every state except FAULT and ESTOP.

@@ -1,4 +1,4 @@
-// Transmission: a frame gets its number, CRC and stuffing, and is passed to the board.
+// Transmission: adds the number, the CRC and the stuffing to a frame, and passes it to the board.
 #ifndef RIG_TRANSMISSION_H
 #define RIG_TRANSMISSION_H
 

@@ -22,7 +22,7 @@ from rich.console import Console
 from tests.clients.fake_daemon import FakeDaemon
 from tests.sampling import sampled
 
-LATE = "the host woke up to 264 ms late in the last second: try again"
+LATE = "the host was up to 264 ms late in the last second: try again"
 
 
 @pytest.fixture(autouse=True)

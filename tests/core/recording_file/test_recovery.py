@@ -293,7 +293,11 @@ def test_a_manifest_of_another_form_stays_as_it_is(tmp_path: Path) -> None:
     writer.add_metadata(RUN, {"rig": "no JSON"})
     writer.finish()
 
-    _untouched(written(tmp_path, out.getvalue(), LEFT), out.getvalue(), "manifest is not armrig's")
+    _untouched(
+        written(tmp_path, out.getvalue(), LEFT),
+        out.getvalue(),
+        "metadata record of armrig is not valid",
+    )
 
 
 @pytest.mark.parametrize("name", [OUTCOME, RECOVERED])
@@ -305,7 +309,11 @@ def test_a_file_with_another_form_of_metadata_stays_as_it_is(tmp_path: Path, nam
     writer.add_metadata(name, {"outcome": "no JSON"})
     writer.finish()
 
-    _untouched(written(tmp_path, out.getvalue(), LEFT), out.getvalue(), "manifest is not armrig's")
+    _untouched(
+        written(tmp_path, out.getvalue(), LEFT),
+        out.getvalue(),
+        "metadata record of armrig is not valid",
+    )
 
 
 def test_what_belongs_to_no_channel_does_not_end_what_can_be_read(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def test_what_cannot_be_read_to_its_end_stays_and_is_reported_once(
     (report,) = retention.apply(NOW_S)
 
     assert not report.is_removed
-    assert report.text.startswith(f"{broken}: older than 30 days, but it stays: ")
+    assert report.text.startswith(f"{broken}: older than 30 days, but it stays, because ")
     assert [*retention.apply(NOW_S)] == []
     assert _names(tmp_path) == {"1-a.mcap", "1-b.mcap", "1-c.mcap"}
 

@@ -175,7 +175,7 @@ def test_a_reset_of_the_device_leaves_a_latched_fault_as_it_is() -> None:
 @pytest.mark.parametrize(
     ("cause", "detail", "words"),
     [
-        (int(Cause.WATCHDOG), 0, "WATCHDOG, it heard nothing from this host in time"),
+        (int(Cause.WATCHDOG), 0, "WATCHDOG, it received nothing from this host in time"),
         (int(Cause.RANGE), 123, "RANGE, a voltage was outside its limits (code 123)"),
         (int(Cause.VCC_LOW), 3900, "VCC_LOW, its supply is too low (3900 mV)"),
         (int(Cause.REQUEST), 0, "REQUEST"),

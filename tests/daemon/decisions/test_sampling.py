@@ -106,7 +106,7 @@ def test_in_an_exchange_no_flag_excuses_another_code(flags: int) -> None:
 
     assert wrong.state.fault is not None
     assert wrong.state.fault.id is Id.APPLIED
-    assert f"where {state.link.sent[0].code} was commanded" in wrong.state.fault.cause
+    assert f"but code {state.link.sent[0].code} was commanded" in wrong.state.fault.cause
     assert [type(m) for m in wrong.sent] == [Stop]
     assert right.state.fault is None
 
@@ -210,7 +210,7 @@ def test_an_echo_of_the_very_next_frame_stops_a_run() -> None:
 
     assert decided.state.fault is not None
     assert decided.state.fault.id is Id.STATE
-    assert f"heard frame {state.link.seq}, and the next of ours is {state.link.seq}" in (
+    assert f"received frame {state.link.seq}, but this daemon sends {state.link.seq} next" in (
         decided.state.fault.cause
     )
     assert [type(m) for m in decided.sent] == [Stop]
@@ -234,7 +234,7 @@ def test_an_echo_of_what_we_have_not_sent_stops_a_run_before_its_setpoints_go() 
 
     assert [type(m) for m in ours.sent] == [Setpoints]
     assert [type(m) for m in foreign.sent] == [Stop]
-    assert foreign.told(Answer)[0].error.startswith("not begun: the device has heard frame")
+    assert foreign.told(Answer)[0].error.startswith("not begun: the device has received frame")
 
 
 def test_only_an_exchange_compares_the_clocks() -> None:
@@ -447,7 +447,7 @@ def test_the_duty_of_the_device_is_what_it_is_compared_with() -> None:
     )
 
     assert as_sent.state.fault is not None
-    assert f"applied code {held} where {held} was commanded" in as_sent.state.fault.cause
+    assert f"applied code {held}, but code {held} was commanded" in as_sent.state.fault.cause
 
 
 def test_what_is_applied_after_a_trip_is_no_second_fault() -> None:
@@ -512,7 +512,7 @@ def test_another_code_than_the_run_s_is_a_fault_but_for_an_underrun(
         assert decided.state.fault is not None
         assert decided.state.fault.id is Id.APPLIED
     else:
-        assert "no setpoint was there" in decided.told(Log)[0].message
+        assert "had no setpoint" in decided.told(Log)[0].message
 
 
 def test_a_sample_that_is_ahead_reports_the_missing_ones_before_it() -> None:

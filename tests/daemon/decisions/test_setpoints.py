@@ -421,7 +421,7 @@ def test_one_step_of_the_duty_off_the_setpoint_trips(bits: int, steps: int) -> N
     assert (after.fault is not None) == (steps != 0)
     if after.fault is not None:
         assert after.fault.id is Id.APPLIED
-        assert f"applied code {u} where {CODES[10]} was commanded" in after.fault.cause
+        assert f"applied code {u}, but code {CODES[10]} was commanded" in after.fault.cause
 
 
 def test_a_code_that_no_duty_of_the_device_gives_trips() -> None:

@@ -314,7 +314,7 @@ def test_a_device_that_is_met_latched_says_why() -> None:
     decided = heard(bench, latched, awaiting(met, RequestKind.HELLO))
 
     assert decided.state.reason == (
-        "the device is in FAULT: WATCHDOG, it heard nothing from this host in time"
+        "the device is in FAULT: WATCHDOG, it received nothing from this host in time"
     )
     assert decided.state.fault.device_cause == Cause.WATCHDOG
 
@@ -607,8 +607,8 @@ def test_a_device_that_refuses_an_oversampling_is_reported_with_the_way_out() ->
 
     (answer,) = decided.told(Answer)
     assert answer.error == (
-        "the device refuses the configuration: UNSUPPORTED; it may not have [device] "
-        "oversampling = 16, or not at Ts=0.01 s: lower it, or sample slower"
+        "the device refuses the configuration: UNSUPPORTED; it may not permit [device] "
+        "oversampling = 16, or not at Ts=0.01 s: lower the oversampling, or sample slower"
     )
 
 

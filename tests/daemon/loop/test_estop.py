@@ -109,7 +109,7 @@ def test_to_a_port_that_another_holds_not_a_byte_is_sent(line: tuple[int, str]) 
     daemon = Link(line[1], BAUD)
     os.write(line[0], b"for the daemon")
 
-    with pytest.raises(TakenPortError, match="taken by another program"):
+    with pytest.raises(TakenPortError, match="in use by another program"):
         estop(line[1], BAUD)
 
     assert not select.select([line[0]], [], [], 0)[0]

@@ -52,7 +52,7 @@ def test_what_the_line_takes_only_in_part_is_a_loss_of_the_line(
     link = Link(port, 115_200)
     data = bytes(100_000)
 
-    with pytest.raises(LinkError, match="takes no more bytes: the device does not read"):
+    with pytest.raises(LinkError, match="accepts no more bytes, because the device does not"):
         link.write(data)
 
     assert select.select([master], [], [], 1)[0], "nothing was sent: that would be no part"
@@ -94,7 +94,7 @@ def test_a_port_is_ours_alone(terminal: tuple[int, str]) -> None:
     link = Link(port, 115_200)
 
     with pytest.raises(
-        LinkError, match="taken by another program, maybe another rig's daemon; end that"
+        LinkError, match="in use by another program, maybe another rig's daemon; end that"
     ):
         Link(port, 115_200)
 
@@ -119,8 +119,8 @@ def test_what_is_no_serial_port_is_refused(what: str, tmp_path: Path) -> None:
     [
         (errno.EACCES, LinkError, "not permitted; add this user"),
         (errno.EPERM, LinkError, "not permitted; add this user"),
-        (errno.EAGAIN, TakenPortError, "taken by another program"),
-        (errno.EBUSY, TakenPortError, "taken by another program"),
+        (errno.EAGAIN, TakenPortError, "in use by another program"),
+        (errno.EBUSY, TakenPortError, "in use by another program"),
         (errno.ENOTTY, LinkError, "it is no serial port"),
         (errno.EIO, LinkError, "busy with permission"),
     ],

@@ -68,10 +68,10 @@ def test_a_client_on_the_list_is_admitted(files: dict[str, str]) -> None:
             r"passwords is not allowed with listen = 'tls/",
         ),
         (TCP, [], r"needs names, too"),
-        (TCP, ["names"], r"needs passwords, too: a line user:password each"),
+        (TCP, ["names"], r"needs passwords, too: lines user:password"),
         (TCP, ["names", "certificate"], r"needs passwords, too"),
-        ("", ["certificate"], r"certificate is given and listen is not"),
-        ("", ["names"], r"names is given and listen is not"),
+        ("", ["certificate"], r"certificate is given, but listen is not"),
+        ("", ["names"], r"names is given, but listen is not"),
     ],
 )
 def test_what_is_missing_is_reported(
@@ -238,7 +238,7 @@ def test_a_router_needs_the_certificate_of_this_rig(files: dict[str, str], tmp_p
     ):
         with pytest.raises(InputError, match=says):
             router_of(Config(access=Access(router=router, certificate=certificate)))
-    with pytest.raises(InputError, match="names is given and listen is not"):
+    with pytest.raises(InputError, match="names is given, but listen is not"):
         _network(router=router, **_chosen(files, "certificate", "names"))
 
 

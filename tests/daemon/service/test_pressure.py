@@ -116,7 +116,7 @@ def test_a_run_that_something_else_ended_says_nothing_of_load() -> None:
 @pytest.mark.parametrize(
     ("text", "share"),
     [
-        ("some avg10=97.30 avg60=0.50", ", some task waited for one 97 % of the last 10 s"),
+        ("some avg10=97.30 avg60=0.50", ", a task waited for a processor in 97 % of the last 10 s"),
         ("", ""),
         (None, ""),
     ],

@@ -229,7 +229,7 @@ def test_what_a_full_disk_does_to_the_run_is_configured(
 
     ending = runs.disturbed()
     assert (ending is not None and why in ending.text) == stops
-    assert (why in told, told.endswith("; the run plays on"), again) == (not stops, not stops, "")
+    assert (why in told, told.endswith("; the run continues"), again) == (not stops, not stops, "")
     runs.end(COMPLETE)
     level, text = runs.finished(10)
     assert (level, why in text) == ("error", True)

@@ -107,8 +107,8 @@ def test_a_run_that_one_file_may_hold_is_in_one_file(
         ("", "it was moved away", True, "it was moved away", ""),
         ("the disk is full", "", True, "the disk is full", ""),
         ("the disk is full", "it was moved", True, "the disk is full", ""),
-        ("the disk is full", "", False, "", "the disk is full; the run plays on"),
-        ("the disk is full", "it was moved", False, "it was moved", "the disk is full; the run p"),
+        ("the disk is full", "", False, "", "the disk is full; the run continues"),
+        ("the disk is full", "it was moved", False, "it was moved", "the disk is full; the run c"),
     ],
 )
 def test_the_state_of_the_current_recording_is_reported(

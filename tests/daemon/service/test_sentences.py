@@ -188,6 +188,6 @@ def test_a_sandbox_without_networks_is_reported_with_the_setting_that_opens_it()
     said = network_error("tls/0.0.0.0:7447", err)
 
     assert said == (
-        "[access] listen = 'tls/0.0.0.0:7447': the sandbox lets no network in; open one by "
+        "[access] listen = 'tls/0.0.0.0:7447': the sandbox permits no network; permit one by "
         "`systemctl edit armrigd@ID`, as docs/access.md shows"
     )

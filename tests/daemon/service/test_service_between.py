@@ -708,7 +708,7 @@ def test_a_flood_of_notes_leaves_twenty_and_two_a_second(
     replies = [next(iter(one)) for one in asked]
     refused = [i for i, reply in enumerate(replies) if reply.err is not None]
     assert refused == [20, 22]
-    assert b"too many notes came, 2 a second are taken: try again" in (
+    assert b"too many notes, at most 2 a second are accepted: try again" in (
         replies[20].err.payload.to_bytes()
     )
 

@@ -13,7 +13,7 @@ def _log(ms: int, message: str, level: str = "warning", **fields: str) -> Log:
 
 
 def _missed(ms: int) -> Log:
-    return _log(ms, f"no setpoint was there for sample {ms}: the input was {ms / 1000} V")
+    return _log(ms, f"sample {ms} had no setpoint: its input was {ms / 1000} V")
 
 
 def test_lines_that_differ_in_numbers_only_are_said_once_a_second() -> None:

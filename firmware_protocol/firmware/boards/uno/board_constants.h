@@ -6,7 +6,7 @@
 #include <avr/io.h>
 #include <stdint.h>
 
-#define BOARD_QUEUE 256 // 2 B each; 256 ms at 1 kHz, more than the longest watchdog
+#define BOARD_QUEUE 256 // 2 B each; 256 ms at 1 kHz, of which the host keeps 232 ms in reserve
 #define BOARD_ADC_BITS 10
 #define BOARD_PWM_BITS 10
 #define BOARD_SKEW_US 128 // one turn of timer 0: see clock.h and converter.c

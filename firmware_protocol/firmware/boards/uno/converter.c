@@ -7,7 +7,7 @@
 // - It applies u when the last conversion of a sample is held, 16 us after its trigger.
 //
 // To find u takes 25 us, and two or three times as long while bytes arrive at 1 Mbaud. The handler
-// therefore finds u in advance, in the 118 us between the multiplexer's setting and the hold.
+// therefore finds u in advance, in the 118 us between the setting of the multiplexer and the hold.
 // Transmission pauses meanwhile. If the motor is turned off before the hold, this u is discarded.
 //
 // The converter runs at 125 kHz: 13.5 clocks, or 108 us, for a conversion. Full resolution permits
@@ -81,7 +81,7 @@ void converter_convert(void)
 }
 
 // Schedules compare match A for `at_us`, and enters `next_phase`. Returns false if `at_us` is less
-// than LEAD_US ahead. `at_us` must be less than 8.3 s ahead: `turns_to_go` has 16 bits.
+// than LEAD_US ahead. `at_us` must be less than 8.3 s ahead, because `turns_to_go` has 16 bits.
 static bool set_compare(uint32_t at_us, uint8_t next_phase)
 {
     OCR0A = (uint8_t)(at_us * COUNTS_PER_US) - 1; // the flag is set one count after OCR0A

@@ -7,7 +7,7 @@ enum {
     BANDGAP_CHANNEL = 14,
     BANDGAP_MV = 1100, // within 10 %: data sheet, table 29-11
     NEEDS = 3, // turns: one to settle (data sheet: 70 us), one to convert, one in reserve
-    PATIENCE = 100, // turns (26 ms if main counts) until a measurement without the end of a sample
+    PATIENCE = 100, // turns to wait for the end of a sample; main counts every second turn: 26 ms
 };
 
 static volatile enum {

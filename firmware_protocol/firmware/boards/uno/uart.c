@@ -18,9 +18,9 @@ static volatile uint8_t rx_lost;
 static volatile uint8_t tx[TX_RING], tx_head, tx_tail; // main writes tx_head, the interrupt tx_tail
 static uint32_t tx_free_us; // device time at which the last byte to be sent has left
 
-// Kept as short as possible: at 1 Mbaud a byte arrives every 10 us. A framing error is detected by
-// the CRC. If the ring is full, the handler disables its interrupt until main has emptied the ring.
-// A flooded line must not keep main from guarding the motor.
+// Kept as short as possible, because at 1 Mbaud a byte arrives every 10 us. The CRC detects a
+// framing error. If the ring is full, the handler disables its interrupt until main has emptied the
+// ring. A flooded line must not keep main from guarding the motor.
 ISR(USART_RX_vect)
 {
     const uint8_t status = UCSR0A, head = rx_head, next = (uint8_t)(head + 1) & (RX_RING - 1);
