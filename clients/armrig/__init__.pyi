@@ -19,6 +19,7 @@ from armrig.estimation.armax import armax as armax
 from armrig.estimation.arx import arx as arx
 from armrig.estimation.bj import bj as bj
 from armrig.estimation.iv4 import iv4 as iv4
+from armrig.estimation.multivariable.ss import ss as ss
 from armrig.estimation.n4sid import n4sid as n4sid
 from armrig.estimation.nonparametric.bla import bla as bla
 from armrig.estimation.nonparametric.correlation import correlation as correlation
@@ -48,6 +49,7 @@ from armrig.excitation.experiment_design import predicted_std as predicted_std
 from armrig.excitation.input_description import describe_input as describe_input
 from armrig.models.fit import Fit as Fit
 from armrig.models.model_file import load_fit as load_fit
+from armrig.models.multivariable.fit import MultivariableFit as MultivariableFit
 from armrig.models.subspace_fit import SubspaceFit as SubspaceFit
 from armrig.physics.grey_box.estimate import greybox as greybox
 from armrig.physics.grey_box.fit import GreyFit as GreyFit

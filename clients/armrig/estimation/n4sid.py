@@ -11,6 +11,7 @@ from armrig_core.errors import InputError
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.finding import EstimateFinding, warning
+from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, integrating
 from armrig.estimation.data_faults import NO_OPTION, data_faults
 from armrig.estimation.hannan_rissanen import noise_start
@@ -55,6 +56,7 @@ _COLOURED_TEXT = (
 )
 
 
+@accepts_signals("armrig.estimation.multivariable.n4sid")
 @takes_recordings
 def n4sid(
     data: Dataset,

@@ -5,8 +5,11 @@ from __future__ import annotations
 from math import isqrt
 
 import numpy as np
+from scipy.signal import lfilter
 
 from armrig.numerics.polynomial import Array
+
+_MAX_CONDITION = 1e5  # of the eigenvectors, for a sum over modes
 
 
 def recursion(Phi: Array, w: Array, x0: Array) -> Array:
@@ -57,3 +60,34 @@ def recursion(Phi: Array, w: Array, x0: Array) -> Array:
         x = by_start.reshape(blocks, m, length, n).transpose(0, 2, 1, 3)
         x = x + from_zero[:length].reshape(length, blocks, m, n).transpose(1, 0, 2, 3)
     return x.reshape(blocks * length, m, n)[: N + 1].reshape(shape)
+
+
+def responses(Phi: Array, C: Array, signals: Array) -> Array:
+    """Return C (q - Phi)^-1 e_k s for each signal s and unit vector e_k, (N, m, n, ny).
+
+    Each mode filters each signal by a filter of first order. If the eigenvectors are nearly
+    dependent, `recursion` is used instead, which takes several times as long.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+        Real transition matrix.
+    C : ndarray, shape (ny, n)
+        Output matrix.
+    signals : ndarray, shape (N, m)
+        Signals s.
+    """
+    (N, m), (ny, n) = signals.shape, C.shape
+    z, V = np.linalg.eig(Phi)
+    if np.linalg.cond(V) > _MAX_CONDITION:
+        driven = np.zeros((N, m, n, n))
+        driven[:, :, range(n), range(n)] = signals[:, :, None]
+        x = recursion(Phi, driven.reshape(N, m * n, n), np.zeros((m * n, n)))[:-1]
+        return np.asarray(x @ C.T).reshape(N, m, n, ny)
+    kept = np.flatnonzero(z.imag >= 0)
+    twice = np.where(z[kept].imag > 0, 2.0, 1.0)
+    modes = np.stack([lfilter([0.0, 1.0], [1.0, -z[i]], signals, axis=0) for i in kept], axis=2)
+    parts = (C @ V[:, kept] * twice)[:, :, None] * np.linalg.inv(V)[kept]  # (ny, modes, n)
+    weights = parts.transpose(1, 2, 0).reshape(kept.size, n * ny)
+    whole = modes.real @ weights.real - modes.imag @ weights.imag
+    return np.asarray(whole).reshape(N, m, n, ny)

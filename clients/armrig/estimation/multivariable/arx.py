@@ -8,7 +8,7 @@ import numpy as np
 from armrig_core.errors import InputError
 
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.data_checks import origin, require_informative
+from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
 from armrig.estimation.multivariable.inference import (
     OutputResiduals,
     inferred,
@@ -114,10 +114,12 @@ def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> MultivariableFit:
         parameters=widths,
         score="correlated",
     )
+    form = _form(rows, na_, nb_, nk_)
     return MultivariableFit(
         structure="arx",
         orders=orders,
-        form=_form(rows, na_, nb_, nk_),
+        form=form,
+        findings=tuple(instability(form)),
         **found.fields(),
         **origin(data),
     )

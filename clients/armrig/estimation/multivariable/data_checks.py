@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from armrig_core.errors import InputError
 
+from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
+from armrig.models.multivariable.fit import Form
 from armrig.numerics.least_squares import orthonormal
+
+_CIRCLE_TOLERANCE = 1e-6
 
 
 def origin(data: Signals) -> dict[str, Any]:
@@ -23,6 +28,18 @@ def origin(data: Signals) -> dict[str, Any]:
         "history": data.history,
         "digest": data.digest,
     }
+
+
+def instability(form: Form) -> Iterator[EstimateFinding]:
+    """Yield a warning if a pole is outside the unit circle."""
+    largest = float(np.max(np.abs(np.linalg.eigvals(form.realised().A)), initial=0.0))
+    if largest > 1 + _CIRCLE_TOLERANCE:
+        yield warning(
+            "unstable",
+            f"a pole of modulus {largest:.4g} is outside the unit circle: simulations grow without "
+            "bound",
+            modulus=largest,
+        )
 
 
 def require_informative(data: Signals) -> None:

@@ -26,10 +26,13 @@ from armrig.numerics.inference import Score
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import (
+    LJUNG_BOX,
     NOT_TESTED,
+    Whiteness,
     autoregression,
     default_lags,
     joined,
+    ljung_box,
     portmanteau,
 )
 
@@ -181,4 +184,29 @@ def _quality(parts: Sequence[OutputResiduals], N: int) -> OutputQuality:
         N=N,
         fit_percent=fit_percent(y[known], sse),
         white=NOT_TESTED if exact else white,
+    )
+
+
+def quality_of(residuals: Sequence[Array], y: Sequence[Array], parameters: float) -> OutputQuality:
+    """Return the quality for one output from its residuals alone, with a test of Ljung and Box.
+
+    Parameters
+    ----------
+    residuals : sequence of ndarray (N_i,)
+        Residuals of each experiment, NaN where there is none.
+    y : sequence of ndarray (N_i,)
+        Measured output of each experiment.
+    parameters : float
+        Number of noise parameters that were fitted.
+    """
+    e, whole = np.concatenate(residuals), np.concatenate(y)
+    known = np.isfinite(e)
+    N, sse = int(known.sum()), float(np.sum(e[known] ** 2))
+    lags = default_lags(N)
+    p = ljung_box(joined(residuals, lags), lags, min(round(parameters), lags - 1))
+    return OutputQuality(
+        loss=sse / max(N, 1),
+        N=N,
+        fit_percent=fit_percent(whole[known], sse),
+        white=Whiteness(p_value=p, test=LJUNG_BOX),
     )

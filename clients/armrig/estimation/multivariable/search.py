@@ -11,7 +11,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
-from armrig.estimation.multivariable.data_checks import origin, require_informative
+from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
 from armrig.estimation.multivariable.inference import (
     Inference,
     OutputResiduals,
@@ -106,7 +106,7 @@ def estimated(
         shared=shared,
         converged=all(o.converged for o in best),
         starts=tuple(start for one in found for start in _starts(data, one)),
-        findings=tuple(_findings(data, found)),
+        findings=tuple(_findings(data, found, form)),
         **fields,
         **origin(data),
     )
@@ -290,7 +290,9 @@ def _integrated(M: Array) -> Array:
     return (np.eye(n + 1, n) - np.eye(n + 1, n, k=-1)) @ M
 
 
-def _findings(data: Signals, found: Sequence[_Estimated]) -> list[EstimateFinding]:
+def _findings(
+    data: Signals, found: Sequence[_Estimated], form: Polynomials
+) -> list[EstimateFinding]:
     notes = []
     for one in found:
         best = one.ends[0][1]
@@ -298,4 +300,4 @@ def _findings(data: Signals, found: Sequence[_Estimated]) -> list[EstimateFindin
             names = ", ".join(data.outputs[i] for i in one.plan.outputs)
             text = f"the search of {names} did not converge in {best.iterations} steps"
             notes.append(warning("not_converged", text, steps=best.iterations))
-    return notes
+    return [*notes, *instability(form)]

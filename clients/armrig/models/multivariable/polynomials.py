@@ -18,11 +18,10 @@ from armrig_core.errors import InputError
 from scipy.linalg import block_diag
 
 from armrig.models.model import Matrix, Vector
+from armrig.models.multivariable.interpolation import circle, coefficients
 from armrig.models.multivariable.state_space import StateSpace
 
 Row = tuple[Vector, ...]
-_CIRCLE_RADIUS = 1.05
-"""Radius of the circle on which determinants are interpolated, relative to the largest root."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -135,7 +134,7 @@ class Polynomials:
         degree = sum(degrees)
         last = max(degree - degrees[k] + self.B[k][j].size - 1 for k in range(ny))
         n = max(degree, last) + 1
-        x = np.exp(-2j * np.pi * np.arange(n) / n) / self._radius()
+        x = circle(n, np.linalg.eigvals(self.realised().A))
         A = np.array([[np.polyval(a[::-1], x) for a in row] for row in self.A]).transpose(2, 0, 1)
         b = np.array([np.polyval(self.B[k][j][::-1], x) for k in range(ny)]).T
         X = np.linalg.inv(A)
@@ -154,8 +153,8 @@ class Polynomials:
                 by_B[:, at] -= (det * X[:, i, k] * Xb[:, m])[:, None] * powers
             else:
                 by_B[:, at] = (det * X[:, i, k])[:, None] * powers
-        F, B = (_coefficients(v, x) for v in (det, det * Xb[:, i]))
-        dF, dB = (_coefficients(v, x) for v in (by_det, by_B))
+        F, B = (coefficients(v, x) for v in (det, det * Xb[:, i]))
+        dF, dB = (coefficients(v, x) for v in (by_det, by_B))
         paths = [k for k in range(ny) if self.B[k][j].size > self.nk[k][j]]
         nk = min(self.nk[k][j] + int(k != i) for k in paths)
         return Channel(
@@ -170,11 +169,6 @@ class Polynomials:
             nk=nk,
             integrator=False,
         )
-
-    def _radius(self) -> float:
-        """Return the radius of a circle in q that contains all roots."""
-        poles = np.linalg.eigvals(self.realised().A)
-        return _CIRCLE_RADIUS * max(1.0, float(np.max(np.abs(poles), initial=0.0)))
 
     def realised(self) -> StateSpace:
         """Return the innovations form, with the noise states of OE and BJ models last."""
@@ -252,11 +246,3 @@ def _observer(n: int, nu: int, ny: int) -> dict[str, Any]:
 def _tail(p: Vector, n: int) -> Vector:
     """Return the coefficients after the first, padded to n."""
     return np.pad(p[1:], (0, n + 1 - p.size))
-
-
-def _coefficients(values: Any, x: Any) -> Any:
-    """Return the coefficients, in powers of x, of polynomials with the given values (n, …)."""
-    n = x.size
-    scale = np.abs(x[0]) ** np.arange(n)
-    found = np.fft.ifft(values, axis=0).real
-    return found / scale.reshape((n,) + (1,) * (found.ndim - 1))

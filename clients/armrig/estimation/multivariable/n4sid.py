@@ -1,0 +1,287 @@
+"""Subspace estimates with several inputs and outputs, and their deviations by a bootstrap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+from armrig_core.errors import InputError
+
+from armrig.data.signals import Signals
+from armrig.estimation.multivariable.data_checks import (
+    instability,
+    origin,
+    require_informative,
+)
+from armrig.estimation.multivariable.inference import pairwise_covariance, quality_of
+from armrig.estimation.multivariable.state_space_problem import (
+    StateSpaceProblem,
+    delays_of,
+    parts_of,
+    reflected_matrix,
+    scaled_signals,
+)
+from armrig.estimation.multivariable.subspace import (
+    Projected,
+    complete_stretches,
+    projected,
+    realised,
+)
+from armrig.estimation.orders import require_samples
+from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.multivariable.matrices import Matrices
+from armrig.models.structure_table import Weights
+from armrig.numerics.checks import require_integers
+from armrig.numerics.criteria import mdl
+from armrig.numerics.polynomial import Array
+from armrig.numerics.recursion import recursion
+
+_MAX_SUGGESTED_ORDER = 10
+_MIN_HORIZON = 10
+_REPLICATES = 100
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Model:
+    """Matrices in scaled units, and the state at the start of each experiment."""
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    K: Array
+    x0: tuple[Array, ...]
+
+
+def n4sid(
+    data: Signals,
+    order: int | None = None,
+    weights: Weights = "cva",
+    *,
+    nk: int | Sequence[int] = 1,
+    horizon: int | None = None,
+    replicates: int = _REPLICATES,
+    seed: int = 0,
+) -> MultivariableFit:
+    """Estimate x(t+1) = A x + B u + K e, y = C x + D u + e by projections.
+
+    A and C are computed from the left singular vectors of the weighted projection, and K from the
+    residuals of the states. B, D and the initial states then minimise the one-step errors by least
+    squares. `ss` continues from this estimate to the minimum of the prediction error.
+
+    Parameters
+    ----------
+    data : Signals
+        N samples of nu inputs and ny outputs. Windows with a missing output are not used.
+    order : int, optional
+        Number of states, >= 1. The default is the order of least MDL of the one-step errors.
+    weights : {"cva", "moesp", "n4sid"}
+        Weights of the projection, as for one input and output.
+    nk : int or sequence of int, default 1
+        Samples before each input reaches the outputs; 0 for all inputs is a direct term D.
+    horizon : int, optional
+        Number of past and of future samples; by default at least 10 and twice the order.
+    replicates : int, default 100
+        Number of simulated data sets for the covariance. Each is simulated from the model with
+        resampled residuals, and its model is estimated in the same way. With 0 the covariance is
+        NaN.
+    seed : int, default 0
+        Seed of the resampling.
+
+    Returns
+    -------
+    MultivariableFit
+        The covariance is that of the replicates, in the state's coordinates of the model.
+
+    Raises
+    ------
+    ValueError
+        There are too few samples, or the data do not determine the model.
+
+    References
+    ----------
+    .. [1] P. Van Overschee, B. De Moor, *Subspace Identification for Linear Systems*, 1996.
+    .. [2] B. Efron, R. Tibshirani, *An Introduction to the Bootstrap*, 1993, chapter 9.
+    """
+    require_integers(order=(1 if order is None else order, 1), replicates=(replicates, 0))
+    if weights not in get_args(Weights):
+        allowed = ", ".join(f'"{x}"' for x in get_args(Weights))
+        raise InputError(f"weights={weights!r} must be one of {allowed}")
+    delays = delays_of(nk, data)
+    require_informative(data)
+    signals, su, sy = scaled_signals(data, delays)
+    i = _horizon(data, order) if horizon is None else horizon
+    least = 3 if order is None else -(-int(order) // data.ny) + 1
+    require_integers(horizon=(i, least))
+    width = 2 * i * (data.nu + data.ny)
+    whole = complete_stretches(signals, 2 * i)
+    windows = sum(u.shape[0] - 2 * i + 1 for u, _ in whole)
+    require_samples(
+        f"horizon={i}, with windows of {2 * i} samples without a gap,",
+        needed=width + 2 * i,
+        got=windows + 2 * i - 1 if windows else 0,
+    )
+    found = projected(whole, i, weights)
+    n = _suggested_order(found) if order is None else int(order)
+    direct = max(delays) == 0
+    model = _completed(signals, *realised(found, n), direct=direct)
+    residuals = _residuals(signals, model)
+    covariance = _replicated(
+        signals, model, residuals, i, weights, direct=direct, replicates=replicates, seed=seed
+    )
+    form = _form(model, su, sy, delays)
+    scale = _scales(model, su, sy)
+    parameters = (n * (data.ny + data.nu) + n * data.ny) / data.ny
+    outputs = [
+        ([e[:, k] * sy[k] for e in residuals], [p.y[:, k] for p in data.experiments()])
+        for k in range(data.ny)
+    ]
+    return MultivariableFit(
+        structure="n4sid",
+        orders=f"order={n}, nk={delays[0] if len(set(delays)) == 1 else list(delays)}",
+        form=form,
+        covariance=scale[:, None] * covariance * scale,
+        covariance_robust=scale[:, None] * covariance * scale,
+        noise_covariance=pairwise_covariance(np.vstack(residuals)) * np.outer(sy, sy),
+        quality=tuple(quality_of(e, y, parameters) for e, y in outputs),
+        findings=tuple(instability(form)),
+        **origin(data),
+    )
+
+
+def _horizon(data: Signals, order: int | None) -> int:
+    """Return the default horizon: shorter for short data."""
+    wanted = max(_MIN_HORIZON, 2 * (order or 0))
+    most = data.N // (3 * (data.nu + data.ny))
+    return max(min(wanted, most), -(-(order or 2) // data.ny) + 1)
+
+
+def _suggested_order(found: Projected) -> int:
+    """Return the order of least MDL of the one-step errors of the states."""
+    w = found
+    most = min(_MAX_SUGGESTED_ORDER, (w.horizon - 1) * w.ny)
+    y = w.R[:, w.columns("yf")[: w.ny]]
+    now = w.R[:, w.columns("uf")[: w.nu]]
+    states = w.R[:, w.columns("up", "yp")] @ (w.H.T @ w.U[:, :most])
+    scores = []
+    for n in range(1, most + 1):
+        known = np.hstack([now, states[:, :n]])
+        rest = y - known @ np.linalg.lstsq(known, y, rcond=None)[0]
+        loss = np.exp(np.linalg.slogdet(rest.T @ rest / w.N)[1])
+        scores.append(float(mdl(loss, n * (2 * w.ny + w.nu), w.N)))
+    return 1 + int(np.argmin(scores))
+
+
+def _completed(
+    signals: Sequence[tuple[Array, Array]], A: Array, C: Array, K: Array, *, direct: bool
+) -> _Model:
+    """Return the model with B, D and the initial states of least one-step errors."""
+    Abar = reflected_matrix(A - K @ C)
+    driven = []
+    for u, y in signals:
+        known = np.where(np.isfinite(y), y, 0.0)
+        x = recursion(Abar, known @ K.T, np.zeros(A.shape[0]))[:-1]
+        driven.append((u, y - x @ C.T))
+    problem = StateSpaceProblem(
+        parts=parts_of(driven, np.eye(C.shape[0])), order=A.shape[0], direct=direct, noise=False
+    )
+    linear = problem.linear(Abar, C)
+    return _Model(A=Abar + K @ C, B=linear.Bbar + K @ linear.D, C=C, D=linear.D, K=K, x0=linear.x0)
+
+
+def _residuals(signals: Sequence[tuple[Array, Array]], model: _Model) -> list[Array]:
+    """Return e (N, ny) of each experiment, NaN where an output is missing."""
+    Abar, Bbar = model.A - model.K @ model.C, model.B - model.K @ model.D
+    found = []
+    for (u, y), x0 in zip(signals, model.x0, strict=True):
+        known = np.where(np.isfinite(y), y, 0.0)
+        x = recursion(Abar, u @ Bbar.T + known @ model.K.T, x0)[:-1]
+        found.append(y - x @ model.C.T - u @ model.D.T)
+    return found
+
+
+def _replicated(
+    signals: Sequence[tuple[Array, Array]],
+    model: _Model,
+    residuals: list[Array],
+    horizon: int,
+    weights: Weights,
+    *,
+    direct: bool,
+    replicates: int,
+    seed: int,
+) -> Array:
+    """Return the covariance of the matrices over the replicates, in the model's coordinates."""
+    rng = np.random.default_rng(seed)
+    whole = np.vstack(residuals)
+    whole = whole[np.isfinite(whole).all(axis=1)]
+    whole = whole - whole.mean(axis=0)
+    samples = []
+    for _ in range(replicates):
+        data = []
+        for (u, y), x0 in zip(signals, model.x0, strict=True):
+            e = whole[rng.integers(0, whole.shape[0], u.shape[0])]
+            x = recursion(model.A, u @ model.B.T + e @ model.K.T, x0)[:-1]
+            simulated = x @ model.C.T + u @ model.D.T + e
+            data.append((u, np.where(np.isfinite(y), simulated, np.nan)))
+        found = projected(complete_stretches(data, 2 * horizon), horizon, weights)
+        A, C, K = realised(found, model.A.shape[0])
+        replicate = _completed(data, A, C, K, direct=direct)
+        samples.append(_aligned(replicate, model))
+    d = _vector(model).size
+    if len(samples) < 2:
+        return np.full((d, d), np.nan)
+    return np.atleast_2d(np.cov(np.array(samples).T))
+
+
+def _aligned(replicate: _Model, model: _Model) -> Array:
+    """Return the matrices of a replicate in the state's coordinates of the model.
+
+    The coordinates are those in which the observability matrices are nearest.
+    """
+    n = model.A.shape[0]
+    own, other = _observability(model, n), _observability(replicate, n)
+    T = np.linalg.lstsq(other, own, rcond=None)[0]
+    inverse = np.linalg.pinv(T)
+    moved = _Model(
+        A=inverse @ replicate.A @ T,
+        B=inverse @ replicate.B,
+        C=replicate.C @ T,
+        D=replicate.D,
+        K=inverse @ replicate.K,
+        x0=(),
+    )
+    return _vector(moved)
+
+
+def _observability(model: _Model, n: int) -> Array:
+    blocks = [model.C]
+    for _ in range(n):
+        blocks.append(blocks[-1] @ model.A)
+    return np.vstack(blocks)
+
+
+def _vector(model: _Model) -> Array:
+    return np.concatenate([M.ravel() for M in (model.A, model.B, model.C, model.D, model.K)])
+
+
+def _form(model: _Model, su: Array, sy: Array, delays: tuple[int, ...]) -> Matrices:
+    """Return the model in the units of the data."""
+    return Matrices(
+        A=model.A,
+        B=model.B / su,
+        C=sy[:, None] * model.C,
+        D=sy[:, None] * model.D / su,
+        K=model.K / sy,
+        nk=delays,
+    )
+
+
+def _scales(model: _Model, su: Array, sy: Array) -> Array:
+    """Return the factor of each entry from scaled units to the units of the data."""
+    n = model.A.shape[0]
+    one = np.ones((n, 1))
+    parts = (np.ones((n, n)), one / su, sy[:, None] * one.T, sy[:, None] / su, one / sy)
+    return np.concatenate([p.ravel() for p in parts])

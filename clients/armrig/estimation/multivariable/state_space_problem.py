@@ -1,0 +1,297 @@
+"""Prediction-error problem of a state-space model with several inputs and outputs.
+
+The predictor is, with Abar = A - K C and Bbar = B - K D ::
+
+    x(t+1) = Abar x(t) + Bbar u(t) + K y(t),    yhat(t) = C x(t) + D u(t)
+
+For given Abar and C it is linear in Bbar, K, D and x(0). The search is therefore over Abar and C
+only (variable projection). A change of the state's coordinates does not change the model. The
+search uses the n ny directions orthogonal to these changes, the tangent space of the models.
+
+References
+----------
+.. [1] T. McKelvey, A. Helmersson, T. Ribarits, Automatica 40 (2004) 1629-1635 (local coordinates).
+.. [2] J. Bruls, C. T. Chou, B. R. J. Haverkamp, M. Verhaegen, European J. Control 5 (1999) 186-200
+   (separable least squares).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from armrig_core.errors import InputError
+from scipy.linalg import solve_discrete_lyapunov
+
+from armrig.data.signals import Signals
+from armrig.estimation.multivariable.whitening import whitening
+from armrig.numerics.checks import require_integers
+from armrig.numerics.least_squares import Basis, orthonormal
+from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
+from armrig.numerics.polynomial import Array
+from armrig.numerics.recursion import recursion, responses
+
+_MAX_MODULUS = 1 - 1e-7  # of an eigenvalue of Abar in a search
+_ORBIT_TOLERANCE = 1e-10  # relative singular value of a change of coordinates
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """Signals of one experiment, scaled."""
+
+    u: Array
+    """Inputs (N, nu)."""
+    y: Array
+    """Outputs (N, ny), 0 where one is missing."""
+    rows: Array
+    """Mask (N, ny), False where an output is missing."""
+    weights: Array
+    """Whitening matrices (N, ny, ny)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Linear:
+    """Linear part of the predictor for given Abar and C."""
+
+    Bbar: Array
+    """Matrix of the inputs (n, nu)."""
+    K: Array
+    """Gain (n, ny); 0 for an output-error model."""
+    D: Array
+    """Direct term (ny, nu); 0 without one."""
+    x0: tuple[Array, ...]
+    """State at the start of each experiment, (n,)."""
+    rank: int
+    """Number of linear parameters that the data determine."""
+    basis: Basis
+    """Basis of the whitened responses to Bbar, K and D, without the responses to x0."""
+    X: Array
+    """Whitened responses to Bbar, K and D, without the responses to x0."""
+    states: tuple[Basis, ...]
+    """Basis of the whitened responses to x0 of each experiment."""
+    e: Array
+    """Whitened errors of all experiments, output after output."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StateSpaceProblem:
+    """Problem min sum of e^T inv(Lambda) e over Abar, C and all linear parameters."""
+
+    parts: tuple[Part, ...]
+    """Signals of each experiment."""
+    order: int
+    """Number of states."""
+    direct: bool
+    """True if D is estimated."""
+    noise: bool
+    """True if K is estimated; False for an output-error model."""
+
+    def linear(self, Abar: Array, C: Array) -> Linear:
+        """Return the linear parameters by least squares."""
+        n, (ny, _) = self.order, C.shape
+        nu = self.parts[0].u.shape[1]
+        states, X, y, raw = [], [], [], []
+        for part in self.parts:
+            driven, free = self._responses(part, Abar, C)
+            Z = orthonormal(whitened(part, free))
+            both = np.column_stack([whitened(part, driven), whitened(part, part.y[:, None])])
+            raw.append(both)
+            both = Z.without(both)
+            states.append(Z)
+            X.append(both[:, :-1])
+            y.append(both[:, -1])
+        whole, right = np.vstack(X), np.concatenate(y)
+        basis = orthonormal(whole)
+        theta = basis.coefficients(right)
+        signals = theta[: n * (nu + ny * self.noise)].reshape(-1, n).T
+        D = theta[signals.size :].reshape(ny, nu) if self.direct else np.zeros((ny, nu))
+        return Linear(
+            Bbar=signals[:, :nu],
+            K=signals[:, nu:] if self.noise else np.zeros((n, ny)),
+            D=D,
+            x0=tuple(
+                Z.coefficients(M[:, -1] - M[:, :-1] @ theta)
+                for Z, M in zip(states, raw, strict=True)
+            ),
+            rank=basis.rank,
+            basis=basis,
+            X=whole,
+            states=tuple(states),
+            e=basis.without(right),
+        )
+
+    def _responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
+        """Return the outputs (N, k, ny) driven by each linear parameter, and by each state."""
+        n = self.order
+        signals = np.hstack([part.u, part.y]) if self.noise else part.u
+        N, m = signals.shape
+        driven = responses(Abar, C, signals).reshape(N, m * n, -1)
+        if self.direct:
+            ny, nu = C.shape[0], part.u.shape[1]
+            at_once = np.zeros((N, ny, nu, ny))
+            at_once[:, range(ny), :, range(ny)] = part.u
+            driven = np.concatenate([driven, at_once.reshape(N, ny * nu, ny)], axis=1)
+        free = recursion(Abar, np.zeros((N, n, n)), np.eye(n))[:-1] @ C.T
+        return driven, free
+
+    def cost(self, Abar: Array, C: Array) -> float:
+        """Return the sum of squared whitened errors."""
+        e = self.linear(Abar, C).e
+        return float(e @ e)
+
+    def derivatives(self, Abar: Array, C: Array, linear: Linear, directions: Array) -> list[Array]:
+        """Return the derivatives of yhat in given directions, (N, k, ny) for each experiment.
+
+        Parameters
+        ----------
+        directions : ndarray, shape (n (n + ny), k)
+            Changes of Abar, then of C, each row by row.
+        """
+        n, ny = self.order, C.shape[0]
+        by_A = directions[: n * n].T.reshape(-1, n, n)
+        by_C = directions[n * n :].T.reshape(-1, ny, n)
+        found = []
+        for part, x0 in zip(self.parts, linear.x0, strict=True):
+            x = recursion(Abar, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)[:-1]
+            driven = np.tensordot(x, by_A, axes=(1, 2))
+            moved = recursion(Abar, driven, np.zeros((by_A.shape[0], n)))[:-1]
+            found.append(moved @ C.T + np.tensordot(x, by_C, axes=(1, 2)))
+        return found
+
+    def minimise(self, Abar: Array, C: Array, *, most: int) -> tuple[Array, Array, Optimum]:
+        """Return Abar and C after at most `most` steps along the tangent space."""
+        Abar, C = output_normal(Abar, C)
+        V = tangent(Abar, C)
+        n = self.order
+
+        def at(t: Array) -> tuple[Array, Array]:
+            moved = V @ t
+            return Abar + moved[: n * n].reshape(n, n), C + moved[n * n :].reshape(C.shape)
+
+        def linearise(t: Array) -> tuple[Array, Array]:
+            A, c = at(t)
+            linear = self.linear(A, c)
+            by = self.derivatives(A, c, linear, V)
+            J = [
+                Z.without(whitened(part, d))
+                for part, d, Z in zip(self.parts, by, linear.states, strict=True)
+            ]
+            return linear.e, linear.basis.without(np.vstack(J))
+
+        found = levenberg_marquardt(
+            linearise,
+            np.zeros(V.shape[1]),
+            admissible=lambda t: stable_matrix(at(t)[0]),
+            most=most,
+        )
+        return *at(found.theta), found
+
+    def residuals(self, Abar: Array, C: Array, linear: Linear) -> list[Array]:
+        """Return e (N, ny) of each experiment, NaN where an output is missing."""
+        found = []
+        for part, x0 in zip(self.parts, linear.x0, strict=True):
+            x = recursion(Abar, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)[:-1]
+            e = part.y - x @ C.T - part.u @ linear.D.T
+            found.append(np.where(part.rows, e, np.nan))
+        return found
+
+    def edges(self) -> list[slice]:
+        """Return the slice of each experiment in stacked whitened rows."""
+        sizes = np.cumsum([part.y.size for part in self.parts]).tolist()
+        return [slice(a, b) for a, b in pairwise([0, *sizes])]
+
+
+def whitened(part: Part, columns: Array) -> Array:
+    """Return columns (N, k, ny) whitened, with the rows output after output, (ny N, k)."""
+    N, k, ny = columns.shape
+    if part.rows.all():
+        white = columns @ part.weights[0].T
+    else:
+        white = columns @ part.weights.transpose(0, 2, 1)
+    return np.asarray(white.transpose(2, 0, 1)).reshape(ny * N, k)
+
+
+def stable_matrix(A: Array) -> bool:
+    """Return whether all eigenvalues are inside the unit circle."""
+    return bool(np.isfinite(A).all() and np.max(np.abs(np.linalg.eigvals(A))) < _MAX_MODULUS)
+
+
+def reflected_matrix(A: Array, largest: float = 0.995) -> Array:
+    """Return A with the eigenvalues outside the circle moved into it, for a start value."""
+    z, V = np.linalg.eig(A)
+    size = np.abs(z)
+    if not size.size or size.max() < largest:
+        return A
+    inside = np.where(size > 1, 1 / np.maximum(size, 1), size)
+    z = z / np.maximum(size, 1e-300) * np.minimum(inside, largest)
+    return np.asarray(np.real(V @ np.diag(z) @ np.linalg.inv(V)))
+
+
+def output_normal(A: Array, C: Array) -> tuple[Array, Array]:
+    """Return A and C of the same model with A^T A + C^T C = 1, which suits a search."""
+    gramian = solve_discrete_lyapunov(A.T, C.T @ C)
+    values, axes = np.linalg.eigh((gramian + gramian.T) / 2)
+    root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
+    T = (axes * root).T
+    inverse = axes / root
+    return T @ A @ inverse, C @ inverse
+
+
+def tangent(A: Array, C: Array) -> Array:
+    """Return an orthonormal basis (n (n + ny), n ny) of the directions that change the model.
+
+    A change of coordinates by 1 + S moves A by S A - A S and C by -C S.
+    """
+    n, ny = A.shape[0], C.shape[0]
+    orbit = np.zeros((n * (n + ny), n * n))
+    for k, S in enumerate(np.eye(n * n).reshape(-1, n, n)):
+        orbit[:, k] = np.concatenate([(S @ A - A @ S).ravel(), (-C @ S).ravel()])
+    U, s, _ = np.linalg.svd(orbit)
+    rank = int(np.count_nonzero(s > _ORBIT_TOLERANCE * s[0]))
+    return np.asarray(U[:, rank:])
+
+
+def delays_of(nk: int | Sequence[int], data: Signals) -> tuple[int, ...]:
+    """Return the delay of each input."""
+    given = (nk,) * data.nu if isinstance(nk, int) else tuple(nk)
+    if len(given) != data.nu:
+        raise InputError(f"nk={nk!r}: {data.nu} delays are needed, one for each input")
+    for value in given:
+        require_integers(nk=(value, 0))
+    if min(given) == 0 < max(given):
+        raise InputError(f"nk={nk!r}: a direct term needs nk=0 for all inputs")
+    return given
+
+
+def scaled_signals(
+    data: Signals, delays: tuple[int, ...]
+) -> tuple[list[tuple[Array, Array]], Array, Array]:
+    """Return scaled and delayed u and y of each experiment, and the scales of u and of y."""
+    su, sy = _scale(data.u), _scale(data.y)
+    signals = []
+    for part in data.experiments():
+        pairs = zip(part.u.T, delays, strict=True)
+        u = np.column_stack([_delayed(x, max(k - 1, 0)) for x, k in pairs])
+        signals.append((u / su, part.y / sy))
+    return signals, su, sy
+
+
+def _scale(columns: Array) -> Array:
+    """Return the standard deviation of each column, 1 for a constant."""
+    std = np.nanstd(columns, axis=0)
+    return np.where(std > 0, std, 1.0)
+
+
+def _delayed(x: Array, lag: int) -> Array:
+    return np.concatenate([np.full(lag, x[0]), x[: x.size - lag]]) if lag else x
+
+
+def parts_of(signals: Sequence[tuple[Array, Array]], Lambda: Array) -> tuple[Part, ...]:
+    """Return the experiments, whitened by Lambda."""
+    masks = [np.isfinite(y) for _, y in signals]
+    return tuple(
+        Part(u=u, y=np.where(m, y, 0.0), rows=m, weights=whitening(Lambda, m))
+        for (u, y), m in zip(signals, masks, strict=True)
+    )

@@ -1,0 +1,228 @@
+"""State-space models of several signals: prediction error and projections."""
+
+from __future__ import annotations
+
+import armrig
+import numpy as np
+import pytest
+from armrig import Dataset, Signals
+from armrig.estimation.multivariable.state_space_problem import (
+    Part,
+    StateSpaceProblem,
+    output_normal,
+    reflected_matrix,
+    tangent,
+)
+from armrig.estimation.multivariable.whitening import whitening
+from armrig.numerics.polynomial import Array, filtered
+from armrig.numerics.recursion import recursion, responses
+from armrig_core.errors import InputError
+
+N = 1200
+A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.5]])
+B = np.array([[1.0, 0.0], [0.5, -0.3], [0.2, 1.0]])
+C = np.array([[1.0, 0.0, 0.5], [0.0, 0.8, -1.0]])
+K = np.array([[0.4, 0.0], [-0.1, 0.3], [0.1, -0.2]])
+LAMBDA = np.array([[0.04, 0.02], [0.02, 0.05]])
+POLES = np.linalg.eigvals(A)
+
+
+def data(seed: int = 1, scale: float = 1.0, missing: float = 0.0, D: float = 0.0) -> Signals:
+    """Return data of the model above."""
+    rng = np.random.default_rng(seed)
+    u = np.sign(rng.standard_normal((N, 2)))
+    e = scale * rng.multivariate_normal([0, 0], LAMBDA, N)
+    x = recursion(A, u @ B.T + e @ K.T, np.array([1.0, -2.0, 0.5]))[:-1]
+    y = x @ C.T + e + D * u[:, ::-1]
+    return Signals(u=u, y=y, Ts=0.1, valid=rng.random(y.shape) >= missing)
+
+
+def nearest(found: Array, truth: Array = POLES) -> Array:
+    """Return, for each true pole, the estimated pole nearest to it."""
+    return np.array([found[np.argmin(np.abs(found - z))] for z in truth])
+
+
+def problem(noise: bool, direct: bool, missing: float) -> StateSpaceProblem:
+    """Return the problem of two experiments."""
+    signals = data(missing=missing)
+    parts = []
+    for at in (slice(0, 70), slice(70, 200)):
+        rows = signals.valid[at]
+        y = np.where(rows, signals.y[at], 0.0)
+        weights = whitening(LAMBDA, rows)
+        parts.append(Part(u=signals.u[at], y=y, rows=rows, weights=weights))
+    return StateSpaceProblem(parts=tuple(parts), order=3, direct=direct, noise=noise)
+
+
+@pytest.mark.parametrize(
+    ("noise", "direct", "missing"), [(True, False, 0.0), (True, True, 0.0), (False, True, 0.2)]
+)
+def test_the_gradient_is_the_slope_of_the_cost(noise: bool, direct: bool, missing: float) -> None:
+    p = problem(noise, direct, missing)
+    Abar, c = output_normal(A - K @ C, C)
+    linear = p.linear(Abar, c)
+    V = np.eye(Abar.size + c.size)
+    h = 1e-6
+
+    by = p.derivatives(Abar, c, linear, V)
+    e = np.concatenate([r.ravel() for r in p.residuals(Abar, c, linear)])
+    assert e.size == 400
+    J = np.vstack(
+        [
+            Z.without(np.einsum("tij,tkj->itk", part.weights, d).reshape(-1, V.shape[1]))
+            for part, d, Z in zip(p.parts, by, linear.states, strict=True)
+        ]
+    )
+    gradient = -2 * J.T @ linear.e
+
+    def cost(step: Array) -> float:
+        return p.cost(Abar + step[:9].reshape(3, 3), c + step[9:].reshape(2, 3))
+
+    slopes = [(cost(h * v) - cost(-h * v)) / (2 * h) for v in V]
+    np.testing.assert_allclose(gradient, slopes, atol=1e-4 * np.abs(slopes).max())
+
+
+def test_tangent_directions_are_orthogonal_to_changes_of_coordinates() -> None:
+    V = tangent(A, C)
+    S = np.random.default_rng(0).normal(size=(3, 3))
+    change = np.concatenate([(S @ A - A @ S).ravel(), (-C @ S).ravel()])
+
+    assert V.shape == (15, 6)
+    np.testing.assert_allclose(V.T @ change, 0, atol=1e-12)
+
+
+def test_output_normal_form_is_the_same_model() -> None:
+    a, c = output_normal(A, C)
+
+    np.testing.assert_allclose(a.T @ a + c.T @ c, np.eye(3), atol=1e-10)
+    np.testing.assert_allclose(nearest(np.linalg.eigvals(a)), POLES, atol=1e-10)
+
+
+def test_a_start_value_is_stable() -> None:
+    inside = reflected_matrix(np.diag([1.5, 0.5]))
+
+    np.testing.assert_allclose(np.sort(np.linalg.eigvals(inside)), [0.5, 1 / 1.5])
+
+
+@pytest.mark.parametrize("Phi", [A, np.array([[0.9, 1.0], [0.0, 0.9]])], ids=["modes", "double"])
+def test_responses_are_those_of_the_recursion(Phi: Array) -> None:
+    n = Phi.shape[0]
+    signals = np.random.default_rng(1).normal(size=(50, 2))
+    c = np.random.default_rng(2).normal(size=(2, n))
+
+    found = responses(Phi, c, signals)
+
+    assert found.shape == (50, 2, n, 2)
+    for s in range(2):
+        for k in range(n):
+            x = recursion(Phi, np.outer(signals[:, s], np.eye(n)[k]), np.zeros(n))[:-1]
+            np.testing.assert_allclose(found[:, s, k], x @ c.T, atol=1e-9)
+
+
+def test_noise_free_data_give_back_the_plant() -> None:
+    for fit in (
+        armrig.ss(data(scale=0.0), order=3, noise=False),
+        armrig.n4sid(data(scale=1e-7), 3, replicates=0),
+    ):
+        np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=1e-5)
+        G = fit.frequency_response([2.0]).G[0]
+        z = np.exp(0.2j)
+        np.testing.assert_allclose(G, C @ np.linalg.solve(z * np.eye(3) - A, B), atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_estimates_lie_within_their_deviations(seed: int) -> None:
+    fit = armrig.ss(data(seed=seed), order=3)
+
+    poles = fit.poles()
+    order = [int(np.argmin(np.abs(poles.values - z))) for z in POLES]
+    z = np.abs(poles.values[order] - POLES) / poles.std[order]
+    assert z.max() < 3.5
+    assert fit.converged
+    np.testing.assert_allclose(fit.noise_covariance, LAMBDA, rtol=0.25)
+    omega = np.array([0.5, 5.0, 20.0])
+    answer = fit.frequency_response(omega)
+    truth = np.array([C @ np.linalg.solve(np.exp(0.1j * w) * np.eye(3) - A, B) for w in omega])
+    off = (np.abs(answer.G) - np.abs(truth)) / answer.std_magnitude
+    assert np.abs(off).max() < 4.5
+    assert all(not q.white.coloured for q in fit.quality)
+
+
+def test_the_unit_of_a_signal_decides_nothing() -> None:
+    signals = data()
+    other = Signals(u=signals.u * [1e3, 1.0], y=signals.y * [1.0, 1e-6], Ts=0.1)
+
+    ours, theirs = armrig.ss(signals, order=3), armrig.ss(other, order=3)
+
+    np.testing.assert_allclose(
+        nearest(theirs.poles().values, ours.poles().values), ours.poles().values, atol=1e-5
+    )
+    assert theirs["y2", "u1"].B[1] == pytest.approx(1e-9 * ours["y2", "u1"].B[1], rel=1e-3)
+
+
+def test_one_input_and_output_give_the_armax_model() -> None:
+    rng = np.random.default_rng(4)
+    u = np.sign(rng.standard_normal(N))
+    a = np.array([1.0, -1.4, 0.65])
+    y = filtered([0, 1.0, 0.5], a, u) + filtered([1, 0.5, 0.2], a, 0.3 * rng.standard_normal(N))
+    known = armrig.armax(Dataset(u=u, y=y, Ts=1.0), na=2, nb=2, nc=2)
+
+    fit = armrig.ss(Signals(u=u, y=y, Ts=1.0), order=2)
+
+    channel = fit["y", "u"]
+    np.testing.assert_allclose(channel.F, known.A, atol=2e-5)
+    np.testing.assert_allclose(channel.B, known.B, atol=2e-5)
+    np.testing.assert_allclose(channel.std, [*known.std[2:4], *known.std[:2]], rtol=1e-3)
+    assert fit.quality[0].loss == pytest.approx(known.loss, rel=1e-8)
+
+
+def test_a_direct_term_and_a_delay_are_estimated() -> None:
+    direct = armrig.ss(data(D=0.7), order=3, nk=0)
+    signals = data()
+    u = np.column_stack([np.roll(signals.u[:, 0], -2), signals.u[:, 1]])
+    late = Signals(u=u[:-2], y=signals.y[:-2], Ts=0.1)
+    fit = armrig.ss(late, order=3, nk=[3, 1])
+
+    np.testing.assert_allclose(direct.state_space()[3], 0.7 * np.eye(2)[::-1], atol=0.1)
+    assert fit["y1", "u1"].nk == 3
+    np.testing.assert_allclose(fit["y1", "u1"].B[:3], 0.0)
+    np.testing.assert_allclose(fit.simulate(late.u)[200:], fit.predict(late, None)[200:], atol=1e-3)
+    system = fit.to_control()
+    z = np.exp(0.3j)
+    np.testing.assert_allclose(fit.frequency_response([3.0]).G[0], system(z), rtol=1e-8)
+
+
+def test_missing_outputs_of_an_output_error_model_are_left_out() -> None:
+    fit = armrig.ss(data(scale=0.3, missing=0.2), order=3, noise=False)
+
+    np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=0.03)
+
+
+def test_the_replicates_have_the_deviations_of_many_runs() -> None:
+    fits = [armrig.n4sid(data(seed=s), 3, replicates=0) for s in range(60)]
+    values = np.array([nearest(f.poles().values) for f in fits])
+    spread = np.sqrt(np.var(values.real, axis=0) + np.var(values.imag, axis=0))
+
+    poles = armrig.n4sid(data(seed=7), 3).poles()
+
+    order = [int(np.argmin(np.abs(poles.values - z))) for z in POLES]
+    assert np.abs(poles.std[order] / spread - 1).max() < 0.45
+
+
+def test_the_order_is_suggested() -> None:
+    orders = [armrig.n4sid(data(seed=s), replicates=0).form.A.shape[0] for s in range(5)]
+
+    assert orders.count(3) >= 4
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    with pytest.raises(InputError, match="needs at least"):
+        armrig.ss(data()[:30], order=8)
+    with pytest.raises(InputError, match="2 delays are needed, one for each input"):
+        armrig.ss(data(), order=2, nk=[1, 1, 1])
+    with pytest.raises(InputError, match="a direct term needs nk=0 for all inputs"):
+        armrig.ss(data(), order=2, nk=[0, 1])
+    with pytest.raises(InputError, match="weights='pls' must be one of"):
+        armrig.n4sid(data(), 2, "pls")
+    with pytest.raises(InputError, match="windows of 100 samples without a gap"):
+        armrig.n4sid(data(missing=0.2), 3, horizon=50)
