@@ -220,7 +220,7 @@ class Access(Table, frozen=True, kw_only=True):
     listen: str = ""
     """Endpoint at which to listen in addition to the Unix socket, such as tls/0.0.0.0:7447."""
     certificate: str = ""
-    """File of the rig's credential, which `armrig pki rig` writes; for tls/ and for a router."""
+    """File with the rig's key and certificates, from `armrig pki rig`; for tls/ and a router."""
     names: str = ""
     """File of the access list, which `armrig pki` writes: the clients that may drive or watch."""
     passwords: str = ""
@@ -244,7 +244,7 @@ class Client(Table, frozen=True, kw_only=True):
     connect: str = ""
     """Endpoint of the daemon, such as tls/lab-1.example.edu:7447; default: on this machine."""
     certificate: str = ""
-    """File of your credential, which `armrig pki operator` or `observer` writes; for tls/."""
+    """File with your key and certificates, from `armrig pki operator` or `observer`; for tls/."""
     password: str = ""
     """File with a line user:password; for tcp/."""
 

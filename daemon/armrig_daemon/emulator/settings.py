@@ -60,7 +60,7 @@ class EmulatorSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     conversion_us: float = 104.0
     """Time of one conversion, in µs; 104 is 13 clocks of the ATmega328P's ADC at 125 kHz."""
     clock_ppm: float = 0.0
-    """Error of the device's oscillator, in parts per million: its µs last 1 + clock_ppm 1e-6 µs.
+    """Error of the device's oscillator, in ppm: 1 µs of the device lasts 1 + clock_ppm 1e-6 µs.
 
     The error affects Ts, conversions and the watchdog, but not the bits on the line.
     """
