@@ -66,8 +66,8 @@ def record(
 
     The recording begins with the samples that the daemon keeps, the last 24 s at 1 kHz. A shorter
     interruption of the connection loses no sample; a longer one leaves a gap in the file. A new
-    file begins if the daemon restarts, if the sampling time changes, or after a break of more than
-    200 000 samples.
+    file begins if the daemon restarts, if the sampling time changes, or if more than 200 000
+    samples of the current file are missing.
     """
     from armrig_core.topics import check_own_id
 
