@@ -570,6 +570,66 @@ def iv4() -> Variants:
     yield "unlike", armrig.iv4(unlike(), na=2, nb=2, nk=3)
 
 
+@cache
+def driven_twice(missing: float = 0.0) -> armrig.Signals:
+    """Return data of a plant with two inputs and two outputs whose noise is correlated."""
+    rng = np.random.default_rng([9, 9])
+    u = np.column_stack([switching(400, 11, 0.2, -1, 1), switching(400, 12, 0.3, -1, 1)])
+    e = rng.multivariate_normal([0, 0], [[0.04, 0.02], [0.02, 0.05]], 400)
+    F = np.array([1.0, -1.3, 0.6])
+    y = np.column_stack(
+        [
+            lfilter([0, 1.0, 0.4], F, u[:, 0]) + lfilter([0, 0.5], F, u[:, 1]),
+            lfilter([0, 0.3, -0.5], F, u[:, 0]) + lfilter([0, 0, 0.8], F, u[:, 1]),
+        ]
+    )
+    y += np.column_stack([lfilter([1, 0.4], [1, -0.7], x) for x in e.T])
+    return armrig.Signals(u=u, y=y, Ts=0.1, valid=rng.random(y.shape) >= missing)
+
+
+def of_several(fit: armrig.MultivariableFit) -> Variants:
+    """Return the numbers of a model that do not depend on the state's coordinates."""
+    for i, j, channel in fit.channels():
+        yield f"channel {i} {j}", (channel.theta, channel.std, channel.std_robust)
+    yield "noise", (fit.noise_covariance, [q.loss for q in fit.quality])
+    yield "poles", (np.sort(fit.poles().values.real), np.sort(fit.poles().std))
+    yield "step", fit.step_response(12)
+    data = driven_twice(0.1)
+    for horizon in (1, 4, None):
+        yield f"predicted {horizon}", fit.predict(data, horizon)
+    yield "simulated", fit.simulate(data.u)
+
+
+@variants
+def MultivariableFit() -> Variants:
+    orders = {"nb": 2, "nf": 2, "nk": [[1, 1], [1, 2]]}
+    full, gaps = driven_twice(), driven_twice(0.1)
+    fits = {
+        "arx": armrig.arx(full, na=[[2, 1], [1, 2]], nb=2),
+        "arx gaps": armrig.arx(gaps, na=[[2, 0], [1, 2]], nb=[[2, 1], [2, 2]]),
+        "oe": armrig.oe(full, **orders),
+        "oe shared": armrig.oe(gaps, **orders, shared="denominator"),
+        "bj": armrig.bj(full, nc=1, nd=1, **orders),
+        "bj gaps": armrig.bj(gaps, nc=1, nd=1, **orders),
+        "armax shared": armrig.armax(full, na=3, nb=3, nc=2, shared="denominator"),
+        "n4sid": armrig.n4sid(full, 3, replicates=20),
+    }
+    for name, fit in fits.items():
+        for part, found in of_several(fit):
+            yield f"{name} {part}", found
+
+
+@variants
+def ss() -> Variants:
+    fits = {
+        "innovations": armrig.ss(driven_twice(), order=3),
+        "output error": armrig.ss(driven_twice(0.1), order=2, noise=False),
+    }
+    for name, fit in fits.items():
+        for part, found in of_several(fit):
+            yield f"{name} {part}", found
+
+
 @variants
 def armax() -> Variants:
     for name in ("odd", "holes", "two"):

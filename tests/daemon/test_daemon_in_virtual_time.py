@@ -525,7 +525,7 @@ def test_a_device_that_applies_something_else_is_stopped(driven: Bench) -> None:
     driven.run_for(30)
 
     assert driven.phase is Phase.FAULT
-    assert "where" in driven.loop.state.reason
+    assert "but code" in driven.loop.state.reason
     assert driven.volts == 0.0
 
 

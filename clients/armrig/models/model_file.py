@@ -65,8 +65,11 @@ def fit_of(text: str, path: str) -> Fit:
     try:
         content = json.loads(text) if text.lstrip().startswith("{") else None
         if not isinstance(content, dict) or content.get("format") != FORMAT:
+            several = isinstance(content, dict) and "quality" in content
             raise FileError(
-                f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
+                f"{path} is a model of several signals; read it with armrig.load_fit in Python"
+                if several
+                else f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
             )
         if content.get("version") != VERSION:
             raise FileError(

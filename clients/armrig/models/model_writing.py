@@ -39,27 +39,27 @@ def model_text(fit: Estimate) -> str:
     content = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
     # armrig 0.1 reads only the sentences of the findings, as `warnings`.
     names = ("warnings" if f.name == "findings" else f.name for f in fields(fit))
-    content |= {name: _plain(getattr(fit, name)) for name in names}
+    content |= {name: plain(getattr(fit, name)) for name in names}
     content["treatment"] = codes_of(fit.history)
     content["findings"] = [
-        {"about": f.about, "level": f.level, "asks": f.asks, "numbers": _plain(f.numbers)}
+        {"about": f.about, "level": f.level, "asks": f.asks, "numbers": plain(f.numbers)}
         for f in fit.findings
     ]
     return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return a value for JSON; a number that is not finite becomes "nan", "inf" or "-inf"."""
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, Start | FreeResponse):
-        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
-        return {name: _plain(x) for name, x in value.items()}
+        return {name: plain(x) for name, x in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(x) for x in value]
+        return [plain(x) for x in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain(value.item())
     if isinstance(value, float) and not isfinite(value):
         return str(value)
     return value

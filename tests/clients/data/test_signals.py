@@ -273,7 +273,7 @@ def test_a_pair_must_be_chosen() -> None:
     for ask in (
         signals.dataset,
         lambda: armrig.spa(signals),
-        lambda: armrig.oe(signals, nb=1, nf=1),
+        lambda: armrig.iv4(signals, na=1, nb=1),
     ):
         with pytest.raises(InputError, match=said):
             ask()

@@ -167,7 +167,7 @@ def compare(
 def _misfit(measured: Matrix, modelled: Matrix) -> tuple[float, float]:
     """Return fit percent and rms error over the measured samples."""
     known = np.isfinite(measured)
-    if not np.isfinite(modelled[known]).all():
+    if np.isinf(modelled[known]).any():
         return float("-inf"), float("inf")
     error = measured[known] - modelled[known]
     sse = float(error @ error)

@@ -21,6 +21,8 @@ from armrig.models.responses import FrequencyResponse, Roots, StepResponse
 from armrig.numerics.whiteness import Whiteness
 
 if TYPE_CHECKING:
+    from os import PathLike
+
     import control
 
     from armrig.models.multivariable.comparison import SignalsComparisonTable
@@ -261,7 +263,8 @@ class MultivariableFit:
         """Return ŷ(t) (N, ny) from u up to t and y up to t - horizon; with None, from u alone.
 
         The initial state of each experiment is estimated from the data by least squares. For an
-        integrating output the input offset is estimated too, as a ramp.
+        integrating output the input offset is estimated too, as a ramp. After a missing output the
+        prediction continues without it. ŷ is NaN before the first measured sample of an output.
 
         Raises
         ------
@@ -306,6 +309,18 @@ class MultivariableFit:
         from armrig.models.multivariable.comparison import compare
 
         return compare(data, self, *others, horizon=horizon)
+
+    def save(self, path: str | PathLike[str]) -> None:
+        """Write the model as JSON, with all digits of each number; `armrig.load_fit` reads it."""
+        from armrig.models.multivariable.model_file import save_fit
+
+        save_fit(self, path)
+
+    def _repr_html_(self) -> str:
+        """Return the model as HTML for a notebook."""
+        from html import escape
+
+        return f"<pre>{escape(repr(self))}</pre>"
 
     def estimated_from(self, data: Signals) -> bool:
         """Return whether the model was estimated from these data."""

@@ -13,9 +13,11 @@ import numpy as np
 
 from armrig.data.signals import Signals
 from armrig.models.model import Complex, Matrix, Vector, freeze
-from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
+
+_MIN_SINGULAR_VALUE = 1e-4  # of the scaled responses to states, relative to the largest
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,7 +83,8 @@ def predicted(
 
     The initial state and a ramp of each integrating output, which represents the offset of the
     input, are estimated by least squares. The innovation of a missing output is taken as 0. If the
-    model is unstable, ŷ may be infinite.
+    model is unstable, ŷ may be infinite. Predictions of an output before its first measured sample
+    are NaN.
 
     Parameters
     ----------
@@ -107,12 +110,26 @@ def predicted(
         if not np.isfinite(errors).all():
             return np.full(y.shape, np.inf)
         weighted = (errors / noise_std).transpose(0, 2, 1)[part.valid]
-        c = np.append(1.0, -orthonormal(weighted[:, 1:]).coefficients(weighted[:, 0]))
+        c = np.append(1.0, -_initial(weighted[:, 1:], weighted[:, 0]))
         for _ in range((horizon or 1) - 1):
             ahead = x[:-1] @ system.A.T + inputs[:-1] @ system.B.T
             x = np.concatenate([x[:1], ahead])
         own = _outputs(system, x, inputs) - outputs * (np.arange(c.size) > n)[:, None]
-    return np.asarray(np.einsum("k,tki->ti", c, own))
+    found = np.asarray(np.einsum("k,tki->ti", c, own))
+    # Before the first measured sample of an output, hardly any data determine its state.
+    unknown = np.cumsum(part.valid, axis=0) == 0
+    return np.where(unknown, np.nan, found) if horizon is not None else found
+
+
+def _initial(responses: Array, errors: Array) -> Array:
+    """Return the least-squares coefficients of the responses, without nearly dependent directions.
+
+    Channels with nearly the same poles have states with nearly the same responses. Their difference
+    would be large, and would spoil predictions of missing samples.
+    """
+    scale = np.maximum(column_norms(responses), 1e-100)
+    found = np.linalg.lstsq(responses / scale, errors, rcond=_MIN_SINGULAR_VALUE)[0]
+    return np.asarray(found / scale)
 
 
 def _outputs(system: StateSpace, x: Array, u: Array) -> Array:
