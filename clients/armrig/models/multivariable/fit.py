@@ -312,7 +312,7 @@ class MultivariableFit:
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the model as JSON, with all digits of each number; `armrig.load_fit` reads it."""
-        from armrig.models.multivariable.model_file import save_fit
+        from armrig.models.multivariable.model_writing import save_fit
 
         save_fit(self, path)
 

@@ -1,11 +1,10 @@
-"""JSON file of a model with several inputs and outputs, with all digits of each number."""
+"""Reading of a model from its JSON file, also of a model with several inputs and outputs."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
 from dataclasses import fields
-from importlib.metadata import version
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -15,59 +14,18 @@ from armrig_core.bounded import read_text
 from armrig_core.errors import FileError
 
 from armrig.data.finding import EstimateFinding
-from armrig.data.step import Step, codes_of
+from armrig.data.step import Step
 from armrig.models.estimate import Start
 from armrig.models.fit import Fit
 from armrig.models.model_file import MAX_BYTES, fit_of
-from armrig.models.model_writing import plain
 from armrig.models.multivariable.fit import Form, MultivariableFit, OutputQuality
 from armrig.models.multivariable.matrices import Matrices
+from armrig.models.multivariable.model_writing import FORMAT, OWN_FIELDS, VERSION
 from armrig.models.multivariable.polynomials import Polynomials
 from armrig.numerics.whiteness import Whiteness
 
-FORMAT = "armrig model of several signals"
-VERSION = 1
-_FORMS: dict[str, type[Matrices] | type[Polynomials]] = {
-    "matrices": Matrices,
-    "polynomials": Polynomials,
-}
 _ARRAYS = ("covariance", "covariance_robust", "noise_covariance")
 _TEXTS = ("inputs", "outputs", "input_units", "units")
-
-
-def save_fit(fit: MultivariableFit, path: str | PathLike[str]) -> None:
-    """Write a model as JSON; `load_fit` reads it.
-
-    Raises
-    ------
-    OSError
-        The file cannot be written.
-    """
-    Path(path).write_text(model_text(fit), encoding="utf-8")
-
-
-def model_text(fit: MultivariableFit) -> str:
-    """Return a model as the JSON text of its file."""
-    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
-    content |= {f.name: plain(getattr(fit, f.name)) for f in fields(fit) if f.name not in _OWN}
-    (kind,) = (name for name, form in _FORMS.items() if isinstance(fit.form, form))
-    names = [f.name for f in fields(_FORMS[kind])]
-    content["form"] = {"kind": kind} | {name: plain(getattr(fit.form, name)) for name in names}
-    content["quality"] = [
-        {"loss": q.loss, "N": q.N, "fit_percent": plain(q.fit_percent)}
-        | {"whiteness": plain(q.white.p_value), "whiteness_test": q.white.test}
-        for q in fit.quality
-    ]
-    content["treatment"] = codes_of(fit.history)
-    content["findings"] = [
-        {"about": f.about, "level": f.level, "asks": f.asks, "text": f.text}
-        | {"numbers": plain(f.numbers)}
-        for f in fit.findings
-    ]
-    return json.dumps(content, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-_OWN = ("form", "quality", "findings")
 
 
 def load_fit(path: str | PathLike[str]) -> Fit | MultivariableFit:
@@ -114,7 +72,7 @@ def load_fit(path: str | PathLike[str]) -> Fit | MultivariableFit:
 
 
 def _restored(content: dict[str, Any]) -> MultivariableFit:
-    values = {f.name: content[f.name] for f in fields(MultivariableFit) if f.name not in _OWN}
+    values = {f.name: content[f.name] for f in fields(MultivariableFit) if f.name not in OWN_FIELDS}
     values |= {name: np.array(_numbers(values[name]), dtype=np.float64) for name in _ARRAYS}
     values |= {name: tuple(values[name]) for name in _TEXTS}
     values["starts"] = tuple(
