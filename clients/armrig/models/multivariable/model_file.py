@@ -20,7 +20,7 @@ from armrig.models.fit import Fit
 from armrig.models.model_file import MAX_BYTES, fit_of
 from armrig.models.multivariable.fit import Form, MultivariableFit, OutputQuality
 from armrig.models.multivariable.matrices import Matrices
-from armrig.models.multivariable.model_writing import FORMAT, OWN_FIELDS, VERSION
+from armrig.models.multivariable.model_writing import OWN_FIELDS, SEVERAL_FORMAT, VERSION
 from armrig.models.multivariable.polynomials import Polynomials
 from armrig.numerics.whiteness import Whiteness
 
@@ -54,7 +54,7 @@ def load_fit(path: str | PathLike[str]) -> Fit | MultivariableFit:
         content = json.loads(text) if text.lstrip().startswith("{") else None
     except ValueError:
         content = None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    if not isinstance(content, dict) or content.get("format") != SEVERAL_FORMAT:
         return fit_of(text, str(path))
     if content.get("version") != VERSION:
         raise FileError(

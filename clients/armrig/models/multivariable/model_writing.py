@@ -17,7 +17,7 @@ from armrig.models.multivariable.polynomials import Polynomials
 if TYPE_CHECKING:
     from armrig.models.multivariable.fit import MultivariableFit
 
-FORMAT = "armrig model of several signals"
+SEVERAL_FORMAT = "armrig-multivariable-model"
 VERSION = 1
 FORMS: dict[str, type[Matrices] | type[Polynomials]] = {
     "matrices": Matrices,
@@ -41,7 +41,11 @@ def save_fit(fit: MultivariableFit, path: str | PathLike[str]) -> None:
 
 def model_text(fit: MultivariableFit) -> str:
     """Return a model as the JSON text of its file."""
-    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "armrig": version("armrig")}
+    content: dict[str, Any] = {
+        "format": SEVERAL_FORMAT,
+        "version": VERSION,
+        "armrig": version("armrig"),
+    }
     content |= {
         f.name: plain(getattr(fit, f.name)) for f in fields(fit) if f.name not in OWN_FIELDS
     }
