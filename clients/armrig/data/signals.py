@@ -531,7 +531,7 @@ def _units(what: str, units: Names | None, n: int) -> tuple[str, ...]:
     given = ("",) * n if units is None else _tuple(units)
     if len(given) != n:
         raise InputError(
-            f"{what}={list(given)!r}: {n} units are needed, one for each channel;  for none"
+            f'{what}={list(given)!r}: {n} units are needed, one for each channel; "" is none'
         )
     return given
 

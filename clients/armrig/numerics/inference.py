@@ -4,8 +4,8 @@ The parameters theta were fitted by least squares. Psi is the sensitivity of the
 theta, and Q is the orthonormal basis of the columns of Psi. W W^T is (Psi^T Psi)^-1, and M is the
 covariance of the score Psi^T e. Then ::
 
-    covariance         lambda W W^T            valid if e is white covariance_robust  W (Q^T R Q)
-    W^T         valid also if e is coloured
+    covariance         lambda W W^T         valid if e is white
+    covariance_robust  W (Q^T R Q) W^T      valid also if e is coloured
 
 R is the covariance of e. The robust form equals W W^T M W W^T, since M = Psi^T R Psi and Psi W = Q.
 
