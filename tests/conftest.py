@@ -8,6 +8,7 @@ from collections.abc import Generator
 from typing import Any
 
 import pytest
+from armrig_core.signal_pipe import ENDING
 
 from tests.progress import Progress
 
@@ -36,6 +37,14 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         raise pytest.UsageError(
             f"{item.nodeid}: is marked as timed and does not stand in tests/integration"
         )
+
+
+@pytest.fixture(autouse=True)
+def _handlers_are_restored() -> Generator[None]:
+    """Refuse a test that leaves a signal handler: a pool forked later would not end at SIGTERM."""
+    handlers = {number: signal.getsignal(number) for number in ENDING}
+    yield
+    assert {number: signal.getsignal(number) for number in ENDING} == handlers
 
 
 @pytest.hookimpl(wrapper=True)

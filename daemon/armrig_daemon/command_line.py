@@ -340,8 +340,6 @@ def conformance(
         _refuse(f"conformance: give either --device PORT, or {of_uno}", 2)
     if not is_simulated:
         _confirm_that_the_motor_is_unplugged(motor_unplugged)
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
     columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
 
     def print_result(result: Result) -> None:
@@ -350,6 +348,8 @@ def conformance(
 
     try:
         with ExitStack() as stack:
+            for number in (signal.SIGTERM, signal.SIGHUP):
+                stack.callback(signal.signal, number, signal.signal(number, _interrupt))
             line, rules = _line_and_rules(device, image, baud, stack)
             host = Host(line, baud)
             results = try_rules(host, print_result, rules)
