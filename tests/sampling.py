@@ -1,8 +1,8 @@
-"""Parameters of which `make test` tries the first ones, and `make test-all` the others."""
+"""Parameters of which `make test` tries a part, and `make test-all` the others."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import islice
 from typing import Any
 
@@ -18,6 +18,16 @@ def sampled(values: Iterable[Any], n: int = 1) -> list[Any]:
     """
     values = iter(values)
     return [*islice(values, n), *(_exhaustive(value) for value in values)]
+
+
+def without_slow(values: Iterable[Any], slow: Callable[[Any], bool]) -> list[Any]:
+    """Return the parameters, the slow ones marked as exhaustive.
+
+    Examples
+    --------
+    >>> @pytest.mark.parametrize("file", without_slow(FILES, lambda file: file.stem == "report"))
+    """
+    return [_exhaustive(value) if slow(value) else value for value in values]
 
 
 def _exhaustive(value: Any) -> Any:

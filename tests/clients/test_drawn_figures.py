@@ -36,6 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tests.clients import figure_examples
 from tests.clients.figure_examples import FIGURES, Examples, examples
+from tests.sampling import without_slow
 
 __all__ = ["examples"]
 WRITES = bool(os.environ.get("WRITE_STORED"))
@@ -189,7 +190,9 @@ def lists() -> Iterator[dict[str, list[str]]]:
         LIST.write_text("\n\n".join(texts) + "\n")
 
 
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize(
+    "name", without_slow(FIGURES, lambda name: name in ("handout", "plot_structure"))
+)
 def test_a_figure_draws_what_is_listed(
     name: str, examples: Examples, lists: dict[str, list[str]]
 ) -> None:

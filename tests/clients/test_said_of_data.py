@@ -17,6 +17,7 @@ from tests.clients.said import said_again
 FILE = Path(__file__).with_name("said_of_data.txt")
 
 
+@pytest.mark.exhaustive
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_function_says_what_it_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -12,11 +12,13 @@ import armrig
 import pytest
 
 from tests import same_numbers, same_numbers_calls
+from tests.sampling import without_slow
 
 BEFORE = same_numbers.read_stored()
+SLOW = {"structure_hints", "bj", "report", "plots", "compare", "search", "summary"}
 
 
-@pytest.mark.parametrize("call", same_numbers_calls.CALLS)
+@pytest.mark.parametrize("call", without_slow(same_numbers_calls.CALLS, lambda call: call in SLOW))
 def test_the_numbers_are_what_they_were(call: str) -> None:
     changed = list(same_numbers.changes(call, BEFORE))
 

@@ -108,6 +108,7 @@ def text(page: Any, selector: str) -> str:
     return str(page.text_content(selector))
 
 
+@pytest.mark.exhaustive
 def test_data_grow_and_have_an_age(browser: Any, client: Client) -> None:
     with opened(browser, client.url) as page:
         until(page, lambda: "°" in text(page, "#value-theta_1"))
@@ -118,6 +119,7 @@ def test_data_grow_and_have_an_age(browser: Any, client: Client) -> None:
         until(page, lambda: re.match(r"\d{3}", text(page, ".bar >> nth=0")))
 
 
+@pytest.mark.exhaustive
 def test_an_experiment_is_seen_before_it_runs(browser: Any, client: Client, served: Bench) -> None:
     with opened(browser, client.url) as page:
         show_step(page, "2")
@@ -143,6 +145,7 @@ def test_a_refusal_is_in_sight(browser: Any, client: Client) -> None:
         assert 0 <= box["y"] <= PHONE["height"] - box["height"]
 
 
+@pytest.mark.exhaustive
 def test_a_refusal_is_over_with_the_next_attempt(browser: Any, client: Client) -> None:
     with opened(browser, client.url) as page:
         page.select_option("#kind", "step")
@@ -167,6 +170,7 @@ def test_a_notice_moves_nothing_and_takes_no_click(browser: Any, client: Client)
         assert page.evaluate("getComputedStyle(notice.parentNode).pointerEvents") == "none"
 
 
+@pytest.mark.exhaustive
 def test_the_wheel_zooms_and_moves_the_view(browser: Any, client: Client) -> None:
     with opened(browser, client.url, WIDE) as page:
         until(page, lambda: "V" in text(page, "#value-u"))
@@ -188,6 +192,7 @@ def test_the_wheel_zooms_and_moves_the_view(browser: Any, client: Client) -> Non
         assert len({*shown}) == 3
 
 
+@pytest.mark.exhaustive
 def test_a_finger_finds_each_button(browser: Any, client: Client) -> None:
     """At least 44 pixels high and wide, on a phone and on a tablet."""
     for size in (PHONE, {"width": 320, "height": 640}, {"width": 1024, "height": 768}):
@@ -200,6 +205,7 @@ def test_a_finger_finds_each_button(browser: Any, client: Client) -> None:
             assert page.evaluate("document.documentElement.scrollWidth") <= size["width"]
 
 
+@pytest.mark.exhaustive
 def test_the_drawn_arm_turns_with_the_rig(browser: Any, client: Client, served: Bench) -> None:
     with opened(browser, client.url, WIDE) as page:
         turned = "document.querySelector('#arm-drawing .chassis').getAttribute('transform')"
@@ -211,6 +217,7 @@ def test_the_drawn_arm_turns_with_the_rig(browser: Any, client: Client, served: 
         client.wait("run", lambda seen: not seen["is_going"])
 
 
+@pytest.mark.exhaustive
 def test_what_is_seen_is_saved_as_a_picture_and_as_values(
     browser: Any, client: Client, tmp_path: Path
 ) -> None:
@@ -231,6 +238,7 @@ def test_what_is_seen_is_saved_as_a_picture_and_as_values(
     assert {len(row.split(",")) for row in rows} == {9}
 
 
+@pytest.mark.exhaustive
 def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Client) -> None:
     with opened(browser, client.url, WIDE) as page:
         page.click("#projector")
@@ -244,6 +252,7 @@ def test_a_projector_shows_plots_phase_and_stop_alone(browser: Any, client: Clie
         assert page.is_visible("#experiment")
 
 
+@pytest.mark.exhaustive
 def test_a_recording_is_played_again_and_compared(
     browser: Any, client: Client, served: Bench
 ) -> None:
@@ -287,6 +296,7 @@ def test_the_space_bar_stops_wherever_the_focus_is(
             bring_to_rest(served)
 
 
+@pytest.mark.exhaustive
 def test_a_note_is_typed_while_a_run_plays_and_the_space_bar_still_stops(
     browser: Any, client: Client, served: Bench
 ) -> None:
@@ -401,6 +411,7 @@ def test_another_origin_s_page_commands_nothing(
     assert served.settled() == "safe"
 
 
+@pytest.mark.exhaustive
 def test_zoom_holds_the_view_and_escape_goes_on(browser: Any, client: Client) -> None:
     with opened(browser, client.url) as page:
         page.wait_for_timeout(500)
@@ -463,6 +474,7 @@ def test_a_recording_is_identified_and_reported(
     assert (tmp_path / "run.mcap").read_bytes()[1:5] == b"MCAP"
 
 
+@pytest.mark.exhaustive
 def test_it_fits_the_screen(browser: Any, client: Client) -> None:
     with opened(browser, client.url) as page:
         for theme, size in itertools.product(("light", "dark"), (WIDE, PHONE)):
@@ -554,6 +566,7 @@ def test_a_visitor_sees_and_stops_and_has_no_other_button(browser: Any, served: 
         )
 
 
+@pytest.mark.exhaustive
 def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> None:
     bench.configure(watchdog_ms=250)
     bench.emulate()
@@ -574,6 +587,7 @@ def test_a_killed_daemon_is_stale_and_comes_back(browser: Any, bench: Bench) -> 
         assert not page.is_visible("#stale")
 
 
+@pytest.mark.exhaustive
 def test_a_dead_server_is_stale_too(browser: Any, client: Client, served: Bench) -> None:
     with watched(served) as short:
         context = opened(browser, short.url)

@@ -95,6 +95,7 @@ def test_a_rig_that_comes_later_is_taken_in(lab: FleetLab, stack: ExitStack) -> 
     assert {one.why for one in recorder.recorded.values()} == {""}
 
 
+@pytest.mark.exhaustive
 def test_what_is_lost_beyond_the_cache_is_reported_exactly(
     lab: FleetLab, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -155,6 +156,7 @@ def test_a_rig_that_sends_nonsense_ends_its_own_recording_alone(
     assert files["2"].outcome.startswith("the recorder ended: ")
 
 
+@pytest.mark.exhaustive
 def test_a_rig_whose_file_the_disk_refuses_is_an_error_and_is_recorded_when_there_is_room(
     lab: FleetLab, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -38,6 +38,7 @@ def test_a_real_run_is_decided_again_to_the_last_bit(
         assert "now decides nothing" in replay(path).difference
 
 
+@pytest.mark.exhaustive
 def test_a_file_that_was_cut_off_is_replayed_as_far_as_it_goes(
     served: Bench, tmp_path: Path
 ) -> None:

@@ -20,8 +20,10 @@ import pytest
 
 from tests.integration.driving import driven, recorded
 from tests.integration.processes import Bench, wait_for
+from tests.sampling import without_slow
 
-STORIES = Path(__file__).with_name("stories")
+STORIES = sorted(Path(__file__).with_name("stories").glob("*.txt"))
+SLOW = {"a_cable", "two_groups"}
 _OF_A_RUN = re.compile(r"\d{8}T\d{6}|\b[0-9a-f]{8,}\b|\d{4}-\d\d-\d\dT[\d:.+]+")
 _CLOSED = re.compile("end of file|Connection reset by peer|Broken pipe")  # as it comes
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[-+]?\d+)?")
@@ -108,7 +110,9 @@ def told(script: str, stage: Stage) -> str:
     return "".join(parts)
 
 
-@pytest.mark.parametrize("story", sorted(STORIES.glob("*.txt")), ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "story", without_slow(STORIES, lambda story: story.stem in SLOW), ids=lambda story: story.stem
+)
 def test_a_story_is_printed_word_for_word(bench: Bench, story: Path) -> None:
     stored = story.read_text()
     configured = [line[2:] for line in stored.splitlines() if line.startswith("= ")]

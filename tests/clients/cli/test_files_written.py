@@ -50,6 +50,7 @@ def test_a_figure_of_a_saved_model_has_the_run_that_its_data_validate(tmp_path: 
     assert drawn.get_title("right") == "recording @0000000b"
 
 
+@pytest.mark.exhaustive
 def test_the_source_of_a_report_is_to_be_typeset_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -216,6 +217,7 @@ def test_an_input_is_known_by_another_name(
     assert data.read_bytes() == before
 
 
+@pytest.mark.exhaustive
 def test_a_report_with_names_and_reasons_is_typeset_again_from_its_source(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -239,6 +239,7 @@ def test_sampling_recommends_a_time_with_its_method(
     assert figure.read_bytes().startswith(PNG)
 
 
+@pytest.mark.exhaustive
 def test_hints_motivate_the_structure_of_the_arm(
     three_recordings: tuple[Path, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -61,6 +61,7 @@ def test_identify_gives_the_model_and_its_uncertainty(
     assert facts["recording"] != facts["validation"]["recording"]
 
 
+@pytest.mark.exhaustive
 def test_compare_puts_the_models_and_the_physics_side_by_side(
     three_recordings: tuple[Path, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:

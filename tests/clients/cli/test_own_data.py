@@ -211,6 +211,7 @@ def test_feedback_and_delay_are_looked_for_in_them(
     assert out.startswith("open loop: no feedback found (Sims' F-test of ")
 
 
+@pytest.mark.exhaustive
 def test_hints_say_that_feedback_biases_them(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -35,10 +35,12 @@ from tests.clients.made_recordings import manifest, of_the_arm, recorded, turnin
 from tests.clients.made_turns import made_turns, still
 from tests.clients.odd_recording import FORWARD, ODD, odd_recording, odd_turns
 from tests.clients.said import said_again
+from tests.sampling import without_slow
 
 SAID = Path(__file__).parent / "said"
 OF_A_HOST = {"lab", "doctor"}
 AGAIN = "If this is what the command is to say: make stored"
+SLOW = {"hints", "report", "batch"}
 FILES = sorted(SAID.rglob("*.txt"))
 DATA = Path(__file__).parents[2] / "data" / "0.1.0"
 
@@ -180,7 +182,9 @@ def rig(folder: Path) -> Iterator[None]:
         yield
 
 
-@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+@pytest.mark.parametrize(
+    "file", without_slow(FILES, lambda file: file.stem in SLOW), ids=lambda file: file.stem
+)
 def test_a_command_says_what_it_said(
     file: Path, folder: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.clients.said import assert_said
 
 
+@pytest.mark.exhaustive
 def test_the_messages_to_the_page_of_an_odd_rig_are_those_stored(tmp_path: Path) -> None:
     (tmp_path / "recordings").mkdir()
 

@@ -16,6 +16,8 @@ from armrig.numerics.covariance import correlated_score
 from armrig.numerics.polynomial import filtered
 from armrig.validation.residuals import residuals
 
+from tests.sampling import sampled
+
 RUNS, N = 200, 500
 B, A = np.array([0, 1, 0.5]), np.array([1, -1.2, 0.6])
 
@@ -50,7 +52,7 @@ def estimate_oe(seed: int) -> Fit:
 
 @pytest.mark.parametrize(
     ("estimate", "truth"),
-    [(estimate_arx, [-1.2, 0.6, 1, 0.5]), (estimate_oe, [1, 0.5, -1.2, 0.6])],
+    sampled([(estimate_arx, [-1.2, 0.6, 1, 0.5]), (estimate_oe, [1, 0.5, -1.2, 0.6])]),
 )
 def test_standard_deviations_and_intervals_hold(
     estimate: Callable[[int], Fit], truth: list[float]

@@ -22,6 +22,8 @@ from armrig.numerics.levenberg_marquardt import levenberg_marquardt
 from armrig.numerics.polynomial import EDGE_MODULUS, filtered, roots
 from numpy.typing import NDArray
 
+from tests.sampling import sampled
+
 BANK = runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "lowest_minimum.py"))
 BJ = Structure(nb=4, nc=2, nd=2, nf=4, nk=1)
 
@@ -50,6 +52,7 @@ def problem_of(data: Dataset, structure: Structure) -> PredictionErrorProblem:
     return PredictionErrorProblem(experiments=(prepared(data, structure),), structure=structure)
 
 
+@pytest.mark.exhaustive
 def test_a_mode_that_settled_on_noise_is_moved_to_where_it_belongs() -> None:
     """Every start ends 6 % above the loss of the truth; the lowest minimum is near."""
     data, truth = hard(11)
@@ -153,6 +156,7 @@ def slow_noise(seed: int = 0) -> tuple[armrig.Dataset, float]:
     return data, problem.minimise(C[1:]).cost / data.N
 
 
+@pytest.mark.exhaustive
 def test_roots_of_the_noise_model_are_moved_where_searches_disagree() -> None:
     """The regressions' starts end in minima whose loss is 0.7 % higher."""
     data, least = slow_noise()
@@ -166,7 +170,9 @@ def test_roots_of_the_noise_model_are_moved_where_searches_disagree() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "seed"),
-    [("ARMAX", 177), ("ARMAX", 193), ("BJ", 38), ("BJ", 2048), ("OE", 1108), ("OE", 6139)],
+    sampled(
+        [("ARMAX", 177), ("OE", 6139), ("BJ", 38), ("BJ", 2048), ("OE", 1108), ("ARMAX", 193)], 2
+    ),
 )
 def test_the_minimum_is_as_low_as_the_one_that_the_truth_leads_to(kind: str, seed: int) -> None:
     """Plants of the bank; only a larger model leads to the minimum of the last one."""

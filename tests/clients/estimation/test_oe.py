@@ -58,8 +58,8 @@ def test_a_noise_free_angle_gives_back_the_plant_from_any_state(plant: HandoutPl
 
 @pytest.fixture(scope="module")
 def fits(plant: HandoutPlant) -> list[Fit]:
-    """Return the fits of 20 recordings of the handout's plant."""
-    return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(20)]
+    """Return the fits of eight recordings of the handout's plant."""
+    return [oe(plant.dataset(seed), nb=4, nf=4, integrator=True) for seed in range(8)]
 
 
 def test_the_integrator_s_root_is_one_exactly(fits: list[Fit]) -> None:
@@ -84,6 +84,7 @@ def test_the_handout_s_plant_is_found_to_one_per_cent(plant: HandoutPlant, fits:
     assert all(fit.converged and fit.agreed for fit in fits)
 
 
+@pytest.mark.exhaustive
 def test_so_it_is_through_a_potentiometer_with_a_dead_band(plant: HandoutPlant) -> None:
     """10 bits over 352°, the dead band and 2 % of the samples missing."""
     seeds = range(20)
@@ -219,6 +220,7 @@ def test_the_starts_are_reported() -> None:
     assert "starts agree" in repr(fit)
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("std", [0.01, 0.3])
 def test_resonant_systems_are_found_from_their_data_alone(std: float) -> None:
     missed = []

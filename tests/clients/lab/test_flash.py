@@ -181,6 +181,7 @@ def test_a_boot_loader_s_answer_is_no_fuse(capsys: Said) -> None:
     assert "use an ISP programmer" in capsys.readouterr().err
 
 
+@pytest.mark.exhaustive
 def test_another_chip_is_not_written(capsys: Said) -> None:
     with Uno(_another_firmware) as uno:
         uno.signature = bytes((0x1E, 0x95, 0x14))

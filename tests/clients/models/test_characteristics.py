@@ -59,6 +59,7 @@ def test_the_deviations_of_the_slow_pair_of_real_poles_are_poor() -> None:
     assert (t.poles_sampled == (t.poles.imag == 0)).all()
 
 
+@pytest.mark.exhaustive
 def test_errors_are_as_large_as_the_deviations_reported(
     plant: HandoutPlant, monkeypatch: pytest.MonkeyPatch
 ) -> None:

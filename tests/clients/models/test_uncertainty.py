@@ -160,6 +160,7 @@ def test_a_pair_that_is_hardly_a_pair_is_sampled(near: Fit) -> None:
     assert all(r.method == "sampled" for r in zero_regions(near))
 
 
+@pytest.mark.exhaustive
 def test_the_chosen_region_holds_a_pair_that_the_ellipse_loses() -> None:
     """Coverage of the pole over 60 experiments; 95 % has a standard deviation of 2.8 %."""
     truth = NEAR[0]

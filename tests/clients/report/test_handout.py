@@ -480,6 +480,7 @@ def test_a_folder_with_files_is_no_folder_for_a_source(
     assert [path.name for path in tmp_path.iterdir()] == ["mine"]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.usefixtures("only_values")
 def test_a_run_that_ended_early_gives_way_to_a_complete_one_and_is_named(
     three: list[Recording], without: HandoutStudy, tmp_path: Path
@@ -517,6 +518,7 @@ def test_the_notes_of_the_recordings_are_on_the_cover(
     assert told == [f"@{first.manifest.run_id} at 1.50{NBSP}s, Ada: #panic()"]
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize(
     ("lines", "reasons"),
     [(27, ["One line."]), (11, ["A line of many words. " * 100, "One line."])],

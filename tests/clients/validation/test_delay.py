@@ -16,6 +16,8 @@ from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from numpy.typing import NDArray
 from scipy.stats import f
 
+from tests.sampling import sampled
+
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
 
@@ -261,7 +263,7 @@ def arm(seed: int, *, Ts: float = FAST, N: int = 4000, delayed: float = 0.0) -> 
     return Dataset(u=u, y=y, Ts=Ts, output="theta_1", unit="rad")
 
 
-@pytest.mark.parametrize("samples", [0, 2])
+@pytest.mark.parametrize("samples", sampled([0, 2]))
 def test_at_a_short_sampling_time_the_shape_of_the_onset_decides(samples: int) -> None:
     found = armrig.delay(arm(1, delayed=samples) if samples else unnamed(arm(1)))
 
@@ -272,6 +274,7 @@ def test_at_a_short_sampling_time_the_shape_of_the_onset_decides(samples: int) -
     )
 
 
+@pytest.mark.exhaustive
 def test_half_a_sample_is_neither_of_its_neighbours() -> None:
     found = armrig.delay(arm(2, delayed=1.5))
 
@@ -288,7 +291,7 @@ def test_without_its_shape_an_onset_within_the_noise_is_not_claimed() -> None:
     assert found.nk == 1
 
 
-@pytest.mark.parametrize(("Ts", "at", "high"), [(0.002, 161, 4.5), (0.001, 157, 1.5)])
+@pytest.mark.parametrize(("Ts", "at", "high"), sampled([(0.002, 161, 4.5), (0.001, 157, 1.5)]))
 def test_one_step_read_in_steps_is_no_delay(Ts: float, at: int, high: float) -> None:
     u = np.where(np.arange(round(3 / Ts)) < at, 0.5, high)
     y = (np.floor(angle(u, Ts) / LSB) + 0.5) * LSB

@@ -293,6 +293,7 @@ def test_a_delay_is_searched_with_the_nk_that_the_data_show() -> None:
     assert "the second half of the data" in found.table()
 
 
+@pytest.mark.exhaustive
 def test_a_level_that_u_does_not_make_is_estimated_along() -> None:
     """Otherwise a pole and a zero at 1 would replace the level."""
     found = search(_of_second_order(level=5.0), orders=(1, 2, 3))

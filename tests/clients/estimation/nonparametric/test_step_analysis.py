@@ -66,6 +66,7 @@ def test_dead_time_counts_for_itself() -> None:
     assert abs(unclaimed.tau - TAU) < 2 * unclaimed.tau_std
 
 
+@pytest.mark.exhaustive
 def test_the_deviations_said_are_those_made() -> None:
     """Gain, 63 % time, equivalent time and settling time, in 40 runs."""
     found = of_a_first_order_system()

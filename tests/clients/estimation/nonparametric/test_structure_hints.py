@@ -32,7 +32,7 @@ def through_potentiometer(data: Dataset, seed: int) -> Dataset:
     return data.replaced(step=None, y=y, valid=shown)
 
 
-@pytest.mark.parametrize("output", ["theta_1", "angle"])
+@pytest.mark.parametrize("output", sampled(["theta_1", "angle"]))
 def test_the_arm_is_seen_through(arm: Any, output: str) -> None:
     """Four poles, one of them at 1; a notch near 15.7 rad/s; no delay."""
     data = arm.telegraph().replaced(step=None, output=output)
@@ -83,6 +83,7 @@ def test_a_circuit_that_has_the_arm_s_names_does_not_integrate(offset: float) ->
     assert "no integrator" in found.explain()
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", sampled([1, 2]))
 def test_a_response_longer_than_its_lags_has_no_other_resonances(
     sampled: Callable[[float], Any], seed: int
@@ -113,6 +114,7 @@ def test_what_noise_makes_is_no_resonance() -> None:
     assert found <= 4
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("delay", sampled([3, 0]))
 def test_a_resonant_system_with_a_delay(delay: int) -> None:
     rng = np.random.default_rng(1)
@@ -130,6 +132,7 @@ def test_a_resonant_system_with_a_delay(delay: int) -> None:
     assert found.trusted > 2.0  # 0.4 where y is not aligned
 
 
+@pytest.mark.exhaustive
 def test_coefficients_too_small_to_see_are_no_delay(sampled: Callable[[float], Any]) -> None:
     """At 5 ms g(1) is hardly visible."""
     found = structure_hints(sampled(0.005).telegraph(N=3000))
@@ -138,6 +141,7 @@ def test_coefficients_too_small_to_see_are_no_delay(sampled: Callable[[float], A
     assert "an input delay of" not in found.explain()
 
 
+@pytest.mark.exhaustive
 def test_the_dryer_has_no_integrator(reference: Callable[[str], NDArray[np.float64]]) -> None:
     u, y = reference("dryer.dat").T
 
@@ -255,6 +259,7 @@ def test_the_true_structure_is_recommended_in_coloured_noise() -> None:
     assert (2, 3, 2) in [(s.nb, s.nf, s.nk) for s in found.structures]
 
 
+@pytest.mark.exhaustive
 def test_the_unit_of_y_does_not_change_the_recommended_structures() -> None:
     """Description lengths are compared on the same samples, at each delay that is tried."""
     plant = drawn(2083)
@@ -267,6 +272,7 @@ def test_the_unit_of_y_does_not_change_the_recommended_structures() -> None:
     assert found.structures[0].nk == plant.nk
 
 
+@pytest.mark.exhaustive
 @pytest.mark.parametrize("seed", sampled([2067, 4033, 4035], 2))
 def test_a_poor_minimum_of_a_wider_model_does_not_hide_the_true_structure(seed: int) -> None:
     """A model with more b's than are there ended in a poor minimum for each of these plants."""
@@ -292,6 +298,7 @@ def test_experiments_that_are_too_short_are_refused() -> None:
         recommended(short_experiments(30, 24), [0, 1, 2], integrates=False, decide=True)
 
 
+@pytest.mark.exhaustive
 def test_many_short_experiments_show_the_true_structure() -> None:
     found = recommended(short_experiments(10, 60), [0, 1, 2], integrates=False, decide=False)
 
@@ -308,6 +315,7 @@ def test_few_samples_do_not_give_the_noise_a_high_order() -> None:
     assert plant.structure in [(s.nb, s.nf, s.nk) for s in found.structures]
 
 
+@pytest.mark.exhaustive
 def test_poles_on_the_unit_circle_that_fit_the_noise_are_not_recommended_first() -> None:
     """A pair of poles and its initial state fit a sine of the noise at the best frequency."""
     data = of_a_system(

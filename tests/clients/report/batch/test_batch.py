@@ -481,6 +481,7 @@ def is_alive(pid: int) -> bool:
         return False
 
 
+@pytest.mark.exhaustive
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="processes are seen in /proc")
 def test_killed_in_the_middle_and_started_again_it_gives_the_same_table(
     lab: tuple[Path, bytes], tmp_path: Path

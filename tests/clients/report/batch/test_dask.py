@@ -55,6 +55,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         yield Cluster(json.loads(about.read_text())["address"], scheduler, workers)
 
 
+@pytest.mark.exhaustive
 def test_a_cluster_makes_the_same_table_though_a_worker_is_killed(
     cluster: Cluster, lab: tuple[Path, bytes], tmp_path: Path
 ) -> None:
