@@ -29,18 +29,21 @@ from armrig.cli.options import (
 )
 from armrig.cli.parameters import Given, physics_beside
 from armrig.cli.recorded_data import (
+    SignalChoice,
     dataset_of,
     loaded,
     options_of,
     spectral_beside,
     warn_of_estimation_data,
 )
+from armrig.cli.several_signals import compare as compare_several
 
 if TYPE_CHECKING:
     from armrig_core.arm import ArmParameters
 
     from armrig.data.dataset import Dataset
     from armrig.models.model import Model
+    from armrig.models.multivariable.fit import MultivariableFit
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import Comparison, ComparisonTable
 
@@ -92,7 +95,16 @@ def compare(
         )
     files = [file] if other is None else [file, other]
     check_plot(plot, [*files, *(model or [])])
-    saved = _saved_models(model or [])
+    saved, several = _saved_models(model or [])
+    if several:
+        if saved or other is not None or given:
+            raise typer.BadParameter(
+                f"{model[0] if model else file}: models of several signals are compared with each "
+                "other only, on one recording F"
+            )
+        signals = SignalChoice(signal=None, calibration=calibration, start=start, stop=stop)
+        compare_several(several, file, signals, horizon, plot=plot, json=json)
+        return
     recordings = loaded(files, calibration, start, stop)
     if other is None:
         data = dataset_of(recordings[0], saved[0][1])
@@ -139,10 +151,22 @@ class _Compared:
         return [fit for _, fit in self.models]
 
 
-def _saved_models(files: Sequence[Path]) -> list[tuple[str, Model]]:
-    from armrig.models.model_file import load_fit
+def _saved_models(
+    files: Sequence[Path],
+) -> tuple[list[tuple[str, Model]], list[tuple[str, MultivariableFit]]]:
+    """Return the models of one output and input, and those of several signals."""
+    from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.models.multivariable.model_file import load_fit
 
-    return [(path.stem, load_fit(path)) for path in files]
+    single: list[tuple[str, Model]] = []
+    several: list[tuple[str, MultivariableFit]] = []
+    for path in files:
+        fit = load_fit(path)
+        if isinstance(fit, MultivariableFit):
+            several.append((path.stem, fit))
+        else:
+            single.append((path.stem, fit))
+    return single, several
 
 
 def _studied(

@@ -39,6 +39,8 @@ from armrig.cli.options import (
     tell,
 )
 from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
+from armrig.cli.several_signals import Outputs
+from armrig.cli.several_signals import identify as identify_several
 from armrig.estimation.request import Request
 from armrig.models.structure_table import users
 
@@ -69,6 +71,9 @@ ValidationFile = Annotated[
         help="Recording, or other data, for validation.",
     ),
 ]
+Shared = Annotated[
+    bool, typer.Option("--shared", help="One denominator for all outputs (OE, ARMAX).")
+]
 Save = Annotated[Path | None, typer.Option("--save", metavar="JSON", help="Model file to write.")]
 
 
@@ -84,6 +89,7 @@ def identify(
     signal: Signal = None,
     time: TimeColumn = None,
     Ts: DataTs = None,
+    shared: Shared = False,
     detrend: Detrend = False,
     hampel: Hampel = False,
     output: NoOutput = None,
@@ -97,14 +103,9 @@ def identify(
 ) -> None:
     """Estimate a model from a recording or other data, or search for one.
 
-    Each parameter is printed with its standard deviation.
+    Each parameter is printed with its standard deviation. --signal theta_1,alpha gives one model of
+    both outputs.
     """
-    wanted: _Search | Request
-    if search:
-        wanted = _Search(fixed=searched_for(given), most=most, jobs=jobs)
-    else:
-        wanted = requested(given)
-    _check_files(file, validate, plot=plot, save=save)
     signals = SignalChoice(
         signal=signal,
         input=input,
@@ -117,6 +118,22 @@ def identify(
         start=start,
         stop=stop,
     )
+    if signals.several or shared:
+        _identify_several(
+            file,
+            given,
+            signals,
+            Outputs(validate=validate, save=save, plot=plot, json=json, verbose=verbose),
+            search=search,
+            shared=shared,
+        )
+        return
+    wanted: _Search | Request
+    if search:
+        wanted = _Search(fixed=searched_for(given), most=most, jobs=jobs)
+    else:
+        wanted = requested(given)
+    _check_files(file, validate, plot=plot, save=save)
     from armrig.recordings.usability import doubts_of_estimation
 
     data = signals.of(file)
@@ -137,6 +154,21 @@ def identify(
     _plot_model(found, plot)
     if not json:
         _say_next(found, file, validate, save, signals)
+
+
+def _identify_several(
+    file: Path, given: Given, signals: SignalChoice, to: Outputs, *, search: bool, shared: bool
+) -> None:
+    """Estimate a model of several signals; refuse what only one output and input have."""
+    if not signals.several:
+        raise typer.BadParameter("--shared is for several outputs: name them, --signal A,B")
+    if search:
+        raise typer.BadParameter(
+            "--search searches models of one output and one input; give --structure ss, whose "
+            "order is chosen from the data"
+        )
+    _check_files(file, to.validate, plot=to.plot, save=to.save)
+    identify_several(file, given, signals, to, shared=shared)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

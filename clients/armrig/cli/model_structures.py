@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.estimation.request import DEFAULTS, OPTIONS, Request, flag
 from armrig.models.structure_table import (
     COUNTED,
+    OF_SEVERAL,
     OFFERED,
     OFFERED_NAMES,
+    CommandName,
     OfferedName,
     users,
     with_article,
@@ -75,12 +78,13 @@ def _options(
 ) -> list[inspect.Parameter]:
     which = typer.Option("--structure", help="Model structure.", show_default=structure is not None)
     late = _option("nk", "Delay from u to y, in samples", without_nk)
+    kinds = OfferedName if structure else CommandName | None
     others = [
         _parameter(name, kind, _option(name, option.help, option.default), DEFAULTS[name])
         for name, (kind, option) in OPTIONS.items()
     ]
     return [
-        _parameter("structure", OfferedName if structure else OfferedName | None, which, structure),
+        _parameter("structure", kinds, which, structure),
         *(_parameter(name, int | None, _order(name)) for name in COUNTED),
         _parameter("nk", int | None if nk is None else int, late, nk),
         *others,
@@ -111,10 +115,14 @@ def _option(name: str, what: str, default: str = "") -> Any:
 
 def requested(given: Given) -> Request:
     """Return the request of the options; refuse options that the structure does not have."""
-    structure: OfferedName | None = given["structure"]
+    structure: CommandName | None = given["structure"]
     if structure is None:
         raise typer.BadParameter(
             "give --structure, such as --structure oe --integrator, or --search"
+        )
+    if structure not in OFFERED:
+        raise typer.BadParameter(
+            f"--structure {structure} is for several signals; name them, such as --signal y1,y2"
         )
     _check_taken(structure, given)
     asked = _asked(given)
@@ -122,6 +130,45 @@ def requested(given: Given) -> Request:
     orders = {name: asked.get(name, default) for name, default in own.items()}
     options = {name: value for name, value in asked.items() if name not in own}
     return Request(**(options | {"orders": orders}))
+
+
+def requested_of_several(
+    given: Given, *, integrating: Sequence[str], shared: bool
+) -> SignalsRequest:
+    """Return the request of the options for several signals.
+
+    Parameters
+    ----------
+    integrating : sequence of str
+        Outputs that integrate if the options ask for an integrator.
+    shared : bool
+        Give all outputs one denominator if the structure allows it.
+    """
+    structure: CommandName | None = given["structure"]
+    if structure is None:
+        raise typer.BadParameter("give --structure, such as --structure oe")
+    if structure not in OF_SEVERAL:
+        raise typer.BadParameter(
+            f"--structure {structure} has one output and one input; several signals go with "
+            f"{listed([*OF_SEVERAL])}"
+        )
+    row = OF_SEVERAL[structure]
+    takes = row.takes_several or ()
+    asked = _asked(given) | ({"shared": True} if shared else {})
+    for name, value in asked.items():
+        if name not in ("structure", "nk", *row.orders, *takes):
+            raise typer.BadParameter(
+                f"{_typed(name, value)} does not go with {row.title} of several signals, which has "
+                f"{listed([flag(x) for x in (*row.orders, 'nk', *takes)])}"
+            )
+    return SignalsRequest(
+        structure=structure,
+        orders={name: asked.get(name, default) for name, default in row.orders.items()},
+        nk=asked.get("nk", 1),
+        weights=asked.get("weights"),
+        integrating=tuple(integrating) if asked.get("integrator") else (),
+        shared=shared,
+    )
 
 
 def searched_for(given: Given) -> dict[str, Any]:

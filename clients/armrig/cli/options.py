@@ -56,8 +56,9 @@ Signal = Annotated[
     str | None,
     typer.Option(
         "--signal",
-        metavar="NAME",
-        help="Output: theta_1, alpha or velocity; in other data a column's name or number.",
+        metavar="NAMES",
+        help="Output: theta_1, alpha or velocity; in other data a column's name or number. "
+        "Names with commas are several outputs.",
         show_default="theta_1; y of other data",
     ),
 ]
@@ -65,8 +66,9 @@ Input = Annotated[
     str | None,
     typer.Option(
         "--input",
-        metavar="NAME",
-        help="Column of the input in other data: its name, or its number from 1.",
+        metavar="NAMES",
+        help="Column of the input in other data: its name, or its number from 1. Names with commas "
+        "are several inputs.",
         show_default="u",
     ),
 ]

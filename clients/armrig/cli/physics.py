@@ -227,13 +227,15 @@ def simulate(
         _step(cases(given), json=json, plot=plot)
         return
     from armrig.cli.spinner import spinner
-    from armrig.models.model_file import load_fit
+    from armrig.models.fit import Fit
+    from armrig.models.multivariable.model_file import load_fit
     from armrig.physics.physical_model import physical_model
     from armrig.validation.comparison import compare
     from armrig.validation.figures import plot_compare
 
     data = loaded([file], calibration, start, stop)[0].dataset()
-    fits: list[Model] = [load_fit(path) for path in model or ()]
+    saved = map(load_fit, model or ())
+    fits: list[Model] = [fit if isinstance(fit, Fit) else fit[data.output] for fit in saved]
     fits += [physical_model(p, data) for p in physics.values()]
     labels = [*(path.stem for path in model or ()), *physics]
     with spinner("simulating"):

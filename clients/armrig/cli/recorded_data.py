@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, TypeVar, get_args
 
 import typer
 from armrig_core.errors import InputError
@@ -19,11 +19,15 @@ from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
+    from armrig.data.signals import Signals
     from armrig.models.model import Model
+    from armrig.models.multivariable.fit import MultivariableFit
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
     from armrig.validation.comparison import ComparisonTable
 
+
+Data = TypeVar("Data", "Dataset", "Signals")
 
 _UNNAMED = ("", "y")  # outputs of models that may be any signal
 _MIN_SAMPLES = 20
@@ -59,9 +63,9 @@ class SignalChoice:
     """Signals to read from files: recordings, or other data."""
 
     signal: str | None
-    """Output; None means theta_1 of a recording, and y of other data."""
+    """Output, or several with commas; None means theta_1 of a recording, and y of other data."""
     input: str | None = None
-    """Column of u in other data; None means u."""
+    """Column of u in other data, or several with commas; None means u."""
     time: str | None = None
     """Column of the times in other data."""
     Ts: float | None = None
@@ -80,6 +84,11 @@ class SignalChoice:
     """End of the samples to use, in s."""
     read: list[Recording] = field(default_factory=list)
     """Recordings read so far; the first one is for estimation."""
+
+    @property
+    def several(self) -> bool:
+        """True if several outputs or inputs are named, with commas."""
+        return "," in f"{self.signal}{self.input}"
 
     def options(self, data: Dataset | None = None) -> str:
         """Return the options with which another command reads the same data; "" for none.
@@ -106,6 +115,11 @@ class SignalChoice:
         """Return the data of a file, and print its defects; a model sets the default output."""
         from armrig.data.treatment import detrend, hampel
 
+        if self.several:
+            raise typer.BadParameter(
+                f"{self.options().strip()}: this command takes one output and one input; "
+                "identify, validate and compare take several"
+            )
         if self._is_other(file):
             data = between(self._other(file, model), self.start, self.stop)
             _check_varies(file, data)
@@ -120,11 +134,44 @@ class SignalChoice:
             tell(f"{file}: {data.history[-1]}")
         return detrend(data) if self.detrend else data
 
-    def _other(self, file: Path, model: Model | None) -> Dataset:
+    def signals_of(self, file: Path, model: MultivariableFit | None = None) -> Signals:
+        """Return several signals of a file, and print its defects; a model sets their defaults."""
+        from armrig.data.treatment import detrend, hampel
+
+        outputs = _names("--signal", self.signal) or (model.outputs if model else ())
+        inputs = _names("--input", self.input) or (model.inputs if model else ())
+        if self._is_other(file):
+            self._refuse_calibration(file)
+            signals = self._table(file, inputs or ("u",), outputs or ("y",))
+            signals = between(signals, self.start, self.stop)
+        else:
+            signals = self._recording(file).signals(_recorded_outputs(outputs or (THETA_1,)))
+        if self.hampel:
+            signals = hampel(signals)
+            tell(f"{file}: {signals.history[-1]}")
+        return detrend(signals) if self.detrend else signals
+
+    def _table(self, file: Path, inputs: Sequence[str], outputs: Sequence[str]) -> Signals:
+        from armrig.cli.spinner import spinner
+        from armrig.data.files.loading import load_signals
+
+        with spinner("reading"):
+            signals = load_signals(file, inputs=inputs, outputs=outputs, time=self.time, Ts=self.Ts)
+        missing = f"; {signals.missing} values are missing" if signals.missing else ""
+        tell(
+            f"{file}: {signals.N} samples, {signals.equidistant():g} s apart; outputs "
+            f"{', '.join(signals.outputs)}; inputs {', '.join(signals.inputs)}{missing}"
+        )
+        return signals
+
+    def _refuse_calibration(self, file: Path) -> None:
         if self.calibration is not None:
             raise typer.BadParameter(
                 f"--calibration applies to recordings; {file} has no readings of the rig's sensors"
             )
+
+    def _other(self, file: Path, model: Model | None) -> Dataset:
+        self._refuse_calibration(file)
         from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_data
         from armrig.estimation.data_faults import swapped
@@ -153,7 +200,8 @@ class SignalChoice:
         asked = (self.input, self.time, self.Ts) != (None, None, None)
         return suffix in DATA or (asked and suffix != RECORDING)
 
-    def _recorded(self, file: Path, model: Model | None) -> Dataset:
+    def _recording(self, file: Path) -> Recording:
+        """Return a recording; refuse options that apply to other data."""
         given = {"--input": self.input, "--time": self.time, "--Ts": self.Ts}
         for name, value in given.items():
             if value is not None:
@@ -162,16 +210,15 @@ class SignalChoice:
                 )
         recording = loaded([file], self.calibration, self.start, self.stop)[0]
         self._tell_of_pair(recording)
+        return recording
+
+    def _recorded(self, file: Path, model: Model | None) -> Dataset:
+        recording = self._recording(file)
         if self.signal is None and model is not None and model.output not in _UNNAMED:
             return dataset_of(recording, model)
         if self.signal is None:
             return recording.dataset()
-        for output in get_args(OutputName):
-            if output == self.signal:
-                return recording.dataset(output)
-        raise typer.BadParameter(
-            f"--signal {self.signal}: a recording has {', '.join(get_args(OutputName))}"
-        )
+        return recording.dataset(_recorded_outputs((self.signal,))[0])
 
     def _tell_of_pair(self, recording: Recording) -> None:
         from armrig.recordings.usability import doubts_of_pair
@@ -179,6 +226,24 @@ class SignalChoice:
         for text in doubts_of_pair(self.read[0], recording) if self.read else ():
             tell(text)
         self.read.append(recording)
+
+
+def _names(option: str, text: str | None) -> tuple[str, ...]:
+    """Return the names in a text with commas; refuse empty and repeated names."""
+    names = tuple(name.strip() for name in text.split(",")) if text else ()
+    if "" in names:
+        raise typer.BadParameter(f"{option} {text}: a name is empty; give names with commas, A,B")
+    if repeated := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
+        raise typer.BadParameter(f"{option} {text}: {repeated[0]} is repeated; name it once")
+    return names
+
+
+def _recorded_outputs(names: Sequence[str]) -> list[OutputName]:
+    """Return the names as outputs of a recording; refuse any other name."""
+    known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
+    if unknown := [name for name in names if name not in known]:
+        raise typer.BadParameter(f"--signal {unknown[0]}: a recording has {', '.join(known)}")
+    return [known[name] for name in names]
 
 
 def options_of(
@@ -199,26 +264,25 @@ def _check_varies(file: Path, data: Dataset) -> None:
         raise InputError(msg + "a column that varies (--signal), or record again")
 
 
-def between(data: Dataset, start: float | None, stop: float | None) -> Dataset:
+def between(data: Data, start: float | None, stop: float | None) -> Data:
     """Return the samples with start <= t < stop, in s from the first sample."""
     if start is None and stop is None:
         return data
-    first, end = (
-        None if t is None else ceil(min(t / data.Ts, data.N) - 1e-6) for t in (start, stop)
-    )
+    Ts = data.Ts or 1.0
+    first, end = (None if t is None else ceil(min(t / Ts, data.N) - 1e-6) for t in (start, stop))
     if (start or 0) < 0 or (first or 0) >= (data.N if end is None else min(end, data.N)):
         msg = f"no samples from --from {start or 0:g} s on"
         msg += f" to --to {stop:g} s" if stop is not None else ""
-        raise InputError(f"{msg}: the data last {data.N * data.Ts:g} s")
+        raise InputError(f"{msg}: the data last {data.N * Ts:g} s")
     return data[first:end]
 
 
-def from_recording(data: Dataset) -> bool:
+def from_recording(data: Dataset | Signals) -> bool:
     """Return True if data come from a recording of a rig."""
     return ":" not in data.source
 
 
-def source_facts(data: Dataset) -> dict[str, str]:
+def source_facts(data: Dataset | Signals) -> dict[str, str]:
     """Return the hash of the source file of data, for a program."""
     kind, _, digest = data.source.rpartition(":")
     return {kind or "recording": digest}

@@ -36,6 +36,7 @@ from armrig.cli.recorded_data import (
     spectral_beside,
     warn_of_estimation_data,
 )
+from armrig.cli.several_signals import validate as validate_several
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
@@ -84,7 +85,8 @@ def validate(
 
     The command simulates the model, predicts the output, and tests the residuals.
     """
-    from armrig.models.model_file import load_fit
+    from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.models.multivariable.model_file import load_fit
 
     check_plot(plot, [file, model])
     fit = load_fit(model)
@@ -99,6 +101,11 @@ def validate(
         start=start,
         stop=stop,
     )
+    if isinstance(fit, MultivariableFit):
+        if lags is not None:
+            raise typer.BadParameter("--lags: models of several signals have no test with lags")
+        validate_several(fit, file, signals, horizon or _HORIZONS, plot=plot, json=json)
+        return
     data = signals.of(file, fit)
     validated = _validated(fit, data, horizon or _HORIZONS, lags)
     _plot_validation(validated, lags, plot)

@@ -16,6 +16,8 @@ OfferedName = Literal["arx", "armax", "oe", "bj", "iv4", "n4sid", "ararx"]
 """Structures offered by the commands; `pem` is for Python only."""
 OFFERED_NAMES: tuple[OfferedName, ...] = get_args(OfferedName)
 StructureName = Literal[OfferedName, "pem"]
+CommandName = Literal[OfferedName, "ss"]
+"""Structures of `armrig identify`; `ss` is for several signals only."""
 
 Initial = Literal["estimate", "backcast", "zero", "auto"]
 Weights = Literal["cva", "moesp", "n4sid"]
@@ -42,7 +44,7 @@ EVERY = ("nk", "stable")
 class RegisteredStructure:
     """Specification of one structure."""
 
-    name: StructureName | Literal["channel"]
+    name: StructureName | Literal["channel", "ss"]
     """Name of the structure and of its estimator, in small letters."""
     equation: str
     """Equation of y, without delays and levels."""
@@ -52,6 +54,11 @@ class RegisteredStructure:
     """Name of the order that is the number of poles from u to y."""
     takes: tuple[str, ...] = ()
     """Arguments of the estimator in addition to the orders and `EVERY`."""
+    takes_several: tuple[str, ...] | None = None
+    """Arguments of the estimator of several signals in addition to the orders and nk.
+
+    None if there is no such estimator.
+    """
     closed_loop: bool = False
     """True if feedback does not bias the estimate, provided that the noise model is right."""
     searched: bool = True
@@ -89,6 +96,7 @@ _ROWS = (
         equation="A y = B u + e",
         orders={"na": _N, "nb": _N},
         poles="na",
+        takes_several=(),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -97,6 +105,7 @@ _ROWS = (
         orders={"na": _N, "nb": _N, "nc": _N},
         poles="na",
         takes=_SEARCHED,
+        takes_several=("shared",),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -105,6 +114,7 @@ _ROWS = (
         orders={"nb": _N, "nf": _N},
         poles="nf",
         takes=_SEARCHED,
+        takes_several=("integrator", "shared"),
     ),
     RegisteredStructure(
         name="bj",
@@ -112,6 +122,7 @@ _ROWS = (
         orders={"nb": _N, "nc": 1, "nd": 1, "nf": _N},
         poles="nf",
         takes=_SEARCHED,
+        takes_several=("integrator",),
         closed_loop=True,
     ),
     RegisteredStructure(
@@ -126,6 +137,7 @@ _ROWS = (
         orders={"order": None},
         poles="order",
         takes=("integrator", "weights", "horizon", "focus"),
+        takes_several=("weights",),
     ),
     RegisteredStructure(
         name="ararx",
@@ -154,6 +166,18 @@ CHANNEL = RegisteredStructure(
     poles="nf",
 )
 """One input and output of a model with several, whose noise is not a polynomial of one e."""
+_SS = RegisteredStructure(
+    name="ss",
+    equation="a state space of least prediction errors",
+    orders={"order": None},
+    poles="order",
+    takes_several=(),
+    closed_loop=True,
+)
+OF_SEVERAL: dict[str, RegisteredStructure] = {
+    row.name: row for row in (*_ROWS, _SS) if row.takes_several is not None
+}
+"""Specifications of the structures that have an estimator of several signals."""
 DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | {CHANNEL.name: CHANNEL}
 """Specifications of everything that a `Fit` may be, by name."""
 OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for name in OFFERED_NAMES}

@@ -17,6 +17,7 @@ from armrig.estimation.multivariable.inference import (
     inferred,
     pairwise_covariance,
 )
+from armrig.estimation.multivariable.n4sid import n4sid
 from armrig.estimation.multivariable.state_space_problem import (
     Linear,
     Part,
@@ -72,7 +73,7 @@ class _End:
 def ss(
     data: Signals,
     *,
-    order: int,
+    order: int | None = None,
     nk: int | Sequence[int] = 1,
     noise: bool = True,
 ) -> MultivariableFit:
@@ -86,8 +87,8 @@ def ss(
     ----------
     data : Signals
         N samples of nu inputs and ny outputs. Only with noise=False may values be missing.
-    order : int
-        Number of states, >= 1.
+    order : int, optional
+        Number of states, >= 1; by default the order that `n4sid` chooses.
     nk : int or sequence of int, default 1
         Samples before each input reaches the outputs; 0 for all inputs is a direct term D.
     noise : bool, default True
@@ -109,6 +110,8 @@ def ss(
     .. [1] T. McKelvey, A. Helmersson, T. Ribarits, Automatica 40 (2004) 1629-1635.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 7.2 and appendix 4A.
     """
+    if order is None:
+        order = n4sid(data, nk=nk, replicates=0).form.realised().A.shape[0]
     require_integers(order=(order, 1))
     require_flags(noise=noise)
     delays = delays_of(nk, data)

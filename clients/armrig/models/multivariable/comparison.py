@@ -12,6 +12,7 @@ from armrig_core.errors import InputError, InputTypeError
 from armrig.data.signals import Signals
 from armrig.models.model import Matrix
 from armrig.numerics.criteria import fit_percent
+from armrig.numerics.quantities import plural
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -88,7 +89,7 @@ class SignalsComparisonTable:
 
     def __repr__(self) -> str:
         """Return a line for each model and output."""
-        what = "simulation" if self.horizon is None else f"{self.horizon} samples ahead"
+        what = "simulation" if self.horizon is None else f"{plural(self.horizon, 'sample')} ahead"
         lines = [f"{what}; initial state estimated from these data by least squares"]
         width = max(len(name) for name in self.data.outputs)
         for row in self.rows:

@@ -1,0 +1,175 @@
+"""identify, validate and compare for models of several signals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from armrig.cli.figures import write_plot
+from armrig.cli.model_structures import Given, requested_of_several
+from armrig.cli.next_step import say_next, typed, validation_beside
+from armrig.cli.options import SAME_DATA, print_json, say, tell
+from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from armrig.data.signals import Signals
+    from armrig.estimation.multivariable.request import SignalsRequest
+    from armrig.models.multivariable.comparison import SignalsComparisonTable
+    from armrig.models.multivariable.fit import MultivariableFit
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outputs:
+    """Files and form of what `identify` writes and prints."""
+
+    validate: Path | None
+    save: Path | None
+    plot: Path | None
+    json: bool
+    verbose: bool
+
+
+def identify(file: Path, given: Given, signals: SignalChoice, to: Outputs, *, shared: bool) -> None:
+    """Estimate a model of several signals, and print it."""
+    from armrig.cli import several_output
+    from armrig.cli.spinner import estimating
+
+    data = signals.signals_of(file)
+    request = _request(given, data, shared=shared)
+    other = None if to.validate is None else signals.signals_of(to.validate)
+    with estimating(", ".join(request.orders)):
+        fit = request.estimated(data)
+    table = None if other is None else compared(other, [fit])
+    if to.json:
+        facts = several_output.model_facts(fit) | source_facts(data)
+        print_json(facts | ({} if table is None else {"validation": _rows(table)}))
+    else:
+        say(several_output.answer(fit))
+        say("\n".join(several_output.lines(fit, verbose=to.verbose)))
+        if table is not None:
+            say(f"validation on {to.validate}: {table!r}")
+    if to.save is not None:
+        fit.save(to.save)
+    write_plot(to.plot, height=3.6, **several_output.figures(fit, data if other is None else other))
+    if not to.json:
+        _say_next(request, file, signals, to)
+
+
+def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
+    """Return the request; the rig's outputs share one denominator, and theta_1 integrates."""
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+    from armrig.models.structure_table import OF_SEVERAL
+
+    integrating = data.outputs
+    if from_recording(data):
+        integrating = tuple(name for name in data.outputs if name in INTEGRATING_OUTPUTS)
+        row = OF_SEVERAL.get(given["structure"])
+        shared = shared or (row is not None and "shared" in (row.takes_several or ()))
+    if given["integrator"] and not integrating:
+        raise typer.BadParameter(
+            f"--integrator: the rig has no pole at 1 for {' and '.join(data.outputs)}"
+        )
+    return requested_of_several(given, integrating=integrating, shared=shared)
+
+
+def compared(
+    data: Signals, fits: Sequence[MultivariableFit], horizon: int | None = None
+) -> SignalsComparisonTable:
+    """Return the comparison, and print a warning if a model is judged on its own data."""
+    from armrig.models.multivariable.comparison import compare
+
+    table = compare(data, *fits, horizon=horizon)
+    if any(row.on_estimation_data for row in table.rows):
+        tell(SAME_DATA)
+    return table
+
+
+def _rows(table: SignalsComparisonTable) -> list[dict[str, Any]]:
+    """Return the rows of a comparison as JSON fields."""
+    return [
+        {
+            "model": row.name,
+            "on_estimation_data": row.on_estimation_data,
+            "horizon": table.horizon,
+            "outputs": {
+                name: {"fit_percent": fit, "rms_error": rms}
+                for name, fit, rms in zip(
+                    table.data.outputs, row.fit_percent, row.rms_error, strict=True
+                )
+            },
+        }
+        for row in table.rows
+    ]
+
+
+def _say_next(request: SignalsRequest, file: Path, signals: SignalChoice, to: Outputs) -> None:
+    """Print the next command: save the model, or validate it on other data."""
+    validation = typed(to.validate) if to.validate else ""
+    if not validation and signals.read:
+        validation = validation_beside(file)
+    given = signals.options()
+    model = quote(str(to.save or "model.json"))
+    if to.save is None:
+        options = _options(request) + given + (f" --validate {validation}" if validation else "")
+        say_next("identify", file=typed(file), options=options, model=model)
+    elif validation:
+        say_next("identify --save", validation=validation, model=model, given=given)
+
+
+def _options(request: SignalsRequest) -> str:
+    """Return the options of `identify` that make this request."""
+    orders = [f"--{name} {n}" for name, n in request.orders.items() if n is not None]
+    weights = f"--weights {request.weights}" if request.weights else ""
+    flags = ["--integrator" * bool(request.integrating), "--shared" * request.shared, weights]
+    each = [f"--structure {request.structure}", *orders, f"--nk {request.nk}", *flags]
+    return " ".join(x for x in each if x)
+
+
+def validate(
+    fit: MultivariableFit,
+    file: Path,
+    signals: SignalChoice,
+    horizons: Sequence[int],
+    *,
+    plot: Path | None,
+    json: bool,
+) -> None:
+    """Validate a model of several signals: simulate it and predict with it."""
+    data = signals.signals_of(file, fit)
+    simulated = compared(data, [fit])
+    tables = [simulated, *(fit.compare(data, horizon=h) for h in horizons)]
+    write_plot(plot, height=3.6, compare=lambda ax: simulated.plot(ax=ax))
+    if json:
+        print_json({"model": fit.label, "tests": [row for t in tables for row in _rows(t)]})
+    else:
+        for table in tables:
+            say(repr(table))
+
+
+def compare(
+    fits: Sequence[tuple[str, MultivariableFit]],
+    file: Path,
+    signals: SignalChoice,
+    horizon: int | None,
+    *,
+    plot: Path | None,
+    json: bool,
+) -> None:
+    """Compare models of the same signals."""
+    from armrig.models.multivariable.comparison import compare as comparison
+
+    data = signals.signals_of(file, fits[0][1])
+    table = comparison(
+        data, *(fit for _, fit in fits), horizon=horizon, labels=[name for name, _ in fits]
+    )
+    write_plot(plot, height=3.6, compare=lambda ax: table.plot(ax=ax))
+    if json:
+        print_json({"validation": data.source, "models": _rows(table)})
+    else:
+        say(repr(table))
