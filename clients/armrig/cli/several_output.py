@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from armrig.data.signals import Signals
     from armrig.models.fit import Fit
     from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.validation.multivariable.residual_test import SignalsResidualTest
 
 
 def answer(fit: MultivariableFit) -> str:
@@ -80,6 +81,29 @@ def model_facts(fit: MultivariableFit) -> dict[str, Any]:
         ],
         "converged": fit.converged,
         "warnings": list(fit.warnings),
+    }
+
+
+def test_facts(tests: SignalsResidualTest) -> dict[str, Any]:
+    """Return the tests of the residuals as JSON fields."""
+    return {
+        "p_white": tests.white.p_value,
+        "p_no_dynamics_missing": tests.missing_dynamics,
+        "p_no_feedback": tests.feedback,
+        "outputs": {
+            name: {"p_white": white.p_value, "whiteness_test": white.test}
+            for name, white in zip(tests.outputs, tests.white_by_output, strict=True)
+        },
+        "pairs": [
+            {
+                "input": input,
+                "output": output,
+                "p_no_dynamics_missing": float(tests.missing_dynamics_by_pair[i, j]),
+                "p_no_feedback": float(tests.feedback_by_pair[i, j]),
+            }
+            for i, output in enumerate(tests.outputs)
+            for j, input in enumerate(tests.inputs)
+        ],
     }
 
 

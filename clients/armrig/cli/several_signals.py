@@ -136,20 +136,35 @@ def validate(
     file: Path,
     signals: SignalChoice,
     horizons: Sequence[int],
+    lags: int | None,
     *,
     plot: Path | None,
     json: bool,
 ) -> None:
-    """Validate a model of several signals: simulate it and predict with it."""
+    """Validate a model of several signals: simulate it, predict with it, test its residuals."""
+    from armrig.cli import several_output
+    from armrig.models.multivariable.figures import plot_signals_comparison
+    from armrig.validation.multivariable.figures import plot_signals_residuals
+    from armrig.validation.residuals import residuals
+
     data = signals.signals_of(file, fit)
     simulated = compared(data, [fit])
     tables = [simulated, *(fit.compare(data, horizon=h) for h in horizons)]
-    write_plot(plot, height=3.6, compare=lambda ax: simulated.plot(ax=ax))
+    tests = residuals(fit, data, lags)
+    write_plot(
+        plot,
+        height=3.6,
+        compare=lambda ax: plot_signals_comparison(simulated, ax=ax),
+        residuals=lambda ax: plot_signals_residuals(tests, ax=ax),
+    )
     if json:
-        print_json({"model": fit.label, "tests": [row for t in tables for row in _rows(t)]})
+        facts: dict[str, Any] = {"model": fit.label, "identified_from": fit.source}
+        facts |= source_facts(data) | several_output.test_facts(tests)
+        print_json(facts | {"comparisons": [row for t in tables for row in _rows(t)]})
     else:
         for table in tables:
             say(repr(table))
+        say(repr(tests))
 
 
 def compare(
@@ -163,12 +178,13 @@ def compare(
 ) -> None:
     """Compare models of the same signals."""
     from armrig.models.multivariable.comparison import compare as comparison
+    from armrig.models.multivariable.figures import plot_signals_comparison
 
     data = signals.signals_of(file, fits[0][1])
     table = comparison(
         data, *(fit for _, fit in fits), horizon=horizon, labels=[name for name, _ in fits]
     )
-    write_plot(plot, height=3.6, compare=lambda ax: table.plot(ax=ax))
+    write_plot(plot, height=3.6, compare=lambda ax: plot_signals_comparison(table, ax=ax))
     if json:
         print_json({"validation": data.source, "models": _rows(table)})
     else:

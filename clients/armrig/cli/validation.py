@@ -102,9 +102,7 @@ def validate(
         stop=stop,
     )
     if isinstance(fit, MultivariableFit):
-        if lags is not None:
-            raise typer.BadParameter("--lags: models of several signals have no test with lags")
-        validate_several(fit, file, signals, horizon or _HORIZONS, plot=plot, json=json)
+        validate_several(fit, file, signals, horizon or _HORIZONS, lags, plot=plot, json=json)
         return
     data = signals.of(file, fit)
     validated = _validated(fit, data, horizon or _HORIZONS, lags)

@@ -210,10 +210,10 @@ def portmanteau(
     M -= R[0] * by_fitted @ by_fitted.T
     if theta_covariance is not None:
         M += by_theta @ theta_covariance @ by_theta.T
-    return _decided(pairs[1:] * R[1:] - m, M, V, N)
+    return decided(pairs[1:] * R[1:] - m, M, V, N)
 
 
-def _decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
+def decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
     """Return the test of the sums s with covariance M, or diag(V) if M is nearly indefinite."""
     used = V > 0
     z = s[used] / np.sqrt(V[used])
@@ -281,8 +281,11 @@ def two_sided(level: float) -> float:
     return sqrt(2) * float(erfinv(level))
 
 
-def joint_p_value(s: Array, M: Array) -> float:
-    """Return P(chi² >= s^T M^+ s); the degrees of freedom are the rank of M. NaN for rank 0."""
+def joint_p_value(s: Array, M: Array, least: float = 1e-8) -> float:
+    """Return P(chi² >= s^T M^+ s); the degrees of freedom are the rank of M. NaN for rank 0.
+
+    Directions with less than the share `least` of the largest variance do not count.
+    """
     from scipy.special import chdtrc
 
     scale = np.sqrt(np.maximum(np.diag(M), 0.0))
@@ -291,6 +294,6 @@ def joint_p_value(s: Array, M: Array) -> float:
         return float("nan")
     s, M = s[used] / scale[used], M[np.ix_(used, used)] / np.outer(scale[used], scale[used])
     value, vector = np.linalg.eigh(M)
-    kept = value > 1e-8 * value[-1]
+    kept = value > least * value[-1]
     z = vector[:, kept].T @ s
     return float(chdtrc(int(np.count_nonzero(kept)), np.sum(z**2 / value[kept])))

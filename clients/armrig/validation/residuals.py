@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import sqrt
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast, overload
 
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
 from armrig.models.estimate import Estimate
+from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
 from armrig.numerics.covariance import exogenous_score
 from armrig.numerics.least_squares import orthonormal
@@ -33,6 +34,9 @@ from armrig.validation.residual_figure import BAND_99_PERCENT
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from armrig.data.signals import Signals
+    from armrig.validation.multivariable.residual_test import SignalsResidualTest
 
 Vector = NDArray[np.float64]
 
@@ -133,7 +137,23 @@ class ResidualTest:
         return "\n".join(lines)
 
 
-def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None) -> ResidualTest:
+@overload
+def residuals(
+    fit: MultivariableFit, data: Signals, lags: int | None = None
+) -> SignalsResidualTest: ...
+
+
+@overload
+def residuals(
+    fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
+) -> ResidualTest: ...
+
+
+def residuals(
+    fit: Estimate | MultivariableFit,
+    data: Dataset | HasDataset | Signals,
+    lags: int | None = None,
+) -> ResidualTest | SignalsResidualTest:
     """Test whether the one-step residuals are white and independent of the input.
 
     Whiteness is tested by a portmanteau test that allows for the estimated parameters. If this test
@@ -157,16 +177,16 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
 
     Parameters
     ----------
-    fit : Fit
-        Model of the output of the data.
-    data : Dataset
+    fit : Fit or MultivariableFit
+        Model of the output of the data, or of several outputs.
+    data : Dataset or Signals
         N samples, or a recording.
     lags : int, optional
         L, from 1 to half the number of residuals; 25 by default, fewer for short data.
 
     Returns
     -------
-    ResidualTest
+    ResidualTest or SignalsResidualTest
         Residuals (N,) in y's unit, correlations (without unit) with bands, and p values.
 
     Raises
@@ -179,6 +199,10 @@ def residuals(fit: Estimate, data: Dataset | HasDataset, lags: int | None = None
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.6.
     .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
     """
+    if isinstance(fit, MultivariableFit):
+        from armrig.validation.multivariable.residuals import residuals as of_several
+
+        return of_several(fit, cast("Signals", data), lags)
     if not hasattr(fit, "noise_variance"):
         raise InputTypeError(
             f"the model must come first, got a {type(fit).__name__}: residuals(fit, data)"

@@ -104,7 +104,7 @@ def inferred(
         ],
         axis=0,
     )
-    robust = _exogenous(experiments) if score == "exogenous" else _correlated(experiments)
+    robust = exogenous_covariance(experiments) if score == "exogenous" else _correlated(experiments)
     robust *= float(np.sum(counts) / np.sum(degrees))
     return Inference(
         covariance=np.asarray(classic),
@@ -135,8 +135,11 @@ def pairwise_covariance(e: Array) -> Array:
     return np.asarray(inside * np.outer(std, std))
 
 
-def _exogenous(experiments: Sequence[Sequence[OutputResiduals]]) -> Array:
-    """Return the sandwich for an autoregressive residual of each output."""
+def exogenous_covariance(experiments: Sequence[Sequence[OutputResiduals]]) -> Array:
+    """Return the covariance of the sum of H_i(t) e_i(t) for autoregressive residuals.
+
+    H must not depend on the noise.
+    """
     ny = len(experiments[0])
     residuals = [[of[i].e for of in experiments] for i in range(ny)]
     models, variances = zip(*(autoregression(joined(e, _AR_GAP)) for e in residuals), strict=True)

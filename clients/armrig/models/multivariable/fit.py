@@ -35,6 +35,9 @@ class Form(Protocol):
     def theta(self) -> Vector:
         """Parameters (d,)."""
 
+    def replaced(self, theta: Vector) -> Form:
+        """Return the form with other parameters."""
+
     def channel(self, i: int, j: int) -> Channel:
         """Return the polynomials from input j to output i."""
 

@@ -45,6 +45,13 @@ class Matrices:
             for k in range(M.shape[1])
         )
 
+    def replaced(self, theta: Vector) -> Matrices:
+        """Return the matrices with other entries."""
+        blocks = (self.A, self.B, self.C, self.D, self.K)
+        parts = np.split(theta, np.cumsum([M.size for M in blocks])[:-1])
+        A, B, C, D, K = (p.reshape(M.shape) for p, M in zip(parts, blocks, strict=True))
+        return Matrices(A=A, B=B, C=C, D=D, K=K, nk=self.nk)
+
     @property
     def coupled(self) -> bool:
         """True: a channel has no noise polynomials of its own."""

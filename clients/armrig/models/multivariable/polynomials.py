@@ -10,7 +10,7 @@ Either all F and D are 1 (ARX, ARMAX), or A is the identity (OE, BJ).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,25 @@ class Polynomials:
     def theta(self) -> Vector:
         """Parameters, row after row: a, b, c, d, f."""
         return np.concatenate([p for *_, p in self._parts()])
+
+    def replaced(self, theta: Vector) -> Polynomials:
+        """Return the polynomials with other coefficients."""
+        rows: dict[str, list[list[Vector]]] = {x: [[] for _ in self.A] for x in "abcdf"}
+        begin = 0
+        for letter, i, _, first, p in self._parts():
+            leading = np.ones(1) if letter != "b" else np.zeros(first)
+            if letter == "a":
+                leading = self.A[i][len(rows["a"][i])][:1]
+            rows[letter][i].append(np.append(leading, theta[begin : begin + p.size]))
+            begin += p.size
+        return replace(
+            self,
+            A=tuple(map(tuple, rows["a"])),
+            B=tuple(map(tuple, rows["b"])),
+            C=tuple(row[0] for row in rows["c"]),
+            D=tuple(row[0] for row in rows["d"]),
+            F=tuple(map(tuple, rows["f"])),
+        )
 
     @property
     def names(self) -> tuple[tuple[str, int, int, int], ...]:

@@ -18,6 +18,8 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
 _MIN_SINGULAR_VALUE = 1e-4  # of the scaled responses to states, relative to the largest
+_MIN_SHOWN_VALUE = 1e-10  # the same of a direction that the errors show
+_SHOWN_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -93,43 +95,86 @@ def predicted(
     """
     if horizon is None:
         system = system.deterministic
-    at = [i for i, integrates in enumerate(integrating) if integrates]
-    n, y = system.order, np.where(part.valid, part.y, 0.0)
-    # The first column is the response to the data, then one for each state and each ramp.
-    inputs, outputs = np.zeros((2, part.N, 1 + n + len(at), max(part.nu, part.ny)))
-    inputs, outputs = inputs[:, :, : part.nu], outputs[:, :, : part.ny]
-    inputs[:, 0], outputs[:, 0] = part.u, y
-    for k, i in enumerate(at, 1 + n):
-        outputs[:, k, i] = np.arange(1.0, part.N + 1.0)
-    x0 = np.zeros((1 + n + len(at), n))
-    x0[1 : 1 + n] = np.eye(n)
     used = part.valid if horizon is not None else np.zeros_like(part.valid)
     with np.errstate(over="ignore", invalid="ignore"):
-        x = _states(system, inputs, outputs, x0, used)
-        errors = outputs - _outputs(system, x, inputs)
-        if not np.isfinite(errors).all():
-            return np.full(y.shape, np.inf)
-        weighted = (errors / noise_std).transpose(0, 2, 1)[part.valid]
-        c = np.append(1.0, -_initial(weighted[:, 1:], weighted[:, 0]))
+        r = _responses(system, part, integrating=integrating, used=used)
+        if not np.isfinite(r.errors).all():
+            return np.full(part.y.shape, np.inf)
+        c, x = r.combination(part, noise_std), r.x
         for _ in range((horizon or 1) - 1):
-            ahead = x[:-1] @ system.A.T + inputs[:-1] @ system.B.T
+            ahead = x[:-1] @ system.A.T + r.inputs[:-1] @ system.B.T
             x = np.concatenate([x[:1], ahead])
-        own = _outputs(system, x, inputs) - outputs * (np.arange(c.size) > n)[:, None]
+        is_ramp = np.arange(c.size) > system.order
+        own = _outputs(system, x, r.inputs) - r.outputs * is_ramp[:, None]
     found = np.asarray(np.einsum("k,tki->ti", c, own))
     # Before the first measured sample of an output, hardly any data determine its state.
     unknown = np.cumsum(part.valid, axis=0) == 0
     return np.where(unknown, np.nan, found) if horizon is not None else found
 
 
+def prediction_errors(
+    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], noise_std: Vector
+) -> tuple[Array, Array]:
+    """Return e = y - ŷ (N, ny) one step ahead, and its responses (N, r, ny) to what is estimated.
+
+    The estimated quantities are the initial state and the ramps of `predicted`. e is NaN where y is
+    missing; the responses are 0 there.
+    """
+    r = _responses(system, part, integrating=integrating, used=part.valid)
+    e = np.einsum("k,tki->ti", r.combination(part, noise_std), r.errors)
+    return np.where(part.valid, e, np.nan), r.errors[:, 1:] * part.valid[:, None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Responses:
+    """Responses to the data (the first column), to each state, and to each ramp."""
+
+    inputs: Array
+    """Inputs (N, m, nu)."""
+    outputs: Array
+    """Outputs (N, m, ny)."""
+    x: Array
+    """States (N, m, n)."""
+    errors: Array
+    """Errors of the prediction one step ahead (N, m, ny)."""
+
+    def combination(self, part: Signals, noise_std: Vector) -> Array:
+        """Return the coefficients (m,) of least squared errors; the first one is 1."""
+        weighted = (self.errors / noise_std).transpose(0, 2, 1)[part.valid]
+        return np.append(1.0, -_initial(weighted[:, 1:], weighted[:, 0]))
+
+
+def _responses(
+    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], used: Array
+) -> _Responses:
+    """Return the responses, with the innovations of the outputs marked in `used`."""
+    at = [i for i, integrates in enumerate(integrating) if integrates]
+    n = system.order
+    inputs, outputs = np.zeros((2, part.N, 1 + n + len(at), max(part.nu, part.ny)))
+    inputs, outputs = inputs[:, :, : part.nu], outputs[:, :, : part.ny]
+    inputs[:, 0], outputs[:, 0] = part.u, np.where(part.valid, part.y, 0.0)
+    for k, i in enumerate(at, 1 + n):
+        outputs[:, k, i] = np.arange(1.0, part.N + 1.0)
+    x0 = np.zeros((1 + n + len(at), n))
+    x0[1 : 1 + n] = np.eye(n)
+    x = _states(system, inputs, outputs, x0, used)
+    errors = outputs - _outputs(system, x, inputs)
+    return _Responses(inputs=inputs, outputs=outputs, x=x, errors=errors)
+
+
 def _initial(responses: Array, errors: Array) -> Array:
-    """Return the least-squares coefficients of the responses, without nearly dependent directions.
+    """Return the least-squares coefficients of the responses, without superfluous directions.
 
     Channels with nearly the same poles have states with nearly the same responses. Their difference
-    would be large, and would spoil predictions of missing samples.
+    would be large, and would spoil predictions of missing samples. Such a direction is used only if
+    the errors, in standard deviations of the noise, show it.
     """
     scale = np.maximum(column_norms(responses), 1e-100)
-    found = np.linalg.lstsq(responses / scale, errors, rcond=_MIN_SINGULAR_VALUE)[0]
-    return np.asarray(found / scale)
+    U, s, V = np.linalg.svd(responses / scale, full_matrices=False)
+    z = U.T @ errors
+    least = np.where(np.abs(z) > _SHOWN_SIGMAS, _MIN_SHOWN_VALUE, _MIN_SINGULAR_VALUE)
+    kept = s > least * s[:1]
+    return np.asarray(V[kept].T @ (z[kept] / s[kept])) / scale
 
 
 def _outputs(system: StateSpace, x: Array, u: Array) -> Array:

@@ -1,0 +1,1 @@
+"""Validation of models with several inputs and outputs."""

@@ -1,0 +1,98 @@
+"""Result of the tests of a model with several signals by its residuals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armrig.numerics.polynomial import Array
+from armrig.numerics.quantities import listed, p_relation
+from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SignalsResidualTest:
+    """Correlations of the residuals of several outputs with themselves and with the inputs."""
+
+    outputs: tuple[str, ...]
+    """Names of the outputs."""
+    inputs: tuple[str, ...]
+    """Names of the inputs."""
+    e: Array
+    """Residuals one step ahead, (N, ny), NaN where they are not known."""
+    lags: NDArray[np.int_]
+    """Lags 0 … L."""
+    autocorrelation: Array
+    """Correlation of e_i(t) with e_k(t - lag) at `lags`, (ny, ny, L + 1); 1 at i = k and lag 0."""
+    white_by_output: tuple[Whiteness, ...]
+    """Test of the hypothesis that the residuals of each output are white."""
+    white: Whiteness
+    """Test of the hypothesis that the vector of residuals is white, for all outputs together."""
+    cross_lags: NDArray[np.int_]
+    """Lags -L … L; at a positive lag the input precedes the residual."""
+    cross_correlation: Array
+    """Correlation of e_i(t) with u_j(t - lag) at `cross_lags`, (ny, nu, 2 L + 1)."""
+    cross_std: Array
+    """Standard deviations of `cross_correlation`, with the effect of the estimated parameters."""
+    missing_dynamics_by_pair: Array
+    """p value of no correlation with past and present input, for each pair, (ny, nu)."""
+    feedback_by_pair: Array
+    """p value of no correlation with future input, for each pair, (ny, nu)."""
+    missing_dynamics: float
+    """p value of no correlation with past and present inputs, for all pairs together."""
+    feedback: float
+    """p value of no correlation with future inputs, for all pairs together."""
+    on_estimation_data: bool
+    """True if the parameters were estimated from these data; the tests account for this."""
+    source: str
+    """Hash of the recording, or ""."""
+
+    def plot(self, *, ax: Axes | None = None) -> Figure:
+        """Return a figure with a row for each output: its residuals, and each input."""
+        from armrig.plots.layout import figure_of
+        from armrig.validation.multivariable.figures import plot_signals_residuals
+
+        return figure_of(plot_signals_residuals(self, ax=ax))
+
+    def _repr_html_(self) -> str:
+        """Return text and figure as HTML for a notebook."""
+        from armrig.plots.notebook import html
+
+        return html(self)
+
+    def __repr__(self) -> str:
+        """Return the joint tests first, then a line for each output and for each rejected pair."""
+        where = "estimation" if self.on_estimation_data else "validation"
+        counts = np.isfinite(self.e).sum(axis=0).tolist()
+        lines = [
+            f"residuals on {where} data, {listed([str(n) for n in counts])} samples",
+            f"  all outputs together: {self.white}",
+            f"  {_verdict('no dynamics missing', 'dynamics missing', self.missing_dynamics)}",
+            f"  {_verdict('no feedback', 'feedback, or a delay too large', self.feedback)}",
+        ]
+        lines += [
+            f"  {name}: {white}"
+            for name, white in zip(self.outputs, self.white_by_output, strict=True)
+        ]
+        for p, what in (
+            (self.missing_dynamics_by_pair, "dynamics missing"),
+            (self.feedback_by_pair, "feedback, or a delay too large"),
+        ):
+            lines += [
+                f"  {self.inputs[j]} to {self.outputs[i]}: {what} (p {p_relation(float(p[i, j]))})"
+                for i, j in zip(*np.nonzero(p < WHITE_LEVEL / p.size), strict=True)
+            ]
+        return "\n".join(lines)
+
+
+def _verdict(good: str, bad: str, p: float) -> str:
+    if not p >= 0:
+        return f"{good}: too few samples to test"
+    return f"{bad if p < WHITE_LEVEL else good} (p {p_relation(p)})"
