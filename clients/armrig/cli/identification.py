@@ -124,7 +124,7 @@ def identify(
             given,
             signals,
             Outputs(validate=validate, save=save, plot=plot, json=json, verbose=verbose),
-            search=search,
+            most=most if search else None,
             shared=shared,
         )
         return
@@ -157,18 +157,19 @@ def identify(
 
 
 def _identify_several(
-    file: Path, given: Given, signals: SignalChoice, to: Outputs, *, search: bool, shared: bool
+    file: Path,
+    given: Given,
+    signals: SignalChoice,
+    to: Outputs,
+    *,
+    most: int | None,
+    shared: bool,
 ) -> None:
-    """Estimate a model of several signals; refuse what only one output and input have."""
+    """Estimate a model of several signals, or search one of at most `most` poles."""
     if not signals.several:
         raise typer.BadParameter("--shared is for several outputs: name them, --signal A,B")
-    if search:
-        raise typer.BadParameter(
-            "--search searches models of one output and one input; give --structure ss, whose "
-            "order is chosen from the data"
-        )
     _check_files(file, to.validate, plot=to.plot, save=to.save)
-    identify_several(file, given, signals, to, shared=shared)
+    identify_several(file, given, signals, to, most=most, shared=shared)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from armrig.cli.model_output import coefficients, root_lines
+from armrig.estimation.multivariable.request import SignalsRequest
 from armrig.models.equation import heading
 from armrig.numerics.quantities import listed
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from armrig.models.fit import Fit
     from armrig.models.multivariable.fit import MultivariableFit
     from armrig.validation.multivariable.residual_test import SignalsResidualTest
+    from armrig.validation.multivariable.search import SignalsSearch
 
 
 def answer(fit: MultivariableFit) -> str:
@@ -39,6 +41,22 @@ def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
             yield f"{fit.inputs[j]} to {fit.outputs[i]}: {heading(channel)}"
             yield from coefficients(channel)
             yield from root_lines(channel)
+
+
+def request_of(found: SignalsSearch) -> SignalsRequest:
+    """Return the request that estimates the chosen model again, from all data."""
+    chosen = found.chosen
+    integrators = zip(found.fit.outputs, found.fit.form.integrators, strict=True)
+    integrating = tuple(name for name, integrates in integrators if integrates)
+    n = chosen.order
+    is_shared = chosen.family == "oe"
+    return SignalsRequest(
+        structure=chosen.family,
+        orders=dict.fromkeys(("nb", "nf"), n + bool(integrating)) if is_shared else {"order": n},
+        nk=found.nk,
+        integrating=integrating,
+        shared=is_shared,
+    )
 
 
 def model_facts(fit: MultivariableFit) -> dict[str, Any]:

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from armrig.estimation.multivariable.request import SignalsRequest
     from armrig.models.multivariable.comparison import SignalsComparisonTable
     from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.validation.multivariable.search import SignalsSearch
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,16 +36,30 @@ class Outputs:
     verbose: bool
 
 
-def identify(file: Path, given: Given, signals: SignalChoice, to: Outputs, *, shared: bool) -> None:
-    """Estimate a model of several signals, and print it."""
+def identify(
+    file: Path,
+    given: Given,
+    signals: SignalChoice,
+    to: Outputs,
+    *,
+    most: int | None,
+    shared: bool,
+) -> None:
+    """Estimate a model of several signals, or search one of at most `most` poles, and print it."""
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
 
     data = signals.signals_of(file)
-    request = _request(given, data, shared=shared)
     other = None if to.validate is None else signals.signals_of(to.validate)
-    with estimating(", ".join(request.orders)):
-        fit = request.estimated(data)
+    if most is None:
+        request = _request(given, data, shared=shared)
+        with estimating(", ".join(request.orders)):
+            fit = request.estimated(data)
+    else:
+        found = _searched(given, data, other, most)
+        request, fit = several_output.request_of(found), found.fit
+        if not to.json:
+            say(repr(found))
     table = None if other is None else compared(other, [fit])
     if to.json:
         facts = several_output.model_facts(fit) | source_facts(data)
@@ -61,14 +76,50 @@ def identify(file: Path, given: Given, signals: SignalChoice, to: Outputs, *, sh
         _say_next(request, file, signals, to)
 
 
+def _searched(given: Given, data: Signals, other: Signals | None, most: int) -> SignalsSearch:
+    """Search the structures that the options allow, with 1 to `most` poles."""
+    from armrig.cli.spinner import estimating
+    from armrig.validation.multivariable.search import FAMILIES, search
+
+    asked = {name: x for name, x in given.items() if x not in (None, False)}
+    if extra := asked.keys() - {"structure", "nk", "integrator"}:
+        name = sorted(extra)[0]
+        raise typer.BadParameter(
+            f"--{name} does not go with --search of several signals, which tries the orders"
+        )
+    structure = asked.get("structure")
+    if structure is not None and structure not in FAMILIES:
+        raise typer.BadParameter(
+            f"--structure {structure}: --search of several signals tries {', '.join(FAMILIES)}"
+        )
+    integrating = _integrating(data) if given["integrator"] or from_recording(data) else ()
+    with estimating("--max-order") as progress:
+        return search(
+            data,
+            other,
+            families=FAMILIES if structure is None else (structure,),
+            orders=range(1, most + 1),
+            nk=asked.get("nk", 1),
+            integrator=integrating,
+            progress=progress,
+        )
+
+
+def _integrating(data: Signals) -> tuple[str, ...]:
+    """Return the outputs that integrate: the angle of the rig, or all outputs of other data."""
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
+    if not from_recording(data):
+        return data.outputs
+    return tuple(name for name in data.outputs if name in INTEGRATING_OUTPUTS)
+
+
 def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
     """Return the request; the rig's outputs share one denominator, and theta_1 integrates."""
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
     from armrig.models.structure_table import OF_SEVERAL
 
-    integrating = data.outputs
+    integrating = _integrating(data)
     if from_recording(data):
-        integrating = tuple(name for name in data.outputs if name in INTEGRATING_OUTPUTS)
         row = OF_SEVERAL.get(given["structure"])
         shared = shared or (row is not None and "shared" in (row.takes_several or ()))
     if given["integrator"] and not integrating:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
 from armrig.data.finding import Finding
+from armrig.data.several_signals import accepts_signals
 from armrig.estimation.data_faults import level_without_input
 from armrig.estimation.stability import largest_unstable
 from armrig.models.fit import Fit
@@ -34,6 +35,7 @@ _ROUNDING = 1e-9  # share of y below which errors count as equal
 _UNBOUNDED = 1e3  # times the largest output, beyond which a model's output counts as unbounded
 
 
+@accepts_signals("armrig.validation.multivariable.search")
 @takes_recordings
 def search(
     data: Dataset,

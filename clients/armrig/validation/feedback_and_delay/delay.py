@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment.integrating import integration
 from armrig.data.treatment.wrong_samples import quantum
 from armrig.estimation.nonparametric.impulse import ImpulseResponse, impulse_response
@@ -43,6 +44,7 @@ _MIN_DETERMINED_LAGS = 28  # a PRBS of period 31 has so many, a sum of few sines
 _BLOCK = 4096  # rows decomposed at once: they stay in the cache
 
 
+@accepts_signals("armrig.validation.multivariable.feedback_and_delay")
 @takes_recordings
 def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     """Find the first lag at which u acts: the first lag that a model of y needs.
@@ -68,9 +70,9 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
 
     Parameters
     ----------
-    data : Dataset
+    data : Dataset or Signals
         At least 50 samples with an exciting input. Samples may be missing, and the data may have
-        several experiments.
+        several experiments. Of Signals each channel is tested alone.
     integrator : bool, optional
         True if y integrates. The default is True for theta_1, and for any y that a test finds to
         integrate; `remarks` contains the result of this test.

@@ -10,6 +10,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.several_signals import accepts_signals
 from armrig.numerics.quantities import p_relation, percent
 from armrig.validation.feedback_and_delay.sims import CannotTellError, Sims, sims
 
@@ -139,6 +140,7 @@ def require_level(level: float) -> None:
         raise InputError(f"level={level!r} must lie between 0 and 1, such as 0.05")
 
 
+@accepts_signals("armrig.validation.multivariable.feedback_and_delay")
 @takes_recordings
 def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     """Test whether the rig ran in open loop: u(t), u(t + 1), … do not depend on y(t).

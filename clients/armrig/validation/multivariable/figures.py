@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from armrig.validation.multivariable.residual_test import SignalsResidualTest
 
 _COLUMN_WIDTH, _ROW_HEIGHT = 2.6, 1.9  # inches
+_HEAD_POINTS = 22.0  # height of two lines above a panel
 
 
 def plot_signals_residuals(test: SignalsResidualTest, *, ax: Axes | None = None) -> Axes:
@@ -41,7 +42,7 @@ def plot_signals_residuals(test: SignalsResidualTest, *, ax: Axes | None = None)
         width = np.full(test.lags.size - 1, BAND_99_PERCENT / np.sqrt(count))
         white = test.white_by_output[i].p_value
         _draw(panel, test.lags[1:], test.autocorrelation[i, i, 1:], width, BLUE)
-        panel.set_title(f"white: p {p_relation(white)}", fontsize="small")
+        _head(panel, f"white: p {p_relation(white)}")
         panel.set_ylabel(f"residuals of\n{output}")
         panels.append(panel)
         for j, input in enumerate(test.inputs):
@@ -51,14 +52,25 @@ def plot_signals_residuals(test: SignalsResidualTest, *, ax: Axes | None = None)
             panel.axvline(-0.5, color=GREY, lw=0.6, ls=":")
             dynamics = p_relation(float(test.missing_dynamics_by_pair[i, j]))
             feedback = p_relation(float(test.feedback_by_pair[i, j]))
-            panel.set_title(
-                f"{input}: feedback p {feedback}, dynamics p {dynamics}", fontsize="small"
-            )
+            _head(panel, f"dynamics from {input}: p {dynamics}\nfeedback: p {feedback}")
             panels.append(panel)
     for panel in panels[-1 - len(test.inputs) :]:
         panel.set_xlabel("lag [samples]")
     finish(*panels)
-    return sign(ax, test.source)
+    return sign(panels[len(test.inputs)], test.source, above=_HEAD_POINTS)
+
+
+def _head(panel: Axes, text: str) -> None:
+    """Write the p values above a panel, to the right of its letter."""
+    panel.annotate(
+        text,
+        (0.0, 1.0),
+        xycoords="axes fraction",
+        xytext=(4.0, 3.0),
+        textcoords="offset points",
+        va="bottom",
+        fontsize="x-small",
+    )
 
 
 def _draw(panel: Axes, lags: Array, values: Array, width: Array, colour: str) -> None:

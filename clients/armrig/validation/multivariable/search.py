@@ -1,0 +1,263 @@
+"""Search over models of several signals: the best on other data, and the simplest as good."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import numpy as np
+from armrig_core.errors import InputError
+
+from armrig.data.signals import Signals
+from armrig.estimation.multivariable.n4sid import n4sid
+from armrig.estimation.multivariable.oe import oe
+from armrig.estimation.multivariable.plans import integrating_outputs
+from armrig.estimation.multivariable.ss import ss
+from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
+from armrig.numerics.checks import require_integers, require_several
+from armrig.numerics.criteria import batch_means, simplest_as_good, standard_error
+from armrig.numerics.polynomial import Array
+
+SearchedName = Literal["ss", "n4sid", "oe"]
+FAMILIES: tuple[SearchedName, ...] = get_args(SearchedName)
+"""Structures that are searched; oe has a shared denominator."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SignalsCandidate:
+    """A structure of one order, with its errors on the validation data."""
+
+    family: SearchedName
+    """Name of the structure."""
+    order: int
+    """Number of poles, without the poles of integrators."""
+    fit: MultivariableFit | None
+    """The model; None if the estimate failed."""
+    reason: str
+    """Reason why there is no usable model, or ""."""
+    error: Array
+    """Sum over the outputs of (y - ŷ)² / var y at each instant, (N,); empty without a model."""
+
+    @property
+    def name(self) -> str:
+        """Structure and order: ss of order 3."""
+        return f"{self.family} of order {self.order}"
+
+    @property
+    def parameters(self) -> int:
+        """Number of free parameters, 0 without a model."""
+        return 0 if self.fit is None else _free(self.fit)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class SignalsSearch:
+    """Models of several signals, ranked on validation data, with the choice."""
+
+    ranked: tuple[SignalsCandidate, ...]
+    """Usable candidates, least error first."""
+    failed: tuple[SignalsCandidate, ...]
+    """Candidates without a usable model."""
+    excess: Array
+    """Mean error of each candidate minus that of the best, (n,)."""
+    excess_std: Array
+    """Standard error of `excess`, (n,)."""
+    chosen_index: int
+    """Index of the simplest candidate that is as good as the best."""
+    halved: bool
+    """True if the second half of the data was used for validation."""
+    horizon: int | None
+    """Samples predicted ahead; None is simulation."""
+    nk: int
+    """Samples before each input reaches the outputs."""
+
+    @property
+    def chosen(self) -> SignalsCandidate:
+        """The chosen candidate."""
+        return self.ranked[self.chosen_index]
+
+    @property
+    def fit(self) -> MultivariableFit:
+        """The chosen model."""
+        found = self.chosen.fit
+        if found is None:
+            raise InputError(self.chosen.reason)
+        return found
+
+    def explain(self) -> str:
+        """Return the reasons for the choice, a sentence for each line."""
+        best, chosen = self.ranked[0], self.chosen
+        where = "the second half of the data" if self.halved else "the validation data"
+        how = "simulated" if self.horizon is None else f"predicted {self.horizon} ahead"
+        lines = [f"{best.name}, {how}, has the least error on {where}."]
+        if chosen is not best:
+            lines.append(
+                f"{chosen.name} has fewer parameters ({chosen.parameters} instead of "
+                f"{best.parameters}), and its error exceeds the least by no more than the "
+                "standard error of the difference."
+            )
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        """Return the table of the candidates, and the reasons."""
+        lines = [f"{'model':16} {'parameters':>10} {'error':>10} {'excess':>10} {'± ':>9}"]
+        rows = zip(self.ranked, self.excess, self.excess_std, strict=True)
+        for candidate, excess, std in rows:
+            mark = "  chosen" if candidate is self.chosen else ""
+            lines.append(
+                f"{candidate.name:16} {candidate.parameters:10} {_mean(candidate.error):10.4g} "
+                f"{excess:10.2g} {std:9.2g}{mark}"
+            )
+        lines += [f"{candidate.name:16} {candidate.reason}" for candidate in self.failed]
+        return "\n".join([*lines, self.explain()])
+
+
+def search(
+    data: Signals,
+    validation: Signals | None = None,
+    *,
+    families: Sequence[SearchedName] = FAMILIES,
+    orders: Iterable[int] = range(1, 9),
+    nk: int = 1,
+    integrator: bool | str | Sequence[str] = False,
+    horizon: int | None = None,
+    progress: Callable[[int, int, str], object] | None = None,
+) -> SignalsSearch:
+    """Estimate models of several orders, rank them on other data, choose the simplest as good.
+
+    The error of a model is the sum over the outputs of the mean of (y - ŷ)² / var y. A model is as
+    good as the best if its excess is at most the standard error of the excess, from 30 batch means.
+
+    Parameters
+    ----------
+    data : Signals
+        Data to estimate from.
+    validation : Signals, optional
+        Data to rank the models on; by default the second half of `data`.
+    families : sequence of {"ss", "n4sid", "oe"}
+        Structures to try; "oe" has a shared denominator.
+    orders : iterable of int
+        Numbers of poles, >= 1, without the poles of integrators.
+    nk : int, default 1
+        Samples before each input reaches the outputs.
+    integrator : bool, str or sequence of str, default False
+        Outputs with a pole at 1. Then only "oe" is tried, because a state space has none.
+    horizon : int, optional
+        Samples to predict ahead, >= 1; by default the models are simulated.
+    progress : callable, optional
+        Called with the number of finished candidates, of all, and the name of the next one.
+
+    Returns
+    -------
+    SignalsSearch
+        `fit` is the chosen model, `ranked` contains the usable ones.
+
+    Raises
+    ------
+    ValueError
+        Nothing could be estimated, or an argument is out of range.
+    """
+    require_several(orders=orders)
+    halved = validation is None
+    if validation is None:
+        data, validation = data.split(2)
+    integrating = integrating_outputs(integrator, data)
+    if any(integrating):
+        families = [name for name in families if name == "oe"]
+    if unknown := [name for name in families if name not in FAMILIES]:
+        raise InputError(f"families has {unknown[0]!r}; each must be one of {', '.join(FAMILIES)}")
+    plan = [(family, int(n)) for family in families for n in orders]
+    for _, n in plan:
+        require_integers(orders=(n, 1))
+    scored = []
+    for k, (family, n) in enumerate(plan):
+        if progress is not None:
+            progress(k, len(plan), f"{family} of order {n}")
+        scored.append(_scored(family, n, data, validation, nk, integrator, horizon))
+    if progress is not None:
+        progress(len(plan), len(plan), "")
+    found = _ranked(scored, halved=halved, horizon=horizon, nk=nk)
+    chosen = found.chosen
+    if chosen.family != "n4sid":
+        return found
+    # The candidates of n4sid have no covariance, whose replicates cost a hundred estimates.
+    ranked = [*found.ranked]
+    ranked[found.chosen_index] = replace(chosen, fit=n4sid(data, chosen.order, nk=nk))
+    return replace(found, ranked=tuple(ranked))
+
+
+def _scored(
+    family: SearchedName,
+    n: int,
+    data: Signals,
+    validation: Signals,
+    nk: int,
+    integrator: bool | str | Sequence[str],
+    horizon: int | None,
+) -> SignalsCandidate:
+    """Estimate a candidate, and return its errors."""
+    none = np.zeros(0)
+    try:
+        with np.errstate(all="ignore"):
+            fit = _estimated(family, n, data, nk, integrator)
+            require_same_channels(fit, validation)
+            e = np.where(validation.valid, validation.y - fit.predict(validation, horizon), np.nan)
+    except (ValueError, np.linalg.LinAlgError) as err:
+        return SignalsCandidate(family=family, order=n, fit=None, reason=str(err), error=none)
+    error = np.nansum((e / np.nanstd(validation.y, axis=0)) ** 2, axis=1)
+    reason = "" if np.isfinite(error).all() else "its output is unbounded"
+    return SignalsCandidate(family=family, order=n, fit=fit, reason=reason, error=error)
+
+
+def _estimated(
+    family: SearchedName, n: int, data: Signals, nk: int, integrator: bool | str | Sequence[str]
+) -> MultivariableFit:
+    if family == "oe":
+        integrating = integrating_outputs(integrator, data)
+        nb = {
+            (output, input): n + int(of)
+            for output, of in zip(data.outputs, integrating, strict=True)
+            for input in data.inputs
+        }
+        return oe(data, nb=nb, nf=n, nk=nk, integrator=integrator, shared="denominator")
+    if family == "ss":
+        return ss(data, order=n, nk=nk)
+    return n4sid(data, n, nk=nk, replicates=0)
+
+
+def _ranked(
+    scored: Sequence[SignalsCandidate], *, halved: bool, horizon: int | None, nk: int
+) -> SignalsSearch:
+    usable = sorted((c for c in scored if not c.reason), key=lambda c: _mean(c.error))
+    failed = tuple(c for c in scored if c.reason)
+    if not usable:
+        raise InputError(
+            f"none of the models could be estimated; the first, {failed[0].name}: "
+            f"{failed[0].reason}"
+        )
+    difference = np.array([c.error - usable[0].error for c in usable])
+    std = standard_error(np.array([batch_means(d) for d in difference]))
+    excess = difference.mean(axis=1)
+    return SignalsSearch(
+        ranked=tuple(usable),
+        failed=failed,
+        excess=excess,
+        excess_std=std,
+        chosen_index=simplest_as_good(excess, std, [c.parameters for c in usable]),
+        halved=halved,
+        horizon=horizon,
+        nk=nk,
+    )
+
+
+def _mean(error: Array) -> float:
+    return float(np.mean(error))
+
+
+def _free(fit: MultivariableFit) -> int:
+    """Return the number of free parameters; those of a state space without its coordinates."""
+    if fit.structure not in ("ss", "n4sid"):
+        return int(fit.theta.size)
+    A, B, C, D, _ = fit.state_space()
+    n, nu, ny = A.shape[0], B.shape[1], C.shape[0]
+    return int(n * (nu + 2 * ny) + (ny * nu if D.any() else 0))

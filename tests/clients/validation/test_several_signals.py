@@ -1,0 +1,202 @@
+"""Validation of models of several signals: residuals, search, delay and feedback by channel."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig import MultivariableFit, Signals
+from armrig.numerics.polynomial import filtered
+from armrig_core.errors import InputError
+
+from tests.sampling import sampled
+
+N = 400
+
+
+def plant(seed: int, *, missing: float = 0.0, cross: float = 0.5) -> Signals:
+    """Return two outputs of two inputs; u2 reaches y1 one sample later than the other channels."""
+    rng = np.random.default_rng([41, seed])
+    u = np.repeat(np.sign(rng.standard_normal((N // 2, 2))), 2, axis=0)
+    y = np.column_stack(
+        [
+            filtered([0, 1.0, 0.5], [1, -1.2, 0.5], u[:, 0]),
+            filtered([0, 0.3], [1, -0.3], u[:, 0]) + filtered([0, 0.8], [1, -0.7], u[:, 1]),
+        ]
+    )
+    y[:, 0] += cross * filtered([0, 0, 1.0], [1, -0.7], u[:, 1])
+    y += rng.multivariate_normal([0, 0], [[0.04, 0.02], [0.02, 0.03]], N)
+    valid = rng.random(y.shape) >= missing
+    return Signals(u=u, y=y, Ts=0.1, valid=valid, inputs=["u1", "u2"], outputs=["y1", "y2"])
+
+
+@cache
+def estimated(seed: int, missing: float = 0.0, *, nk_12: int = 2) -> MultivariableFit:
+    """Return the OE model of a plant, with the delay from u2 to y1."""
+    orders: dict[str, Any] = {
+        "nb": [[2, 1], [1, 1]],
+        "nf": [[2, 1], [1, 1]],
+        "nk": {("y1", "u2"): nk_12},
+    }
+    return armrig.oe(plant(seed, missing=missing), **orders)  # type: ignore[return-value]
+
+
+def joint(test: Any) -> list[float]:
+    """Return the p values of the joint tests."""
+    return [test.white.p_value, test.missing_dynamics, test.feedback]
+
+
+@pytest.mark.parametrize("missing", sampled([0.0, 0.2]))
+def test_the_tests_of_a_true_model_pass(missing: float) -> None:
+    """tests/benchmarks/several_residuals.py counts their false alarms over many plants."""
+    p = []
+    for seed in range(4):
+        fit = estimated(seed, missing)
+        for data in (plant(seed, missing=missing), plant(seed + 100, missing=missing)):
+            p += joint(armrig.residuals(fit, data))
+
+    assert min(p) > 0.0005
+    assert 0.2 < np.mean(p) < 0.8
+
+
+def test_a_delay_too_long_is_shown_at_its_pair_alone() -> None:
+    fit = estimated(0, nk_12=3)
+
+    found = armrig.residuals(fit, plant(100))
+
+    assert found.missing_dynamics < 1e-6
+    p = found.missing_dynamics_by_pair
+    assert p[0, 1] < 1e-6
+    assert min(p[0, 0], p[1, 0], p[1, 1]) > 1e-3
+    assert "u2 to y1: dynamics missing (p < 0.001)" in repr(found)
+
+
+def test_noise_that_the_outputs_share_later_is_seen_jointly_only() -> None:
+    """y2 contains the noise of y1 three samples later: each output alone is white."""
+    data, other = plant(0), plant(100)
+    rng = np.random.default_rng(5)
+    parts = []
+    for signals in (data, other):
+        e = 0.4 * rng.standard_normal(N + 3)
+        y = signals.y + np.column_stack([e[3:], e[:N]])
+        parts.append(signals.replaced(step=None, y=y))
+    nk = {("y1", "u2"): 2}
+    fit: Any = armrig.oe(parts[0], nb=[[2, 1], [1, 1]], nf=[[2, 1], [1, 1]], nk=nk)  # type: ignore[arg-type]
+
+    found = armrig.residuals(fit, parts[1])
+
+    assert found.white.p_value < 1e-6
+    assert all(white.p_value > 0.01 for white in found.white_by_output)
+
+
+def test_an_input_that_follows_an_output_shows_as_feedback() -> None:
+    rng = np.random.default_rng(8)
+    e = 0.5 * rng.standard_normal(N)
+    u = np.sign(rng.standard_normal((N, 2)))
+    v = filtered([1.0], [1, -0.8], e)
+    u[:, 1] += np.append(0.0, v[:-1])  # u2 follows the noise of y
+    y = filtered([0, 1.0], [1, -0.5], u[:, 0]) + filtered([0, 0.5], [1, -0.5], u[:, 1]) + v
+    data = Signals(u=u, y=y[:, None], Ts=0.1, inputs=["u1", "u2"], outputs=["y"])
+    fit: Any = armrig.oe(data, nb=1, nf=1)
+
+    found = armrig.residuals(fit, data)
+
+    assert found.feedback_by_pair[0, 1] < 1e-4
+    assert found.feedback_by_pair[0, 0] > 1e-3
+    assert armrig.open_loop(data)["y", "u2"].feedback  # type: ignore[index]
+    assert not armrig.open_loop(data)["y", "u1"].feedback  # type: ignore[index]
+
+
+def test_the_figure_has_a_panel_for_each_test() -> None:
+    found = armrig.residuals(estimated(0), plant(0))
+
+    assert len(found.plot().axes) == 2 * 3
+    assert found.on_estimation_data
+    assert "<pre>" in found._repr_html_()
+
+
+@pytest.mark.parametrize("lags", [0, N])
+def test_impossible_lags_are_refused(lags: int) -> None:
+    with pytest.raises(InputError, match=rf"lags={lags} must be 1 to 200"):
+        armrig.residuals(estimated(0), plant(0), lags)
+
+
+def test_a_long_angle_is_predicted_to_its_noise() -> None:
+    """Its initial state and ramp are a million times its noise, so that each digit counts."""
+    rng = np.random.default_rng(3)
+    n = 2000
+    u = np.repeat(rng.choice([0.0, 5.0], n // 10), 10)
+    B, F = [0, 0.004, 0.003], np.poly([0.91 + 0.16j, 0.91 - 0.16j, 0.69]).real
+    rate = filtered(B, F, u)
+    y = np.column_stack([np.cumsum(rate), rate])
+    y += 1e-4 * rng.standard_normal(y.shape)
+    data = Signals(u=u[:, None], y=y, Ts=0.01, inputs=["u"], outputs=["angle", "rate"])
+    fit: Any = armrig.oe(data, nb=2, nf=3, integrator="angle", shared="denominator")  # type: ignore[call-arg, arg-type]
+
+    e = data.y - fit.predict(data, None)
+
+    np.testing.assert_allclose(np.std(e, axis=0), 1e-4, rtol=0.1)
+
+
+def test_each_channel_has_its_delay() -> None:
+    found = armrig.delay(plant(1))
+
+    nk = {name: found[name].nk for name in found}  # type: ignore[attr-defined, index]
+    assert nk == {("y1", "u1"): 1, ("y1", "u2"): 2, ("y2", "u1"): 1, ("y2", "u2"): 1}
+    assert repr(found).startswith("u1 to y1: nk = 1")
+
+
+def test_a_channel_without_a_response_has_a_reason() -> None:
+    found: Any = armrig.delay(plant(1, cross=0.0))
+
+    assert len(found) == 3
+    with pytest.raises(InputError, match="u2 to y1: "):
+        found["y1", "u2"]
+    with pytest.raises(InputError, match="there is no such channel"):
+        found["y9", "u2"]
+
+
+def test_search_chooses_the_order_of_the_plant() -> None:
+    data = plant(2, cross=0.0)  # poles: a pair, 0.3, 0.7
+    done: list[str] = []
+
+    found: Any = armrig.search(
+        data,
+        plant(102, cross=0.0),  # type: ignore[arg-type]
+        families=["ss"],  # type: ignore[list-item]
+        orders=(3, 4, 5),
+        progress=lambda k, n, name: done.append(f"{k} of {n} {name}"),
+    )
+
+    assert found.chosen.name == "ss of order 4"
+    assert found.fit.estimated_from(data)
+    assert done == [
+        "0 of 3 ss of order 3",
+        "1 of 3 ss of order 4",
+        "2 of 3 ss of order 5",
+        "3 of 3 ",
+    ]
+    assert "  chosen" in repr(found)
+
+
+def test_search_knows_the_integrator_of_one_output() -> None:
+    rng = np.random.default_rng(3)
+    u = np.repeat(np.sign(rng.standard_normal(N // 4)), 4)
+    rate = filtered([0, 0.4, 0.2], np.poly([0.8, 0.5]), u)
+    y = np.column_stack([np.cumsum(rate), rate]) + 0.05 * rng.standard_normal((N, 2))
+    data = Signals(u=u[:, None], y=y, Ts=0.1, outputs=["angle", "rate"])
+
+    found: Any = armrig.search(data, integrator="angle", orders=(1, 2, 3))  # type: ignore[arg-type]
+
+    assert found.chosen.name == "oe of order 2"
+    assert found.fit.form.integrators == (True, False)
+
+
+def test_a_search_that_cannot_be_is_refused() -> None:
+    with pytest.raises(InputError, match="families has 'arx'; each must be one of ss, n4sid, oe"):
+        armrig.search(plant(0), families=["arx"])
+    with pytest.raises(InputError, match="none of the models could be estimated"):
+        armrig.search(plant(0)[:20], orders=[9])
