@@ -85,7 +85,10 @@ def _options(
     ]
     return [
         _parameter("structure", kinds, which, structure),
-        *(_parameter(name, int | None, _order(name)) for name in COUNTED),
+        *(
+            _parameter(name, int | None, _order(name, several=structure is None))
+            for name in COUNTED
+        ),
         _parameter("nk", int | None if nk is None else int, late, nk),
         *others,
     ]
@@ -97,19 +100,20 @@ def _parameter(name: str, kind: Any, option: Any, default: Any = None) -> inspec
     return inspect.Parameter(name, keyword, default=default, annotation=annotation)
 
 
-def _order(name: str) -> Any:
-    """Return the option of an order."""
+def _order(name: str, *, several: bool) -> Any:
+    """Return the option of an order; `several` adds the structures for several signals only."""
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
     shown = {"by the data" if n is None else str(n) for n in default.values()}
     if len(shown) > 1:
         shown = {", ".join(f"{title} {n}" for title, n in default.items())}
-    return _option(name, f"Number of {COUNTED[name]}", shown.pop())
+    others = [row.title for row in OF_SEVERAL.values() if name in row.orders] if several else []
+    return _option(name, f"Number of {COUNTED[name]}", shown.pop(), others)
 
 
-def _option(name: str, what: str, default: str = "") -> Any:
+def _option(name: str, what: str, default: str = "", others: Sequence[str] = ()) -> Any:
     """Return an option whose help names its structures, unless all structures have it."""
-    titles = ", ".join(OFFERED[user].title for user in users(name))
-    which = "" if len(users(name)) == len(OFFERED_NAMES) else f" ({titles})"
+    titles = dict.fromkeys([*(OFFERED[user].title for user in users(name)), *others])
+    which = "" if len(users(name)) == len(OFFERED_NAMES) else f" ({', '.join(titles)})"
     return typer.Option(flag(name), help=f"{what}{which}.", show_default=default or True)
 
 
@@ -133,7 +137,7 @@ def requested(given: Given) -> Request:
 
 
 def requested_of_several(
-    given: Given, *, integrating: Sequence[str], shared: bool
+    given: Given, *, integrating: Sequence[str], shared: bool, noise: bool
 ) -> SignalsRequest:
     """Return the request of the options for several signals.
 
@@ -143,6 +147,8 @@ def requested_of_several(
         Outputs that integrate if the options ask for an integrator.
     shared : bool
         Give all outputs one denominator if the structure allows it.
+    noise : bool
+        Estimate the gain K of a state space.
     """
     structure: CommandName | None = given["structure"]
     if structure is None:
@@ -159,7 +165,7 @@ def requested_of_several(
         if name not in ("structure", "nk", *row.orders, *takes):
             raise typer.BadParameter(
                 f"{_typed(name, value)} does not go with {row.title} of several signals, which has "
-                f"{listed([flag(x) for x in (*row.orders, 'nk', *takes)])}"
+                f"{listed([flag(x) for x in (*row.orders, 'nk', *takes) if x != 'noise'])}"
             )
     return SignalsRequest(
         structure=structure,
@@ -168,6 +174,7 @@ def requested_of_several(
         weights=asked.get("weights"),
         integrating=tuple(integrating) if asked.get("integrator") else (),
         shared=shared,
+        noise=noise,
     )
 
 

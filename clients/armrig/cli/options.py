@@ -56,9 +56,18 @@ Signal = Annotated[
     str | None,
     typer.Option(
         "--signal",
+        metavar="NAME",
+        help="Output: theta_1, alpha or velocity; in other data a column's name or number.",
+        show_default="theta_1; y of other data",
+    ),
+]
+Signals = Annotated[
+    str | None,
+    typer.Option(
+        "--signal",
         metavar="NAMES",
         help="Output: theta_1, alpha or velocity; in other data a column's name or number. "
-        "Names with commas are several outputs.",
+        "Several outputs have commas between their names.",
         show_default="theta_1; y of other data",
     ),
 ]
@@ -66,9 +75,18 @@ Input = Annotated[
     str | None,
     typer.Option(
         "--input",
+        metavar="NAME",
+        help="Column of the input in other data: its name, or its number from 1.",
+        show_default="u",
+    ),
+]
+Inputs = Annotated[
+    str | None,
+    typer.Option(
+        "--input",
         metavar="NAMES",
-        help="Column of the input in other data: its name, or its number from 1. Names with commas "
-        "are several inputs.",
+        help="Column of the input in other data: its name, or its number from 1. Several inputs "
+        "have commas between their names.",
         show_default="u",
     ),
 ]

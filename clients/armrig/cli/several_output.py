@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 from armrig.cli.model_output import coefficients, root_lines
 from armrig.estimation.multivariable.request import SignalsRequest
-from armrig.models.equation import heading
 from armrig.numerics.quantities import listed
 
 if TYPE_CHECKING:
@@ -38,7 +37,7 @@ def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
     yield repr(fit)
     if verbose:
         for i, j, channel in fit.channels():
-            yield f"{fit.inputs[j]} to {fit.outputs[i]}: {heading(channel)}"
+            yield f"{fit.inputs[j]} to {fit.outputs[i]}, delay {channel.nk} Ts"
             yield from coefficients(channel)
             yield from root_lines(channel)
 

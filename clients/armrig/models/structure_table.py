@@ -171,7 +171,7 @@ _SS = RegisteredStructure(
     equation="a state space of least prediction errors",
     orders={"order": None},
     poles="order",
-    takes_several=(),
+    takes_several=("noise",),
     closed_loop=True,
 )
 OF_SEVERAL: dict[str, RegisteredStructure] = {

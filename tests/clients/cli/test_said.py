@@ -78,6 +78,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "forward.toml").write_text(toml_of(FORWARD))
     written(folder, recording_of(still(), "calibrate-rest"), "rest.mcap")
     written(folder, recording_of(made_turns(noise=32.0), "calibrate-turns"), "turns.mcap")
+    (folder / "two.csv").write_text(_two_outputs())
     nine = {"rig": "9", "device": {"adc_bits": 12, "pwm_bits": 8, "uid": "beef"}}
     for name, readings in zip(("rest", "turns"), odd_turns(), strict=True):
         turned = recording_of(readings, f"calibrate-{name}", ODD, **nine)
@@ -106,6 +107,17 @@ def _odd_table() -> str:
         shown.append("" if k in (30, 31, 32, 200) else f"{x:.4f}")
     rows = (f"{one},{5 + k / 10:.1f},{u[k]}" for k, one in enumerate(shown))
     return "\n".join(["rate,t_s,u_v", *rows])
+
+
+def _two_outputs() -> str:
+    """Return 200 rows of two inputs, their copy u2, a constant w, and two outputs."""
+    rng = np.random.default_rng(12)
+    u, y = rng.choice([-1.0, 1.0], (200, 2)), np.zeros((200, 2))
+    for k in range(1, 200):
+        y[k] = [0.8, 0.5] * y[k - 1] + [[1.0, 0.3], [0.0, 2.0]] @ u[k - 1]
+    y += 0.1 * rng.standard_normal(y.shape)
+    lines = [f"{a:g},{b:g},{p:.4f},{q:.4f},{a:g},1" for (a, b), (p, q) in zip(u, y, strict=True)]
+    return "\n".join(["u,v,y,z,u2,w", *lines])
 
 
 def _recorded(

@@ -35,6 +35,8 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
     """Orders by name, except nk; None means that the order is chosen from the data."""
     nk: int = 1
     weights: Weights | None = None
+    noise: bool = True
+    """True if a state space also has the gain K of the innovations."""
     integrating: tuple[str, ...] = ()
     """Outputs with a pole at exactly 1."""
     shared: bool = False
@@ -59,6 +61,7 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
             "weights": self.weights or "cva",
             "integrator": self.integrating,
             "shared": "denominator" if self.shared else "",
+            "noise": self.noise,
         }
         return orders | {"nk": self.nk} | {name: x for name, x in options.items() if name in takes}
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from armrig.numerics.quantities import plural
+
 if TYPE_CHECKING:
     from armrig.models.multivariable.fit import MultivariableFit
 
@@ -14,7 +16,7 @@ def described(fit: MultivariableFit) -> str:
     """Return a model as text: a line for each output, and its poles."""
     inputs = ", ".join(_with_unit(*x) for x in zip(fit.inputs, fit.input_units, strict=True))
     lines = [
-        f"{fit.label}: {inputs} to {len(fit.outputs)} outputs, Ts {fit.Ts:g} s, "
+        f"{fit.label}: {inputs} to {plural(len(fit.outputs), 'output')}, Ts {fit.Ts:g} s, "
         f"{fit.theta.size} parameters",
     ]
     width = max(len(_with_unit(*x)) for x in zip(fit.outputs, fit.units, strict=True))

@@ -135,7 +135,8 @@ def search(
     validation : Signals, optional
         Data to rank the models on; by default the second half of `data`.
     families : sequence of {"ss", "n4sid", "oe"}
-        Structures to try; "oe" has a shared denominator.
+        Structures to try; "oe" has a shared denominator, and "ss" no K if
+        samples are missing.
     orders : iterable of int
         Numbers of poles, >= 1, without the poles of integrators.
     nk : int, default 1
@@ -221,7 +222,7 @@ def _estimated(
         }
         return oe(data, nb=nb, nf=n, nk=nk, integrator=integrator, shared="denominator")
     if family == "ss":
-        return ss(data, order=n, nk=nk)
+        return ss(data, order=n, nk=nk, noise=not data.missing)
     return n4sid(data, n, nk=nk, replicates=0)
 
 
