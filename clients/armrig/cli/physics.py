@@ -37,6 +37,10 @@ if TYPE_CHECKING:
     from armrig.recordings.recording import Recording
 
 GreySignal = Annotated[ChannelName, typer.Option("--signal", help="Output to fit.")]
+GreySignals = Annotated[
+    Literal[ChannelName, "theta_1,alpha"],
+    typer.Option("--signal", help="Output to fit, or both outputs together."),
+]
 Free = Annotated[
     list[str] | None,
     typer.Option(
@@ -63,7 +67,7 @@ def greybox(
     free: Free = None,
     friction: Friction = None,
     given: Given = None,
-    signal: GreySignal = THETA_1,
+    signal: GreySignals = THETA_1,
     output: NoOutput = None,
     calibration: CalibrationFile = None,
     start: From = None,
@@ -81,10 +85,12 @@ def greybox(
     fixed = parameters(given)
     [recording] = loaded([file], calibration, start, stop)
     model = _rig(recording, model)
-    data = recording.dataset(signal)
+    shown: ChannelName = THETA_1 if signal == "theta_1,alpha" else signal
+    data = recording.dataset(shown)
+    signals: Any = data if shown == signal else recording.signals()
     with spinner("estimating"):
         fit = estimate(
-            data, _model(model), tuple(free or ("J_1",)), fixed, signal, friction=friction
+            signals, _model(model), tuple(free or ("J_1",)), fixed, shown, friction=friction
         )
     fit.require_result()
     write_plot(plot, greybox=lambda ax: fit.plot(data, ax=ax), height=4.5)
@@ -98,8 +104,8 @@ def greybox(
         say(repr(fit).partition("\n")[0])
     for text in emulation([recording]):
         say(text)
-    options = options_of(data, calibration, start, stop)
-    say_next("greybox", file=typed(file), given=options)
+    given_options = options_of(data, calibration, start, stop)
+    say_next("greybox", file=typed(file), given=given_options)
 
 
 def _grey_facts(fit: GreyFit) -> dict[str, Any]:
@@ -117,6 +123,7 @@ def _grey_facts(fit: GreyFit) -> dict[str, Any]:
     return {
         "parameters": parameters,
         "influence": fit.influence,
+        "outputs": {name: q.fit_percent for name, q in fit.by_output.items()},
         "fit_percent": fit.fit_percent,
         "loss": fit.loss,
         "p_white": fit.whiteness,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from armrig_core.arm import ArmParameters, require_parameters
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment.wrong_samples import quantum, too_quiet
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.inference import Inference, infer
@@ -58,6 +60,7 @@ _MIN_LOG_RATIO = 10.0  # N ln of the ratio of two costs, above which the differe
 _MIN_COST = 1e-300
 
 
+@accepts_signals("armrig.physics.grey_box.several_outputs")
 @takes_recordings
 def greybox(
     data: Dataset,
@@ -79,8 +82,9 @@ def greybox(
 
     Parameters
     ----------
-    data : Dataset
-        u in V and the output that `output` names.
+    data : Dataset or Signals
+        u in V and the output that `output` names. From Signals with theta_1 and alpha, the
+        parameters are estimated from both outputs together; the default model is then `armrig.arm`.
     model : callable, default `armrig.chassis`
         Function `ArmParameters` -> control.StateSpace, continuous with one input: `armrig.chassis`,
         `armrig.arm`, or your own function.
@@ -134,12 +138,12 @@ def greybox(
         physics=physics, names=tuple(x for x in names if x != COULOMB), experiments=experiments
     )
     eta = plain.coordinates({name: getattr(p, name) for name in plain.names})
-    best = _search(plain, eta)
+    best = searched(plain, eta)
     if COULOMB not in names:
         return _fit(data, plain, best, eta, names, given)
     problem = GreyBoxWithFriction(plain=plain, speed=_speed(physics))
     start = problem.start(best.theta)
-    without, best = best, _search(problem, start)
+    without, best = best, searched(problem, start)
     worse = worse_with_friction(data, without.cost, best.cost)
     return _fit(data, problem, best, start, names, given, worse)
 
@@ -158,16 +162,29 @@ def _require_samples(
         )
 
 
-def _search(problem: GreyBox | GreyBoxWithFriction, start: Vector) -> Optimum:
+class Problem(Protocol):
+    """Least-squares problem in the coordinates of physical parameters."""
+
+    @property
+    def plain(self) -> GreyBox:
+        """Names and coordinates of the parameters."""
+
+    def linearise(self, eta: Vector) -> tuple[Vector, Matrix]:
+        """Return residuals and derivatives at the coordinates."""
+
+
+def searched(problem: GreyBox | Problem, start: Vector, around: Vector | None = None) -> Optimum:
     """Return the minimum found from a start.
 
-    The logarithms of the parameters change by less than `MAX_LOG_FACTOR`.
+    The logarithms of the parameters differ from `around`, by default the start, by less than
+    `MAX_LOG_FACTOR`.
     """
     plain = problem if isinstance(problem, GreyBox) else problem.plain
     logarithms = np.flatnonzero([name not in SIGNED for name in plain.names])
+    centre = start if around is None else around
 
     def admissible(eta: Vector) -> bool:
-        return bool(np.all(np.abs(eta - start)[logarithms] < MAX_LOG_FACTOR))
+        return bool(np.all(np.abs(eta - centre)[logarithms] < MAX_LOG_FACTOR))
 
     # A model that overflows has no finite cost, and the search refuses the step.
     with np.errstate(over="ignore", invalid="ignore"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -13,6 +13,7 @@ from armrig_core.errors import InputError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.dataset import Dataset
+from armrig.models.multivariable.fit import OutputQuality
 from armrig.numerics.checks import column
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.physics.grey_box.least_squares_problem import Linearised
@@ -96,6 +97,9 @@ class GreyFit:
     """Standard deviation of the smoothing kernel in s; NaN without smoothing."""
     bias: dict[str, float] = field(default_factory=dict)
     """Bias due to the noise of the smoothed velocity, by name; it is not subtracted."""
+    by_output: Mapping[str, OutputQuality] = field(default_factory=dict)
+    """Quality for each output, if several outputs were used; loss, fit and tests are of `output`.
+    """
     warnings: tuple[str, ...] = ()
     """Warnings on the reliability of the numbers."""
     output: str = "y"
@@ -218,6 +222,10 @@ class GreyFit:
             f"  {n:6} {self.values[n]:12.6g} {self.std[n]:10.2g} {self.std_robust[n]:10.2g} "
             f"{UNITS.get(n, '')}".rstrip()
             for n in self.names
+        ]
+        lines += [
+            f"  {name}: fit {q.fit_percent:.2f} %, rms {np.sqrt(q.loss):.3g}, N {q.N}, {q.white}"
+            for name, q in self.by_output.items()
         ]
         return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
 

@@ -1,0 +1,77 @@
+"""The grey box from theta_1 and alpha together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import armrig
+import numpy as np
+import pytest
+from armrig import Signals
+from armrig_core.errors import InputError
+
+from tests.benchmarks.several_greybox import NAMES, simulated
+
+
+def estimated(signals: Any, **options: Any) -> armrig.GreyFit:
+    """Return the estimates of the three parameters."""
+    return armrig.greybox(signals, armrig.arm, NAMES, **options)
+
+
+@pytest.mark.parametrize("missing", [0.0, 0.3])
+def test_the_parameters_are_found_within_their_deviations(missing: float) -> None:
+    """tests/benchmarks/several_greybox.py counts the coverage."""
+    rng = np.random.default_rng([3, 7])
+    p, signals = simulated(rng, 800, 2e-3)
+    holed = signals.replaced(step=None, valid=rng.random(signals.y.shape) >= missing)
+
+    fit = estimated(holed)
+
+    for name in NAMES:
+        assert abs(fit.values[name] - getattr(p, name)) < 3.5 * fit.std[name]
+    rms = [np.sqrt(q.loss) for q in fit.by_output.values()]
+    np.testing.assert_allclose(rms, [5e-3, 2e-3], rtol=0.1)
+    assert all(not q.white.coloured for q in fit.by_output.values())
+
+
+def test_both_outputs_give_smaller_deviations_than_each_alone() -> None:
+    _, signals = simulated(np.random.default_rng([3, 8]), 800, 5e-3)
+
+    both = estimated(signals)
+
+    for output in signals.outputs:
+        alone = estimated(signals.dataset(output, "u"), output=output)
+        assert all(both.std[name] < 0.95 * alone.std[name] for name in NAMES)
+    assert repr(both).count(": fit ") == 2
+    assert both.output == "theta_1"
+
+
+def test_several_experiments_each_have_their_state() -> None:
+    p, signals = simulated(np.random.default_rng([3, 9]), 900, 5e-3)
+    two = armrig.merge([signals[100:500], signals[600:]])  # type: ignore[arg-type]
+
+    fit = estimated(two)
+
+    assert len(fit.initial) == 2
+    for name in NAMES:
+        assert abs(fit.values[name] - getattr(p, name)) < 3.5 * fit.std[name]
+
+
+def test_what_both_outputs_cannot_give_is_refused() -> None:
+    _, signals = simulated(np.random.default_rng([3, 9]), 100, 5e-3)
+    twice = Signals(
+        u=np.column_stack([signals.u, signals.u[::-1]]),
+        y=signals.y,
+        Ts=0.01,
+        outputs=["theta_1", "alpha"],
+        inputs=["u", "v"],
+    )
+
+    with pytest.raises(InputError, match='give friction="viscous"'):
+        estimated(signals, friction="both")
+    with pytest.raises(InputError, match="the inputs are u, v; the rig has one"):
+        estimated(twice)
+    with pytest.raises(InputError, match="output='velocity' is none of the data's"):
+        estimated(signals, output="velocity")
+    with pytest.raises(InputError, match="10 samples are too few"):
+        estimated(signals[:10])
