@@ -1,4 +1,4 @@
-"""Sentence about an emulated rig whose clock stood still while its machine stalled."""
+"""Message about a stall of the computer, during which an emulated device's clock stood still."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def outcome_code(text: str) -> OutcomeCode:
 
 
 def gap_code(reason: str) -> GapCode:
-    """Return the code of the reason of a gap whose message has no code."""
+    """Return the code for the reason of a gap in a message of version 1, which has no code."""
     return _GAPS.get(reason, GapCode.UNKNOWN)
 
 

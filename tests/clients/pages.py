@@ -1,17 +1,19 @@
-"""Pages of docs/ whose Python is run, and compared with the output that they show."""
+"""Pages of docs/ whose Python and commands are run, and compared with the output they show."""
 
 from __future__ import annotations
 
 import importlib.util
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from armrig.cli import main
 
 DOCS = Path(__file__).parents[2] / "docs"
-_BLOCK = re.compile(r"```(python|text)\n(.*?)```", re.DOTALL)
+_BLOCK = re.compile(r"```(python|sh|text)\n(.*?)```", re.DOTALL)
 _HASH = re.compile(r"\b[0-9a-f]{12}\b")
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 
@@ -31,9 +33,12 @@ def record_all(name: str, folder: Path) -> None:
     script(name).record_all(folder)
 
 
-def run(page: Path, capsys: pytest.CaptureFixture[str], *, atol: float) -> int:
+def run(
+    page: Path, capsys: pytest.CaptureFixture[str], *, atol: float, commands: bool = False
+) -> int:
     """Run a page's Python in the present folder; return how many printed texts were compared.
 
+    With `commands`, run the page's commands of armrig, too.
     The words must be the same; of the numbers the last digit may be another machine's.
     """
     names: dict[str, Any] = {}
@@ -41,7 +46,11 @@ def run(page: Path, capsys: pytest.CaptureFixture[str], *, atol: float) -> int:
     for language, text in _BLOCK.findall(page.read_text(encoding="utf-8")):
         if language == "python":
             exec(compile(text, str(page), "exec"), names)
+        for line in text.splitlines() if commands and language == "sh" else ():
+            assert main(shlex.split(line)[1:]) == 0, line
+        if language == "python" or (commands and language == "sh"):
             printed = capsys.readouterr().out
+        if language != "text":
             continue
         assert without_numbers(printed) == without_numbers(text)
         np.testing.assert_allclose(numbers(printed), numbers(text), rtol=0.05, atol=atol)

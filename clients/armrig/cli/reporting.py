@@ -59,7 +59,8 @@ Handout = Annotated[
     bool,
     typer.Option(
         "--handout",
-        help="Write a section for each assignment, at most ten pages; all F… are optional.",
+        help="Write a section for each assignment, at most ten pages in total. The recordings F… "
+        "are then optional.",
     ),
 ]
 Questions = Annotated[

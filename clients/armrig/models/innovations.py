@@ -96,8 +96,8 @@ class Unknown:
     state: Basis
     """Basis of x and the trend, minus their projection on `noise`; it has only the first rows."""
     volumes: tuple[Callable[[], tuple[float, Array]], ...]
-    """Function of each stretch that returns log |Z^T Z| and its gradient in c. The columns of Z are
-    the pulses z. The function of the first stretch is never called."""
+    """For each stretch, a function that returns log |Z^T Z| and its gradient with respect to the
+    coefficients c of C. The columns of Z are the pulses z. The function of the first stretch is never called."""
     N: int
     """Number of samples."""
 
@@ -191,7 +191,9 @@ def _noise_bases(experiment: Experiment, structure: Structure, C: Array) -> tupl
 
 
 def _volume(Q: Array, R: Array, C: Array) -> tuple[float, Array]:
-    """Return log |Z^T Z| of pulses Z = Q R through 1/C, and its gradient in c.
+    """Return log |Z^T Z|, and its gradient with respect to the coefficients c of C.
+
+    The columns of Z = Q R are pulses that were filtered by 1/C.
 
     d log |Z^T Z| is 2 trace(Z^+ dZ), and the derivative of 1/C with respect to c_k is -q^-k / C².
     """

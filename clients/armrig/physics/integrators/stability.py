@@ -66,8 +66,9 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
 def counting_eigenvalues(A: Array) -> Array:
     """Return the eigenvalues that limit a step; real parts within rounding errors are 0.
 
-    Eigenvalues at 0 with enough eigenvectors are not returned. If A has too few eigenvectors at a
-    marginal eigenvalue, the function returns 1 (an unstable eigenvalue) instead.
+    An eigenvalue at 0 is not returned if it has as many independent eigenvectors as its
+    multiplicity. If a marginal eigenvalue has fewer eigenvectors, the function returns 1 (an
+    unstable eigenvalue) instead.
     """
     balanced, _ = matrix_balance(A)
     size = float(np.linalg.norm(balanced))
