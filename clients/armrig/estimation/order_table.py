@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Protocol, get_args
 
 import numpy as np
 from armrig_core.errors import InputError
@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dtrtrs
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.several_signals import accepts_signals
 from armrig.estimation.orders import require_samples
 from armrig.numerics.checks import require_integers, require_several
 from armrig.numerics.criteria import (
@@ -27,7 +28,7 @@ from armrig.numerics.criteria import (
 )
 from armrig.numerics.least_squares import column_norms, triangle
 from armrig.numerics.polynomial import Array
-from armrig.numerics.regressors import arx_rows, in_blocks
+from armrig.numerics.regressors import arx_rows, complete, in_blocks, past
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -84,6 +85,8 @@ class OrderTable:
     """Variance of y in the validation data; without validation data, in the estimation data."""
     N: int
     """Number of errors in `loss`; they are the same samples for every structure."""
+    inputs: int = 1
+    """Number of inputs; each has nb coefficients."""
 
     def __len__(self) -> int:
         """Return the number of structures."""
@@ -91,8 +94,8 @@ class OrderTable:
 
     @property
     def parameters(self) -> Integers:
-        """Number of parameters, na + nb, (n,)."""
-        return np.asarray(self.na + self.nb)
+        """Number of parameters, na + nb for each input, (n,)."""
+        return np.asarray(self.na + self.inputs * self.nb)
 
     @property
     def aic(self) -> Vector:
@@ -257,6 +260,7 @@ class OrderTable:
         return "\n".join(lines)
 
 
+@accepts_signals("armrig.estimation.multivariable.order_table")
 @takes_recordings
 def select_orders(
     data: Dataset,
@@ -298,23 +302,53 @@ def select_orders(
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 10.1 and 16.4.
     """
+    return order_table(list(data.experiments()), na, nb, nk, _of_validation(data, validation))
+
+
+def _of_validation(data: Dataset, validation: Dataset | None) -> list[Dataset] | None:
+    if validation is None:
+        return None
+    require_same_rate(data.Ts, validation.Ts)
+    return list(validation.experiments())
+
+
+class Experiment(Protocol):
+    """Experiment with one output and one or several inputs."""
+
+    @property
+    def u(self) -> Array:
+        """Input (N,), or inputs (N, nu)."""
+
+    @property
+    def y(self) -> Array:
+        """Output (N,), NaN where it is missing."""
+
+
+def order_table(
+    data: Sequence[Experiment],
+    na: Iterable[int],
+    nb: Iterable[int],
+    nk: Iterable[int],
+    validation: Sequence[Experiment] | None,
+) -> OrderTable:
+    """Return the table of `select_orders` for one output and one or several inputs."""
     nas, nbs, nks = _asked(na=na, nb=nb, nk=nk)
     lags = range(int(nks[0]), int(nks[-1] + nbs[-1]))
+    nu = 1 if data[0].u.ndim == 1 else int(data[0].u.shape[1])
     blocks, N, variance = _regressors(data, int(nas[-1]), lags)
-    R = triangle(blocks, int(nas[-1]) + len(lags) + 1)
+    R = triangle(blocks, int(nas[-1]) + nu * len(lags) + 1)
     asked = f"na to {nas[-1]}, nb to {nbs[-1]}, nk to {nks[-1]}"
     require_samples(f"{asked} with the gaps left out", needed=R.shape[0], got=N)
     R_v, counts = np.zeros((0, *R.shape)), np.zeros(0, dtype=np.int_)
     if validation is not None:
-        _require_same_rate(data, validation)
         blocks, N_v, variance = _regressors(validation, int(nas[-1]), lags)
         require_samples(f"{asked} on validation data", needed=1, got=N_v)
         R_v, counts = _batches(np.vstack(blocks))
     orders, losses, errors = [], [], []
     for n in nas:
         for k in nks:
-            chosen = _columns(int(n), int(k), int(nbs[-1]), int(nas[-1]), lags)
-            found = list(_losses(R, R_v, chosen, int(n)))
+            chosen = _columns(int(n), int(k), int(nbs[-1]), int(nas[-1]), lags, nu)
+            found = list(_losses(R, R_v, chosen, int(n), nu))
             orders += [(n, m, k) for m in nbs]
             losses += [found[m - 1][0] for m in nbs]
             errors += [found[m - 1][1] for m in nbs]
@@ -328,6 +362,7 @@ def select_orders(
         batch_losses=None if validation is None else squared / counts,
         output_variance=variance,
         N=N,
+        inputs=nu,
     )
 
 
@@ -343,24 +378,37 @@ def _asked(**orders: Iterable[int]) -> list[Integers]:
     return wanted
 
 
-def _require_same_rate(data: Dataset, validation: Dataset) -> None:
-    if not np.isclose(validation.Ts, data.Ts, rtol=1e-9, atol=0.0):
+def require_same_rate(Ts: float, validation_Ts: float) -> None:
+    """Refuse validation data with another sampling time."""
+    if not np.isclose(validation_Ts, Ts, rtol=1e-9, atol=0.0):
         raise InputError(
-            f"the data have Ts={data.Ts:g} s and the validation data {validation.Ts:g} s; "
+            f"the data have Ts={Ts:g} s and the validation data {validation_Ts:g} s; "
             "resample one of them"
         )
 
 
-def _regressors(data: Dataset, na: int, lags: range) -> tuple[list[Array], int, float]:
-    """Return blocks of rows [-y lagged, u lagged, y], the number of rows, and the variance of y."""
+def _regressors(data: Sequence[Experiment], na: int, lags: range) -> tuple[list[Array], int, float]:
+    """Return blocks of rows [-y lagged, u lagged, y], the number of rows, and the variance of y.
+
+    Of several inputs, all values at one lag precede the values at the next lag.
+    """
     blocks, known = [], []
-    for part in data.experiments():
-        rows = arx_rows(part.u, part.y, na=na, lags=lags)
-        whole = rows.block[rows.usable]
+    for part in data:
+        whole = _rows(part, na, lags)
         known.append(whole[:, -1])
         blocks += list(in_blocks(whole, _BLOCK_ROWS))
     y = np.concatenate(known)
     return blocks, y.size, float(np.var(y)) if y.size else float("nan")
+
+
+def _rows(part: Experiment, na: int, lags: range) -> Array:
+    """Return the complete rows [-y lagged, u lagged, y] of one experiment."""
+    if part.u.ndim == 1:
+        rows = arx_rows(part.u, part.y, na=na, lags=lags)
+        return rows.block[rows.usable]
+    inputs = np.stack([past(u, lags) for u in part.u.T], axis=-1).reshape(part.y.size, -1)
+    block = np.hstack([-past(part.y, range(1, na + 1)), inputs, part.y[:, None]])
+    return np.asarray(block[complete(block)])
 
 
 def _batches(M: Array) -> tuple[Array, Integers]:
@@ -370,13 +418,15 @@ def _batches(M: Array) -> tuple[Array, Integers]:
     return triangles, np.array([part.shape[0] for part in parts], dtype=np.int_)
 
 
-def _columns(na: int, nk: int, nb: int, most: int, lags: range) -> Integers:
+def _columns(na: int, nk: int, nb: int, most: int, lags: range, nu: int) -> Integers:
     """Return the columns of R for y(t - 1) … y(t - na), u(t - nk) … u(t - nk - nb + 1) and y."""
-    first = most + nk - lags.start
-    return np.array([*range(na), *range(first, first + nb), most + len(lags)], dtype=np.int_)
+    first, last = most + nu * (nk - lags.start), most + nu * len(lags)
+    return np.array([*range(na), *range(first, first + nu * nb), last], dtype=np.int_)
 
 
-def _losses(R: Array, R_v: Array, chosen: Integers, na: int) -> Iterator[tuple[float, Array]]:
+def _losses(
+    R: Array, R_v: Array, chosen: Integers, na: int, nu: int
+) -> Iterator[tuple[float, Array]]:
     """Yield the sums of squared errors for nb = 1, 2, ….
 
     Each pair contains the sum for the estimation data and the sums for the batches of the
@@ -391,7 +441,7 @@ def _losses(R: Array, R_v: Array, chosen: Integers, na: int) -> Iterator[tuple[f
     determined = np.abs(np.diag(T))[:-1] > _MIN_INDEPENDENT_SHARE
     K = R_v.shape[0]
     V = np.asfortranarray(R_v.reshape(-1, R.shape[1])[:, chosen])
-    for d in range(na + 1, chosen.size):
+    for d in range(na + nu, chosen.size, nu):
         if not determined[:d].all():
             yield float("nan"), np.full(K, np.nan)
             continue

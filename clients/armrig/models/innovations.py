@@ -97,7 +97,8 @@ class Unknown:
     """Basis of x and the trend, minus their projection on `noise`; it has only the first rows."""
     volumes: tuple[Callable[[], tuple[float, Array]], ...]
     """For each stretch, a function that returns log |Z^T Z| and its gradient with respect to the
-    coefficients c of C. The columns of Z are the pulses z. The function of the first stretch is never called."""
+    coefficients c of C. The columns of Z are the pulses z. The function of the first stretch is
+    never called."""
     N: int
     """Number of samples."""
 

@@ -201,3 +201,34 @@ def test_a_search_that_cannot_be_is_refused() -> None:
         armrig.search(plant(0), families=["arx"])
     with pytest.raises(InputError, match="none of the models could be estimated"):
         armrig.search(plant(0)[:20], orders=[9])
+
+
+def test_each_output_has_its_orders() -> None:
+    rng = np.random.default_rng(6)
+    u = rng.standard_normal((N, 2))
+    y = np.column_stack(
+        [
+            filtered([0, 1.0], [1, -1.2, 0.5], u[:, 0])
+            + filtered([0, 0.5], [1, -1.2, 0.5], u[:, 1])
+            + filtered([0.2], [1, -1.2, 0.5], rng.standard_normal(N)),
+            filtered([0, 0, 1.0, 0.5], [1, -0.7], u[:, 1])
+            + filtered([0, 0, 0.3], [1, -0.7], u[:, 0])
+            + filtered([0.2], [1, -0.7], rng.standard_normal(N)),
+        ]
+    )
+    data = Signals(u=u, y=y, Ts=0.1, outputs=["a", "b"])
+
+    found: Any = armrig.select_orders(data, range(1, 5), range(1, 5), range(4))
+
+    assert found.best("mdl") == {
+        "na": [[2, 0], [0, 1]],
+        "nb": [[1, 1], [2, 2]],
+        "nk": [[1] * 2, [2] * 2],
+    }
+    fit: Any = armrig.arx(data, **found.best("mdl"))  # type: ignore[arg-type]
+    table = found["b"]
+    at = int(np.flatnonzero((table.na == 1) & (table.nb == 2) & (table.nk == 2))[0])
+    np.testing.assert_allclose(table.loss[at], fit.quality[1].loss, rtol=0.02)
+    assert table.parameters[at] == 5
+    assert len(found) == 2
+    assert repr(found).startswith("a: ")

@@ -217,7 +217,7 @@ class Polynomials:
         )
 
     def _row(self, i: int) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the matrices of row i in two parts: driven by the inputs, and by the noise alone."""
+        """Return the matrices of row i: the part that inputs drive, and the part of noise alone."""
         ny, nu = len(self.A), len(self.B[i])
         D = np.array([b[0] if b.size else 0.0 for b in self.B[i]])
         if all(f.size == 1 for f in self.F[i]) and self.D[i].size == 1:

@@ -56,8 +56,8 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     """Test whether the residuals are white and independent of the inputs, per pair and jointly.
 
     With the sums s of e_i(t) u_j(t - k), and of e_i(t) e_j(t - k), each test is s^T M^-1 s against
-    chi-squared. For the errors e = (1 - P) v of a model with v as noise and P the projection on the
-    estimated parameters, s = Z^T e = H^T v with H = (1 - P)^T Z, and ::
+    chi-squared. The residuals are e = (1 - P) v, with the noise v and the projection P on the
+    estimated parameters. Therefore s = Z^T e is H^T v with H = (1 - P)^T Z, and ::
 
         M = H^T R H                                              on estimation data
         M = H^T R H + (H^T Psi) cov(theta) (Psi^T H)             on other data
