@@ -25,9 +25,9 @@ _COUNTS_INTEGRATOR = ("nb", "nf")
 class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
     """A structure with its orders, which all outputs and inputs have in common.
 
-    If some outputs integrate, the orders count their root at 1. For the other outputs nb and nf are
-    then one less, as for the rig: the transfer function to alpha has one pole and one coefficient
-    of B less than the transfer function to theta_1.
+    The orders also count the root at 1 of an integrating output. The orders nb and nf of the other
+    outputs are then one less, as for the rig. Its transfer function to alpha has one pole and one
+    coefficient of B less than that to theta_1.
     """
 
     structure: CommandName
