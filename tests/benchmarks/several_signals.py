@@ -1,6 +1,6 @@
 """Coverage and deviations of models with several inputs and outputs, in many simulated runs.
 
-The quantities are the coefficients (not of `ss`), the real and imaginary parts of the poles, and
+The quantities are the coefficients (not of `ss` and `n4sid`), the real and imaginary parts of the poles, and
 |G| of each channel at five frequencies. For each of them the summary gives the coverage of 95 %
 intervals, the reported deviation divided by the scatter of the estimates, and the bias in
 deviations of the mean. The cases are ::
@@ -9,6 +9,7 @@ deviations of the mean. The cases are ::
     bj      one output, two inputs, noise C/D
     shared  a chassis with an integrator and an arm: one input, two outputs, one denominator
     ss      two inputs, two outputs, order 3
+    n4sid   the plants of ss
 
 Each plant is drawn by the seed. Runs are appended to the file, so that a study can be resumed. Run
 it with the project's environment::
@@ -46,7 +47,7 @@ class Plant:
     """A drawn plant: the truth, its data, and its estimate."""
 
     def __init__(self, case: str, seed: int) -> None:
-        rng = np.random.default_rng([seed, sorted(_CASES).index(case)])
+        rng = np.random.default_rng([seed, _DRAWS[case]])
         self.case = case
         self.make, self.fit, self.theta, self.poles, self.G = _CASES[case](rng)
 
@@ -222,12 +223,20 @@ def _ss(rng: np.random.Generator) -> Made:
     return make, lambda s: armrig.ss(s, order=3), np.zeros(0), z, G
 
 
+def _n4sid(rng: np.random.Generator) -> Made:
+    make, _, theta, z, G = _ss(rng)
+    return make, lambda s: armrig.n4sid(s, 3), theta, z, G  # type: ignore[arg-type, return-value]
+
+
 _CASES: dict[str, Callable[[np.random.Generator], Made]] = {
     "arx": _arx,
     "bj": _bj,
     "shared": _shared,
     "ss": _ss,
+    "n4sid": _n4sid,
 }
+_DRAWS = {"arx": 0, "bj": 1, "shared": 2, "ss": 3, "n4sid": 3}
+"""Second number of the seed that draws the plant of each case."""
 
 
 def study(path: Path, case: str, seed: int, runs: int, N: int, missing: float) -> None:
