@@ -1,8 +1,8 @@
 """Coverage and deviations of models with several inputs and outputs, in many simulated runs.
 
-The quantities are the coefficients (not of `ss` and `n4sid`), the real and imaginary parts of the poles, and
-|G| of each channel at five frequencies. For each of them the summary gives the coverage of 95 %
-intervals, the reported deviation divided by the scatter of the estimates, and the bias in
+The quantities are the coefficients (not of `ss` and `n4sid`), the real and imaginary parts of the
+poles, and |G| of each channel at five frequencies. For each of them the summary gives the coverage
+of 95 % intervals, the reported deviation divided by the scatter of the estimates, and the bias in
 deviations of the mean. The cases are ::
 
     arx     two outputs that affect each other, two inputs

@@ -123,7 +123,7 @@ def identify(
             file,
             given,
             signals,
-            Outputs(validate=validate, save=save, plot=plot, json=json, verbose=verbose),
+            Outputs(validate=validate, save=save, figure=plot, json=json, verbose=verbose),
             most=most if search else None,
             shared=shared,
         )
@@ -168,7 +168,7 @@ def _identify_several(
     """Estimate a model of several signals, or search one of at most `most` poles."""
     if not signals.several:
         raise typer.BadParameter("--shared is for several outputs: name them, --signal A,B")
-    _check_files(file, to.validate, plot=to.plot, save=to.save)
+    _check_files(file, to.validate, plot=to.figure, save=to.save)
     identify_several(file, given, signals, to, most=most, shared=shared)
 
 

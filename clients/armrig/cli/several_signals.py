@@ -31,7 +31,7 @@ class Outputs:
 
     validate: Path | None
     save: Path | None
-    plot: Path | None
+    figure: Path | None
     json: bool
     verbose: bool
 
@@ -71,7 +71,9 @@ def identify(
             say(f"validation on {to.validate}: {table!r}")
     if to.save is not None:
         fit.save(to.save)
-    write_plot(to.plot, height=3.6, **several_output.figures(fit, data if other is None else other))
+    write_plot(
+        to.figure, height=3.6, **several_output.figures(fit, data if other is None else other)
+    )
     if not to.json:
         _say_next(request, file, signals, to)
 
