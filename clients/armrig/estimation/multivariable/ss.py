@@ -46,10 +46,10 @@ from armrig.numerics.checks import require_flags, require_integers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
-_STEPS = 2  # steps of the search between two estimates of Lambda
-_MAX_ROUNDS = 100
+_STEPS = 6  # steps of the search between two estimates of Lambda
+_MAX_ROUNDS = 40
 _SAME_TOLERANCE = 1e-9  # change of log det Lambda at which the search ends
-_TRIED_ROUNDS = 8  # rounds of every start before only the best continue
+_TRIED_ROUNDS = 3  # rounds of every start before only the best continue
 _TRIED_TOLERANCE = 1e-3  # change of log det Lambda at which a trial ends
 _PART_SAMPLES = 2000  # samples of long data on which every start is tried
 _DISTINCT = 1e-4  # difference of log det Lambda between two minima

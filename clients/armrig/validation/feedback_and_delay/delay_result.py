@@ -33,7 +33,7 @@ class Delay:
     """Test whether u may act, unseen, just before the first significant lag. None at lag 0."""
     misfit: dict[int, float]
     """Chi-squared of a smooth onset by its first lag, two degrees of freedom. It is empty if the
-    first coefficients decide, or if the output has no smooth onset."""
+    tests of the first coefficients determine nk, or if the output does not begin smoothly."""
     arx_loss: dict[int, float]
     """Loss of the model by its nk, in y's unit squared; the last lag of u is the same for all."""
     response: ImpulseResponse
