@@ -281,12 +281,14 @@ def two_sided(level: float) -> float:
     return sqrt(2) * float(erfinv(level))
 
 
-def joint_p_value(s: Array, M: Array, least: float = 1e-8) -> float:
+def joint_p_value(s: Array, M: Array, least: float = 1e-8, N: float | None = None) -> float:
     """Return P(chi² >= s^T M^+ s); the degrees of freedom are the rank of M. NaN for rank 0.
 
-    Directions with less than the share `least` of the largest variance do not count.
+    Directions with less than the share `least` of the largest variance do not count. If N is given,
+    the noise variance in M was estimated from N free residuals. Then s^T M^+ s / N has the beta
+    distribution with k/2 and (N - k)/2, k the rank, which chi-squared exceeds for large k.
     """
-    from scipy.special import chdtrc
+    from scipy.special import betainc, chdtrc
 
     scale = np.sqrt(np.maximum(np.diag(M), 0.0))
     used = scale > 1e-10 * max(float(scale.max(initial=0.0)), 1e-300)
@@ -296,4 +298,9 @@ def joint_p_value(s: Array, M: Array, least: float = 1e-8) -> float:
     value, vector = np.linalg.eigh(M)
     kept = value > least * value[-1]
     z = vector[:, kept].T @ s
-    return float(chdtrc(int(np.count_nonzero(kept)), np.sum(z**2 / value[kept])))
+    k, Q = int(np.count_nonzero(kept)), np.sum(z**2 / value[kept])
+    if N is None:
+        return float(chdtrc(k, Q))
+    if k >= N:
+        return float("nan")
+    return float(betainc((N - k) / 2, k / 2, max(1.0 - Q / N, 0.0)))

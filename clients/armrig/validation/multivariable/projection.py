@@ -1,0 +1,150 @@
+"""Residuals of several outputs, and their projection on the quantities that were estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armrig.data.signals import Signals
+from armrig.estimation.multivariable.whitening import whitening
+from armrig.models.multivariable.fit import MultivariableFit
+from armrig.models.multivariable.state_space import prediction_errors
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.polynomial import Array
+
+_STEP = 1e-3  # standard deviations by which a parameter moves for a derivative
+_MIN_VARIANCE_SHARE = 1e-12  # of the largest one, of a direction that the data determine
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Part:
+    """Residuals of one experiment."""
+
+    u: Array
+    """Inputs minus their means (N, nu)."""
+    e: Array
+    """Residuals (N, ny), NaN where they are not known."""
+    S: Array
+    """Responses of e to the initial state and the ramps (N, ny, r)."""
+    Psi: Array
+    """Derivatives of e by independent parameters of standard deviation 1, (N, ny, p)."""
+    G: Array
+    """Weights (N, ny, ny) of the estimator: it minimises the sum of |G(t) e(t)|²."""
+
+    @property
+    def known(self) -> Array:
+        """True where there is a residual, (N, ny)."""
+        return np.isfinite(self.e)
+
+
+def parts_of(fit: MultivariableFit, data: Signals) -> list[Part]:
+    """Return the residuals of each experiment with their derivatives."""
+    std = np.sqrt(np.diag(fit.noise_covariance))
+
+    def errors(theta: Array) -> list[tuple[Array, Array]]:
+        system = fit.form.replaced(theta).realised()
+        return [
+            prediction_errors(system, part, integrating=fit.form.integrators, noise_std=std)
+            for part in data.experiments()
+        ]
+
+    by: list[list[Array]] = []
+    for direction in _directions(fit).T:
+        ahead, behind = (errors(fit.theta + h * _STEP * direction) for h in (1, -1))
+        by.append([(a - b) / (2 * _STEP) for (a, _), (b, _) in zip(ahead, behind, strict=True)])
+    # Rows that the estimator treats together are weighted by the inverse of Lambda.
+    together = fit.shared or fit.form.coupled or fit.structure == "arx"
+    Lambda = fit.noise_covariance if together else np.diag(std**2)
+    mean = np.mean(data.u, axis=0)
+    found = []
+    for k, ((e, S), part) in enumerate(zip(errors(fit.theta), data.experiments(), strict=True)):
+        Psi = [np.nan_to_num(one[k]) for one in by]
+        found.append(
+            Part(
+                u=part.u - mean,
+                e=e,
+                S=S.transpose(0, 2, 1),
+                Psi=np.stack(Psi, axis=-1) if Psi else np.zeros((*e.shape, 0)),
+                G=whitening(Lambda, np.isfinite(e)),
+            )
+        )
+    return found
+
+
+def _directions(fit: MultivariableFit) -> Array:
+    """Return independent directions of theta, (d, p), each with standard deviation 1.
+
+    The covariance is singular for matrices of a state space, and for a root that is 1.
+    """
+    scale = np.sqrt(np.maximum(np.diag(fit.covariance_robust), 1e-300))
+    values, axes = np.linalg.eigh(fit.covariance_robust / np.outer(scale, scale))
+    kept = values > _MIN_VARIANCE_SHARE * values[-1]
+    return np.asarray(scale[:, None] * axes[:, kept] * np.sqrt(values[kept]))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Projection:
+    """P = B B^T W, the projection on the estimated quantities with the weights W = G^T G.
+
+    The residuals are e = (1 - P) v, with the noise v. B^T W B = 1.
+    """
+
+    B: Sequence[Array]
+    """Basis of each experiment (N, ny, r)."""
+    WB: Sequence[Array]
+    """W B of each experiment (N, ny, r)."""
+
+    @property
+    def rank(self) -> int:
+        """Number r of estimated quantities."""
+        return int(self.B[0].shape[2])
+
+    def influence(self, Z: Sequence[Array]) -> list[Array]:
+        """Return H = (1 - P)^T Z (N, ny, k) of each experiment: Z^T e is H^T v."""
+        c = sum_of_products(self.B, Z)
+        return [z - wb @ c for z, wb in zip(Z, self.WB, strict=True)]
+
+    def loss(self, Lambda: Array, known: Sequence[Array]) -> list[tuple[Array, Array]]:
+        """Return B and D of each experiment, with cov e = Lambda - B D^T - D B^T for white v."""
+        C = [
+            np.einsum("ij,tjr->tir", Lambda, wb) * at[:, :, None]
+            for wb, at in zip(self.WB, known, strict=True)
+        ]
+        M = sum_of_products(self.WB, C)
+        return [(b, c - b @ (0.5 * M)) for b, c in zip(self.B, C, strict=True)]
+
+
+def projection(parts: Sequence[Part], *, own: bool) -> Projection:
+    """Return the projection on the initial states and ramps and, on own data, the parameters."""
+    bases = [orthonormal(_weighted(part, part.S)) for part in parts]
+    ranks = np.cumsum([0, *(basis.rank for basis in bases)])
+    B = []
+    for k, (part, basis) in enumerate(zip(parts, bases, strict=True)):
+        states = np.zeros((*part.e.shape, int(ranks[-1])))
+        states[:, :, ranks[k] : ranks[k + 1]] = part.S @ basis.W
+        B.append(states)
+    if own:
+        free = [
+            part.Psi - part.S @ basis.coefficients(_weighted(part, part.Psi))
+            for part, basis in zip(parts, bases, strict=True)
+        ]
+        by_theta = [_weighted(part, psi) for part, psi in zip(parts, free, strict=True)]
+        W = orthonormal(np.vstack(by_theta)).W
+        B = [np.concatenate([b, psi @ W], axis=2) for b, psi in zip(B, free, strict=True)]
+    WB = [part.G.transpose(0, 2, 1) @ (part.G @ b) for part, b in zip(parts, B, strict=True)]
+    return Projection(B=B, WB=WB)
+
+
+def _weighted(part: Part, X: Array) -> Array:
+    """Return G X with the rows of all outputs below each other, (N ny, k)."""
+    return (part.G @ X).reshape(-1, X.shape[2])
+
+
+def sum_of_products(X: Sequence[Array], Y: Sequence[Array]) -> Array:
+    """Return the sum of X(t)^T Y(t) over all experiments, (r, k)."""
+    each = [
+        x.reshape(-1, x.shape[2]).T @ y.reshape(-1, y.shape[2]) for x, y in zip(X, Y, strict=True)
+    ]
+    return np.asarray(np.sum(each, axis=0))

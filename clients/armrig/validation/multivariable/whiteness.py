@@ -1,0 +1,109 @@
+"""Portmanteau test of the residuals of one output, or of several outputs together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from armrig.estimation.multivariable.inference import pairwise_covariance
+from armrig.numerics.polynomial import Array
+from armrig.numerics.whiteness import NOT_TESTED, Whiteness, decided
+from armrig.validation.multivariable.projection import Part, Projection, sum_of_products
+
+
+def white_by_output(
+    parts: Sequence[Part], projected: Projection, L: int, *, own: bool
+) -> tuple[Whiteness, ...]:
+    """Test the residuals of each output."""
+    Lambda = _covariance(parts)
+    rows = np.diag(1 / np.sqrt(np.diag(Lambda)))
+    return tuple(_white(parts, projected, Lambda, row[None], L, own=own) for row in rows)
+
+
+def jointly_white(parts: Sequence[Part], projected: Projection, L: int, *, own: bool) -> Whiteness:
+    """Test the residuals of all outputs together, at lags between the outputs, too.
+
+    The residuals are whitened across the outputs. Instants with a missing output are left out.
+    """
+    Lambda = _covariance(parts)
+    T = np.linalg.inv(np.linalg.cholesky(Lambda))
+    return _white(parts, projected, Lambda, T, L, own=own)
+
+
+def _covariance(parts: Sequence[Part]) -> Array:
+    return pairwise_covariance(np.vstack([p.e for p in parts]))
+
+
+def _white(
+    parts: Sequence[Part], projected: Projection, Lambda: Array, T: Array, L: int, *, own: bool
+) -> Whiteness:
+    """Test whether w = T e (m outputs of covariance 1) is white.
+
+    The sums are those of w_a(t) w_b(t - k), k = 1 … L. For a known model their variance is the
+    number of products. With the projection P on the estimated quantities, cov e is Lambda - B D^T -
+    D B^T. This shifts the means of the sums, and the influence H = (1 - P)^T Z reduces their
+    covariance. For one output this is `armrig.numerics.whiteness.portmanteau`.
+    """
+    m = T.shape[0]
+    used = T.any(axis=0)
+    whole = [np.asarray(p.known[:, used].all(axis=1)) for p in parts]
+    N = int(sum(k.sum() for k in whole))
+    p = parts[0].Psi.shape[2]
+    if L + p + sum(part.S.shape[2] for part in parts) >= N or not _vary(parts, used):
+        return NOT_TESTED
+    w = [
+        np.where(k[:, None], np.nan_to_num(part.e) @ T.T, 0.0)
+        for part, k in zip(parts, whole, strict=True)
+    ]
+    past = [np.stack([_delayed(x, lag) for lag in range(1, L + 1)], axis=-1) for x in w]
+    # The products of a(t) with b(t - k) are columns a, b, k.
+    sums = np.sum(
+        [np.einsum("ta,tbk->abk", x, late) for x, late in zip(w, past, strict=True)], axis=0
+    ).ravel()
+    Z = [
+        np.reshape(
+            T.T[None, :, :, None, None] * (late * k[:, None, None])[:, None, None],
+            (late.shape[0], T.shape[1], -1),
+        )
+        for late, k in zip(past, whole, strict=True)
+    ]
+    pairs = np.sum([[np.sum(k[lag:] & k[:-lag]) for lag in range(1, L + 1)] for k in whole], axis=0)
+    V = np.broadcast_to(pairs * N / (N + 2), (m, m, L)).ravel()
+    H = projected.influence(Z)
+    M = np.diag(V) + _spread(H, Lambda) - _spread(Z, Lambda)
+    if not own:
+        slope = sum_of_products([part.Psi for part in parts], H)
+        M += slope.T @ slope
+    mean = np.zeros((m, m, L))
+    known = [part.known for part in parts]
+    for (B, D), k in zip(projected.loss(Lambda, known), whole, strict=True):
+        b, d = ((T @ x) * k[:, None, None] for x in (B, D))
+        for lag in range(1, L + 1):
+            mean[:, :, lag - 1] -= _product(b, d, lag) + _product(d, b, lag)
+    return decided(sums - mean.ravel(), M, V, N * m)
+
+
+def _vary(parts: Sequence[Part], used: Array) -> bool:
+    return all(
+        any(np.nansum(part.e[:, i] ** 2) > 0 for part in parts) for i in np.flatnonzero(used)
+    )
+
+
+def _product(x: Array, y: Array, lag: int) -> Array:
+    """Return the sum of x_a(t)^T y_b(t - lag), (m, m)."""
+    ahead, behind = x[lag:], y[: max(y.shape[0] - lag, 0)]
+    return np.asarray(np.tensordot(ahead, behind, axes=((0, 2), (0, 2))))
+
+
+def _delayed(w: Array, lag: int) -> Array:
+    return np.concatenate([np.zeros((min(lag, w.shape[0]), w.shape[1])), w[: -lag or None]])[
+        : w.shape[0]
+    ]
+
+
+def _spread(H: Sequence[Array], Lambda: Array) -> Array:
+    """Return the covariance of the sum of H(t)^T e(t) for white e."""
+    root = np.linalg.cholesky(Lambda)
+    rooted = [root.T @ h for h in H]
+    return sum_of_products(rooted, rooted)
