@@ -7,11 +7,17 @@ and on new data of the same plant. The summary gives the share of p values below
     dynamics   all pairs together, and each pair
     feedback   all pairs together, and each pair
 
-With --wrong the plant is tested with a model that lacks something: `bj` and `arx` without their
-last input, and a delay one sample too long. Run it with the project's environment::
+With --wrong the model lacks something, or the data do ::
+
+    delay      each delay is one sample too long
+    channel    the model lacks the last input of the first output (arx, bj)
+    feedback   the second input follows the noise of the first output (case oe)
+
+The summary then contains the shares of rejected pairs, output by output. With --experiments the
+data are several records, merged. Run it with the project's environment::
 
     python -m tests.benchmarks.several_residuals [--case ss] [--seed 1] [--runs 300] [--N 500]
-        [--missing 0.2] [--wrong]
+        [--missing 0.2] [--experiments 3] [--wrong delay]
 """
 
 from __future__ import annotations
@@ -21,11 +27,18 @@ from typing import Any
 
 import armrig
 import numpy as np
+from armrig.numerics.polynomial import filtered
 from numpy.typing import NDArray
 
 from tests.benchmarks.several_signals import Plant
 
-CASES = ("arx", "bj", "shared", "ss")
+CASES = {
+    "none": ("arx", "bj", "shared", "ss"),
+    "delay": ("arx", "bj", "shared", "ss"),
+    "channel": ("arx", "bj"),
+    "feedback": ("oe",),
+}
+"""Plants for each kind of --wrong."""
 _LEVELS = (0.01, 0.05)
 
 
@@ -41,28 +54,66 @@ def p_values(test: Any) -> dict[str, list[float]]:
     }
 
 
-def study(case: str, seed: int, runs: int, N: int, missing: float, *, wrong: bool) -> None:
+def study(
+    case: str, seed: int, runs: int, N: int, missing: float, experiments: int, wrong: str
+) -> None:
     """Print the share of rejections on estimation data and on new data."""
-    plant = Plant(case, seed)
-    found: dict[str, dict[str, list[float]]] = {"own data": {}, "new data": {}}
+    plant = None if case == "oe" else Plant(case, seed)
+    names = ("own data", "new data")
+    found: dict[str, dict[str, list[list[float]]]] = {name: {} for name in names}
     for run in range(runs):
-        data, other = (plant.signals(N, missing, (seed, N, run, k)) for k in range(2))
-        fit = _wrong(case, data) if wrong else plant.fit(data)
-        for name, signals in (("own data", data), ("new data", other)):
+        both = []
+        for k in range(2):
+            at = [(seed, N, run, k + 2 * i) for i in range(experiments)]
+            n = N // experiments
+            parts = [
+                _followed(one, n) if plant is None else plant.signals(n, missing, one) for one in at
+            ]
+            both.append(armrig.merge(parts) if experiments > 1 else parts[0])
+        fit = _fit(case, both[0], wrong) if plant is None or wrong != "none" else plant.fit(both[0])
+        for name, signals in zip(names, both, strict=True):
             for what, values in p_values(armrig.residuals(fit, signals)).items():
-                found[name].setdefault(what, []).extend(values)
+                found[name].setdefault(what, []).append(values)
     for name, tests in found.items():
-        shares = [f"{what} {_shares(np.array(p))}" for what, p in tests.items()]
+        shares = [f"{what} {_shares(np.array(p), wrong)}" for what, p in tests.items()]
         print(f"{case} seed {seed}, {name}: " + "; ".join(shares), flush=True)
 
 
-def _wrong(case: str, data: armrig.Signals) -> armrig.MultivariableFit:
-    """Return a model of the data with a delay that is one sample too long."""
+def _followed(seed: tuple[int, ...], N: int) -> armrig.Signals:
+    """Return data in which u2 follows the noise of y1, one sample later."""
+    rng = np.random.default_rng(seed)
+    v = filtered([1.0], [1, -0.8], 0.3 * rng.standard_normal(N))
+    u = np.where(np.cumsum(rng.random((N, 2)) < 0.3, axis=0) % 2, 1.0, -1.0)
+    u[1:, 1] += v[:-1]
+    y = [
+        filtered([0, b], [1, -0.7], u[:, 0]) + filtered([0, 0.5], [1, -0.5], u[:, 1])
+        for b in (1.0, 0.6)
+    ]
+    y[0] += v
+    y[1] += 0.3 * rng.standard_normal(N)
+    return armrig.Signals(u=u, y=np.column_stack(y), Ts=1.0)
+
+
+def _fit(case: str, data: armrig.Signals, wrong: str) -> armrig.MultivariableFit:
+    """Return a model of the data with an error in its delay or its channels."""
+    late = int(wrong == "delay")
+    gone = wrong == "channel"
     orders: dict[str, dict[str, Any]] = {
-        "arx": {"na": [[2, 1], [1, 2]], "nb": 1, "nk": 2},
-        "bj": {"nb": [[2, 1]], "nf": [[2, 1]], "nk": [[2, 2]], "nc": 1, "nd": 1},
+        "arx": {
+            "na": [[2, 1], [1, 2]],
+            "nb": [[2 - late, 0 if gone else 2 - late], [2 - late, 2 - late]],
+            "nk": 1 + late,
+        },
+        "bj": {
+            "nb": [[2, 0 if gone else 1]],
+            "nf": [[2, 1]],
+            "nk": [[1 + late, 2]],
+            "nc": 1,
+            "nd": 1,
+        },
         "shared": {"nb": [[3], [2]], "nf": 3, "nk": 2, "integrator": "chassis"},
         "ss": {"order": 3, "nk": 2},
+        "oe": {"nb": 1, "nf": 1},
     }
     if case == "shared":
         orders[case]["shared"] = "denominator"
@@ -71,23 +122,29 @@ def _wrong(case: str, data: armrig.Signals) -> armrig.MultivariableFit:
     return fit
 
 
-def _shares(p: NDArray[np.float64]) -> str:
+def _shares(p: NDArray[np.float64], wrong: str) -> str:
     known = p[np.isfinite(p)]
-    return " ".join(f"{100 * np.mean(known < level):.1f}" for level in _LEVELS) + f" % of {p.size}"
+    total = " ".join(f"{100 * np.mean(known < level):.1f}" for level in _LEVELS)
+    if wrong == "none" or p.shape[1] == 1:
+        return f"{total} % of {p.size}"
+    each = " ".join(f"{100 * np.mean(column < _LEVELS[0]):.0f}" for column in p.T)
+    return f"({each}) % of {p.shape[0]} at 1 %"
 
 
 def main() -> None:
     """Run the studies."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("--case", choices=CASES)
+    parser.add_argument("--case", choices=CASES["none"])
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("--N", type=int, default=500)
     parser.add_argument("--missing", type=float, default=0.0)
-    parser.add_argument("--wrong", action="store_true")
+    parser.add_argument("--experiments", type=int, default=1)
+    parser.add_argument("--wrong", choices=list(CASES), default="none")
     given = parser.parse_args()
-    for case in [given.case] if given.case else CASES:
-        study(case, given.seed, given.runs, given.N, given.missing, wrong=given.wrong)
+    for case in [given.case] if given.case else CASES[given.wrong]:
+        rest = given.N, given.missing, given.experiments, given.wrong
+        study(case, given.seed, given.runs, *rest)
 
 
 if __name__ == "__main__":

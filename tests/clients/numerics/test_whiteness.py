@@ -9,7 +9,7 @@ from armrig.data.dataset import Dataset
 from armrig.excitation import telegraph
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import filtered, lagged
-from armrig.numerics.whiteness import Whiteness, portmanteau, portmanteau_p_value
+from armrig.numerics.whiteness import Whiteness, joint_p_value, portmanteau, portmanteau_p_value
 from scipy.special import chdtrc
 
 
@@ -114,3 +114,18 @@ def test_where_the_noise_determines_a_ljung_box_loses_as_many_degrees() -> None:
 )
 def test_the_verdict_is_worded_in_one_place(p: float, test: str, said: str) -> None:
     assert str(Whiteness(p_value=p, test=test)) == said
+
+
+def test_an_estimated_variance_is_allowed_for_in_the_sum_of_many_squares() -> None:
+    """Of 60 residuals, 30 sums are tested: chi-squared rejects much less than 5 %."""
+    rng = np.random.default_rng(2)
+    N, k, runs = 60, 30, 1000
+    Z = orthonormal(rng.standard_normal((N, k))).Q
+    e = rng.standard_normal((runs, N))
+    p = np.array([joint_p_value(Z.T @ x, np.mean(x**2) * np.eye(k), N=N) for x in e])
+    known = np.array([joint_p_value(Z.T @ x, np.mean(x**2) * np.eye(k)) for x in e])
+
+    assert 0.03 < np.mean(p < 0.05) < 0.07
+    assert np.mean(known < 0.05) < 0.03
+    assert 0.45 < np.mean(p) < 0.55
+    assert np.isnan(joint_p_value(np.ones(3), np.eye(3), N=3.0))

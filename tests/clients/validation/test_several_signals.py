@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from armrig import MultivariableFit, Signals
 from armrig.numerics.polynomial import filtered
+from armrig.validation.multivariable.projection import parts_of, projection
 from armrig_core.errors import InputError
 
 from tests.sampling import sampled
@@ -60,6 +61,62 @@ def test_the_tests_of_a_true_model_pass(missing: float) -> None:
 
     assert min(p) > 0.0005
     assert 0.2 < np.mean(p) < 0.8
+
+
+@pytest.mark.parametrize("missing", sampled([0.0, 0.2]))
+def test_each_output_of_its_own_estimate_has_the_test_of_one_output(missing: float) -> None:
+    fit = estimated(0, missing)
+
+    found = armrig.residuals(fit, plant(0, missing=missing))
+
+    for white, quality in zip(found.white_by_output, fit.quality, strict=True):
+        assert white.p_value == pytest.approx(quality.white.p_value, rel=0.02)
+        assert white.test == quality.white.test
+
+
+def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> None:
+    """Rows with orders of their own and correlated noise are weighted together."""
+    data = plant(0)
+    fit: Any = armrig.arx(data, na=[[2, 1], [0, 1]], nb=[[2, 1], [1, 2]])  # type: ignore[arg-type]
+    (part,) = parts_of(fit, data)
+    projected = projection([part], own=True)
+    (B,), (WB,) = projected.B, projected.WB
+
+    np.testing.assert_allclose(np.einsum("tir,tik->rk", B, WB), np.eye(projected.rank), atol=1e-9)
+    # A part of the noise would be about 1. The initial state is the difference from 0.
+    left = np.einsum("tir,ti->r", WB, np.nan_to_num(part.e))
+    assert np.abs(left).max() < 0.05
+
+
+def test_several_experiments_are_tested_together() -> None:
+    parts = [plant(seed)[: N // 2] for seed in (0, 1)]
+    data = armrig.merge(parts)
+    fit: Any = armrig.oe(data, nb=[[2, 1], [1, 1]], nf=[[2, 1], [1, 1]], nk={("y1", "u2"): 2})  # type: ignore[arg-type]
+
+    found = armrig.residuals(fit, data)
+
+    # No product of samples of two experiments is in a sum.
+    e = [found.e[: N // 2], found.e[N // 2 :]]
+    lag_3 = sum(x[3:].T @ x[:-3] for x in e) / np.sum(found.e**2, axis=0).prod() ** 0.5
+    assert found.autocorrelation[0, 1, 3] == pytest.approx(lag_3[0, 1])
+    for white, quality in zip(found.white_by_output, fit.quality, strict=True):
+        assert white.p_value == pytest.approx(quality.white.p_value, rel=0.02)
+    assert min(joint(found)) > 0.001
+
+
+def test_a_pair_has_its_tests() -> None:
+    fit = estimated(0, nk_12=3)
+
+    found = armrig.residuals(fit, plant(100))
+
+    pair = found["y1", "u2"]
+    assert repr(pair) == (
+        "u2 to y1\n  dynamics missing (p < 0.001)\n"
+        f"  no feedback (p = {found.feedback_by_pair[0, 1]:.3f})"
+    )
+    np.testing.assert_array_equal(pair.correlation, found.cross_correlation[0, 1])
+    with pytest.raises(InputError, match="no channel; give an output of y1 and y2 and an input of"):
+        found["u2", "y1"]
 
 
 def test_a_delay_too_long_is_shown_at_its_pair_alone() -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 from armrig.numerics.polynomial import Array
@@ -15,6 +16,39 @@ from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+_DYNAMICS = "no dynamics missing", "dynamics missing"
+_FEEDBACK = "no feedback", "feedback, or a delay too large"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
+class PairTest:
+    """Correlation of the residuals of one output with one input."""
+
+    output: str
+    """Name of the output."""
+    input: str
+    """Name of the input."""
+    lags: NDArray[np.int_]
+    """Lags -L … L; at a positive lag the input precedes the residual."""
+    correlation: Array
+    """Correlation of e_i(t) with u_j(t - lag) at `lags`."""
+    std: Array
+    """Standard deviations of `correlation`, with the effect of the estimated parameters."""
+    missing_dynamics: float
+    """p value of no correlation with past and present input."""
+    feedback: float
+    """p value of no correlation with future input."""
+
+    def __repr__(self) -> str:
+        """Return the results of both tests."""
+        return "\n".join(
+            [
+                f"{self.input} to {self.output}",
+                f"  {_verdict(*_DYNAMICS, self.missing_dynamics)}",
+                f"  {_verdict(*_FEEDBACK, self.feedback)}",
+            ]
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -54,6 +88,31 @@ class SignalsResidualTest:
     source: str
     """Hash of the recording, or ""."""
 
+    def __getitem__(self, channel: tuple[str, str]) -> PairTest:
+        """Return the tests of one output and input: tests["alpha", "u"].
+
+        Raises
+        ------
+        ValueError
+            There is no such output or input.
+        """
+        output, input = channel if isinstance(channel, tuple) else (channel, None)
+        if output not in self.outputs or input not in self.inputs:
+            raise InputError(
+                f"{channel!r} is no channel; give an output of {listed(self.outputs)} and an input "
+                f"of {listed(self.inputs)}"
+            )
+        i, j = self.outputs.index(output), self.inputs.index(input)
+        return PairTest(
+            output=output,
+            input=input,
+            lags=self.cross_lags,
+            correlation=self.cross_correlation[i, j],
+            std=self.cross_std[i, j],
+            missing_dynamics=float(self.missing_dynamics_by_pair[i, j]),
+            feedback=float(self.feedback_by_pair[i, j]),
+        )
+
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure with a row for each output: its residuals, and each input."""
         from armrig.plots.layout import figure_of
@@ -74,16 +133,16 @@ class SignalsResidualTest:
         lines = [
             f"residuals on {where} data, {listed([str(n) for n in counts])} samples",
             f"  all outputs together: {self.white}",
-            f"  {_verdict('no dynamics missing', 'dynamics missing', self.missing_dynamics)}",
-            f"  {_verdict('no feedback', 'feedback, or a delay too large', self.feedback)}",
+            f"  {_verdict(*_DYNAMICS, self.missing_dynamics)}",
+            f"  {_verdict(*_FEEDBACK, self.feedback)}",
         ]
         lines += [
             f"  {name}: {white}"
             for name, white in zip(self.outputs, self.white_by_output, strict=True)
         ]
         for p, what in (
-            (self.missing_dynamics_by_pair, "dynamics missing"),
-            (self.feedback_by_pair, "feedback, or a delay too large"),
+            (self.missing_dynamics_by_pair, _DYNAMICS[1]),
+            (self.feedback_by_pair, _FEEDBACK[1]),
         ):
             lines += [
                 f"  {self.inputs[j]} to {self.outputs[i]}: {what} (p {p_relation(float(p[i, j]))})"
