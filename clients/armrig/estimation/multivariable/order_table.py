@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from armrig.data.signals import Signals
+from armrig.estimation.multivariable.orders import Integers, by_channel
 from armrig.estimation.order_table import OrderTable, order_table, require_same_rate
 from armrig.numerics.criteria import Criterion
 from armrig.numerics.polynomial import Array
+from armrig.numerics.regressors import past
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -20,11 +22,14 @@ class OrderTables:
     """A table of ARX structures for each output: `tables["alpha"]`."""
 
     tables: Mapping[str, OrderTable]
-    """Table for each output."""
+    """Table for each output; with given delays, its nk is the least delay of the output."""
+    delays: Mapping[str, tuple[int, ...]]
+    """Given delay of each input, for each output; empty if nk was compared."""
 
     def __post_init__(self) -> None:
-        """Make the mapping read-only."""
-        object.__setattr__(self, "tables", MappingProxyType(dict(self.tables)))
+        """Make the mappings read-only."""
+        for name in ("tables", "delays"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __getitem__(self, output: str) -> OrderTable:
         """Return the table of one output."""
@@ -43,17 +48,23 @@ class OrderTables:
 
         A row of na contains the chosen number for each output.
         """
-        chosen = [table.best(criterion) for table in self.tables.values()]
+        best = {name: table.best(criterion) for name, table in self.tables.items()}
+        chosen = [*best.values()]
         nu, ny = next(iter(self.tables.values())).inputs, len(chosen)
         return {
             "na": [[c.na if k == i else 0 for k in range(ny)] for i, c in enumerate(chosen)],
             "nb": [[c.nb] * nu for c in chosen],
-            "nk": [[c.nk] * nu for c in chosen],
+            "nk": [[*self.delays.get(name, [c.nk] * nu)] for name, c in best.items()],
         }
 
     def __repr__(self) -> str:
         """Return the chosen orders of each output, with their reasons."""
-        return "\n".join(f"{name}: {table.explain()}" for name, table in self.tables.items())
+        lines = []
+        for name, table in self.tables.items():
+            if name in self.delays:
+                lines.append(f"{name}: given delays {', '.join(map(str, self.delays[name]))}")
+            lines.append(f"{name}: {table.explain()}")
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -61,7 +72,7 @@ class _Row:
     """Inputs and one output of an experiment."""
 
     u: Array
-    """Inputs (N, nu)."""
+    """Inputs (N, nu), NaN before the delayed ones begin."""
     y: Array
     """Output (N,), NaN where it is missing."""
 
@@ -70,20 +81,24 @@ def select_orders(
     data: Signals,
     na: Iterable[int] = range(1, 11),
     nb: Iterable[int] = range(1, 11),
-    nk: Iterable[int] = range(6),
+    nk: Iterable[int] | Mapping[tuple[str, str], int] = range(6),
     validation: Signals | None = None,
 ) -> OrderTables:
     """Return the losses of ARX structures for each output, with all inputs.
 
-    All inputs of an output have the same nb and nk, and the past of the other outputs is left out.
-    The number of combinations would grow with the power of the number of channels otherwise.
+    All inputs of an output have the same nb, and the past of the other outputs is left out. The
+    number of combinations would grow with the power of the number of channels otherwise. For the
+    same reason, all inputs of an output have the same nk, unless the delays are given.
 
     Parameters
     ----------
     data : Signals
         N samples of nu inputs and ny outputs.
-    na, nb, nk : iterable of int
+    na, nb : iterable of int
         Orders to try, as for one output.
+    nk : iterable of int, or mapping
+        Delays to try. A mapping such as {("alpha", "u"): 2} gives the delay of each channel, for
+        example from `armrig.delay`; a channel that is not named has the delay 1.
     validation : Signals, optional
         Other data of the same system.
 
@@ -94,16 +109,28 @@ def select_orders(
     """
     if validation is not None:
         require_same_rate(data.equidistant(), validation.equidistant())
-    nas, nbs, nks = [*na], [*nb], [*nk]
+    nas, nbs = [*na], [*nb]
+    given = by_channel("nk", nk, data, least=0) if isinstance(nk, Mapping) else None
+    nks = [*nk] if given is None else []
     tables = {}
     for i, output in enumerate(data.outputs):
-        other = None if validation is None else _rows(validation, i)
-        tables[output] = order_table(_rows(data, i), nas, nbs, nks, other)
-    return OrderTables(tables=tables)
+        delays = np.zeros(data.nu, dtype=np.int_) if given is None else given[i]
+        least = int(delays.min())
+        other = None if validation is None else _rows(validation, i, delays - least)
+        rows = _rows(data, i, delays - least)
+        tables[output] = order_table(rows, nas, nbs, nks if given is None else [least], other)
+    delays_by_output = {} if given is None else dict(zip(data.outputs, given.tolist(), strict=True))
+    return OrderTables(
+        tables=tables, delays={name: tuple(row) for name, row in delays_by_output.items()}
+    )
 
 
-def _rows(data: Signals, i: int) -> list[_Row]:
+def _rows(data: Signals, i: int, delays: Integers) -> list[_Row]:
+    """Return the experiments with each input delayed, and one output."""
     return [
-        _Row(u=part.u, y=np.where(part.valid[:, i], part.y[:, i], np.nan))
+        _Row(
+            u=np.hstack([past(u, [lag]) for u, lag in zip(part.u.T, delays.tolist(), strict=True)]),
+            y=np.where(part.valid[:, i], part.y[:, i], np.nan),
+        )
         for part in data.experiments()
     ]
