@@ -46,7 +46,7 @@ def _white(
     covariance. For one output this is `armrig.numerics.whiteness.portmanteau`.
     """
     m = T.shape[0]
-    used = T.any(axis=0)
+    used = np.flatnonzero(T.any(axis=0))
     whole = [np.asarray(p.known[:, used].all(axis=1)) for p in parts]
     N = int(sum(k.sum() for k in whole))
     p = parts[0].Psi.shape[2]
