@@ -85,9 +85,8 @@ def _white(
 
 
 def _vary(parts: Sequence[Part], used: Array) -> bool:
-    return all(
-        any(np.nansum(part.e[:, i] ** 2) > 0 for part in parts) for i in np.flatnonzero(used)
-    )
+    """Return whether the residuals of each used output differ from 0."""
+    return bool(np.all(np.sum([np.nansum(part.e[:, used] ** 2, axis=0) for part in parts], axis=0)))
 
 
 def _product(x: Array, y: Array, lag: int) -> Array:
