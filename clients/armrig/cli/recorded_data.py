@@ -150,7 +150,7 @@ class SignalChoice:
         if self._is_other(file):
             signals = between(self._table(file, inputs, outputs, model), self.start, self.stop)
         elif model is not None:
-            signals = self._recording(file).signals(modelled_outputs(model, outputs))
+            signals = self.recorded_signals(file, model)
         else:
             signals = self._recording(file).signals(recorded_outputs(outputs or (THETA_1,)))
         self._tell_of_means(model)
@@ -158,6 +158,11 @@ class SignalChoice:
             signals = hampel(signals)
             tell(f"{file}: {signals.history[-1]}")
         return detrend(signals) if self.detrend else signals
+
+    def recorded_signals(self, file: Path, model: MultivariableFit) -> Signals:
+        """Return the signals of a model from a recording."""
+        outputs = modelled_outputs(model, names("--signal", self.signal))
+        return self._recording(file).signals(outputs)
 
     def _table(
         self,
