@@ -39,13 +39,8 @@ def hint_at_means(
     may_offset: bool = False,
 ) -> None:
     """Print what to do if the mean of a signal is far from 0, as at an operating point."""
-    import numpy as np
-
     every = [*outputs, *inputs]
-    # Subtracting the mean of a constant signal would leave 0.
-    if any(x.size < _MIN_SAMPLES or not np.ptp(x) for _, x in every):
-        return
-    if any(abs(x.mean()) > 2 * x.std() for _, x in every):
+    if far_from_zero([x for _, x in every]):
         along = "estimate a level with --offset, or " if may_offset else ""
         means = ", ".join(f"the mean of {name} is {x.mean():.4g}" for name, x in every)
         y, u = listed([name for name, _ in outputs]), " = ".join(name for name, _ in inputs)
@@ -53,6 +48,16 @@ def hint_at_means(
             f"{means}; if {y} {_IS[len(outputs) > 1]} not 0 at {u} = 0, {along}subtract the means "
             "with --detrend"
         )
+
+
+def far_from_zero(every: Sequence[Vector]) -> bool:
+    """Return True if a mean is far from 0, as at an operating point, and all signals vary."""
+    import numpy as np
+
+    # Subtracting the mean of a constant signal would leave 0.
+    if any(x.size < _MIN_SAMPLES or not np.ptp(x) for x in every):
+        return False
+    return any(abs(x.mean()) > 2 * x.std() for x in every)
 
 
 def tell_of_columns(file: Path, data: Dataset, columns: Mapping[str, str]) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from armrig_core.telemetry import THETA_1
 
 from armrig.cli.channels import names
+from armrig.cli.column_notes import far_from_zero
 from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.recorded_data import SignalChoice, from_recording
 
@@ -34,10 +35,12 @@ def after_identify(
     validation = typed(validate) if validate else ""
     if not validation and signals.read:
         validation = validation_beside(file)
-    given = signals.options()
     model = quote(str(save or "model.json"))
     asked = options_of(request)
-    options = asked if searched else better_options(fit, request, data)
+    options = asked if searched or _fits(fit) else better_options(request, data)
+    if options != asked and _at_operating_point(data):
+        options = f"{asked} --detrend"  # the orders may be right
+    given = signals.options()
     if save is None or options != asked:
         options += given + (f" --validate {validation}" if validation else "")
         say_next("identify", file=typed(file), options=options, model=model)
@@ -49,16 +52,26 @@ def after_identify(
         say_next("identify check", file=typed(file), given=_one_channel(signals, data))
 
 
-def better_options(fit: MultivariableFit, request: SignalsRequest, data: Signals) -> str:
-    """Return the options of `identify` that follow a model.
+def _fits(fit: MultivariableFit) -> bool:
+    """Return True if the search converged and the residuals of each output are white."""
+    return fit.converged and not any(q.white.coloured for q in fit.quality)
 
-    The options are those of the request if the residuals are white. Otherwise they ask for the
-    rig's own structure if the data come from the rig, or for a search.
+
+def _at_operating_point(data: Signals) -> bool:
+    """Return True if data from elsewhere have means far from 0, which --detrend subtracts."""
+    if from_recording(data):
+        return False
+    outputs = [y[known] for y, known in zip(data.y.T, data.valid.T, strict=True)]
+    return far_from_zero([*outputs, *data.u.T])
+
+
+def better_options(request: SignalsRequest, data: Signals) -> str:
+    """Return the options of `identify` if the residuals are coloured.
+
+    The options ask for the rig's own structure if the data come from the rig, or for a search.
     """
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
-    if fit.converged and not any(q.white.coloured for q in fit.quality):
-        return options_of(request)
     integrates = from_recording(data) and not INTEGRATING_OUTPUTS.isdisjoint(data.outputs)
     if integrates and not request.integrating:
         return "--structure oe --integrator"
