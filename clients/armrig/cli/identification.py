@@ -125,6 +125,7 @@ def identify(
             signals,
             Outputs(validate=validate, save=save, figure=plot, json=json, verbose=verbose),
             most=most if search else None,
+            jobs=jobs,
             shared=shared,
         )
         return
@@ -163,11 +164,16 @@ def _identify_several(
     to: Outputs,
     *,
     most: int | None,
+    jobs: int,
     shared: bool,
 ) -> None:
     """Estimate a model of several signals, or search one of at most `most` poles."""
     if not signals.several:
         raise typer.BadParameter("--shared is for several outputs: name them, --signal A,B")
+    if jobs > 1:
+        raise typer.BadParameter(
+            f"--jobs {jobs}: a search of several signals uses one process; leave --jobs out"
+        )
     _check_files(file, to.validate, plot=to.figure, save=to.save)
     identify_several(file, given, signals, to, most=most, shared=shared)
 

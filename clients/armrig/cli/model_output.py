@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from armrig.data.finding import Finding
     from armrig.models.responses import Roots
+    from armrig.validation.multivariable.residual_test import SignalsResidualTest
     from armrig.validation.search_result import SearchResult
 
 _MAX_DECIMALS = 9
@@ -209,7 +210,7 @@ def root_lines(fit: Fit) -> list[str]:
     return lines
 
 
-def tests_sentence(tests: ResidualTest) -> str:
+def tests_sentence(tests: ResidualTest | SignalsResidualTest) -> str:
     """Return the result of the tests of the residuals, with p values and the level."""
     failed, passed = [], []
     if tests.white.coloured:
@@ -236,7 +237,7 @@ def tests_sentence(tests: ResidualTest) -> str:
     if failed:
         rest = [f"passed: {', '.join(passed)}"] if passed else []
         return f"its residuals do not pass: {'; '.join([*failed, *rest, _LEVEL])}"
-    if tests.powerless:
+    if isinstance(tests, ResidualTest) and tests.powerless:
         return f"the tests of its residuals have no power: {tests.powerless}"
     if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
         return f"residuals {tests.white}; {_UNTESTED}"

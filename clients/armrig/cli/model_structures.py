@@ -152,7 +152,7 @@ def requested_of_several(
     """
     structure: CommandName | None = given["structure"]
     if structure is None:
-        raise typer.BadParameter("give --structure, such as --structure oe")
+        raise typer.BadParameter("give --structure, such as --structure ss, or --search")
     if structure not in OF_SEVERAL:
         raise typer.BadParameter(
             f"--structure {structure} has one output and one input; several signals go with "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import ceil
 from pathlib import Path
@@ -13,6 +13,19 @@ import typer
 from armrig_core.errors import InputError
 from armrig_core.telemetry import THETA_1, OutputName
 
+from armrig.cli.channels import (
+    as_modelled,
+    modelled_outputs,
+    names,
+    recorded_outputs,
+    require_as_many,
+)
+from armrig.cli.column_notes import (
+    check_varies,
+    hint_at_means,
+    tell_of_columns,
+    tell_of_signals,
+)
 from armrig.cli.figures import name_runs
 from armrig.cli.options import SAME_DATA, tell, warned
 from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
@@ -30,8 +43,6 @@ if TYPE_CHECKING:
 Data = TypeVar("Data", "Dataset", "Signals")
 
 _UNNAMED = ("", "y")  # outputs of models that may be any signal
-_MIN_SAMPLES = 20
-"""Smallest number of samples for a statement about their mean."""
 
 
 def loaded(
@@ -118,17 +129,14 @@ class SignalChoice:
         if self.several:
             raise typer.BadParameter(
                 f"{self.options().strip()}: this command takes one output and one input; "
-                "identify, validate and compare take several"
+                "identify, validate and greybox take several"
             )
         if self._is_other(file):
             data = between(self._other(file, model), self.start, self.stop)
-            _check_varies(file, data)
+            check_varies(file, data.output, data.y[data.valid])
         else:
             data = self._recorded(file, model)
-        if _without_means(model) and not self.detrend:
-            tell(
-                "the model was estimated from data without their means: validate it with --detrend"
-            )
+        self._tell_of_means(model)
         if self.hampel:
             data = hampel(data)
             tell(f"{file}: {data.history[-1]}")
@@ -138,31 +146,57 @@ class SignalChoice:
         """Return several signals of a file, and print its defects; a model sets their defaults."""
         from armrig.data.treatment import detrend, hampel
 
-        outputs = _names("--signal", self.signal) or (model.outputs if model else ())
-        inputs = _names("--input", self.input) or (model.inputs if model else ())
+        outputs, inputs = names("--signal", self.signal), names("--input", self.input)
         if self._is_other(file):
-            self._refuse_calibration(file)
-            signals = self._table(file, inputs or ("u",), outputs or ("y",))
-            signals = between(signals, self.start, self.stop)
+            signals = between(self._table(file, inputs, outputs, model), self.start, self.stop)
+        elif model is not None:
+            signals = self.recorded_signals(file, model)
         else:
-            signals = self._recording(file).signals(_recorded_outputs(outputs or (THETA_1,)))
+            signals = self._recording(file).signals(recorded_outputs(outputs or (THETA_1,)))
+        self._tell_of_means(model)
         if self.hampel:
             signals = hampel(signals)
             tell(f"{file}: {signals.history[-1]}")
         return detrend(signals) if self.detrend else signals
 
-    def _table(self, file: Path, inputs: Sequence[str], outputs: Sequence[str]) -> Signals:
+    def recorded_signals(self, file: Path, model: MultivariableFit) -> Signals:
+        """Return the signals of a model from a recording."""
+        outputs = modelled_outputs(model, names("--signal", self.signal))
+        return self._recording(file).signals(outputs)
+
+    def _table(
+        self,
+        file: Path,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        model: MultivariableFit | None,
+    ) -> Signals:
         from armrig.cli.spinner import spinner
         from armrig.data.files.loading import load_signals
 
+        self._refuse_calibration(file)
+        if model is not None:
+            inputs, outputs = inputs or model.inputs, outputs or model.outputs
+            require_as_many("--input", inputs, model.inputs)
+            require_as_many("--signal", outputs, model.outputs)
+        columns = {"inputs": inputs or ("u",), "outputs": outputs or ("y",)}
         with spinner("reading"):
-            signals = load_signals(file, inputs=inputs, outputs=outputs, time=self.time, Ts=self.Ts)
-        missing = f"; {signals.missing} values are missing" if signals.missing else ""
-        tell(
-            f"{file}: {signals.N} samples, {signals.equidistant():g} s apart; outputs "
-            f"{', '.join(signals.outputs)}; inputs {', '.join(signals.inputs)}{missing}"
-        )
-        return signals
+            signals = load_signals(file, **columns, time=self.time, Ts=self.Ts)
+        tell_of_signals(file, signals)
+        every = [
+            (name, signals.y[signals.valid[:, i], i]) for i, name in enumerate(signals.outputs)
+        ]
+        for name, y in every:
+            check_varies(file, name, y)
+        if not (self.detrend or _without_means(model)):
+            hint_at_means(every, [(name, signals.u[:, j]) for j, name in enumerate(signals.inputs)])
+        return signals if model is None else as_modelled(file, signals, model)
+
+    def _tell_of_means(self, model: Model | MultivariableFit | None) -> None:
+        if _without_means(model) and not self.detrend:
+            tell(
+                "the model was estimated from data without their means: validate it with --detrend"
+            )
 
     def _refuse_calibration(self, file: Path) -> None:
         if self.calibration is not None:
@@ -186,12 +220,16 @@ class SignalChoice:
             data = data.replaced(
                 step=None, output=model.output
             )  # by naming the column, the person states that it is the model's signal
-        _tell_of(file, data, columns)
+        tell_of_columns(file, data, columns)
         for finding in swapped(data):
             tell(f"{file}: {finding.text} (--input, --signal)")
         known = self.detrend or self.offset or _without_means(model) or _with_level(model)
         if not known:
-            _hint_at_means(data, may_offset=self.offset is not None)
+            hint_at_means(
+                [(data.output, data.y[data.valid])],
+                [("u", data.u)],
+                may_offset=self.offset is not None,
+            )
         return data
 
     def _is_other(self, file: Path) -> bool:
@@ -218,7 +256,7 @@ class SignalChoice:
             return dataset_of(recording, model)
         if self.signal is None:
             return recording.dataset()
-        return recording.dataset(_recorded_outputs((self.signal,))[0])
+        return recording.dataset(recorded_outputs((self.signal,))[0])
 
     def _tell_of_pair(self, recording: Recording) -> None:
         from armrig.recordings.usability import doubts_of_pair
@@ -228,40 +266,12 @@ class SignalChoice:
         self.read.append(recording)
 
 
-def _names(option: str, text: str | None) -> tuple[str, ...]:
-    """Return the names in a text with commas; refuse empty and repeated names."""
-    names = tuple(name.strip() for name in text.split(",")) if text else ()
-    if "" in names:
-        raise typer.BadParameter(f"{option} {text}: a name is empty; give names with commas, A,B")
-    if repeated := [name for name in dict.fromkeys(names) if names.count(name) > 1]:
-        raise typer.BadParameter(f"{option} {text}: {repeated[0]} is repeated; name it once")
-    return names
-
-
-def _recorded_outputs(names: Sequence[str]) -> list[OutputName]:
-    """Return the names as outputs of a recording; refuse any other name."""
-    known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
-    if unknown := [name for name in names if name not in known]:
-        raise typer.BadParameter(f"--signal {unknown[0]}: a recording has {', '.join(known)}")
-    return [known[name] for name in names]
-
-
 def options_of(
     data: Dataset, calibration: Path | None, start: float | None, stop: float | None
 ) -> str:
     """Return the options with which another command reads the same part of a recording."""
     signals = SignalChoice(signal=None, calibration=calibration, start=start, stop=stop)
     return signals.options(data)
-
-
-def _check_varies(file: Path, data: Dataset) -> None:
-    """Refuse a constant output, because it contains no response to the input."""
-    import numpy as np
-
-    y = data.y[data.valid]
-    if y.size > 1 and np.ptp(y) == 0:
-        msg = f"{file}: {data.output} is constant, {y[0]:.4g}, so it responds to no input; give "
-        raise InputError(msg + "a column that varies (--signal), or record again")
 
 
 def between(data: Data, start: float | None, stop: float | None) -> Data:
@@ -288,7 +298,7 @@ def source_facts(data: Dataset | Signals) -> dict[str, str]:
     return {kind or "recording": digest}
 
 
-def _without_means(model: Model | None) -> bool:
+def _without_means(model: Model | MultivariableFit | None) -> bool:
     from armrig.data.step import MEAN, codes_of
 
     return MEAN in codes_of(getattr(model, "history", ()))
@@ -296,37 +306,6 @@ def _without_means(model: Model | None) -> bool:
 
 def _with_level(model: Model | None) -> bool:
     return bool(getattr(model, "offset", False))
-
-
-def _hint_at_means(data: Dataset, *, may_offset: bool) -> None:
-    """Print what to do if the mean of u or y is far from 0, as at an operating point."""
-    import numpy as np
-
-    u, y = data.u, data.y[data.valid]
-    # Subtracting the mean of a constant signal would leave 0.
-    if y.size < _MIN_SAMPLES or not (np.ptp(u) and np.ptp(y)):
-        return
-    if any(abs(x.mean()) > 2 * x.std() for x in (u, y)):
-        along = "estimate a level with --offset, or " if may_offset else ""
-        tell(
-            f"the mean of {data.output} is {y.mean():.4g}, the mean of u is {u.mean():.4g}; if "
-            f"{data.output} is not 0 at u = 0, {along}subtract the means with --detrend"
-        )
-
-
-def _tell_of(file: Path, data: Dataset, columns: Mapping[str, str]) -> None:
-    """Print the columns that were read from a file of data."""
-    from armrig.data.treatment import INTEGRATING_OUTPUTS
-
-    parts = [f"{file}: {data.N} samples, {data.Ts:g} s apart"]
-    parts += [f"the {what} is column {name}" for what, name in columns.items()]
-    parts += [f"{data.missing} samples without {data.output}"] if data.missing else []
-    tell("; ".join([*parts, *data.history]))
-    if data.output in INTEGRATING_OUTPUTS:
-        tell(
-            f"{data.output} is assumed to be the rig's angle, which integrates its input; rename "
-            "the column if it does not integrate"
-        )
 
 
 def warn_of_estimation_data(table: ComparisonTable) -> None:

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from armrig.cli.model_output import coefficients, root_lines
+import numpy as np
+
+from armrig.cli.model_output import coefficients, root_lines, tests_sentence
 from armrig.estimation.multivariable.request import SignalsRequest
-from armrig.numerics.quantities import listed
+from armrig.numerics.quantities import listed, p_relation
+from armrig.numerics.whiteness import WHITE_LEVEL
+from armrig.plots.captions import signature
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from armrig.data.signals import Signals
     from armrig.models.fit import Fit
+    from armrig.models.multivariable.comparison import SignalsComparison, SignalsComparisonTable
     from armrig.models.multivariable.fit import MultivariableFit
     from armrig.validation.multivariable.residual_test import SignalsResidualTest
     from armrig.validation.multivariable.search import SignalsSearch
@@ -30,6 +36,79 @@ def answer(fit: MultivariableFit) -> str:
     if coloured:
         return f"{said}; the residuals of {listed(coloured)} are coloured: σ robust applies."
     return f"{said}; the residuals are white."
+
+
+def simulated(row: SignalsComparison, data: Signals) -> str:
+    """Return the fit of each output: theta_1 to 99.9 % (rms 0.0035 rad) and alpha to ….
+
+    The text is the end of a sentence whose subject is the model.
+    """
+    values = zip(data.outputs, data.units, row.fit_percent, row.rms_error, strict=True)
+    rms = "{} to {:.2f} % (rms {:.4g}{})"
+    return listed(
+        [rms.format(name, fit, e, f" {unit}" * bool(unit)) for name, unit, fit, e in values]
+    )
+
+
+def validated(table: SignalsComparisonTable, file: Path) -> str:
+    """Return a sentence with the simulation of other data."""
+    row = table[0]
+    return f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}."
+
+
+def closest(table: SignalsComparisonTable) -> str:
+    """Return the model with the least error of each output, or the fits of the only model."""
+    how = "Simulated" if table.horizon is None else f"Predicted {table.horizon} ahead"
+    if len(table) == 1:
+        return f"{how}, {table[0].name} fits {simulated(table[0], table.data)}."
+    of: dict[str, list[str]] = {}
+    for i, output in enumerate(table.data.outputs):
+        best = int(np.nanargmin([row.rms_error[i] for row in table]))
+        of.setdefault(table[best].name, []).append(output)
+    said = [f"{name} has the least error of {listed(outputs)}" for name, outputs in of.items()]
+    return f"{how}, {listed(said)}."
+
+
+def validation_lines(
+    tables: Sequence[SignalsComparisonTable],
+    tests: SignalsResidualTest,
+    file: Path,
+    *,
+    verbose: bool,
+) -> Iterator[str]:
+    """Yield the answer, the fits at each horizon, and the tests of the residuals.
+
+    Without `verbose` a pair of input and output is shown only if its test rejects.
+    """
+    row, data = tables[0][0], tables[0].data
+    yield f"Simulated, {row.name} fits {simulated(row, data)}; {tests_sentence(tests)}."
+    yield f"validated on {data.N} samples of {file} ({signature(data.source)})"
+    width = max(len(name) for name in data.outputs)
+    for table in tables:
+        ahead = "simulated" if table.horizon is None else f"{table.horizon} ahead"
+        one = table[0]
+        for values in zip(data.outputs, data.units, one.fit_percent, one.rms_error, strict=True):
+            name, unit, fit, rms = values
+            yield f"  {ahead:10}  {name:{width}}  fit {fit:7.2f} %  rms {rms:.4g} {unit}".rstrip()
+            ahead = ""
+    yield "  initial state estimated from these data by least squares"
+    for name, white in zip(tests.outputs, tests.white_by_output, strict=True):
+        yield f"  residuals of {name}: {white}"
+    yield from _pair_lines(tests, verbose=verbose)
+
+
+def _pair_lines(tests: SignalsResidualTest, *, verbose: bool) -> Iterator[str]:
+    """Yield the tests of each pair; Bonferroni's level allows for their number."""
+    for p, good, bad in (
+        (tests.missing_dynamics_by_pair, "no dynamics missing", "dynamics missing"),
+        (tests.feedback_by_pair, "no feedback", "feedback, or a delay too large"),
+    ):
+        for (i, j), value in np.ndenumerate(p):
+            rejected = value < WHITE_LEVEL / p.size
+            if rejected or verbose:
+                pair = f"{tests.inputs[j]} to {tests.outputs[i]}"
+                said = f"(p {p_relation(float(value))})" if value >= 0 else "not tested"
+                yield f"  {pair}: {bad if rejected else good} {said}"
 
 
 def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:

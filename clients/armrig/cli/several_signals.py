@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 import typer
 
+from armrig.cli import several_next
 from armrig.cli.figures import write_plot
 from armrig.cli.model_structures import Given, requested_of_several
-from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.options import SAME_DATA, print_json, say, tell
 from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
 
@@ -36,6 +35,16 @@ class Outputs:
     verbose: bool
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ValidationOutputs:
+    """Files and form of what `validate` reads, writes and prints."""
+
+    model: Path
+    figure: Path | None
+    json: bool
+    verbose: bool
+
+
 def identify(
     file: Path,
     given: Given,
@@ -48,8 +57,12 @@ def identify(
     """Estimate a model of several signals, or search one of at most `most` poles, and print it."""
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
+    from armrig.recordings.usability import doubts_of_estimation
 
     data = signals.signals_of(file)
+    for recording in signals.read:
+        for text in doubts_of_estimation(recording):
+            tell(text)
     other = None if to.validate is None else signals.signals_of(to.validate)
     if most is None:
         request = _request(given, data, shared=shared)
@@ -67,15 +80,24 @@ def identify(
     else:
         say(several_output.answer(fit))
         say("\n".join(several_output.lines(fit, verbose=to.verbose)))
-        if table is not None:
-            say(f"validation on {to.validate}: {table!r}")
+        if table is not None and to.validate is not None:
+            say(several_output.validated(table, to.validate))
     if to.save is not None:
         fit.save(to.save)
     write_plot(
         to.figure, height=3.6, **several_output.figures(fit, data if other is None else other)
     )
     if not to.json:
-        _say_next(request, file, signals, to)
+        several_next.after_identify(
+            fit,
+            request,
+            data,
+            file,
+            signals,
+            validate=to.validate,
+            save=to.save,
+            searched=most is not None,
+        )
 
 
 def _searched(given: Given, data: Signals, other: Signals | None, most: int) -> SignalsSearch:
@@ -138,12 +160,15 @@ def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
 
 
 def compared(
-    data: Signals, fits: Sequence[MultivariableFit], horizon: int | None = None
+    data: Signals,
+    fits: Sequence[MultivariableFit],
+    horizon: int | None = None,
+    labels: Sequence[str] | None = None,
 ) -> SignalsComparisonTable:
     """Return the comparison, and print a warning if a model is judged on its own data."""
     from armrig.models.multivariable.comparison import compare
 
-    table = compare(data, *fits, horizon=horizon)
+    table = compare(data, *fits, horizon=horizon, labels=labels)
     if any(row.on_estimation_data for row in table.rows):
         tell(SAME_DATA)
     return table
@@ -167,63 +192,39 @@ def _rows(table: SignalsComparisonTable) -> list[dict[str, Any]]:
     ]
 
 
-def _say_next(request: SignalsRequest, file: Path, signals: SignalChoice, to: Outputs) -> None:
-    """Print the next command: save the model, or validate it on other data."""
-    validation = typed(to.validate) if to.validate else ""
-    if not validation and signals.read:
-        validation = validation_beside(file)
-    given = signals.options()
-    model = quote(str(to.save or "model.json"))
-    if to.save is None:
-        options = _options(request) + given + (f" --validate {validation}" if validation else "")
-        say_next("identify", file=typed(file), options=options, model=model)
-    elif validation:
-        say_next("identify --save", validation=validation, model=model, given=given)
-
-
-def _options(request: SignalsRequest) -> str:
-    """Return the options of `identify` that make this request."""
-    orders = [f"--{name} {n}" for name, n in request.orders.items() if n is not None]
-    weights = f"--weights {request.weights}" if request.weights else ""
-    flags = ["--integrator" * bool(request.integrating), "--shared" * request.shared, weights]
-    each = [f"--structure {request.structure}", *orders, f"--nk {request.nk}", *flags]
-    return " ".join(x for x in each if x)
-
-
 def validate(
     fit: MultivariableFit,
     file: Path,
     signals: SignalChoice,
     horizons: Sequence[int],
     lags: int | None,
-    *,
-    plot: Path | None,
-    json: bool,
+    to: ValidationOutputs,
 ) -> None:
     """Validate a model of several signals: simulate it, predict with it, test its residuals."""
     from armrig.cli import several_output
+    from armrig.cli.spinner import estimating
     from armrig.models.multivariable.figures import plot_signals_comparison
     from armrig.validation.multivariable.figures import plot_signals_residuals
     from armrig.validation.residuals import residuals
 
     data = signals.signals_of(file, fit)
-    simulated = compared(data, [fit])
-    tables = [simulated, *(fit.compare(data, horizon=h) for h in horizons)]
-    tests = residuals(fit, data, lags)
+    with estimating("the orders"):
+        simulated = compared(data, [fit])
+        tables = [simulated, *(fit.compare(data, horizon=h) for h in horizons)]
+        tests = residuals(fit, data, lags)
     write_plot(
-        plot,
+        to.figure,
         height=3.6,
         compare=lambda ax: plot_signals_comparison(simulated, ax=ax),
         residuals=lambda ax: plot_signals_residuals(tests, ax=ax),
     )
-    if json:
+    if to.json:
         facts: dict[str, Any] = {"model": fit.label, "identified_from": fit.source}
         facts |= source_facts(data) | several_output.test_facts(tests)
         print_json(facts | {"comparisons": [row for t in tables for row in _rows(t)]})
     else:
-        for table in tables:
-            say(repr(table))
-        say(repr(tests))
+        say("\n".join(several_output.validation_lines(tables, tests, file, verbose=to.verbose)))
+        several_next.after_validate(fit, data, file, to.model, signals)
 
 
 def compare(
@@ -236,15 +237,16 @@ def compare(
     json: bool,
 ) -> None:
     """Compare models of the same signals."""
-    from armrig.models.multivariable.comparison import compare as comparison
+    from armrig.cli import several_output
     from armrig.models.multivariable.figures import plot_signals_comparison
 
-    data = signals.signals_of(file, fits[0][1])
-    table = comparison(
-        data, *(fit for _, fit in fits), horizon=horizon, labels=[name for name, _ in fits]
-    )
+    data = signals.recorded_signals(file, fits[0][1])
+    names = [name for name, _ in fits]
+    table = compared(data, [fit for _, fit in fits], horizon, names)
     write_plot(plot, height=3.6, compare=lambda ax: plot_signals_comparison(table, ax=ax))
     if json:
         print_json({"validation": data.source, "models": _rows(table)})
     else:
+        say(several_output.closest(table))
         say(repr(table))
+        several_next.after_compare(data, file, signals)

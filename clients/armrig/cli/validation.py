@@ -36,6 +36,7 @@ from armrig.cli.recorded_data import (
     spectral_beside,
     warn_of_estimation_data,
 )
+from armrig.cli.several_signals import ValidationOutputs
 from armrig.cli.several_signals import validate as validate_several
 
 if TYPE_CHECKING:
@@ -102,7 +103,8 @@ def validate(
         stop=stop,
     )
     if isinstance(fit, MultivariableFit):
-        validate_several(fit, file, signals, horizon or _HORIZONS, lags, plot=plot, json=json)
+        to = ValidationOutputs(model=model, figure=plot, json=json, verbose=verbose)
+        validate_several(fit, file, signals, horizon or _HORIZONS, lags, to)
         return
     data = signals.of(file, fit)
     validated = _validated(fit, data, horizon or _HORIZONS, lags)

@@ -67,7 +67,8 @@ def fit_of(text: str, path: str) -> Fit:
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             several = isinstance(content, dict) and "quality" in content
             raise FileError(
-                f"{path} is a model of several signals; read it with armrig.load_fit in Python"
+                f"{path} is a model of several signals; here give a model of one output and one "
+                "input, such as fit['alpha', 'u'] of it (armrig.load_fit and fit.save in Python)"
                 if several
                 else f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
             )

@@ -1,0 +1,81 @@
+"""Names of the signals that commands read: those of the options, and those of a saved model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+import typer
+from armrig_core.errors import InputError
+from armrig_core.telemetry import OutputName
+
+from armrig.cli.options import tell
+from armrig.numerics.quantities import listed, plural
+
+if TYPE_CHECKING:
+    from armrig.data.signals import Signals
+    from armrig.models.multivariable.fit import MultivariableFit
+
+_INPUTS = ("u",)  # of a recording
+
+
+def names(option: str, text: str | None) -> tuple[str, ...]:
+    """Return the names in a text with commas; refuse empty and repeated names."""
+    found = tuple(name.strip() for name in text.split(",")) if text else ()
+    if "" in found:
+        raise typer.BadParameter(f"{option} {text}: a name is empty; give names with commas, A,B")
+    if repeated := [name for name in dict.fromkeys(found) if found.count(name) > 1]:
+        raise typer.BadParameter(f"{option} {text}: {repeated[0]} is repeated; name it once")
+    return found
+
+
+def recorded_outputs(chosen: Sequence[str]) -> list[OutputName]:
+    """Return the names as outputs of a recording; refuse any other name."""
+    known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
+    if unknown := [name for name in chosen if name not in known]:
+        raise typer.BadParameter(f"--signal {unknown[0]}: a recording has {', '.join(known)}")
+    return [known[name] for name in chosen]
+
+
+def modelled_outputs(model: MultivariableFit, chosen: Sequence[str]) -> list[OutputName]:
+    """Return the model's outputs in its order; refuse a recording that has other signals."""
+    known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
+    if not set(model.outputs) <= known.keys() or model.inputs != _INPUTS:
+        raise InputError(
+            f"the model has {listed(model.inputs)} as input and {listed(model.outputs)} as output, "
+            f"a recording has u, and {', '.join(known)}; use the model with data of its own signals"
+        )
+    if chosen and set(chosen) != set(model.outputs):
+        raise typer.BadParameter(
+            f"--signal {','.join(chosen)}: the model has {', '.join(model.outputs)}; leave "
+            "--signal out"
+        )
+    return [known[name] for name in model.outputs]
+
+
+def require_as_many(option: str, chosen: Sequence[str], of_model: Sequence[str]) -> None:
+    """Refuse names whose number differs from the number of the model's signals."""
+    if len(chosen) != len(of_model):
+        raise typer.BadParameter(
+            f"{option} {','.join(chosen)}: the model has {plural(len(of_model), 'signal')} there, "
+            f"{', '.join(of_model)}; name a column for each, in this order"
+        )
+
+
+def as_modelled(file: Path, signals: Signals, model: MultivariableFit) -> Signals:
+    """Return the signals with the model's names, in the model's order.
+
+    By naming other columns, the person states that these columns are the model's signals. The
+    message names each such column.
+    """
+    for own, found in ((model.outputs, signals.outputs), (model.inputs, signals.inputs)):
+        if set(own) != set(found):
+            pairs = [f"{theirs} is {name}" for theirs, name in zip(found, own, strict=True)]
+            tell(f"{file}: for the model, {listed(pairs)}")
+    same_outputs = set(model.outputs) == set(signals.outputs)
+    same_inputs = set(model.inputs) == set(signals.inputs)
+    ordered = signals.channels(
+        model.outputs if same_outputs else None, model.inputs if same_inputs else None
+    )
+    return ordered.replaced(step=None, outputs=model.outputs, inputs=model.inputs)

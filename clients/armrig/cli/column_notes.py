@@ -1,0 +1,84 @@
+"""Notes about the signals of a table: their columns, their means, a constant output."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from armrig_core.errors import InputError
+
+from armrig.cli.options import tell
+from armrig.numerics.quantities import listed
+
+if TYPE_CHECKING:
+    from armrig.data.dataset import Dataset, Vector
+    from armrig.data.signals import Signals
+
+Named = Sequence[tuple[str, "Vector"]]
+"""Names of signals, with their measured values."""
+
+_IS = ("is", "are")
+_MIN_SAMPLES = 20
+"""Smallest number of samples for a statement about their mean."""
+
+
+def check_varies(file: Path, output: str, y: Vector) -> None:
+    """Refuse a constant output, because it contains no response to the input."""
+    import numpy as np
+
+    if y.size > 1 and np.ptp(y) == 0:
+        msg = f"{file}: {output} is constant, {y[0]:.4g}, so it responds to no input; give "
+        raise InputError(msg + "a column that varies (--signal), or record again")
+
+
+def hint_at_means(
+    outputs: Named,
+    inputs: Named,
+    *,
+    may_offset: bool = False,
+) -> None:
+    """Print what to do if the mean of a signal is far from 0, as at an operating point."""
+    every = [*outputs, *inputs]
+    if far_from_zero([x for _, x in every]):
+        along = "estimate a level with --offset, or " if may_offset else ""
+        means = ", ".join(f"the mean of {name} is {x.mean():.4g}" for name, x in every)
+        y, u = listed([name for name, _ in outputs]), " = ".join(name for name, _ in inputs)
+        tell(
+            f"{means}; if {y} {_IS[len(outputs) > 1]} not 0 at {u} = 0, {along}subtract the means "
+            "with --detrend"
+        )
+
+
+def far_from_zero(every: Sequence[Vector]) -> bool:
+    """Return True if a mean is far from 0, as at an operating point, and all signals vary."""
+    import numpy as np
+
+    # Subtracting the mean of a constant signal would leave 0.
+    if any(x.size < _MIN_SAMPLES or not np.ptp(x) for x in every):
+        return False
+    return any(abs(x.mean()) > 2 * x.std() for x in every)
+
+
+def tell_of_columns(file: Path, data: Dataset, columns: Mapping[str, str]) -> None:
+    """Print the columns that were read from a file of data."""
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
+    parts = [f"{file}: {data.N} samples, {data.Ts:g} s apart"]
+    parts += [f"the {what} is column {name}" for what, name in columns.items()]
+    parts += [f"{data.missing} samples without {data.output}"] if data.missing else []
+    tell("; ".join([*parts, *data.history]))
+    if data.output in INTEGRATING_OUTPUTS:
+        tell(
+            f"{data.output} is assumed to be the rig's angle, which integrates its input; rename "
+            "the column if it does not integrate"
+        )
+
+
+def tell_of_signals(file: Path, signals: Signals) -> None:
+    """Print the channels that were read from a file of data."""
+    missing = f"; {signals.missing} values are missing" if signals.missing else ""
+    tell(
+        f"{file}: {signals.N} samples, {signals.equidistant():g} s apart; outputs "
+        f"{', '.join(signals.outputs)}; inputs {', '.join(signals.inputs)}{missing}"
+    )

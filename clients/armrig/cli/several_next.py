@@ -1,0 +1,116 @@
+"""Next commands after a command with a model of several signals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from shlex import quote
+from typing import TYPE_CHECKING
+
+from armrig_core.telemetry import THETA_1
+
+from armrig.cli.channels import names
+from armrig.cli.column_notes import far_from_zero
+from armrig.cli.next_step import say_next, typed, validation_beside
+from armrig.cli.recorded_data import SignalChoice, from_recording
+
+if TYPE_CHECKING:
+    from armrig.data.signals import Signals
+    from armrig.estimation.multivariable.request import SignalsRequest
+    from armrig.models.multivariable.fit import MultivariableFit
+
+
+def after_identify(
+    fit: MultivariableFit,
+    request: SignalsRequest,
+    data: Signals,
+    file: Path,
+    signals: SignalChoice,
+    *,
+    validate: Path | None,
+    save: Path | None,
+    searched: bool,
+) -> None:
+    """Print the next command: a better structure, or save the model, or validate it."""
+    validation = typed(validate) if validate else ""
+    if not validation and signals.read:
+        validation = validation_beside(file)
+    model = quote(str(save or "model.json"))
+    asked = options_of(request)
+    options = asked if searched or _fits(fit) else better_options(request, data)
+    if options != asked and _at_operating_point(data):
+        options = f"{asked} --detrend"  # the orders may be right
+    given = signals.options()
+    if save is None or options != asked:
+        options += given + (f" --validate {validation}" if validation else "")
+        say_next("identify", file=typed(file), options=options, model=model)
+    elif validation:
+        say_next("identify --save", validation=validation, model=model, given=given)
+    elif signals.read:
+        say_next("identify alone", Ts=fit.Ts)
+    else:
+        say_next("identify check", file=typed(file), given=_one_channel(signals, data))
+
+
+def _fits(fit: MultivariableFit) -> bool:
+    """Return True if the search converged and the residuals of each output are white."""
+    return fit.converged and not any(q.white.coloured for q in fit.quality)
+
+
+def _at_operating_point(data: Signals) -> bool:
+    """Return True if data from elsewhere have means far from 0, which --detrend subtracts."""
+    if from_recording(data):
+        return False
+    outputs = [y[known] for y, known in zip(data.y.T, data.valid.T, strict=True)]
+    return far_from_zero([*outputs, *data.u.T])
+
+
+def better_options(request: SignalsRequest, data: Signals) -> str:
+    """Return the options of `identify` if the residuals are coloured.
+
+    The options ask for the rig's own structure if the data come from the rig, or for a search.
+    """
+    from armrig.data.treatment import INTEGRATING_OUTPUTS
+
+    integrates = from_recording(data) and not INTEGRATING_OUTPUTS.isdisjoint(data.outputs)
+    if integrates and not request.integrating:
+        return "--structure oe --integrator"
+    return "--search"
+
+
+def options_of(request: SignalsRequest) -> str:
+    """Return the options of `identify` that make this request."""
+    orders = [f"--{name} {n}" for name, n in request.orders.items() if n is not None]
+    weights = f"--weights {request.weights}" if request.weights else ""
+    flags = ["--integrator" * bool(request.integrating), "--shared" * request.shared, weights]
+    each = [f"--structure {request.structure}", *orders, f"--nk {request.nk}", *flags]
+    return " ".join(x for x in each if x)
+
+
+def after_validate(
+    fit: MultivariableFit, data: Signals, file: Path, model: Path, signals: SignalChoice
+) -> None:
+    """Print the next command: the physics beside the model, or a test of one channel."""
+    if from_recording(data) and THETA_1 in fit.outputs:
+        part = SignalChoice(
+            signal=None, calibration=signals.calibration, start=signals.start, stop=signals.stop
+        )
+        say_next(
+            "validate several", file=typed(file), model=quote(str(model)), given=part.options()
+        )
+    else:
+        say_next("validate alone", file=typed(file), given=_one_channel(signals, data))
+
+
+def after_compare(data: Signals, file: Path, signals: SignalChoice) -> None:
+    """Print the next command: a test of one channel."""
+    say_next("compare", file=typed(file), given=_one_channel(signals, data))
+
+
+def _one_channel(signals: SignalChoice, data: Signals) -> str:
+    """Return the options with which a command reads the first output and the first input."""
+    output = (*names("--signal", signals.signal), *data.outputs)[0]
+    # The input of a recording is always u.
+    input = None if from_recording(data) else (*names("--input", signals.input), *data.inputs)[0]
+    named = None if from_recording(data) and output == THETA_1 else output
+    return replace(signals, signal=named, input=input).options()
