@@ -90,7 +90,7 @@ def options_of(request: SignalsRequest) -> str:
 def after_validate(
     fit: MultivariableFit, data: Signals, file: Path, model: Path, signals: SignalChoice
 ) -> None:
-    """Print the next command: the physics beside the model, or a test of one channel."""
+    """Print the next command: a comparison with the physical model, or a test of one channel."""
     if from_recording(data) and THETA_1 in fit.outputs:
         part = SignalChoice(
             signal=None, calibration=signals.calibration, start=signals.start, stop=signals.stop
