@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from armrig.data.signals import Signals
     from armrig.models.multivariable.fit import MultivariableFit
 
-_INPUTS = ("u",)  # of a recording
+_INPUTS = ("u",)
+"""Inputs of a recording."""
 
 
 def names(option: str, text: str | None) -> tuple[str, ...]:
@@ -43,8 +44,9 @@ def modelled_outputs(model: MultivariableFit, chosen: Sequence[str]) -> list[Out
     known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
     if not set(model.outputs) <= known.keys() or model.inputs != _INPUTS:
         raise InputError(
-            f"the model has {listed(model.inputs)} as input and {listed(model.outputs)} as output, "
-            f"a recording has u, and {', '.join(known)}; use the model with data of its own signals"
+            f"the model's inputs are {', '.join(model.inputs)} and its outputs "
+            f"{', '.join(model.outputs)}, but a recording has the input u and the outputs "
+            f"{', '.join(known)}; use data with the model's signals"
         )
     if chosen and set(chosen) != set(model.outputs):
         raise typer.BadParameter(
@@ -54,25 +56,28 @@ def modelled_outputs(model: MultivariableFit, chosen: Sequence[str]) -> list[Out
     return [known[name] for name in model.outputs]
 
 
-def require_as_many(option: str, chosen: Sequence[str], of_model: Sequence[str]) -> None:
-    """Refuse names whose number differs from the number of the model's signals."""
-    if len(chosen) != len(of_model):
-        raise typer.BadParameter(
-            f"{option} {','.join(chosen)}: the model has {plural(len(of_model), 'signal')} there, "
-            f"{', '.join(of_model)}; name a column for each, in this order"
-        )
+def require_as_many(model: MultivariableFit, outputs: Sequence[str], inputs: Sequence[str]) -> None:
+    """Refuse names of columns whose numbers differ from those of the model's signals."""
+    for option, what, chosen, own in (
+        ("--signal", "output", outputs, model.outputs),
+        ("--input", "input", inputs, model.inputs),
+    ):
+        if chosen and len(chosen) != len(own):
+            raise typer.BadParameter(
+                f"{option} {','.join(chosen)}: the model has {plural(len(own), what)}, "
+                f"{listed(own)}; name a column for each, in this order"
+            )
 
 
 def as_modelled(file: Path, signals: Signals, model: MultivariableFit) -> Signals:
     """Return the signals with the model's names, in the model's order.
 
-    By naming other columns, the person states that these columns are the model's signals. The
-    message names each such column.
+    By naming other columns, the person states that these columns are the model's signals. A
+    message names the columns.
     """
     for own, found in ((model.outputs, signals.outputs), (model.inputs, signals.inputs)):
         if set(own) != set(found):
-            pairs = [f"{theirs} is {name}" for theirs, name in zip(found, own, strict=True)]
-            tell(f"{file}: for the model, {listed(pairs)}")
+            tell(f"{file}: for the model's {', '.join(own)} the command reads {', '.join(found)}")
     same_outputs = set(model.outputs) == set(signals.outputs)
     same_inputs = set(model.inputs) == set(signals.inputs)
     ordered = signals.channels(

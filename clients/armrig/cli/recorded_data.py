@@ -176,9 +176,8 @@ class SignalChoice:
 
         self._refuse_calibration(file)
         if model is not None:
+            require_as_many(model, outputs, inputs)
             inputs, outputs = inputs or model.inputs, outputs or model.outputs
-            require_as_many("--input", inputs, model.inputs)
-            require_as_many("--signal", outputs, model.outputs)
         columns = {"inputs": inputs or ("u",), "outputs": outputs or ("y",)}
         with spinner("reading"):
             signals = load_signals(file, **columns, time=self.time, Ts=self.Ts)
