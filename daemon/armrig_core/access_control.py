@@ -86,7 +86,8 @@ def at_router(rig: str) -> dict[str, Any]:
 
     It has the rules of the router for this rig, with both directions swapped.
 
-    The router verifies the client's certificate and guarantees the client's name in the key.
+    The router verifies each client's certificate. It guarantees that the client's name in the key
+    of a message is true.
     """
     mirrored = {"ingress": "egress", "egress": "ingress"}
     rules = [

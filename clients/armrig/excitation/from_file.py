@@ -112,7 +112,8 @@ def _table(path: str | Path, text: str) -> tuple[tuple[Vector | None, Vector], l
     lines, rows = (lines[1:], rows[1:]) if names else (lines, rows)
     if not lines:
         raise InputError(
-            f"{path}: no row of numbers; give u in V, or t in s and u, a row for each sample"
+            f"{path}: no row of numbers; give one row for each sample: u in V, or two columns, "
+            "t in s and u in V"
         )
     try:
         numbers = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)

@@ -103,7 +103,7 @@ class Unknown:
     """Number of samples."""
 
     def without(self, M: Array) -> Array:
-        """Return M (N, k) minus its projection on the basis; M is 0 in rows without an error."""
+        """Return M (N, k) minus its projection on the basis; M is 0 where e is not known."""
         M = np.array(M, order="F")
         for s, Q in self.noise:
             M[s] -= Q @ (Q.T @ M[s])
@@ -246,7 +246,7 @@ class LinearPart:
     """Derivatives of the prediction with respect to (a, b), (N, na + nb); 0 in rows without an
     error."""
     y: Array
-    """Signal D/C y, (N,); 0 in rows without an error."""
+    """Signal D/C y, (N,); 0 where the prediction error e is not known."""
     unknown: Unknown
     """Basis of the unknown past."""
 
@@ -271,7 +271,7 @@ class Errors:
     """Prediction errors of one experiment, and their derivatives with respect to c, d and f."""
 
     e: Array
-    """Errors (N,), 0 in rows without an error."""
+    """Prediction errors e (N,), 0 where e is not known."""
     Psi: Array
     """Derivatives of the prediction with respect to (c, d, f), (N, nc + nd + nf). Their projection
     on the basis of the unknown past is subtracted."""

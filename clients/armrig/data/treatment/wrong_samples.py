@@ -274,10 +274,10 @@ def hampel(
         z(t) = x(t) / s,    x(t) = sum a_k e(t+k) / sqrt(sum a_k²),    s = 1.4826 median |x|
 
     The samples with the largest |z| are marked. For the rest of the search they are set to the
-    model's values. If the neighbours of a marked sample explain its pattern, the sample is
-    unmarked. The returned data contain no interpolated value. The first n samples after the start
-    or a gap are searched in the reversed data, with twice the threshold. No outlier can be
-    found in a stretch of n samples or fewer.
+    model's values. The sizes of marked samples near each other are then estimated together. A
+    sample whose size is small in this estimate is unmarked. The returned data contain no
+    interpolated value. The first n samples after the start or a gap are searched in the reversed
+    data, with twice the threshold. No outlier can be found in a stretch of n samples or fewer.
 
     Parameters
     ----------
