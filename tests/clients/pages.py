@@ -34,11 +34,11 @@ def record_all(name: str, folder: Path) -> None:
 
 
 def run(
-    page: Path, capsys: pytest.CaptureFixture[str], *, atol: float, commands: bool = False
+    page: Path, capsys: pytest.CaptureFixture[str], *, atol: float, commands: str | None = None
 ) -> int:
     """Run a page's Python in the present folder; return how many printed texts were compared.
 
-    With `commands`, run the page's commands of armrig, too.
+    If `commands` is not None, run the page's command lines that begin with it, too.
     The words must be the same; of the numbers the last digit may be another machine's.
     """
     names: dict[str, Any] = {}
@@ -46,9 +46,11 @@ def run(
     for language, text in _BLOCK.findall(page.read_text(encoding="utf-8")):
         if language == "python":
             exec(compile(text, str(page), "exec"), names)
-        for line in text.splitlines() if commands and language == "sh" else ():
+        lines = text.splitlines() if commands and language == "sh" else []
+        run = [line for line in lines if line.startswith(commands or "")]
+        for line in run:
             assert main(shlex.split(line)[1:]) == 0, line
-        if language == "python" or (commands and language == "sh"):
+        if language == "python" or run:
             printed = capsys.readouterr().out
         if language != "text":
             continue

@@ -27,7 +27,7 @@ def test_every_line_of_the_page_runs_and_prints_what_it_says(
 ) -> None:
     monkeypatch.chdir(recordings)
 
-    assert pages.run(PAGE, capsys, atol=2e-3) == 12
+    assert pages.run(PAGE, capsys, atol=2e-3, commands="armrig identify") == 13
 
 
 def test_every_assignment_is_there() -> None:

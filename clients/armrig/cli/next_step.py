@@ -63,7 +63,7 @@ AFTER: Mapping[str, str] = {
     "identify check": "armrig check {file}{given}",
     "identify alone": "armrig collect blackbox --Ts {Ts:g} --seconds 30 --seed 2",
     "validate": "armrig compare {estimation} {file} --model {model} -o compare.png",
-    "validate several": "armrig simulate {file} --model {model}{given} -o simulate.png",
+    "validate several": "armrig simulate {file} --model {model}{part} -o simulate.png",
     "validate alone": "armrig check {file}{given}",
     "compare": "armrig check {file}{given}",
     "simulate": "armrig lab",

@@ -95,9 +95,7 @@ def after_validate(
         part = SignalChoice(
             signal=None, calibration=signals.calibration, start=signals.start, stop=signals.stop
         )
-        say_next(
-            "validate several", file=typed(file), model=quote(str(model)), given=part.options()
-        )
+        say_next("validate several", file=typed(file), model=quote(str(model)), part=part.options())
     else:
         say_next("validate alone", file=typed(file), given=_one_channel(signals, data))
 
