@@ -117,7 +117,7 @@ def test_the_verdict_is_worded_in_one_place(p: float, test: str, said: str) -> N
 
 
 def test_an_estimated_variance_is_allowed_for_in_the_sum_of_many_squares() -> None:
-    """Of 60 residuals, 30 sums are tested: chi-squared rejects much less than 5 %."""
+    """For 30 sums of 60 residuals, chi-squared rejects much less than 5 %."""
     rng = np.random.default_rng(2)
     N, k, runs = 60, 30, 1000
     Z = orthonormal(rng.standard_normal((N, k))).Q

@@ -78,6 +78,8 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     L = default_lags(N) if lags is None else lags
     if not 1 <= L <= longest:
         raise InputError(f"lags={L} must be 1 to {longest}, half of the {N} residuals")
+    R = _autocorrelation([p.e for p in parts], L)
+    parts = projected.applied(parts)
     sums, M = _input_sums(parts, projected, L, own=is_fitted)
     pairs = np.arange(sums.size).reshape(fit.ny, fit.nu, 2 * L + 1)
     past, future = pairs[:, :, L:], pairs[:, :, :L]
@@ -90,7 +92,7 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
         inputs=fit.inputs,
         e=e,
         lags=np.arange(L + 1),
-        autocorrelation=_autocorrelation([p.e for p in parts], L),
+        autocorrelation=R,
         white_by_output=each,
         white=jointly_white(parts, projected, L, own=is_fitted) if fit.ny > 1 else each[0],
         cross_lags=np.arange(-L, L + 1),
