@@ -25,7 +25,7 @@ from armrig.validation.multivariable.whiteness import jointly_white, white_by_ou
 _MIN_SUM_VARIANCE = 1e-4
 """Share of the largest variance, of a direction of the sums that the parameters leave free.
 
-The search leaves sums of this order in the other directions, because its minimum is not exact.
+The differences that approximate Psi leave sums in the other directions.
 """
 
 
@@ -33,13 +33,14 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     """Test whether the residuals are white and independent of the inputs, per pair and jointly.
 
     With the sums s of e_i(t) u_j(t - k), and of e_i(t) e_j(t - k), each test is s^T M^-1 s against
-    chi-squared. The residuals are e = (1 - P) v, with the noise v and the projection P on the
+    chi-squared, corrected for the estimated variance of the noise. The residuals are e = (1 - P) v, with the noise v and the projection P on the
     estimated parameters. Therefore s = Z^T e is H^T v with H = (1 - P)^T Z, and ::
 
         M = H^T R H                                              on estimation data
         M = H^T R H + (H^T Psi) cov(theta) (Psi^T H)             on other data
 
-    P contains the parameters only on estimation data. Psi is computed by central differences.
+    P contains the parameters only on estimation data, and has the weights of the estimator: Lambda^-1
+    if it treats all outputs together. Psi is computed by central differences.
 
     Parameters
     ----------
