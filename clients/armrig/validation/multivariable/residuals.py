@@ -33,14 +33,15 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     """Test whether the residuals are white and independent of the inputs, per pair and jointly.
 
     With the sums s of e_i(t) u_j(t - k), and of e_i(t) e_j(t - k), each test is s^T M^-1 s against
-    chi-squared, corrected for the estimated variance of the noise. The residuals are e = (1 - P) v, with the noise v and the projection P on the
-    estimated parameters. Therefore s = Z^T e is H^T v with H = (1 - P)^T Z, and ::
+    chi-squared, corrected for the estimated variance of the noise. The residuals are e = (1 - P) v,
+    with the noise v and the projection P on the estimated parameters. Therefore s = Z^T e is H^T v
+    with H = (1 - P)^T Z, and ::
 
         M = H^T R H                                              on estimation data
         M = H^T R H + (H^T Psi) cov(theta) (Psi^T H)             on other data
 
-    P contains the parameters only on estimation data, and has the weights of the estimator: Lambda^-1
-    if it treats all outputs together. Psi is computed by central differences.
+    P contains the parameters only on estimation data. P has the weights of the estimator: Lambda^-1
+    if all outputs are estimated together. Psi is computed by central differences.
 
     Parameters
     ----------
