@@ -237,7 +237,7 @@ def tests_sentence(tests: ResidualTest | SignalsResidualTest) -> str:
     if failed:
         rest = [f"passed: {', '.join(passed)}"] if passed else []
         return f"its residuals do not pass: {'; '.join([*failed, *rest, _LEVEL])}"
-    if isinstance(tests, ResidualTest) and tests.powerless:
+    if tests.powerless:
         return f"the tests of its residuals have no power: {tests.powerless}"
     if not all(p >= WHITE_LEVEL for p in (tests.missing_dynamics, tests.feedback)):
         return f"residuals {tests.white}; {_UNTESTED}"

@@ -29,6 +29,7 @@ from armrig.numerics.whiteness import (
     ljung_box,
     portmanteau,
 )
+from armrig.validation.power import lack_of_power
 from armrig.validation.residual_figure import BAND_99_PERCENT
 
 if TYPE_CHECKING:
@@ -40,8 +41,6 @@ if TYPE_CHECKING:
 
 Vector = NDArray[np.float64]
 
-MOST_ALLOWED = 10.0
-"""A test has no power if the deviations of the parameters widen its bands by more than this."""
 _COLUMNS = 8  # of the lagged inputs that are worked on at once
 
 
@@ -93,18 +92,8 @@ class ResidualTest:
 
     @property
     def powerless(self) -> str:
-        """Reason why the tests have no power, with a remedy; "" if they have power.
-
-        The tests on validation data allow for the deviations of the parameters. If the deviations
-        are huge, for example of a pole that is 1 within rounding, all residuals pass the tests.
-        """
-        if self.on_estimation_data or not self.allowance > MOST_ALLOWED:
-            return ""
-        return (
-            f"the deviations of the parameters allow correlations {self.allowance:.0f} times as "
-            "large as those of a known model, so these tests find nothing. Fix a pole near 1 "
-            "(option integrator), lower the orders, or record more data"
-        )
+        """Reason why the tests have no power, with a remedy; "" if they have power."""
+        return lack_of_power(self.allowance, on_estimation_data=self.on_estimation_data)
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure of both correlations: see `armrig.plots.plot_residuals`."""

@@ -13,6 +13,7 @@ from armrig.numerics.polynomial import filtered
 from armrig.validation.multivariable.projection import parts_of, projection
 from armrig_core.errors import InputError
 
+from tests.benchmarks.several_signals import Plant
 from tests.sampling import sampled
 
 N = 400
@@ -86,6 +87,17 @@ def test_the_residuals_of_a_joint_estimate_have_no_part_that_was_estimated() -> 
     # A part of the noise would be about 1. The initial state is the difference from 0.
     left = np.einsum("tir,ti->r", WB, np.nan_to_num(part.e))
     assert np.abs(left).max() < 0.05
+
+
+@pytest.mark.parametrize("run", [10, 60])
+def test_a_sum_that_the_estimate_determines_is_not_tested(run: int) -> None:
+    """The poles are so quick that B nearly fits each lag. A rest of the ramp would be p < 1e-40."""
+    drawn = Plant("shared", 23)
+    data = drawn.signals(500, 0.0, (23, 500, run, 0))
+
+    found = armrig.residuals(drawn.fit(data), data)
+
+    assert min(found.missing_dynamics_by_pair.ravel()) > 0.01
 
 
 def test_several_experiments_are_tested_together() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -105,6 +105,19 @@ class Projection:
         """Return H = (1 - P)^T Z (N, ny, k) of each experiment: Z^T e is H^T v."""
         c = sum_of_products(self.B, Z)
         return [z - wb @ c for z, wb in zip(Z, self.WB, strict=True)]
+
+    def applied(self, parts: Sequence[Part]) -> list[Part]:
+        """Return the experiments with the residuals (1 - P) e.
+
+        They are (1 - P) v even if e was projected with other weights, or if the search ended
+        shortly before its minimum: P leaves any combination of B as it is.
+        """
+        e = [np.nan_to_num(part.e)[:, :, None] for part in parts]
+        c = sum_of_products(self.WB, e)
+        return [
+            replace(part, e=part.e - (b @ c)[:, :, 0])
+            for part, b in zip(parts, self.B, strict=True)
+        ]
 
     def loss(self, Lambda: Array, known: Sequence[Array]) -> list[tuple[Array, Array]]:
         """Return B and D of each experiment, with cov e = Lambda - B D^T - D B^T for white v."""

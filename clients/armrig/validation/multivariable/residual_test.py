@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
+from armrig.validation.power import lack_of_power
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -83,10 +84,17 @@ class SignalsResidualTest:
     """p value of no correlation with past and present inputs, for all pairs together."""
     feedback: float
     """p value of no correlation with future inputs, for all pairs together."""
+    allowance: float
+    """Factor by which the parameters' deviations widen the band of a typical cross-correlation."""
     on_estimation_data: bool
     """True if the parameters were estimated from these data; the tests account for this."""
     source: str
     """Hash of the recording, or ""."""
+
+    @property
+    def powerless(self) -> str:
+        """Reason why the tests have no power, with a remedy; "" if they have power."""
+        return lack_of_power(self.allowance, on_estimation_data=self.on_estimation_data)
 
     def __getitem__(self, channel: tuple[str, str]) -> PairTest:
         """Return the tests of one output and input: tests["alpha", "u"].
@@ -135,6 +143,7 @@ class SignalsResidualTest:
             f"  all outputs together: {self.white}",
             f"  {_verdict(*_DYNAMICS, self.missing_dynamics)}",
             f"  {_verdict(*_FEEDBACK, self.feedback)}",
+            *([f"  no power: {self.powerless}"] if self.powerless else []),
         ]
         lines += [
             f"  {name}: {white}"

@@ -25,7 +25,7 @@ from armrig.validation.multivariable.whiteness import jointly_white, white_by_ou
 _MIN_SUM_VARIANCE = 1e-4
 """Share of the largest variance, of a direction of the sums that the parameters leave free.
 
-The search leaves sums of this order in the other directions, because its minimum is not exact.
+The differences that approximate Psi leave sums in the other directions.
 """
 
 
@@ -33,13 +33,15 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     """Test whether the residuals are white and independent of the inputs, per pair and jointly.
 
     With the sums s of e_i(t) u_j(t - k), and of e_i(t) e_j(t - k), each test is s^T M^-1 s against
-    chi-squared. The residuals are e = (1 - P) v, with the noise v and the projection P on the
-    estimated parameters. Therefore s = Z^T e is H^T v with H = (1 - P)^T Z, and ::
+    chi-squared, corrected for the estimated variance of the noise. The residuals are e = (1 - P) v,
+    with the noise v and the projection P on the estimated parameters. Therefore s = Z^T e is H^T v
+    with H = (1 - P)^T Z, and ::
 
         M = H^T R H                                              on estimation data
         M = H^T R H + (H^T Psi) cov(theta) (Psi^T H)             on other data
 
-    P contains the parameters only on estimation data. Psi is computed by central differences.
+    P contains the parameters only on estimation data. P has the weights of the estimator: Lambda^-1
+    if all outputs are estimated together. Psi is computed by central differences.
 
     Parameters
     ----------
@@ -78,7 +80,9 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     L = default_lags(N) if lags is None else lags
     if not 1 <= L <= longest:
         raise InputError(f"lags={L} must be 1 to {longest}, half of the {N} residuals")
-    sums, M = _input_sums(parts, projected, L, own=is_fitted)
+    R = _autocorrelation([p.e for p in parts], L)
+    parts = projected.applied(parts)
+    sums, M, allowance = _input_sums(parts, projected, L, own=is_fitted)
     pairs = np.arange(sums.size).reshape(fit.ny, fit.nu, 2 * L + 1)
     past, future = pairs[:, :, L:], pairs[:, :, :L]
     free = counts * (1 - projected.rank / counts.sum()) if is_fitted else counts
@@ -90,7 +94,7 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
         inputs=fit.inputs,
         e=e,
         lags=np.arange(L + 1),
-        autocorrelation=_autocorrelation([p.e for p in parts], L),
+        autocorrelation=R,
         white_by_output=each,
         white=jointly_white(parts, projected, L, own=is_fitted) if fit.ny > 1 else each[0],
         cross_lags=np.arange(-L, L + 1),
@@ -100,6 +104,7 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
         feedback_by_pair=_by_pair(sums, M, future, free),
         missing_dynamics=_joint(sums, M, past, free.sum()),
         feedback=_joint(sums, M, future, free.sum()),
+        allowance=allowance,
         on_estimation_data=own,
         source=data.source,
     )
@@ -117,8 +122,8 @@ def _joint(sums: Array, M: Array, at: Array, N: float) -> float:
 
 def _input_sums(
     parts: Sequence[Part], projected: Projection, L: int, *, own: bool
-) -> tuple[Array, Array]:
-    """Return the sums of e_i(t) u_j(t - k), pair after pair, and their covariance M."""
+) -> tuple[Array, Array, float]:
+    """Return sums of e_i(t) u_j(t - k), pair after pair, their covariance M and the allowance."""
     Z = []
     for part in parts:
         lagged = np.stack([_lagged(u, L) for u in part.u.T], axis=1)  # (N, nu, 2 L + 1)
@@ -135,13 +140,15 @@ def _input_sums(
             for part, h in zip(parts, H, strict=True)
         ]
     )
+    known = np.diag(M).copy()
     if own:
         N = sum(int(part.known.sum()) for part in parts)
         M *= N / max(N - projected.rank, 1)
     else:
         slope = sum_of_products([part.Psi for part in parts], H)
         M += slope.T @ slope
-    return np.asarray(sums), M
+    ratios = np.diag(M)[known > 0] / known[known > 0]
+    return np.asarray(sums), M, float(np.sqrt(np.median(ratios))) if ratios.size else float("nan")
 
 
 def _scored(e: Array, H: Array) -> OutputResiduals:

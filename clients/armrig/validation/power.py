@@ -1,0 +1,21 @@
+"""Power of the tests of residuals on validation data."""
+
+from __future__ import annotations
+
+MOST_ALLOWED = 10.0
+"""A test has no power if the deviations of the parameters widen its bands by more than this."""
+
+
+def lack_of_power(allowance: float, *, on_estimation_data: bool) -> str:
+    """Return why the tests have no power, with a remedy; "" if they have power.
+
+    The tests on validation data allow for the deviations of the parameters. If the deviations
+    are huge, for example of a pole that is 1 within rounding, all residuals pass the tests.
+    """
+    if on_estimation_data or not allowance > MOST_ALLOWED:
+        return ""
+    return (
+        f"the deviations of the parameters allow correlations {allowance:.0f} times as "
+        "large as those of a known model, so these tests find nothing. Fix a pole near 1 "
+        "(option integrator), lower the orders, or record more data"
+    )
