@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -62,6 +63,18 @@ def test_the_tests_of_a_true_model_pass(missing: float) -> None:
 
     assert min(p) > 0.0005
     assert 0.2 < np.mean(p) < 0.8
+
+
+def test_tests_that_any_residuals_pass_say_so() -> None:
+    fit, data = estimated(0), plant(100)
+    unsure = replace(fit, covariance_robust=1e6 * fit.covariance_robust)
+
+    found = armrig.residuals(unsure, data)
+
+    assert armrig.residuals(fit, data).powerless == ""
+    assert f"correlations {found.allowance:.0f} times as large" in found.powerless
+    assert f"no power: {found.powerless}" in repr(found)
+    assert armrig.residuals(unsure, plant(0)).powerless == ""  # the tests on its own data have
 
 
 @pytest.mark.parametrize("missing", sampled([0.0, 0.2]))
