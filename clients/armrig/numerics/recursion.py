@@ -62,6 +62,28 @@ def recursion(Phi: Array, w: Array, x0: Array) -> Array:
     return x.reshape(blocks * length, m, n)[: N + 1].reshape(shape)
 
 
+def free_responses(Phi: Array, C: Array, N: int) -> Array:
+    """Return C Phi^t e_k, t = 0 … N - 1, for each unit vector e_k as initial state, (N, n, ny).
+
+    The powers up to about sqrt(N) and the powers of the last of them are computed one by one, and
+    all others as their products.
+    """
+    n = Phi.shape[0]
+    length = isqrt(N) + 1
+    powers = np.empty((length + 1, n, n))
+    powers[0] = np.eye(n)
+    late = np.empty((length, C.shape[0], n))
+    late[0] = C
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(length):
+            powers[k + 1] = powers[k] @ Phi
+        for j in range(length - 1):
+            late[j + 1] = late[j] @ powers[length]
+        found = late.reshape(-1, n) @ powers[:length].transpose(1, 0, 2).reshape(n, -1)
+    shape = (length, C.shape[0], length, n)
+    return found.reshape(shape).transpose(0, 2, 3, 1).reshape(length**2, n, -1)[:N]
+
+
 def responses(Phi: Array, C: Array, signals: Array) -> Array:
     """Return C (q - Phi)^-1 e_k s for each signal s and unit vector e_k, (N, m, n, ny).
 

@@ -221,7 +221,10 @@ def decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
     if value.size and value[0] > _MIN_EIGENVALUE:
         Q, degrees, test = float(np.sum((vector.T @ z) ** 2 / value)), float(z.size), PORTMANTEAU
     else:
-        Q, degrees, test = float(z @ z), float(np.sum(np.clip(value, 0.0, 1.0))), LJUNG_BOX
+        # z^T z has the mean and, if scale > 1, the variance of scale times chi-squared.
+        value = np.maximum(value, 0.0)
+        scale = max(1.0, float(np.sum(value**2) / max(np.sum(value), 1e-300)))
+        Q, degrees, test = float(z @ z) / scale, float(np.sum(value)) / scale, LJUNG_BOX
     return Whiteness(p_value=portmanteau_p_value(Q, max(degrees, 1.0), N), test=test)
 
 

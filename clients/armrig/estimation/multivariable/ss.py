@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,19 +24,11 @@ from armrig.estimation.multivariable.state_space_problem import (
     StateSpaceProblem,
     delays_of,
     parts_of,
-    reflected_matrix,
     scaled_signals,
-    stable_matrix,
     tangent,
     whitened,
 )
-from armrig.estimation.multivariable.subspace import (
-    complete_stretches,
-    from_impulses,
-    long_regression,
-    projected,
-    realised,
-)
+from armrig.estimation.multivariable.state_space_starts import moved_modes, starts
 from armrig.estimation.multivariable.whitening import whitening
 from armrig.estimation.orders import require_samples
 from armrig.models.estimate import Start
@@ -45,16 +37,18 @@ from armrig.models.multivariable.matrices import Matrices
 from armrig.numerics.checks import require_flags, require_integers
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
+from armrig.numerics.quantities import listed
 
-_STEPS = 6  # steps of the search between two estimates of Lambda
-_MAX_ROUNDS = 40
+_STEPS = 2  # steps of the search between two estimates of Lambda
+_TRIED_STEPS = 6  # the same while the starts are tried
+_MAX_ROUNDS = 120
 _SAME_TOLERANCE = 1e-9  # change of log det Lambda at which the search ends
 _TRIED_ROUNDS = 3  # rounds of every start before only the best continue
 _TRIED_TOLERANCE = 1e-3  # change of log det Lambda at which a trial ends
 _PART_SAMPLES = 2000  # samples of long data on which every start is tried
-_DISTINCT = 1e-4  # difference of log det Lambda between two minima
+_DISTINCT = 1e-3  # difference of log det Lambda between two minima
 _CONTINUED = 3  # starts that continue
-_MIN_LAGS = 10
+_MAX_MOVES = 3  # searches for a better end with a mode moved
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,8 +60,25 @@ class _End:
     C: Array
     Lambda: Array
     criterion: float
-    iterations: int
-    converged: bool
+    iterations: int = 0
+    converged: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Criterion:
+    """Criterion of the search: log det Lambda, or the mean of e^T inv(Lambda) e of a given one."""
+
+    given: Array | None
+
+    def __call__(self, problem: StateSpaceProblem, Abar: Array, C: Array) -> tuple[Array, float]:
+        """Return the Lambda that weights the errors next, and the logarithm of the criterion."""
+        e = np.vstack(problem.residuals(Abar, C, problem.linear(Abar, C)))
+        if self.given is None:
+            Lambda = pairwise_covariance(e)
+            return Lambda, float(np.linalg.slogdet(Lambda)[1])
+        ny = e.shape[1]
+        mean = np.nanmean(e**2 / np.diag(self.given))
+        return self.given, ny * float(np.log(mean))
 
 
 def ss(
@@ -76,12 +87,13 @@ def ss(
     order: int | None = None,
     nk: int | Sequence[int] = 1,
     noise: bool = True,
+    output_weights: Sequence[float] | None = None,
 ) -> MultivariableFit:
     """Estimate A, B, C, D and K of x(t+1) = A x + B u + K e, y = C x + D u + e.
 
-    The search minimises log det of the covariance of the prediction errors. Inputs and outputs are
-    scaled inside, so that units do not matter. The poles of the predictor, the eigenvalues of A - K
-    C, are inside the unit circle.
+    The search minimises log det of the covariance of the prediction errors, or the sum of w_i e_i²
+    with given weights. Inputs and outputs are scaled inside, so that units do not matter. The poles
+    of the predictor, the eigenvalues of A - K C, are inside the unit circle.
 
     Parameters
     ----------
@@ -93,6 +105,10 @@ def ss(
         Samples before each input reaches the outputs; 0 for all inputs is a direct term D.
     noise : bool, default True
         Estimate K. With False the model is an output-error model, K = 0.
+    output_weights : sequence of float, optional
+        Weight w_i > 0 of each output. By default the estimated covariance of the noise weights the
+        errors. The errors of a model that is too simple for the data are not only noise. Weights
+        then choose the outputs that the model fits well.
 
     Returns
     -------
@@ -129,7 +145,9 @@ def ss(
     problem = StateSpaceProblem(
         parts=parts_of(signals, np.eye(ny)), order=n, direct=direct, noise=noise
     )
-    ends = _searched(problem, signals)
+    weights = _weights(output_weights, data)
+    criterion = _Criterion(given=np.diag(1 / (np.array(weights) * sy**2)) if weights else None)
+    ends = _searched(problem, signals, criterion)
     best = ends[0]
     problem = _weighted(problem, best.Lambda)
     linear = problem.linear(best.Abar, best.C)
@@ -147,6 +165,7 @@ def ss(
         structure="ss",
         orders=f"order={n}, nk={_short(delays)}" + ("" if noise else ", noise=False"),
         form=form,
+        output_weights=weights,
         converged=best.converged,
         starts=tuple(
             Start(
@@ -163,6 +182,19 @@ def ss(
     )
 
 
+def _weights(given: Sequence[float] | None, data: Signals) -> tuple[float, ...]:
+    """Return the weights of the outputs; () if none are given."""
+    if given is None:
+        return ()
+    values = np.asarray(given, dtype=np.float64)
+    if values.shape != (data.ny,) or not (np.isfinite(values) & (values > 0)).all():
+        raise InputError(
+            f"output_weights={given!r} must be {data.ny} positive numbers, one for each output of "
+            f"{listed(data.outputs)}"
+        )
+    return tuple(values.tolist())
+
+
 def _short(delays: tuple[int, ...]) -> str:
     return str(delays[0]) if len(set(delays)) == 1 else str(list(delays)).replace(" ", "")
 
@@ -172,20 +204,47 @@ def _weighted(problem: StateSpaceProblem, Lambda: Array) -> StateSpaceProblem:
     return replace(problem, parts=parts)
 
 
-def _searched(problem: StateSpaceProblem, signals: Sequence[tuple[Array, Array]]) -> list[_End]:
+def _searched(
+    problem: StateSpaceProblem, signals: Sequence[tuple[Array, Array]], criterion: _Criterion
+) -> list[_End]:
     """Return the ends of the searches from all starts, best first.
 
     All starts are searched for some rounds, and the best ones to the end. For long data the first
-    rounds use a part of the data.
+    rounds use a part of the data. A mode of the best end is moved as long as that improves it.
     """
-    starts = _starts(problem, signals)
     part = _part(problem)
+    ends = _tried(part, _begun(part, starts(problem, signals), criterion), criterion)
+    for _ in range(_MAX_MOVES):
+        best = ends[0]
+        moved = _begun(part, moved_modes(part, best.Abar, best.C), criterion)
+        ends = _different([*ends, *_tried(part, moved, criterion)])
+        if ends[0] is best:
+            break
     ends = [
-        _improved(part, end, rounds=_TRIED_ROUNDS, tolerance=_TRIED_TOLERANCE) for end in starts
+        _improved(problem, replace(end, criterion=np.inf, converged=False), criterion)
+        for end in ends[:_CONTINUED]
     ]
-    ends = _different(sorted(ends, key=lambda end: end.criterion))
-    ends = [_improved(problem, end, rounds=_MAX_ROUNDS) for end in ends[:_CONTINUED]]
     return sorted(ends, key=lambda end: end.criterion)
+
+
+def _begun(
+    problem: StateSpaceProblem, values: Mapping[str, tuple[Array, Array]], criterion: _Criterion
+) -> list[_End]:
+    """Return the state of a search at each start value."""
+    found = []
+    for name, (Abar, C) in values.items():
+        Lambda, value = criterion(problem, Abar, C)
+        found.append(_End(name=name, Abar=Abar, C=C, Lambda=Lambda, criterion=value))
+    return found
+
+
+def _tried(problem: StateSpaceProblem, ends: list[_End], criterion: _Criterion) -> list[_End]:
+    """Return the distinct ends after some rounds, best first."""
+    for _ in range(_TRIED_ROUNDS):
+        ends = _different(
+            [_round(problem, end, criterion, _TRIED_STEPS, _TRIED_TOLERANCE) for end in ends]
+        )
+    return ends
 
 
 def _part(problem: StateSpaceProblem) -> StateSpaceProblem:
@@ -201,119 +260,41 @@ def _part(problem: StateSpaceProblem) -> StateSpaceProblem:
 
 
 def _different(ends: list[_End]) -> list[_End]:
-    """Return the ends without those that reached the criterion of an earlier one."""
+    """Return the ends, best first, without those that reached the criterion of a better one."""
     kept: list[_End] = []
-    for end in ends:
-        if all(abs(end.criterion - known.criterion) > _DISTINCT for known in kept):
+    for end in sorted(ends, key=lambda end: end.criterion):
+        if not kept or end.criterion > kept[-1].criterion + _DISTINCT:
             kept.append(end)
-    return [replace(end, criterion=np.inf, converged=False) for end in kept]
+    return kept
 
 
-def _improved(
-    problem: StateSpaceProblem, end: _End, *, rounds: int, tolerance: float = _SAME_TOLERANCE
-) -> _End:
-    """Return the end of a search; Lambda is estimated again after each few steps."""
-    for _ in range(rounds):
-        if end.converged:
-            return end
-        weighted = _weighted(problem, end.Lambda)
-        Abar, C, found = weighted.minimise(end.Abar, end.C, most=_STEPS)
-        Lambda, criterion = _criterion(weighted, Abar, C)
-        settled = abs(end.criterion - criterion) <= tolerance
-        end = replace(
-            end,
-            Abar=Abar,
-            C=C,
-            Lambda=Lambda,
-            criterion=criterion,
-            iterations=end.iterations + found.iterations,
-            converged=settled,
-        )
+def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion) -> _End:
+    """Return the end of a search."""
+    rounds = 0
+    while rounds < _MAX_ROUNDS and not end.converged:
+        end = _round(problem, end, criterion, _STEPS, _SAME_TOLERANCE)
+        rounds += 1
     return end
 
 
-def _criterion(problem: StateSpaceProblem, Abar: Array, C: Array) -> tuple[Array, float]:
-    """Return the covariance of the errors and the logarithm of its determinant."""
-    e = problem.residuals(Abar, C, problem.linear(Abar, C))
-    Lambda = pairwise_covariance(np.vstack(e))
-    return Lambda, float(np.linalg.slogdet(Lambda)[1])
-
-
-def _starts(problem: StateSpaceProblem, signals: Sequence[tuple[Array, Array]]) -> list[_End]:
-    """Return the starts, each with the covariance of its errors."""
-    n = problem.order
-    ny = signals[0][1].shape[1]
-    signals = [(u, _filled(y)) for u, y in signals]
-    found: list[tuple[str, Array, Array]] = []
-    N = sum(u.shape[0] for u, _ in signals)
-    width = signals[0][0].shape[1] + ny
-    most = max(N // (6 * width), 1)
-    for horizon in dict.fromkeys(
-        max(min(h, most), -(-n // ny) + 1) for h in (n + 2, max(_MIN_LAGS, 2 * n + 2))
-    ):
-        whole = complete_stretches(signals, 4 * horizon)
-        if not whole:
-            continue
-        for weights in ("cva", "moesp"):
-            A, C, K = realised(projected(whole, horizon, weights), n)
-            found.append(
-                (f"n4sid, {weights}, horizon {horizon}", A - K @ C if problem.noise else A, C)
-            )
-    for lags in dict.fromkeys(max(min(k, most), n + 1) for k in (2 * n + 2, 4 * n + 10)):
-        whole = complete_stretches(signals, 2 * lags)
-        if not whole:
-            continue
-        psi = long_regression(whole, lags, direct=problem.direct)
-        if not problem.noise:
-            psi = _simulated_impulses(psi, signals[0][0].shape[1], 2 * lags)
-        found.append((f"ARX of order {lags}", *from_impulses(psi, n)))
-    starts = []
-    for name, Abar, C in found:
-        Abar = reflected_matrix(Abar)
-        if not (np.isfinite(C).all() and stable_matrix(Abar)):
-            continue
-        Lambda, criterion = _criterion(problem, Abar, C)
-        starts.append(
-            _End(
-                name=name,
-                Abar=Abar,
-                C=C,
-                Lambda=Lambda,
-                criterion=criterion,
-                iterations=0,
-                converged=False,
-            )
-        )
-    if not starts:
-        raise InputError(
-            f"order={n}: no start value was found; lower the order, or interpolate missing samples"
-        )
-    return starts
-
-
-def _filled(y: Array) -> Array:
-    """Return y (N, ny) with missing values interpolated, for a start value."""
-    known = np.isfinite(y)
-    if known.all():
-        return y
-    t = np.arange(y.shape[0])
-    return np.column_stack(
-        [
-            np.interp(t, t[k], x[k]) if k.any() else np.zeros(t.size)
-            for x, k in zip(y.T, known.T, strict=True)
-        ]
+def _round(
+    problem: StateSpaceProblem, end: _End, criterion: _Criterion, most: int, tolerance: float
+) -> _End:
+    """Return the search after at most `most` steps with one Lambda, and the next Lambda."""
+    if end.converged:
+        return end
+    weighted = _weighted(problem, end.Lambda)
+    Abar, C, found = weighted.minimise(end.Abar, end.C, most=most)
+    Lambda, value = criterion(weighted, Abar, C)
+    return replace(
+        end,
+        Abar=Abar,
+        C=C,
+        Lambda=Lambda,
+        criterion=value,
+        iterations=end.iterations + found.iterations,
+        converged=abs(end.criterion - value) <= tolerance,
     )
-
-
-def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
-    """Return the impulse responses (length, ny, nu) from u of a predictor's impulse responses."""
-    lags, ny, _ = psi.shape
-    g = np.zeros((length, ny, nu))
-    for k in range(length):
-        g[k] = psi[k, :, :nu] if k < lags else 0.0
-        for m in range(min(k, lags)):
-            g[k] += psi[m, :, nu:] @ g[k - m - 1]
-    return g
 
 
 def _form(

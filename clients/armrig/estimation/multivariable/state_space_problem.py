@@ -31,7 +31,7 @@ from armrig.numerics.checks import require_integers
 from armrig.numerics.least_squares import Basis, orthonormal
 from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
 from armrig.numerics.polynomial import Array
-from armrig.numerics.recursion import recursion, responses
+from armrig.numerics.recursion import free_responses, recursion, responses
 
 _MAX_MODULUS = 1 - 1e-7  # of an eigenvalue of Abar in a search
 _ORBIT_TOLERANCE = 1e-10  # relative singular value of a change of coordinates
@@ -133,8 +133,7 @@ class StateSpaceProblem:
             at_once = np.zeros((N, ny, nu, ny))
             at_once[:, range(ny), :, range(ny)] = part.u
             driven = np.concatenate([driven, at_once.reshape(N, ny * nu, ny)], axis=1)
-        free = recursion(Abar, np.zeros((N, n, n)), np.eye(n))[:-1] @ C.T
-        return driven, free
+        return driven, free_responses(Abar, C, N)
 
     def cost(self, Abar: Array, C: Array) -> float:
         """Return the sum of squared whitened errors."""

@@ -96,6 +96,8 @@ class MultivariableFit:
     """Sampling time in s."""
     shared: bool = False
     """True if all outputs share one denominator."""
+    output_weights: tuple[float, ...] = ()
+    """Weights w_i of the minimised sum of w_i e_i²; empty if the noise covariance weights e."""
     covariance: Matrix
     """Covariance of theta (d, d), valid if the residuals are white."""
     covariance_robust: Matrix

@@ -78,6 +78,7 @@ def _restored(content: dict[str, Any]) -> MultivariableFit:
     values["starts"] = tuple(
         Start(**(start | {"loss": float(start["loss"])})) for start in values["starts"]
     )
+    values["output_weights"] = tuple(map(float, values["output_weights"]))
     steps = zip(content["history"], content["treatment"], strict=True)
     values["history"] = tuple(Step(text, code) for text, code in steps)
     values["form"] = _form(content["form"])

@@ -57,6 +57,8 @@ def parts_of(fit: MultivariableFit, data: Signals) -> list[Part]:
     # Rows that the estimator treats together are weighted by the inverse of Lambda.
     together = fit.shared or fit.form.coupled or fit.structure == "arx"
     Lambda = fit.noise_covariance if together else np.diag(std**2)
+    if fit.output_weights:
+        Lambda = np.diag(1 / np.asarray(fit.output_weights))
     mean = np.mean(data.u, axis=0)
     found = []
     for k, ((e, S), part) in enumerate(zip(errors(fit.theta), data.experiments(), strict=True)):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import armrig
 import numpy as np
 import pytest
@@ -17,6 +20,7 @@ from armrig.estimation.multivariable.whitening import whitening
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, responses
 from armrig_core.errors import InputError
+from numpy.typing import NDArray
 
 N = 1200
 A = np.array([[0.9, 0.2, 0.0], [-0.2, 0.9, 0.1], [0.0, 0.0, 0.5]])
@@ -198,6 +202,65 @@ def test_missing_outputs_of_an_output_error_model_are_left_out() -> None:
     np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=0.03)
 
 
+def test_weights_choose_the_output_that_a_simple_model_fits() -> None:
+    signals = data()
+    by_noise = armrig.ss(signals, order=1)
+    weighted = armrig.ss(signals, order=1, output_weights=[1, 100])
+
+    assert by_noise.output_weights == ()
+    assert weighted.output_weights == (1.0, 100.0)
+    assert weighted.quality[1].loss < by_noise.quality[1].loss
+    cost = [fit.quality[0].loss + 100 * fit.quality[1].loss for fit in (weighted, by_noise)]
+    assert cost[0] < cost[1]
+    assert (
+        np.linalg.slogdet(weighted.noise_covariance)[1]
+        > (np.linalg.slogdet(by_noise.noise_covariance)[1])
+    )
+    assert weighted.starts[0].loss == pytest.approx(
+        (weighted.quality[0].loss + 100 * weighted.quality[1].loss) / 2
+    )
+
+
+def test_weights_of_the_noise_change_nothing_but_the_digits(tmp_path: Path) -> None:
+    alone = signals_of_one_output()
+    weighted = armrig.ss(alone, order=3, output_weights=[7.0])
+    by_noise = armrig.ss(alone, order=3)
+
+    np.testing.assert_allclose(
+        np.sort_complex(weighted.poles().values), np.sort_complex(by_noise.poles().values), 1e-5
+    )
+    np.testing.assert_allclose(weighted.quality[0].loss, by_noise.quality[0].loss, 1e-7)
+    weighted.save(tmp_path / "model.json")
+    assert armrig.load_fit(tmp_path / "model.json").output_weights == (7.0,)
+
+
+def signals_of_one_output() -> Signals:
+    """Return y1 of the data, with both inputs."""
+    return data().channels(["y1"], ["u1", "u2"])
+
+
+def test_a_search_leaves_a_local_minimum(
+    reference: Callable[[str], NDArray[np.float64]],
+) -> None:
+    """All subspace starts of order 2 end at real poles; the minimum has a complex pair.
+
+    The fit of 79.4 and 79.7 % is that of MATLAB's pem in I. Markovsky's software report on `ident`.
+    """
+    table = reference("CD_player_arm.dat")
+    table = table - table.mean(axis=0)
+    signals = Signals(u=table[:, :2], y=table[:, 2:], Ts=1.0)
+    cut = int(np.ceil(0.7 * signals.N))
+
+    fit = armrig.ss(signals[:cut], order=2, nk=0, noise=False, output_weights=[1, 1])
+
+    for part, expected in ((signals[:cut], 79.4), (signals[cut:], 79.7)):
+        e = part.y - fit.predict(part, None)
+        spread = part.y - part.y.mean(axis=0)
+        assert 100 * (1 - np.linalg.norm(e) / np.linalg.norm(spread)) == pytest.approx(
+            expected, abs=0.1
+        )
+
+
 def test_the_replicates_have_the_deviations_of_many_runs() -> None:
     fits = [armrig.n4sid(data(seed=s), 3, replicates=0) for s in range(60)]
     values = np.array([nearest(f.poles().values) for f in fits])
@@ -220,6 +283,9 @@ def test_what_does_not_fit_is_refused() -> None:
         armrig.ss(data()[:30], order=8)
     with pytest.raises(InputError, match="2 delays are needed, one for each input"):
         armrig.ss(data(), order=2, nk=[1, 1, 1])
+    for weights in ([1.0], [1, 0], [1, -1], [1, np.nan]):
+        with pytest.raises(InputError, match="must be 2 positive numbers, one for each output of"):
+            armrig.ss(data(), order=2, output_weights=weights)
     with pytest.raises(InputError, match="a direct term needs nk=0 for all inputs"):
         armrig.ss(data(), order=2, nk=[0, 1])
     with pytest.raises(InputError, match="weights='pls' must be one of"):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -113,17 +111,3 @@ class Second:
 def second() -> Second:
     """Return a system of second order."""
     return Second()
-
-
-@pytest.fixture(scope="session")
-def reference() -> Callable[[str], NDArray[np.float64]]:
-    """Return a reader of the real data sets, which skips if these are missing."""
-
-    def read(name: str) -> NDArray[np.float64]:
-        beside = Path(__file__).resolve().parents[5] / "shared" / "reference"
-        folder = Path(os.environ.get("ARMRIG_REFERENCE_DATA", beside))
-        if not (folder / name).is_file():
-            pytest.skip("no reference data: set ARMRIG_REFERENCE_DATA to their folder")
-        return np.loadtxt(folder / name)
-
-    return read

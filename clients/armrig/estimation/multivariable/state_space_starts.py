@@ -1,0 +1,131 @@
+"""Start values of a search over the matrices Abar and C of a state-space model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from armrig_core.errors import InputError
+
+from armrig.estimation.multivariable.state_space_problem import (
+    StateSpaceProblem,
+    reflected_matrix,
+    stable_matrix,
+)
+from armrig.estimation.multivariable.subspace import (
+    complete_stretches,
+    from_impulses,
+    long_regression,
+    projected,
+    realised,
+)
+from armrig.numerics.polynomial import Array
+
+_MIN_LAGS = 10
+_MOVED_MODES = 2  # weakest modes that are moved
+_MOVED_MODULUS = 0.8  # of a mode that is moved
+
+
+def starts(
+    problem: StateSpaceProblem, signals: Sequence[tuple[Array, Array]]
+) -> dict[str, tuple[Array, Array]]:
+    """Return Abar and C of subspace estimates and of reduced ARX models, by their names.
+
+    Raises
+    ------
+    ValueError
+        The data give no start value.
+    """
+    n = problem.order
+    ny = signals[0][1].shape[1]
+    signals = [(u, _filled(y)) for u, y in signals]
+    found: dict[str, tuple[Array, Array]] = {}
+    N = sum(u.shape[0] for u, _ in signals)
+    width = signals[0][0].shape[1] + ny
+    most = max(N // (6 * width), 1)
+    for horizon in dict.fromkeys(
+        max(min(h, most), -(-n // ny) + 1) for h in (n + 2, max(_MIN_LAGS, 2 * n + 2))
+    ):
+        whole = complete_stretches(signals, 4 * horizon)
+        if not whole:
+            continue
+        for weights in ("cva", "moesp"):
+            A, C, K = realised(projected(whole, horizon, weights), n)
+            name = f"n4sid, {weights}, horizon {horizon}"
+            found[name] = (A - K @ C if problem.noise else A, C)
+    for lags in dict.fromkeys(max(min(k, most), n + 1) for k in (2 * n + 2, 4 * n + 10)):
+        whole = complete_stretches(signals, 2 * lags)
+        if not whole:
+            continue
+        psi = long_regression(whole, lags, direct=problem.direct)
+        if not problem.noise:
+            psi = _simulated_impulses(psi, signals[0][0].shape[1], 2 * lags)
+        found[f"ARX of order {lags}"] = from_impulses(psi, n)
+    stable = {
+        name: (reflected_matrix(Abar), C)
+        for name, (Abar, C) in found.items()
+        if np.isfinite(C).all() and stable_matrix(reflected_matrix(Abar))
+    }
+    if not stable:
+        raise InputError(
+            f"order={n}: no start value was found; lower the order, or interpolate missing samples"
+        )
+    return stable
+
+
+def moved_modes(
+    problem: StateSpaceProblem, Abar: Array, C: Array
+) -> dict[str, tuple[Array, Array]]:
+    """Return Abar and C with one of the weakest modes moved into the widest gap of frequencies.
+
+    A mode is a complex pair of eigenvalues, or two real ones. Each start has another frequency
+    in place of one mode, so that the search can leave a local minimum.
+    """
+    z, V = np.linalg.eig(Abar)
+    linear = problem.linear(Abar, C)
+    inputs = np.linalg.norm(np.linalg.solve(V, np.hstack([linear.Bbar, linear.K])), axis=1)
+    strength = np.linalg.norm(C @ V, axis=0) * inputs / (1 - np.abs(z))
+    real = [int(i) for i in np.argsort(z.real) if z[i].imag == 0]
+    modes = [(int(i), int(np.argmin(np.abs(z - z[i].conj())))) for i in np.flatnonzero(z.imag > 0)]
+    modes += list(zip(real[::2], real[1::2], strict=False))
+    modes.sort(key=lambda mode: float(strength[list(mode)].max()))
+    found = {}
+    for i, k in modes[:_MOVED_MODES]:
+        others = np.delete(z, [i, k])
+        angles = np.sort(np.concatenate([[0.0, np.pi], np.abs(np.angle(others))]))
+        gaps = np.diff(angles)
+        omega = float(angles[np.argmax(gaps)] + gaps.max() / 2)
+        pole = _MOVED_MODULUS * np.exp(1j * omega)
+        first = V[:, i] if z[i].imag else V[:, i] + 1j * V[:, k]
+        eigenvalues, vectors = z.astype(complex), V.astype(complex)
+        eigenvalues[[i, k]] = pole, pole.conjugate()
+        vectors[:, i], vectors[:, k] = first, first.conj()
+        moved = np.real(vectors @ np.diag(eigenvalues) @ np.linalg.inv(vectors))
+        if stable_matrix(moved):
+            found[f"mode at {abs(np.angle(z[i])):.2f} moved to {omega:.2f} rad"] = (moved, C)
+    return found
+
+
+def _filled(y: Array) -> Array:
+    """Return y (N, ny) with missing values interpolated, for a start value."""
+    known = np.isfinite(y)
+    if known.all():
+        return y
+    t = np.arange(y.shape[0])
+    return np.column_stack(
+        [
+            np.interp(t, t[k], x[k]) if k.any() else np.zeros(t.size)
+            for x, k in zip(y.T, known.T, strict=True)
+        ]
+    )
+
+
+def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
+    """Return the impulse responses (length, ny, nu) from u of a predictor's impulse responses."""
+    lags, ny, _ = psi.shape
+    g = np.zeros((length, ny, nu))
+    for k in range(length):
+        g[k] = psi[k, :, :nu] if k < lags else 0.0
+        for m in range(min(k, lags)):
+            g[k] += psi[m, :, nu:] @ g[k - m - 1]
+    return g
