@@ -1,9 +1,9 @@
 """Coverage and deviations of models with several inputs and outputs, in many simulated runs.
 
 The quantities are the coefficients (not of `ss` and `n4sid`), the real and imaginary parts of the
-poles, and |G| of each channel at five frequencies. For each of them the summary gives the coverage
-of 95 % intervals, the reported deviation divided by the scatter of the estimates, and the bias in
-deviations of the mean. The cases are ::
+poles, and those of G of each channel at five frequencies. For each of them the summary gives the
+coverage of 95 % intervals, the reported deviation divided by the scatter of the estimates, and the
+bias in deviations of the mean. The cases are ::
 
     arx     two outputs that affect each other, two inputs
     bj      one output, two inputs, noise C/D
@@ -30,7 +30,8 @@ from typing import Any
 
 import armrig
 import numpy as np
-from armrig import MultivariableFit, Signals
+from armrig import Fit, MultivariableFit, Signals
+from armrig.models.uncertainty import frequency_responses
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.recursion import recursion
 from numpy.typing import NDArray
@@ -63,7 +64,8 @@ class Plant:
     def truth(self) -> Array:
         """The quantities of the plant."""
         upper = self.poles[self.poles.imag >= 0]
-        return np.concatenate([self.theta, upper.real, upper.imag, np.abs(self.G).ravel()])
+        G = self.G.transpose(1, 2, 0).ravel()
+        return np.concatenate([self.theta, upper.real, upper.imag, G.real, G.imag])
 
     def quantities(self, fit: MultivariableFit) -> tuple[Array, Array]:
         """Return the estimated quantities and their deviations."""
@@ -72,12 +74,28 @@ class Plant:
         cost = np.abs(self.poles[upper][:, None] - found.values[None])
         _, at = linear_sum_assignment(cost)
         std = np.sqrt(np.maximum(np.diagonal(found.covariance, axis1=1, axis2=2), 0.0))
-        answer = fit.frequency_response(_FREQUENCIES)
+        answers = [_parts_of_response(channel) for _, _, channel in fit.channels()]
+        G, G_std = (np.concatenate(x, axis=1) for x in zip(*answers, strict=True))
         theta = fit.theta if self.theta.size else np.zeros(0)
         theta_std = fit.std if self.theta.size else np.zeros(0)
-        values = [theta, found.values[at].real, found.values[at].imag, np.abs(answer.G).ravel()]
-        stds = [theta_std, std[at, 0], std[at, 1], answer.std_magnitude.ravel()]
+        values = [theta, found.values[at].real, found.values[at].imag, G.ravel()]
+        stds = [theta_std, std[at, 0], std[at, 1], G_std.ravel()]
         return np.concatenate(values), np.concatenate(stds)
+
+
+def _parts_of_response(channel: Fit) -> tuple[Array, Array]:
+    """Return Re G and Im G (2, 5) of one channel at the frequencies, and their deviations."""
+    theta = channel.theta
+    steps = 1e-6 * np.maximum(np.abs(theta), 1e-3)
+    moved = np.vstack([theta + np.diag(steps), theta - np.diag(steps)])
+    G = frequency_responses(channel, moved, _FREQUENCIES)
+    J = (G[: theta.size] - G[theta.size :]) / (2 * steps[:, None])
+    own = channel.frequency_response(_FREQUENCIES).G
+    deviations = [
+        np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", part, channel.covariance_robust, part), 0.0))
+        for part in (J.real, J.imag)
+    ]
+    return np.array([own.real, own.imag]), np.array(deviations)
 
 
 Made = tuple[
