@@ -95,7 +95,9 @@ def check_figure(path: Path) -> None:
         raise InputError(f"{path}: the name of a figure ends in one of {', '.join(sorted(kinds))}")
 
 
-def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[Path]:
+def write_plot(
+    path: Path | None, *, height: float = 3.6, width: float = _WIDTH, **draw: Draw
+) -> list[Path]:
     """Write a figure with axes for each subject, print its path, and return the files.
 
     An existing figure is replaced, and the replacement is printed.
@@ -107,6 +109,8 @@ def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[
         subject.
     height : float
         Height of the axes of one subject, in inches.
+    width : float
+        Width of the axes of one subject, in inches.
     **draw
         Subject -> function that draws the subject into `ax`.
     """
@@ -128,19 +132,19 @@ def write_plot(path: Path | None, *, height: float = 3.6, **draw: Draw) -> list[
     replaced = [str(file) for file in figures if file.exists()]
     with spinner("drawing"), named_by_run(_runs()):
         for file, subjects in figures.items():
-            save(_drawn(subjects, height), file, dpi=_DPI)
+            save(_drawn(subjects, height, width), file, dpi=_DPI)
     said = f"figure{'s' if len(figures) > 1 else ''}: {', '.join(map(str, figures))}"
     tell(said + (f"; replaced: {', '.join(replaced)}" if replaced else ""))
     return list(figures)
 
 
-def _drawn(subjects: Sequence[Draw], height: float) -> Figure:
+def _drawn(subjects: Sequence[Draw], height: float, width: float) -> Figure:
     """Return a figure of all subjects, with enough columns to fit on a screen."""
     from matplotlib.figure import Figure
 
     columns = ceil(len(subjects) * height / (1.1 * _HEIGHT))
     rows = ceil(len(subjects) / columns)
-    size = (_WIDTH * columns, min(height * rows, _HEIGHT))
+    size = (width * columns, min(height * rows, _HEIGHT))
     figure = Figure(figsize=size, layout="constrained")
     places = figure.subplots(rows, columns, squeeze=False).ravel()
     for ax, one in zip(places, subjects, strict=False):

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from armrig.data.signals import Signals
     from armrig.estimation.multivariable.request import SignalsRequest
     from armrig.models.multivariable.fit import MultivariableFit
+    from armrig.validation.multivariable.residual_test import SignalsResidualTest
 
 
 def after_identify(
@@ -27,17 +28,22 @@ def after_identify(
     file: Path,
     signals: SignalChoice,
     *,
+    tests: SignalsResidualTest | None,
     validate: Path | None,
     save: Path | None,
     searched: bool,
 ) -> None:
-    """Print the next command: a better structure, or save the model, or validate it."""
+    """Print the next command: a better structure, or save the model, or validate it.
+
+    `tests` are those of other data.
+    """
     validation = typed(validate) if validate else ""
     if not validation and signals.read:
         validation = validation_beside(file)
     model = quote(str(save or "model.json"))
     asked = options_of(request)
-    options = asked if searched or _fits(fit) else better_options(request, data)
+    accepted = _fits(fit) and (tests is None or not tests.rejects)
+    options = asked if searched or accepted else better_options(request, data)
     if options != asked and _at_operating_point(data):
         options = f"{asked} --detrend"  # the orders may be right
     given = signals.options()
@@ -88,7 +94,12 @@ def options_of(request: SignalsRequest) -> str:
 
 
 def after_validate(
-    fit: MultivariableFit, data: Signals, file: Path, model: Path, signals: SignalChoice
+    fit: MultivariableFit,
+    tests: SignalsResidualTest,
+    data: Signals,
+    file: Path,
+    model: Path,
+    signals: SignalChoice,
 ) -> None:
     """Print the next command: a comparison with the physical model, or a test of one channel."""
     if from_recording(data) and THETA_1 in fit.outputs:
@@ -97,7 +108,9 @@ def after_validate(
         )
         say_next("validate several", file=typed(file), model=quote(str(model)), part=part.options())
     else:
-        say_next("validate alone", file=typed(file), given=_one_channel(signals, data))
+        output, input = tests.poorest_pair
+        channel = replace(signals, signal=output, input=None if from_recording(data) else input)
+        say_next("validate alone", file=typed(file), given=channel.options())
 
 
 def after_compare(data: Signals, file: Path, signals: SignalChoice) -> None:

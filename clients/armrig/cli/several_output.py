@@ -50,10 +50,16 @@ def simulated(row: SignalsComparison, data: Signals) -> str:
     )
 
 
-def validated(table: SignalsComparisonTable, file: Path) -> str:
-    """Return a sentence with the simulation of other data."""
+def validated(
+    table: SignalsComparisonTable, tests: SignalsResidualTest, file: Path, *, verbose: bool
+) -> Iterator[str]:
+    """Yield a sentence with the simulation and the tests of other data, and the rejected pairs."""
     row = table[0]
-    return f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}."
+    yield (
+        f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}; "
+        f"{tests_sentence(tests)}."
+    )
+    yield from _pair_lines(tests, verbose=verbose)
 
 
 def closest(table: SignalsComparisonTable) -> str:
@@ -98,14 +104,18 @@ def validation_lines(
 
 
 def _pair_lines(tests: SignalsResidualTest, *, verbose: bool) -> Iterator[str]:
-    """Yield the tests of each pair; Bonferroni's level allows for their number."""
-    for p, good, bad in (
-        (tests.missing_dynamics_by_pair, "no dynamics missing", "dynamics missing"),
-        (tests.feedback_by_pair, "no feedback", "feedback, or a delay too large"),
+    """Yield the tests of each pair; Bonferroni's level allows for their number.
+
+    If dynamics are missing, the test of feedback is not valid.
+    """
+    missing = tests.missing_dynamics < WHITE_LEVEL
+    for p, good, bad, valid in (
+        (tests.missing_dynamics_by_pair, "no dynamics missing", "dynamics missing", True),
+        (tests.feedback_by_pair, "no feedback", "feedback, or a delay too large", not missing),
     ):
         for (i, j), value in np.ndenumerate(p):
             rejected = value < WHITE_LEVEL / p.size
-            if rejected or verbose:
+            if valid and (rejected or verbose):
                 pair = f"{tests.inputs[j]} to {tests.outputs[i]}"
                 said = f"(p {p_relation(float(value))})" if value >= 0 else "not tested"
                 yield f"  {pair}: {bad if rejected else good} {said}"

@@ -58,6 +58,7 @@ def identify(
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
     from armrig.recordings.usability import doubts_of_estimation
+    from armrig.validation.residuals import residuals
 
     data = signals.signals_of(file)
     for recording in signals.read:
@@ -74,14 +75,18 @@ def identify(
         if not to.json:
             say(repr(found))
     table = None if other is None else compared(other, [fit])
+    tests = None if other is None else residuals(fit, other)
     if to.json:
         facts = several_output.model_facts(fit) | source_facts(data)
-        print_json(facts | ({} if table is None else {"validation": _rows(table)}))
+        if table is not None and tests is not None:
+            facts |= {"validation": _rows(table), "tests": several_output.test_facts(tests)}
+        print_json(facts)
     else:
         say(several_output.answer(fit))
         say("\n".join(several_output.lines(fit, verbose=to.verbose)))
-        if table is not None and to.validate is not None:
-            say(several_output.validated(table, to.validate))
+        if table is not None and tests is not None and to.validate is not None:
+            said = several_output.validated(table, tests, to.validate, verbose=to.verbose)
+            say("\n".join(said))
     if to.save is not None:
         fit.save(to.save)
     write_plot(
@@ -94,6 +99,7 @@ def identify(
             data,
             file,
             signals,
+            tests=tests,
             validate=to.validate,
             save=to.save,
             searched=most is not None,
@@ -204,7 +210,11 @@ def validate(
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
     from armrig.models.multivariable.figures import plot_signals_comparison
-    from armrig.validation.multivariable.figures import plot_signals_residuals
+    from armrig.validation.multivariable.figures import (
+        COLUMN_WIDTH,
+        ROW_HEIGHT,
+        plot_signals_residuals,
+    )
     from armrig.validation.residuals import residuals
 
     data = signals.signals_of(file, fit)
@@ -214,7 +224,8 @@ def validate(
         tests = residuals(fit, data, lags)
     write_plot(
         to.figure,
-        height=3.6,
+        height=max(3.6, ROW_HEIGHT * fit.ny),
+        width=max(6.3, COLUMN_WIDTH * (1 + fit.nu)),
         compare=lambda ax: plot_signals_comparison(simulated, ax=ax),
         residuals=lambda ax: plot_signals_residuals(tests, ax=ax),
     )
@@ -224,7 +235,7 @@ def validate(
         print_json(facts | {"comparisons": [row for t in tables for row in _rows(t)]})
     else:
         say("\n".join(several_output.validation_lines(tables, tests, file, verbose=to.verbose)))
-        several_next.after_validate(fit, data, file, to.model, signals)
+        several_next.after_validate(fit, tests, data, file, to.model, signals)
 
 
 def compare(

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from armrig.numerics.polynomial import Array
     from armrig.validation.multivariable.residual_test import SignalsResidualTest
 
-_COLUMN_WIDTH, _ROW_HEIGHT = 2.6, 1.9  # inches
+COLUMN_WIDTH, ROW_HEIGHT = 2.6, 1.9
+"""Size of one panel in inches."""
 _HEAD_POINTS = 22.0  # height of two lines above a panel
 
 
@@ -30,7 +31,7 @@ def plot_signals_residuals(test: SignalsResidualTest, *, ax: Axes | None = None)
     own = ax is None
     ax = axes(ax)
     if own:
-        size = _COLUMN_WIDTH * (1 + len(test.inputs)), _ROW_HEIGHT * len(test.outputs) + 0.4
+        size = COLUMN_WIDTH * (1 + len(test.inputs)), ROW_HEIGHT * len(test.outputs) + 0.4
         ax.figure.figure.set_size_inches(*size)
     place: Any = ax.get_subplotspec()
     grid = place.subgridspec(len(test.outputs), 1 + len(test.inputs))

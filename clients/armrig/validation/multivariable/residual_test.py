@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _DYNAMICS = "no dynamics missing", "dynamics missing"
 _FEEDBACK = "no feedback", "feedback, or a delay too large"
+_NOT_VALID = "until the dynamics are modelled, the test of feedback is not valid"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -92,6 +93,19 @@ class SignalsResidualTest:
     """Hash of the recording, or ""."""
 
     @property
+    def rejects(self) -> bool:
+        """True if a joint test rejects the model."""
+        p = self.white.p_value, self.missing_dynamics, self.feedback
+        return any(value < WHITE_LEVEL for value in p)
+
+    @property
+    def poorest_pair(self) -> tuple[str, str]:
+        """Output and input with the least p value of missing dynamics."""
+        p = np.nan_to_num(self.missing_dynamics_by_pair, nan=1.0)
+        i, j = np.unravel_index(int(np.argmin(p)), p.shape)
+        return self.outputs[i], self.inputs[j]
+
+    @property
     def powerless(self) -> str:
         """Reason why the tests have no power, with a remedy; "" if they have power."""
         return lack_of_power(self.allowance, on_estimation_data=self.on_estimation_data)
@@ -138,21 +152,22 @@ class SignalsResidualTest:
         """Return the joint tests first, then a line for each output and for each rejected pair."""
         where = "estimation" if self.on_estimation_data else "validation"
         counts = np.isfinite(self.e).sum(axis=0).tolist()
+        missing = self.missing_dynamics < WHITE_LEVEL
         lines = [
             f"residuals on {where} data, {listed([str(n) for n in counts])} samples",
             f"  all outputs together: {self.white}",
             f"  {_verdict(*_DYNAMICS, self.missing_dynamics)}",
-            f"  {_verdict(*_FEEDBACK, self.feedback)}",
+            f"  {_NOT_VALID if missing else _verdict(*_FEEDBACK, self.feedback)}",
             *([f"  no power: {self.powerless}"] if self.powerless else []),
         ]
         lines += [
             f"  {name}: {white}"
             for name, white in zip(self.outputs, self.white_by_output, strict=True)
         ]
-        for p, what in (
-            (self.missing_dynamics_by_pair, _DYNAMICS[1]),
-            (self.feedback_by_pair, _FEEDBACK[1]),
-        ):
+        of_pairs = [(self.missing_dynamics_by_pair, _DYNAMICS[1])]
+        if not missing:
+            of_pairs.append((self.feedback_by_pair, _FEEDBACK[1]))
+        for p, what in of_pairs:
             lines += [
                 f"  {self.inputs[j]} to {self.outputs[i]}: {what} (p {p_relation(float(p[i, j]))})"
                 for i, j in zip(*np.nonzero(p < WHITE_LEVEL / p.size), strict=True)
