@@ -50,8 +50,8 @@ def modelled_outputs(model: MultivariableFit, chosen: Sequence[str]) -> list[Out
         )
     if chosen and set(chosen) != set(model.outputs):
         raise typer.BadParameter(
-            f"--signal {','.join(chosen)}: the model has {', '.join(model.outputs)}; leave "
-            "--signal out"
+            f"--signal {','.join(chosen)}: the model's outputs are "
+            f"{', '.join(model.outputs)}; leave --signal out"
         )
     return [known[name] for name in model.outputs]
 

@@ -81,8 +81,8 @@ def fit_of(text: str, path: str) -> Fit:
         d = fit.theta.size
         if any(c.shape != (d, d) for c in (fit.covariance, fit.covariance_robust)):
             raise FileError(
-                f"{path} is a damaged model: {d} parameters and covariances of another size; "
-                "save it again"
+                f"{path} is a damaged model: it has {d} parameters, and covariances of another "
+                "size; save it again"
             )
         repr(fit), fit.poles()  # using a damaged model raises an error
     except FileError:

@@ -149,7 +149,8 @@ class SampleRows:
             self.size += good
         if good < k.size:
             raise DamageError(
-                f"sample {k[good]} follows sample {self.last_k}: k must rise, below 2^62"
+                f"sample {k[good]} comes after sample {self.last_k}: each k must be larger than "
+                "the one before, and less than 2^62"
             )
 
 

@@ -114,7 +114,7 @@ def test_a_model_file_of_armrig_0_1_has_sentences_alone(fit: Fit, tmp_path: Path
         ({"version": 2}, "format version 2, this armrig reads 1"),
         ({"B": "x"}, "is a damaged model"),
         ({"A": None}, "is a damaged model"),
-        ({"covariance": [[1.0]]}, "6 parameters and covariances of another size"),
+        ({"covariance": [[1.0]]}, "6 parameters, and covariances of another size"),
         ({"starts": [{}]}, "is a damaged model"),
     ],
 )

@@ -177,7 +177,7 @@ def _suggested_order(found: Projected) -> int:
 def _completed(
     signals: Sequence[tuple[Array, Array]], A: Array, C: Array, K: Array, *, direct: bool
 ) -> _Model:
-    """Return the model with B, D and the initial states of least one-step errors."""
+    """Return the model with the B, D and initial states that minimise the one-step errors."""
     Abar = reflected_matrix(A - K @ C)
     driven = []
     for u, y in signals:

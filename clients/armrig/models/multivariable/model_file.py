@@ -90,7 +90,7 @@ def _restored(content: dict[str, Any]) -> MultivariableFit:
     fit = MultivariableFit(**values)
     shape = (fit.theta.size,) * 2
     if (fit.covariance.shape, fit.covariance_robust.shape) != (shape, shape):
-        raise ValueError(f"{fit.theta.size} parameters and covariances of another size")
+        raise ValueError(f"it has {fit.theta.size} parameters, and covariances of another size")
     return fit
 
 
