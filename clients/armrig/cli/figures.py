@@ -96,7 +96,7 @@ def check_figure(path: Path) -> None:
 
 
 def write_plot(
-    path: Path | None, *, height: float = 3.6, width: float = _WIDTH, **draw: Draw
+    path: Path | None, width: float = _WIDTH, /, *, height: float = 3.6, **draw: Draw
 ) -> list[Path]:
     """Write a figure with axes for each subject, print its path, and return the files.
 
@@ -107,10 +107,10 @@ def write_plot(
     path : Path, optional
         Path of a figure or a folder, as returned by `figure_path`; a folder gets a file for each
         subject.
-    height : float
-        Height of the axes of one subject, in inches.
     width : float
         Width of the axes of one subject, in inches.
+    height : float
+        Height of the axes of one subject, in inches.
     **draw
         Subject -> function that draws the subject into `ax`.
     """

@@ -224,8 +224,8 @@ def validate(
         tests = residuals(fit, data, lags)
     write_plot(
         to.figure,
+        max(6.3, COLUMN_WIDTH * (1 + fit.nu)),
         height=max(3.6, ROW_HEIGHT * fit.ny),
-        width=max(6.3, COLUMN_WIDTH * (1 + fit.nu)),
         compare=lambda ax: plot_signals_comparison(simulated, ax=ax),
         residuals=lambda ax: plot_signals_residuals(tests, ax=ax),
     )

@@ -36,6 +36,7 @@ from armrig.numerics.whiteness import (
     portmanteau,
 )
 
+_MIN_WHITENED = 30  # errors of autoregressions that determine the correlation of the outputs
 _AR_GAP = 40  # samples between the residuals of two experiments for an autoregression
 
 
@@ -146,6 +147,10 @@ def exogenous_covariance(experiments: Sequence[Sequence[OutputResiduals]]) -> Ar
     white = [
         np.column_stack([_filtered(C, of[i].e) for i, C in enumerate(models)]) for of in experiments
     ]
+    known = np.isfinite(np.vstack(white))
+    if np.min(known.T.astype(int) @ known) < _MIN_WHITENED:
+        # Missing samples leave too few errors of the autoregressions.
+        white = [np.column_stack([r.e for r in of]) for of in experiments]
     Sigma = pairwise_covariance(np.vstack(white))
     Sigma *= np.sqrt(np.outer(variances, variances) / np.outer(np.diag(Sigma), np.diag(Sigma)))
     total = np.zeros((experiments[0][0].H.shape[1],) * 2)

@@ -135,27 +135,14 @@ def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
         experiments=experiments,
         weights=tuple(whitening(Lambda, m) for m in masks),
     )
-    starts = list(start_values(problem))
     ends = sorted(
-        ((start, problem.minimise(theta)) for start, theta in starts), key=lambda end: end[1].cost
+        ((start, problem.minimise(theta)) for start, theta in start_values(problem)),
+        key=lambda end: end[1].cost,
     )
+    if len(plan.rows) > 1:
+        problem, ends = _reweighted(problem, masks, ends)
     theta = ends[0][1].theta
     solution = problem.solve(theta)
-    for _ in range(_MAX_ROUNDS if len(plan.rows) > 1 else 0):
-        e = np.vstack(
-            [
-                np.where(m, np.column_stack([p.e for p in of]), np.nan)
-                for m, of in zip(masks, solution.experiments, strict=True)
-            ]
-        )
-        before, Lambda = Lambda, pairwise_covariance(e)
-        problem = replace(problem, weights=tuple(whitening(Lambda, m) for m in masks))
-        end = problem.minimise(theta)
-        theta = end.theta
-        ends[0] = ends[0][0], end
-        solution = problem.solve(theta)
-        if np.abs(Lambda - before).max() <= _SAME_TOLERANCE * np.abs(Lambda).max():
-            break
     d = sum(sum(row.nb) for row in plan.rows)
     if solution.rank < d:
         names = ", ".join(data.outputs[i] for i in plan.outputs)
@@ -164,6 +151,39 @@ def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
             f"{names}; lower nb or excite with richer inputs"
         )
     return _Estimated(plan=plan, problem=problem, solution=solution, theta=theta, ends=tuple(ends))
+
+
+def _reweighted(
+    problem: PolynomialProblem, masks: Sequence[Array], ends: Sequence[tuple[str, Optimum]]
+) -> tuple[PolynomialProblem, list[tuple[str, Optimum]]]:
+    """Return the ends with Lambda iterated from each of them, and the problem of the best one.
+
+    The best end has the least det Lambda. With the first Lambda, the variances of the outputs, it
+    need not be the first one: an output that integrates then has little weight.
+    """
+    found: list[tuple[float, PolynomialProblem, tuple[str, Optimum]]] = []
+    for name, end in ends:
+        weighted, Lambda = problem, np.zeros(0)
+        for _ in range(_MAX_ROUNDS):
+            before, Lambda = Lambda, _covariance(weighted, masks, end.theta)
+            weighted = replace(weighted, weights=tuple(whitening(Lambda, m) for m in masks))
+            end = weighted.minimise(end.theta)
+            if before.size and np.abs(Lambda - before).max() <= _SAME_TOLERANCE * Lambda.max():
+                break
+        criterion = np.linalg.slogdet(_covariance(weighted, masks, end.theta))[1]
+        found.append((float(criterion), weighted, (name, end)))
+    found.sort(key=lambda one: one[0])
+    return found[0][1], [end for _, _, end in found]
+
+
+def _covariance(problem: PolynomialProblem, masks: Sequence[Array], theta: Array) -> Array:
+    """Return the covariance of the errors at theta."""
+    experiments = problem.solve(theta).experiments
+    e = [
+        np.where(m, np.column_stack([p.e for p in of]), np.nan)
+        for m, of in zip(masks, experiments, strict=True)
+    ]
+    return pairwise_covariance(np.vstack(e))
 
 
 def _starts(data: Signals, one: _Estimated) -> Iterator[Start]:

@@ -17,6 +17,8 @@ from armrig.models.multivariable.fit import MultivariableFit
 from armrig.numerics.polynomial import Array, filtered
 from armrig_core.errors import FileError, InputError
 
+from tests.benchmarks.several_signals import Plant
+
 N = 900
 F = [[[1, -1.2, 0.5], [1, -0.7]], [[1, -0.3], [1, -1.5, 0.7]]]
 B = [[[0, 1, 0.5], [0, 0, 2]], [[0, 0.3], [0, 0.2, 0.1]]]
@@ -375,7 +377,7 @@ def test_a_saved_model_is_the_same_to_the_last_digit(kind: str, tmp_path: Path) 
     [
         ({"version": 9}, "has format version 9"),
         ({"form": {"kind": "x"}}, "is a damaged model"),
-        ({"covariance": [[1.0]]}, "is a damaged model: ValueError: 8 parameters"),
+        ({"covariance": [[1.0]]}, "is a damaged model: ValueError: it has 8 parameters"),
         ({"outputs": ["a"]}, "is a damaged model"),
         ({"starts": 3}, "is a damaged model"),
     ],
@@ -388,3 +390,22 @@ def test_a_damaged_file_is_refused(change: dict[str, Any], message: str, tmp_pat
 
     with pytest.raises(FileError, match=message):
         armrig.load_fit(path)
+
+
+def test_few_samples_without_a_gap_before_them_leave_finite_deviations() -> None:
+    """An autoregression of high order has no error that depends on no missing sample."""
+    drawn = Plant("shared", 14)
+
+    fit = drawn.fit(drawn.signals(500, 0.2, (14, 500, 9)))
+
+    assert np.isfinite(fit.covariance_robust).all()
+    np.testing.assert_allclose(fit.std_robust[:4], fit.std[:4], rtol=0.2)
+
+
+def test_the_best_minimum_is_chosen_with_the_covariance_of_the_noise() -> None:
+    """With the variances of the outputs as weights, a pole of -0.99 has the least cost."""
+    drawn = Plant("shared", 14)
+
+    fit = drawn.fit(drawn.signals(500, 0.2, (14, 500, 10)))
+
+    assert fit.poles().values.real.min() > 0.2
