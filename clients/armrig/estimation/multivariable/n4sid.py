@@ -39,6 +39,8 @@ from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
 _MAX_SUGGESTED_ORDER = 10
+_STEP = 1e-6  # of an entry of the matrices, for a derivative
+_RANK_TOLERANCE = 1e-8  # of the derivatives; a change of coordinates has none
 _MIN_HORIZON = 10
 _REPLICATES = 100
 
@@ -93,7 +95,7 @@ def n4sid(
     Returns
     -------
     MultivariableFit
-        The covariance is that of the replicates, in the state's coordinates of the model.
+        The covariance is that of the replicates' impulse responses, as changes of the matrices.
 
     Raises
     ------
@@ -213,12 +215,17 @@ def _replicated(
     replicates: int,
     seed: int,
 ) -> Array:
-    """Return the covariance of the matrices over the replicates, in the model's coordinates."""
+    """Return the covariance of the matrices over the replicates, in the model's coordinates.
+
+    Each replicate has coordinates of its own. Its impulse responses have none: the change of the
+    matrices is the least one that changes the impulse responses of the model in the same way.
+    """
     rng = np.random.default_rng(seed)
     whole = np.vstack(residuals)
     whole = whole[np.isfinite(whole).all(axis=1)]
     whole = whole - whole.mean(axis=0)
     samples = []
+    length = 2 * horizon
     for _ in range(replicates):
         data = []
         for (u, y), x0 in zip(signals, model.x0, strict=True):
@@ -229,38 +236,41 @@ def _replicated(
         found = projected(complete_stretches(data, 2 * horizon), horizon, weights)
         A, C, K = realised(found, model.A.shape[0])
         replicate = _completed(data, A, C, K, direct=direct)
-        samples.append(_aligned(replicate, model))
+        samples.append(_impulses(replicate, length))
     d = _vector(model).size
     if len(samples) < 2:
         return np.full((d, d), np.nan)
-    return np.atleast_2d(np.cov(np.array(samples).T))
+    spread = np.array(samples) - np.mean(samples, axis=0)
+    theta = np.linalg.lstsq(_by_matrices(model, length), spread.T, rcond=_RANK_TOLERANCE)[0]
+    return np.asarray(theta @ theta.T / (len(samples) - 1))
 
 
-def _aligned(replicate: _Model, model: _Model) -> Array:
-    """Return the matrices of a replicate in the state's coordinates of the model.
-
-    The coordinates are those in which the observability matrices are nearest.
-    """
-    n = model.A.shape[0]
-    own, other = _observability(model, n), _observability(replicate, n)
-    T = np.linalg.lstsq(other, own, rcond=None)[0]
-    inverse = np.linalg.pinv(T)
-    moved = _Model(
-        A=inverse @ replicate.A @ T,
-        B=inverse @ replicate.B,
-        C=replicate.C @ T,
-        D=replicate.D,
-        K=inverse @ replicate.K,
-        x0=(),
-    )
-    return _vector(moved)
+def _impulses(model: _Model, length: int) -> Array:
+    """Return the impulse responses from u and e, of `length` samples each, as a vector."""
+    inputs = np.hstack([model.B, model.K])
+    found = [model.D.ravel()]
+    for _ in range(length):
+        found.append((model.C @ inputs).ravel())
+        inputs = model.A @ inputs
+    return np.concatenate(found)
 
 
-def _observability(model: _Model, n: int) -> Array:
-    blocks = [model.C]
-    for _ in range(n):
-        blocks.append(blocks[-1] @ model.A)
-    return np.vstack(blocks)
+def _by_matrices(model: _Model, length: int) -> Array:
+    """Return the derivatives of the impulse responses with respect to the matrices."""
+    theta = _vector(model)
+    columns = []
+    for step in _STEP * np.eye(theta.size):
+        ahead, behind = (_impulses(_of(theta + d, model), length) for d in (step, -step))
+        columns.append((ahead - behind) / (2 * _STEP))
+    return np.column_stack(columns)
+
+
+def _of(theta: Array, like: _Model) -> _Model:
+    """Return the model with the entries theta."""
+    shapes = [M.shape for M in (like.A, like.B, like.C, like.D, like.K)]
+    parts = np.split(theta, np.cumsum([a * b for a, b in shapes])[:-1])
+    A, B, C, D, K = (p.reshape(shape) for p, shape in zip(parts, shapes, strict=True))
+    return _Model(A=A, B=B, C=C, D=D, K=K, x0=())
 
 
 def _vector(model: _Model) -> Array:
