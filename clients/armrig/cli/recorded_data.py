@@ -129,7 +129,8 @@ class SignalChoice:
         if self.several:
             raise typer.BadParameter(
                 f"{self.options().strip()}: this command takes one output and one input; "
-                "identify, validate and greybox take several"
+                "identify, validate and greybox take several, and in Python armrig.delay and "
+                "armrig.open_loop test each channel"
             )
         if self._is_other(file):
             data = between(self._other(file, model), self.start, self.stop)

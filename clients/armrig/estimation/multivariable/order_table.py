@@ -63,7 +63,7 @@ class OrderTables:
         for name, table in self.tables.items():
             if name in self.delays:
                 lines.append(f"{name}: given delays {', '.join(map(str, self.delays[name]))}")
-            lines.append(f"{name}: {table.explain()}")
+            lines.append(f"{name}:\n{table.explain()}")
         return "\n".join(lines)
 
 
