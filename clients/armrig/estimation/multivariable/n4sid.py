@@ -40,7 +40,7 @@ from armrig.numerics.recursion import recursion
 
 _MAX_SUGGESTED_ORDER = 10
 _STEP = 1e-6  # of an entry of the matrices, for a derivative
-_RANK_TOLERANCE = 1e-8  # of the derivatives; a change of coordinates has none
+_RANK_TOLERANCE = 1e-8  # of the derivatives, which are 0 for a change of coordinates
 _MIN_HORIZON = 10
 _REPLICATES = 100
 
@@ -217,8 +217,9 @@ def _replicated(
 ) -> Array:
     """Return the covariance of the matrices over the replicates, in the model's coordinates.
 
-    Each replicate has coordinates of its own. Its impulse responses have none: the change of the
-    matrices is the least one that changes the impulse responses of the model in the same way.
+    The state of each replicate has coordinates of its own, but impulse responses do not depend on
+    coordinates. The replicate is therefore replaced by the smallest change of the model's matrices
+    that gives the impulse responses of the replicate.
     """
     rng = np.random.default_rng(seed)
     whole = np.vstack(residuals)
