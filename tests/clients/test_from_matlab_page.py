@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import armrig
 import pytest
 from armrig.cli import main
 
@@ -28,6 +29,7 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         patch.chdir(folder)
         for block in re.findall(r"```python\n(.*?)```", _TEXT, re.DOTALL):
             exec(compile(block, str(PAGE), "exec"), names)
+    names["signals"] = armrig.Signals(u=names["u"], y=names["y"], Ts=0.1)
     return names
 
 

@@ -313,7 +313,7 @@ def test_each_output_has_its_orders() -> None:
     np.testing.assert_allclose(table.loss[at], fit.quality[1].loss, rtol=0.02)
     assert table.parameters[at] == 5
     assert len(found) == 2
-    assert repr(found).startswith("a: ")
+    assert repr(found).startswith("a:\n- chosen")
 
 
 def test_given_delays_of_each_channel_are_kept() -> None:
