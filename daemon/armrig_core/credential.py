@@ -75,7 +75,7 @@ def check_name(name: str) -> str:
     The daemon's access list and the keys of the client's commands contain this name.
     """
     if not _NAME.fullmatch(name):
-        raise InputError(f"name '{printable(name)}': 1 to 40 of a-z, 0-9 and - are allowed")
+        raise InputError(f"name '{printable(name)}': use 1 to 40 characters, each a-z, 0-9 or -")
     return name
 
 

@@ -27,7 +27,7 @@ def check_rig_id(rig: str) -> str:
     """Return `rig`; raise ValueError if it cannot be part of a key."""
     _require_text(rig)
     if not is_rig_id(rig):
-        raise InputError(f"rig id {rig!r}: 1 to {_MAX_LENGTH} of a-z, 0-9 and - are allowed")
+        raise InputError(f"rig id {rig!r}: use 1 to {_MAX_LENGTH} characters, each a-z, 0-9 or -")
     return rig
 
 

@@ -59,7 +59,8 @@ _System = Annotated[
 _Firmware = Annotated[
     bool,
     typer.Option(
-        "--firmware", help="Run the Uno's firmware in the simulator simavr (`make fil` builds it)."
+        "--firmware",
+        help="Run the Uno's firmware in the simulator `fil`, built by `make fil`.",
     ),
 ]
 _Hex = Annotated[

@@ -60,7 +60,12 @@ MISTAKES: list[tuple[str, Any, type[Exception], str]] = [
     ("data[1.0:2.0]", lambda: DATA[1.0:2.0], TypeError, "round(t / data.Ts)"),
     ("split(2.5)", lambda: DATA.split(a and 2.5), ValueError, "must be an integer"),
     ("merge(d, d)", lambda: a.merge(DATA, DATA), TypeError, "merge([parts, …])"),
-    ("merge of other Ts", lambda: a.merge([DATA, OTHER]), ValueError, "treat the data alike"),
+    (
+        "merge of other Ts",
+        lambda: a.merge([DATA, OTHER]),
+        ValueError,
+        "apply the same treatment",
+    ),
     ("detrend(order=3)", lambda: a.detrend(DATA, order=3), ValueError, "must be 0 (remove the me"),
     ("detrend(u)", lambda: a.detrend(U), TypeError, "armrig.Dataset(u=u, y=y, Ts=Ts)"),
     # Estimation.

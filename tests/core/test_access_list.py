@@ -29,9 +29,9 @@ def test_a_name_moves_from_list_to_list() -> None:
     [
         ('operators = ["alice"]\nobservers = ["alice"]', "'alice' is listed twice"),
         ('operators = ["alice"]\nrevoked = ["alice"]', "'alice' is listed twice"),
-        ('operators = ["Alice"]', "name 'Alice': 1 to 40 of a-z"),
-        ('operators = ["*"]', r"name '\*': 1 to 40 of a-z"),
-        ('operators = ["a/b"]', "name 'a/b': 1 to 40 of a-z"),
+        ('operators = ["Alice"]', "name 'Alice': use 1 to 40 characters, each a-z"),
+        ('operators = ["*"]', r"name '\*': use 1 to 40 characters, each a-z"),
+        ('operators = ["a/b"]', "name 'a/b': use 1 to 40 characters, each a-z"),
         ('rigs = ["1"]', "allowed are names of rigs' certificates, such as rig-1"),
         ('operators = ["rig-1"]\nrigs = ["rig-1"]', "'rig-1' is listed twice"),
         ('operators = "alice"', "Expected `array`"),

@@ -86,7 +86,7 @@ def test_an_empty_file_is_the_default(tmp_path: Path) -> None:
             r"device: unix:: the path has 0 B; .*; name a socket in your own folder",
         ),
         ("[device]\nwatchdog_ms = 0", r"device\.watchdog_ms = 0: expected `int` >= 20"),
-        ("[rig]\nid = '../1'", r"rig id '\.\./1': 1 to 40 of a-z, 0-9 and - are allowed"),
+        ("[rig]\nid = '../1'", r"rig id '\.\./1': use 1 to 40 characters, each a-z, 0-9 or -"),
         ("[emulator]\nbaud = 1", r"emulator: baud=1 must be from 9600"),
         ("[calibration.theta_1]\nrad_per_count = 0.0", r"calibration\.theta_1: rad_per_count=0\.0"),
     ],

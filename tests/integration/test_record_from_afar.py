@@ -321,7 +321,7 @@ def test_all_that_was_published_before_the_end_is_recorded(where: str, tmp_path:
         (["-o", "there.mcap"], "there.mcap exists; give another name"),
         (["-o", "none/a.mcap"], "No such file or directory"),
         (["--rig", "9"], "no reply from rig 9"),
-        (["--rig", "../x"], "rig id '../x': 1 to 40 of a-z, 0-9 and - are allowed"),
+        (["--rig", "../x"], "rig id '../x': use 1 to 40 characters, each a-z, 0-9 or -"),
         (
             ["--rig", "played-1"],
             "an id that begins with played- belongs to a recording that `armrig play` plays",

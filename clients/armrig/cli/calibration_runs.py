@@ -47,7 +47,7 @@ class Dialogue:
         return not self._quiet and typer.confirm(question(text), default=False, err=True)
 
     def meter(self, levels: Sequence[float]) -> list[tuple[int, float]]:
-        """Ask for the readings of the meter; return them with their codes."""
+        """Ask for the meter's reading at each level; return the PWM code of each with it."""
         from armrig_core.volts import code_of
 
         readings: list[tuple[int, float]] = []

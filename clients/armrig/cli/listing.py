@@ -67,9 +67,7 @@ def ls(
             "--live lists rigs: leave out the folder and --all, which are for recordings"
         )
     if connect and not live:
-        raise InputError(
-            f"--connect {connect}: recordings are files; --live lists the rigs at an endpoint"
-        )
+        raise InputError(f"--connect {connect} needs --live: without --live, ls lists files")
     if live:
         _list_rigs(connect, json=json)
         return

@@ -104,8 +104,7 @@ class SignalChoice:
     def options(self, data: Dataset | None = None) -> str:
         """Return the options with which another command reads the same data; "" for none.
 
-        A model may have chosen the output of `data`. If it is not the default output, the options
-        name it.
+        If no output was given and the output of `data` is not the default, the options name it.
         """
         signal = self.signal
         if signal is None and data is not None and data.output not in (*_UNNAMED, THETA_1):

@@ -338,7 +338,8 @@ def merged_datasets(parts: Sequence[Dataset]) -> Dataset:
         values = sorted({getattr(d, name) for d in parts})
         if len(values) > 1:
             raise InputError(
-                f"merge needs one {name}, got {values}; treat the data alike before merging"
+                f"merge needs the same {name} in all data, got {values}; apply the same treatment "
+                "to all before merging"
             )
     offsets = np.cumsum([0, *(d.N for d in parts[:-1])])
     trends: list[Trend] = []

@@ -1,4 +1,4 @@
-"""Result of a check of data or of a model, as a value on which programs decide."""
+"""Result of a check of data or of a model, as a value that a program can test."""
 
 from __future__ import annotations
 

@@ -439,8 +439,8 @@ def merged_signals(parts: Sequence[Signals]) -> Signals:
         values = list(dict.fromkeys(getattr(d, name) for d in parts))
         if len(values) > 1:
             raise InputError(
-                f"merge needs one {name}, got {values[0]} and {values[1]}; treat the data alike "
-                "before merging"
+                f"merge needs the same {name} in all data, got {values[0]} and {values[1]}; apply "
+                "the same treatment to all before merging"
             )
     first = parts[0]
     offsets = np.cumsum([0, *(d.N for d in parts[:-1])])

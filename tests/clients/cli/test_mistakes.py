@@ -160,7 +160,7 @@ REFUSED = [
     ("stop --rig 2", "no reply from rig 2"),
     ("collect blackbox", "or give its endpoint with --connect"),
     ("collect blackbox --connect localhost", "not a zenoh endpoint, such as"),
-    ("collect blackbox --rig 1/2", "1 to 40 of a-z, 0-9 and - are allowed"),
+    ("collect blackbox --rig 1/2", "use 1 to 40 characters, each a-z, 0-9 or -"),
     ("collect blackbox --seconds 30s", "must be a number without its unit, such as 30"),
     ("collect blackbox --seconds 0", "more than 0"),
     ("collect blackbox --low 4.5 --high 0.5", "low=4.5 V must be below high=0.5 V"),

@@ -114,7 +114,9 @@ def test_only_a_slice_without_a_step_cuts() -> None:
 
 
 def test_what_differs_cannot_be_merged() -> None:
-    with pytest.raises(ValueError, match=r"merge needs one unit, got \['deg', 'rad'\]"):
+    with pytest.raises(
+        ValueError, match=r"merge needs the same unit in all data, got \['deg', 'rad'\]"
+    ):
         merge([ramp(3, unit="rad"), ramp(3, unit="deg")])
 
 

@@ -153,7 +153,7 @@ def test_merged_experiments_keep_their_boundaries() -> None:
     np.testing.assert_array_equal(merged.y[600:], second.y[100:])
     assert merged.history[0] == "made"
     assert merged.digest != first.digest
-    with pytest.raises(InputError, match=r"one outputs, got .* and .*"):
+    with pytest.raises(InputError, match=r"the same outputs in all data, got .* and .*"):
         armrig.merge([first, first.channels(["level"])])
     with pytest.raises(InputTypeError, match="one list of Signals"):
         armrig.merge([first, first.dataset("level", "valve")])  # type: ignore[list-item]

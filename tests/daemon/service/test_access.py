@@ -144,7 +144,7 @@ def test_a_client_s_certificate_does_not_serve(files: dict[str, str], tmp_path: 
     [
         ("alice", 0o600, "line 1: the password of 'alice' has 0 characters: at least 12"),
         ("alice:short", 0o600, "line 1: the password of 'alice' has 5 characters: at least 12"),
-        ("Alice:correct horse", 0o600, "line 1: name 'Alice': 1 to 40 of a-z"),
+        ("Alice:correct horse", 0o600, "line 1: name 'Alice': use 1 to 40 characters, each a-z"),
         ("\nalice:correct horse\nalice:correct horse", 0o600, "line 3: 'alice' is listed twice"),
         ("\n\n", 0o600, "no users"),
         ("alice:correct horse", 0o644, "with mode 0644 other users can read or change a password"),

@@ -37,7 +37,7 @@ class StateSpace:
     K: Matrix
     """Gain of the innovations (n, ny)."""
     noise_states: int = 0
-    """Number of last states that no input affects."""
+    """Number of noise states, the last entries of the state vector. No input affects them."""
 
     def __post_init__(self) -> None:
         """Make the arrays read-only."""
