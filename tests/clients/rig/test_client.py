@@ -65,7 +65,7 @@ def test_a_socket_path_that_is_too_long_is_refused_with_a_way_out() -> None:
 
 @pytest.mark.parametrize("rig", ["", "Arm", "../1", "a b", "*"])
 def test_a_rig_id_that_cannot_be_a_key_is_refused(rig: str) -> None:
-    with pytest.raises(ValueError, match="a-z, 0-9 and -"):
+    with pytest.raises(ValueError, match="each a-z, 0-9 or -"):
         Rig(rig)
 
 
