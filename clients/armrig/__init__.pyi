@@ -71,6 +71,7 @@ from armrig.physics.systems import chassis as chassis
 from armrig.physics.systems import rehearse as rehearse
 from armrig.recordings.catalogue import Catalogue as Catalogue
 from armrig.recordings.catalogue import catalogue as catalogue
+from armrig.recordings.example import example_recording as example_recording
 from armrig.recordings.jitter import sampling_statistics as sampling_statistics
 from armrig.recordings.loading import load as load
 from armrig.recordings.recording import Recording as Recording

@@ -1,0 +1,41 @@
+"""The examples in docstrings run and print what they show."""
+
+from __future__ import annotations
+
+import doctest
+from importlib import import_module
+from pathlib import Path
+
+import armrig
+import armrig_core
+import pytest
+
+ROOTS = [Path(package.__path__[0]).parent for package in (armrig, armrig_core)]
+MODULES = [
+    ".".join(path.relative_to(root).with_suffix("").parts)
+    for root, name in zip(ROOTS, ("armrig", "armrig_core"), strict=True)
+    for path in sorted((root / name).rglob("*.py"))
+    if ">>> " in path.read_text(encoding="utf-8")
+]
+EXAMPLES = [
+    pytest.param(example, id=example.name)
+    for module in MODULES
+    for example in doctest.DocTestFinder().find(import_module(module))
+    if example.examples
+]
+
+
+@pytest.mark.parametrize("example", EXAMPLES)
+def test_an_example_prints_what_it_shows(
+    example: doctest.DocTest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An example of `armrig` runs alone, with the names that it imports itself."""
+    monkeypatch.chdir(tmp_path)
+    if example.name.startswith("armrig."):
+        example.globs = {}
+    report: list[str] = []
+
+    found = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(example, out=report.append)
+
+    assert found.attempted
+    assert not found.failed, "".join(report)
