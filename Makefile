@@ -6,7 +6,7 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 # Hundreds of processes are started. Each would compile armrig again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench timing fuzz simulate firmware simavr fil lock lowest audit release format clean
+.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench timing fuzz simulate firmware simavr fil docs lock lowest audit release format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -94,6 +94,12 @@ firmware:
 # The simulator of that binary, with Debian's libsimavr-dev. It is GPL, and in no wheel.
 simavr fil:
 	$(MAKE) -C firmware_protocol/simavr
+
+# The site, in docs/_build/html: its first page is docs/index.html. A warning is an error, and so is
+# a dead link inside the site, a public name without an example, or an option without help.
+docs: .venv/dev
+	OPENBLAS_NUM_THREADS=1 $(BIN)/sphinx-build -q -W --keep-going -b html -c docs . docs/_build/html
+	PYTHONPATH=docs $(BIN)/python -m site_parts.counts docs/_build/html
 
 # Lock the exact versions and their hashes, for all systems, here and in CI: after each change of
 # pyproject.toml's dependencies. UPGRADE=1 takes the newest versions.

@@ -274,9 +274,9 @@ def select_orders(
     One QR decomposition of the largest regressor and y reduces the data to a triangle R. Each pair
     (na, nk) then needs only a small QR decomposition of columns of R. The leading triangles of its
     result belong to the structures nb = 1, 2, …. The loss is the sum of squares of y below row na +
-    nb. Triangles R_v of batches of the validation data give the loss on these batches, |R_v
-    [-theta; 1]|². All structures are compared on the same samples: those at which the largest
-    regressor is known.
+    nb. Triangles R_v of batches of the validation data give the loss on these batches,
+    ``|R_v [-theta; 1]|²``. All structures are compared on the same samples: those at which the
+    largest regressor is known.
 
     Parameters
     ----------

@@ -60,7 +60,7 @@ def load(
     Parameters
     ----------
     path : str or Path, or a sequence of them
-        MCAP file of armrigd, finished or unfinished (*.mcap.active). A run in several files is
+        MCAP file of armrigd, finished or unfinished (``*.mcap.active``). A run in several files is
         selected by the name of the run (all parts), the name of one part, or the names of
         consecutive parts.
     calibration : Calibration, str or Path, optional

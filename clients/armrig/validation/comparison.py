@@ -133,7 +133,7 @@ def compare(
     The initial state of each experiment is estimated from these data by least squares. For a model
     with an integrator, the input offset of each experiment is also estimated. Missing samples are
     not compared. If the output integrates, the fit is near 100 % for every model, because the ramp
-    dominates |y - mean y|. In this case, use the rms error and the fit of the velocity. The
+    dominates ``|y - mean y|``. In this case, use the rms error and the fit of the velocity. The
     velocity is the difference of the angle, so the measured velocity contains the noise of two
     samples.
 

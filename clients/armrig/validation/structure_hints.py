@@ -81,7 +81,7 @@ class StructureHints:
     relative_degree: int
     """Number of poles minus number of zeros, from the slope at high frequency.
 
-    It is 0 if |G| does not fall, or if there is no such slope.
+    It is 0 if ``|G|`` does not fall, or if there is no such slope.
     """
     resonances: tuple[float, ...]
     """Frequencies of peaks that the first structure also has, in rad/s. If y integrates, they are
@@ -159,8 +159,8 @@ def structure_hints(
       a pole at 1. If only one of these holds, or if the description lengths hardly differ, a
       structure with an integrator and a structure without an integrator are recommended. theta_1 is
       taken as integrating, unless its rate's step response surely returns to 0. In that case the
-      data are of another rig that uses the name theta_1. With an integrator the slope of |G| at low
-      frequency is -20 dB a decade.
+      data are of another rig that uses the name theta_1. With an integrator the slope of the gain
+      at low frequency is -20 dB a decade.
     - Order: the number of singular values of a Hankel matrix that are larger than the values that
       the uncertainty alone causes. The matrix is computed from the regularised impulse response.
     - Number of poles minus number of zeros: the slope at the highest frequencies at which u

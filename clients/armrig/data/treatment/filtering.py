@@ -36,7 +36,7 @@ def prefilter(
     """Return u and y after the same filter L(q), which weights frequencies and leaves G unchanged.
 
     Since L y = G L u + L v, L determines at which frequencies the model is accurate (Ljung 14.4).
-    An output-error fit is weighted by |L|², and its residuals are white if L v is white.
+    An output-error fit is weighted by ``|L|²``, and its residuals are white if L v is white.
 
     After the start of an experiment and after a gap, y is missing for the memory of the filter. The
     memory contains all but 1e-4 of the absolute sum of the impulse response.

@@ -273,7 +273,7 @@ def hampel(
 
         z(t) = x(t) / s,    x(t) = sum a_k e(t+k) / sqrt(sum a_k²),    s = 1.4826 median |x|
 
-    The samples with the largest |z| are marked. For the rest of the search they are set to the
+    The samples with the largest ``|z|`` are marked. For the rest of the search they are set to the
     model's values. The sizes of marked samples near each other are then estimated together. A
     sample whose size is small in this estimate is unmarked. The returned data contain no
     interpolated value. The first n samples after the start or a gap are searched in the reversed
@@ -285,8 +285,8 @@ def hampel(
         N samples. Each experiment is searched separately, with one model and one s for all. Of
         Signals, each output is searched, with a model of all inputs.
     threshold : float, optional
-        Least |z| of an outlier; by default the value that N normal residuals do not exceed with a
-        probability of 99 % (4.6 for N = 3000).
+        Least size of z of an outlier; by default the value that N normal residuals do not exceed
+        with a probability of 99 % (4.6 for N = 3000).
     order : int, optional
         Order n; by default 20, or N/10 if there are fewer than 200 samples.
 

@@ -33,7 +33,7 @@ def etfe(
         E|dG|² = s²_Y / (P |U|²),    s²_Y = variance of Y between P periods
 
     If the input has no period, values at neighbouring frequencies are independent. Their
-    uncertainty |noise|/|U| does not decrease with the length of the data, so use `spa` for a smooth
+    uncertainty (noise/U) does not decrease with the length of the data, so use `spa` for a smooth
     estimate. If y integrates, the response of the rate of y is estimated and divided by 1 - q^-1.
 
     Parameters

@@ -157,7 +157,7 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     sampling time would lose the fast part. The only cost of a short sampling time for an
     output-error model is computation.
 
-    omega_B of the spectrum is the highest frequency at which |G| is above 1/sqrt(2) of its
+    omega_B of the spectrum is the highest frequency at which ``|G|`` is above 1/sqrt(2) of its
     low-frequency value. A notch below this frequency, such as the notch of the arm, does not end
     the band. If y integrates, the rate of y is analysed, because the rate has a gain and a time
     constant.

@@ -45,23 +45,23 @@ def spa(
 ) -> SpectralEstimate:
     """Estimate the frequency response and the noise spectrum by spectral analysis.
 
-    The method of Blackman and Tukey uses the Hann lag window w(k) = (1 + cos(pi k/gamma))/2, |k| <=
-    gamma ::
+    The method of Blackman and Tukey uses a Hann lag window ::
 
+        w(k) = (1 + cos(pi k/gamma))/2,    |k| <= gamma
         Phi_yu(omega) = Ts sum of w(k) R_yu(k) exp(-i omega k Ts),   Phi_u, Phi_y likewise
         G = Phi_yu / Phi_u,     E|dG|² = Phi_v / (nu Phi_u),    nu = N / sum of w(k)²
 
-    Phi_v is (Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1) with a lag window four times as long (at most
+    Phi_v is ``(Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1)`` with a lag window four times as long (at most
     N/5), smoothed to the resolution of gamma. With this longer window, the variation of G within
     the window does not count as noise. Missing outputs are replaced by the part that the input
     explains, and are not counted in N.
 
     The standard deviations describe the scatter about the smoothed response, which is the expected
     value for this window. The window blunts resonances that are narrower than about 2 pi/(gamma Ts)
-    rad/s. A note reports a blunted resonance if |G| is clearly higher with the longer window: by
-    more than 10 % and by more than four standard deviations. Half of E|dG|² is the variance of the
-    magnitude, and half is due to the phase, except near 0 and pi/Ts, at which G is real. A standard
-    deviation of the phase above 0.3 rad is too small.
+    rad/s. A note reports a blunted resonance if the gain is clearly higher with the longer window:
+    by more than 10 % and by more than four standard deviations. Half of the variance of G is the
+    variance of the magnitude, and half is due to the phase, except near 0 and pi/Ts, at which G is
+    real. A standard deviation of the phase above 0.3 rad is too small.
 
     If y integrates, the response of the rate of y is estimated and then divided by 1 - q^-1.
 
@@ -81,8 +81,8 @@ def spa(
         "welch" averages the periodograms of Hann-tapered segments that overlap by half.
     delay : int, default 0
         Known delay in samples. For the estimate y is advanced by the delay, and the phase of G is
-        corrected afterwards. If a delay is not short compared with the window and is not given, |G|
-        and the coherence are too low.
+        corrected afterwards. If a delay is not short compared with the window and is not given, the
+        gain and the coherence are too low.
     integrator : bool, optional
         As in `etfe`.
 

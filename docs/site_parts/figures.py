@@ -1,0 +1,64 @@
+"""Figures in dark mode: the site's SVG files have a second set of colours for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+
+DARK = {
+    "#ffffff": "#14181e",  # the page
+    "#000000": "#e6e6e6",
+    "#222222": "#d0d0d0",
+    "#262626": "#d0d0d0",
+    "#777777": "#a0a0a0",
+    "#bbbbbb": "#6a6f76",
+    "#dddddd": "#353a42",
+    "#cccccc": "#50555c",
+    "#0072b2": "#4da8e0",
+    "#009e73": "#3fc79e",
+}
+"""Colours of `armrig.plots` on a white page, and the colours in their place on a dark page."""
+
+
+def adapted(svg: str) -> str:
+    """Return an SVG file that takes the dark colours where the page around it is dark.
+
+    In an image, `prefers-color-scheme` follows the property `color-scheme` of the page.
+    """
+    rules = [
+        f'[style*="{what}: {light}"]{{{what}:{dark} !important}}'
+        for light, dark in DARK.items()
+        for what in ("fill", "stroke")
+    ]
+    # Glyphs have no fill of their own: they are black by default.
+    rules.append(f"svg{{fill:{DARK['#000000']}}}")
+    style = f"<style>@media (prefers-color-scheme: dark){{{''.join(rules)}}}</style>"
+    head, tag, rest = svg.partition("<defs>")
+    return f"{head}{style}{tag}{rest}" if tag and "prefers-color-scheme" not in svg else svg
+
+
+def _drawn_by_armrig(path: Path) -> bool:
+    return path.suffix == ".svg" and "Matplotlib" in path.read_text(encoding="utf-8")[:2000]
+
+
+def mark(app: Any, document: nodes.document) -> None:
+    """Mark armrig's figures, so that the theme gives them no white background in dark mode."""
+    for image in document.findall(nodes.image):
+        if _drawn_by_armrig(Path(app.srcdir, image["uri"])):
+            image["classes"].append("dark-light")
+
+
+def adapt(app: Any, failure: Exception | None) -> None:
+    """Add the dark colours to the SVG files of the finished site."""
+    if failure is None:
+        for path in filter(_drawn_by_armrig, Path(app.outdir, "_images").iterdir()):
+            path.write_text(adapted(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Connect to the events of Sphinx."""
+    app.connect("doctree-read", mark)
+    app.connect("build-finished", adapt)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
