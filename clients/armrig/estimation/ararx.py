@@ -54,6 +54,17 @@ def ararx(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 4.2.
+
+    Examples
+    --------
+    D whitens the noise. Without D the noise causes a bias of A.
+
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> armrig.ararx(data, na=3, nb=3, nd=10).A.round(1)
+    array([ 1. , -2.5,  2.1, -0.6])
+    >>> armrig.arx(data, na=3, nb=3).A.round(1)
+    array([ 1. , -1.7,  0.5,  0.2])
     """
     require_flags(integrator=integrator)
     require_integers(na=(na, int(integrator)), nb=(nb, 1), nd=(nd, 0), nk=(nk, 0))

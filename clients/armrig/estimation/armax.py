@@ -72,6 +72,18 @@ def armax(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2, 7.2 and 10.2.
+
+    Examples
+    --------
+    The noise of the example is white noise on the output, so that C equals A.
+
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> fit = armrig.armax(data, na=3, nb=3, nc=3)
+    >>> fit.A.round(1)
+    array([ 1. , -2.5,  2.1, -0.6])
+    >>> fit.C.round(1)
+    array([ 1. , -2.5,  2.1, -0.6])
     """
     require_flags(integrator=integrator)
     require_integers(na=(na, int(integrator)), nb=(nb, 1), nc=(nc, 0), nk=(nk, 0))

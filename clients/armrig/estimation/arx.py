@@ -54,6 +54,19 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 7.3.
+
+    Examples
+    --------
+    The noise of the example is added to the output, so that the residuals of this model are
+    coloured.
+
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> fit = armrig.arx(data, na=3, nb=3)
+    >>> fit.heading
+    'ARX(na=3, nb=3, nk=1)'
+    >>> print(f"{fit.fit_percent:.0f} % one step ahead, residuals {fit.white}")
+    94 % one step ahead, residuals coloured (p < 0.001, Ljung-Box test)
     """
     require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
     orders = f"na={na}, nb={nb}, nk={nk}"

@@ -61,6 +61,16 @@ def bj(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2, 7.2 and 10.2.
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> from scipy.signal import lfilter
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> noise = lfilter([1], [1, -0.9], 0.01 * np.random.default_rng(1).standard_normal(data.N))
+    >>> noisy = armrig.Dataset(u=data.u, y=data.y + noise, Ts=data.Ts)
+    >>> armrig.bj(noisy, nb=3, nc=0, nd=1, nf=3).D.round(1)
+    array([ 1. , -0.9])
     """
     require_flags(integrator=integrator)
     require_integers(nb=(nb, 1), nc=(nc, 0), nd=(nd, 0), nf=(nf, int(integrator)), nk=(nk, 0))

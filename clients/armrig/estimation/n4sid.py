@@ -130,6 +130,15 @@ def n4sid(
     ----------
     .. [1] P. Van Overschee, B. De Moor, *Subspace Identification for Linear Systems*, 1996.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 10.6.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
+    >>> fit.heading
+    'N4SID(order=3, nk=1)'
+    >>> fit.poles().values.round(2)
+    array([0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
     """
     _require_known(weights, focus)
     require_integers(nk=(nk, 0), order=(1 if order is None else order, 1))

@@ -75,6 +75,18 @@ def oe(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 7.2, 9.3 and 10.2.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("theta_1")
+    >>> fit = armrig.oe(data, nb=4, nf=4, integrator=True)
+    >>> fit.heading, fit.white.coloured
+    ('OE(nb=4, nf=4, nk=1)', False)
+    >>> fit.F.round(2)
+    array([ 1.  , -3.51,  4.62, -2.7 ,  0.59])
+    >>> fit.poles().values.round(2)
+    array([1.  +0.j  , 0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
     """
     require_flags(integrator=integrator)
     require_integers(nb=(nb, 1), nf=(nf, int(integrator)), nk=(nk, 0))

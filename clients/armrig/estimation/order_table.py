@@ -301,6 +301,19 @@ def select_orders(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 10.1 and 16.4.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> first, second = armrig.example_recording().dataset("alpha").split(2)
+    >>> table = armrig.select_orders(first, range(1, 6), range(1, 6), [1, 2], validation=second)
+    >>> table.best()
+    ArxOrders(na=5, nb=5, nk=1)
+    >>> print(table.explain())
+    - lowest loss on the validation data: na=5, nb=5, nk=1, 4.0...e-05
+    ...
+    - na=5 is the highest that was tried: try higher values
+    - nb=5 is the highest that was tried: try higher values
     """
     return order_table(list(data.experiments()), na, nb, nk, _of_validation(data, validation))
 

@@ -53,6 +53,20 @@ def pem(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 4.2, 7.2 and 10.2.
+
+    Examples
+    --------
+    The noise of the example is white, so that D is 1 within two standard deviations.
+
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> fit = armrig.pem(data, nb=3, nf=3, nd=1)
+    >>> fit.names
+    ('b1', 'b2', 'b3', 'd1', 'f1', 'f2', 'f3')
+    >>> fit.F.round(2)
+    array([ 1.  , -2.51,  2.11, -0.59])
+    >>> bool(abs(fit.theta[3]) < 2 * fit.std[3])
+    True
     """
     require_integers(nb=(nb, 1), na=(na, 0), nc=(nc, 0), nd=(nd, 0), nf=(nf, 0), nk=(nk, 0))
     structure = Structure(na=na, nb=nb, nc=nc, nd=nd, nf=nf, nk=nk, offset=offset)

@@ -22,7 +22,19 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RarxState:
-    """State of the recursive estimate; `rarx_step` returns the next state."""
+    """State of the recursive estimate; `rarx_step` returns the next state.
+
+    Examples
+    --------
+    The samples are those of y(t) = 0.5 y(t-1) + 2 u(t-1).
+
+    >>> import armrig
+    >>> state = armrig.rarx_start(na=1, nb=1)
+    >>> for u, y in [(1.0, 0.0), (0.0, 2.0), (1.0, 1.0), (0.0, 2.5)]:
+    ...     state = armrig.rarx_step(state, u, y)
+    >>> state.determined, state.A.round(3), state.B.round(3)
+    (True, array([ 1. , -0.5]), array([0., 2.]))
+    """
 
     na: int
     """Number of a's."""
@@ -123,6 +135,13 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 11.2.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> state = armrig.rarx_start(na=2, nb=2, forgetting=0.99)
+    >>> state.determined, state.theta
+    (False, array([0., 0., 0., 0.]))
     """
     require_integers(na=(na, 0), nb=(nb, 1), nk=(nk, 0))
     if not 0 < forgetting <= 1:
@@ -150,6 +169,16 @@ def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
     rotated into it. After N steps the result equals, to rounding, the weighted least-squares
     estimate from all samples. The method needs no covariance matrix, which could become indefinite.
     A row that depends on a missing y changes neither R nor the weights.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")[:500]
+    >>> state = armrig.rarx_start(na=2, nb=2, forgetting=0.99)
+    >>> for u, y in zip(data.u, data.y, strict=True):
+    ...     state = armrig.rarx_step(state, u, y)
+    >>> state.A.round(1)
+    array([ 1. , -1.9,  0.9])
     """
     inputs = np.append(u, state.u)
     phi = np.append(-state.y, inputs[state.nk : state.nk + state.nb])
@@ -191,6 +220,18 @@ def rarx(
 
     `rarx_start` documents the arguments. At the start of each experiment the past of u and y is
     unknown. The parameters of the previous experiment are kept.
+
+    Examples
+    --------
+    After the last sample, the result equals the result of `arx`.
+
+    >>> import armrig, numpy as np
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> estimate = armrig.rarx(data, na=3, nb=3)
+    >>> estimate.theta.shape
+    (3000, 6)
+    >>> np.allclose(estimate.theta[-1], armrig.arx(data, na=3, nb=3).theta)
+    True
     """
     state = rarx_start(na=na, nb=nb, nk=nk, forgetting=forgetting)
     fresh = state

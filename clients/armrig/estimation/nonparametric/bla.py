@@ -77,6 +77,18 @@ def bla(
     ----------
     .. [1] R. Pintelon, J. Schoukens, *System Identification: A Frequency Domain Approach*, 2nd ed.,
        2012, section 4.3.1.
+
+    Examples
+    --------
+    The cubic term causes nonlinear distortion at each of the ten lines.
+
+    >>> import armrig
+    >>> from scipy.signal import lfilter
+    >>> u = [armrig.multisine(600, range(1, 20, 2), seed=k, periods=3) for k in (1, 2, 3)]
+    >>> y = [lfilter([0, 0.1], [1, -0.9], x) + 0.001 * x**3 for x in u]
+    >>> estimate = armrig.bla([armrig.Dataset(u=u[k], y=y[k], Ts=0.01) for k in range(3)])
+    >>> estimate.omega.size, bool((estimate.nonlinear_std > 1e-4).all())
+    (10, True)
     """
     require_integers(transient=(transient, 0))
     joint = data if isinstance(data, Dataset) else merged_datasets(list(data))

@@ -124,6 +124,14 @@ def correlation(
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 6.1.
     .. [2] G. E. P. Box, G. M. Jenkins, *Time Series Analysis*, 1976, section 11.2.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> print(armrig.correlation(armrig.example_recording().dataset("alpha")))
+    correlation analysis of alpha, 2999 samples at 0.01 s, input whitened by order 1
+      largest g -0.011... at lag 4; 99 % band of no relation ±0.0015...
+      first lag >= 0 outside: 1; 0 of 20 negative lags outside (feedback, if more than chance)
     """
     require_integers(lags=(lags, 1))
     if np.ptp(data.u) == 0:

@@ -60,6 +60,18 @@ def etfe(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 6.3.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> from scipy.signal import lfilter
+    >>> u = armrig.multisine(500, lines=[1, 3, 10, 30], periods=5)
+    >>> data = armrig.Dataset(u=u, y=lfilter([0, 0.1], [1, -0.9], u), Ts=0.01)
+    >>> estimate = armrig.etfe(data)
+    >>> estimate.omega.round(1)
+    array([  6.3,  18.8,  62.8, 188.5])
+    >>> abs(estimate.G).round(3)
+    array([0.859, 0.489, 0.168, 0.065])
     """
     if len(data.starts) > 1:
         raise InputError(

@@ -184,6 +184,18 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
     ----------
     .. [1] The lab's handout, section 3.1.1.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 13.7.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> found = armrig.sampling_time(armrig.example_recording().dataset("theta_1"))
+    >>> found.Ts
+    0.005
+    >>> print(found)
+    sampling time: 5 ms recommended (from the rate of theta_1 at 10 ms, ...)
+      step:      63 % time tau 21... ms, omega_B = 1/tau = 47... rad/s, ...
+      spectrum:  -3 dB first at 10... rad/s, ...
+      ...
     """
     decided = integration(data, integrator)
     integrates = decided.integrates

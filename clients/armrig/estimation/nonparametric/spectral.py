@@ -100,6 +100,14 @@ def spa(
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 6.4 and 6.5.
     .. [2] P. D. Welch, IEEE Trans. Audio Electroacoustics 15 (1967) 70-73.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> estimate = armrig.spa(armrig.example_recording().dataset("alpha"), window=120)
+    >>> peak = abs(estimate.G).argmax()
+    >>> print(f"{estimate.omega[peak]:.0f} rad/s, coherence {estimate.coherence[peak]:.2f}")
+    20 rad/s, coherence 0.93
     """
     if method not in ("blackman-tukey", "welch"):
         raise InputError(f'method={method!r} must be "blackman-tukey" or "welch"')

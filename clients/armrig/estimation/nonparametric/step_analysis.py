@@ -181,6 +181,17 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     ----------
     .. [1] The lab's handout, section 3.1.1.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 6.1.
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> from scipy.signal import lfilter
+    >>> u = armrig.step(300, at=50)
+    >>> noise = 0.01 * np.random.default_rng(1).standard_normal(300)
+    >>> data = armrig.Dataset(u=u, y=lfilter([0, 0.1], [1, -0.9], u) + noise, Ts=0.01)
+    >>> found = armrig.step_analysis(data)
+    >>> print(f"gain {found.gain:.1f}, 63 % time {1000 * found.tau:.0f} ms, {found.steps} step")
+    gain 1.0, 63 % time 95 ms, 1 step
     """
     decided = integration(data, integrator)
     integrates = decided.integrates
