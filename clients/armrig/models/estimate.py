@@ -157,7 +157,16 @@ class Estimate(Model):
         return float(criteria.mdl(self.loss, self.parameters, self.N))
 
     def estimated_from(self, data: Dataset) -> bool:
-        """Return whether the model was estimated from these data."""
+        """Return whether the model was estimated from these data.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> first, second = armrig.example_recording().dataset("alpha").split(2)
+        >>> fit = armrig.oe(first, nb=3, nf=3)
+        >>> fit.estimated_from(first), fit.estimated_from(second)
+        (True, False)
+        """
         return bool(self.digest) and self.digest == data.digest
 
     def noise_spectrum(self, omega: ArrayLike) -> NoiseSpectrum:
@@ -171,6 +180,16 @@ class Estimate(Model):
         ------
         ValueError
             A frequency is outside 0 to pi/Ts.
+
+        Examples
+        --------
+        The noise of an output-error model is white.
+
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> spectrum = fit.noise_spectrum([1, 10, 100])
+        >>> (spectrum.Phi / (fit.noise_variance * fit.Ts)).round(3)
+        array([1., 1., 1.])
         """
         omega_ = self._frequencies(omega)
         H, dlnH = self._ratio(omega_, "c", "ad")

@@ -132,7 +132,17 @@ class Model:
         return "f" if self.F.size > 1 else "a"
 
     def slice_of(self, letter: str) -> slice:
-        """Return the slice of theta with the parameters of one polynomial, "a" … "f"."""
+        """Return the slice of theta with the parameters of one polynomial, "a" … "f".
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> fit.names[fit.slice_of("f")]
+        ('f1', 'f2', 'f3')
+        >>> fit.theta[fit.slice_of("f")].round(2)
+        array([-2.51,  2.11, -0.59])
+        """
         begin = 0
         for name, p in self._free_coefficients.items():
             if name == letter:
@@ -141,7 +151,18 @@ class Model:
         raise InputError(f"{letter!r} is none of a, b, c, d, f")
 
     def to_control(self) -> control.TransferFunction:
-        """Return the model from u to y as a python-control transfer function with dt=Ts."""
+        """Return the model from u to y as a python-control transfer function with dt=Ts.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> G = fit.to_control()
+        >>> G.input_labels, G.output_labels, G.dt
+        (['u'], ['alpha'], 0.01)
+        >>> G.den[0][0].round(2)
+        array([ 1.  , -2.51,  2.11, -0.59])
+        """
         import control
 
         n = max(self.B.size, self.denominator.size)
@@ -149,7 +170,18 @@ class Model:
         return control.tf(*padded, self.Ts, inputs=["u"], outputs=[self.output])
 
     def noise_to_control(self) -> control.TransferFunction:
-        """Return the noise model H = C / (D A), from e to y, as a transfer function with dt=Ts."""
+        """Return the noise model H = C / (D A), from e to y, as a transfer function with dt=Ts.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.armax(armrig.example_recording().dataset("alpha"), na=3, nb=3, nc=3)
+        >>> H = fit.noise_to_control()
+        >>> H.input_labels, H.output_labels, H.dt
+        (['e'], ['alpha'], 0.01)
+        >>> H.num[0][0].round(1)
+        array([ 1. , -2.5,  2.1, -0.6])
+        """
         import control
 
         D = np.convolve(self.D, self.A)
@@ -158,7 +190,17 @@ class Model:
         return control.tf(*padded, self.Ts, inputs=["e"], outputs=[self.output])
 
     def poles(self) -> Roots:
-        """Return the poles from u to y: the roots of A, then the roots of F."""
+        """Return the poles from u to y: the roots of A, then the roots of F.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> fit.poles().values.round(2)
+        array([0.91+0.16j, 0.91-0.16j, 0.69+0.j  ])
+        >>> fit.poles().std.round(4)
+        array([0.0002, 0.0002, 0.0015])
+        """
         parts = [self._roots(self.A, "a", 1), self._roots(self.F, "f", 1)]
         return Roots(
             values=np.concatenate([p.values for p in parts]),
@@ -166,7 +208,17 @@ class Model:
         )
 
     def zeros(self) -> Roots:
-        """Return the zeros from u to y, without the zeros at 0 and infinity due to delays."""
+        """Return the zeros from u to y, without the zeros at 0 and infinity due to delays.
+
+        Examples
+        --------
+        The zero at 1 means that alpha is 0 at a constant voltage.
+
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> fit.zeros().values.round(2)
+        array([ 1.  +0.j, -0.92+0.j])
+        """
         return self._roots(self.B[self.nk :], "b", 0)
 
     def _roots(self, p: Vector, letter: str, first: int) -> Roots:
@@ -202,6 +254,16 @@ class Model:
         ------
         ValueError
             A frequency is outside 0 to pi/Ts.
+
+        Examples
+        --------
+        The arm resonates near 18 rad/s.
+
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> response = fit.frequency_response([2, 18, 160])
+        >>> abs(response.G).round(3)
+        array([0.015, 0.148, 0.003])
         """
         omega_ = self._frequencies(omega)
         G, dlnG = self._ratio(omega_, "b", "af")
@@ -254,7 +316,15 @@ class Model:
         return np.asarray(x[:, None] ** lags)
 
     def polynomial(self, letter: str) -> Vector:
-        """Return the coefficients of one polynomial, "a" … "f", beginning with q^0."""
+        """Return the coefficients of one polynomial, "a" … "f", beginning with q^0.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> fit.polynomial("f").round(2)
+        array([ 1.  , -2.51,  2.11, -0.59])
+        """
         p: Vector = getattr(self, letter.upper())
         return p
 
@@ -263,6 +333,15 @@ class Model:
 
         With `rate` the response is the rate (y(t) - y(t-1))/Ts, at the middle of each interval. Use
         `rate` for an integrating output, whose step response is a ramp.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("theta_1")
+        >>> fit = armrig.oe(data, nb=4, nf=4, integrator=True)
+        >>> response = fit.step_response(100, rate=True)
+        >>> print(f"{response.y[-1]:.2f} rad/s per V")
+        1.86 rad/s per V
         """
         require_integers(n=(n, 1))
         u = np.ones(n)
@@ -297,6 +376,14 @@ class Model:
         ------
         ValueError
             u is not (N,).
+
+        Examples
+        --------
+        >>> import armrig, numpy as np
+        >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+        >>> alpha = fit.simulate(4.0 * np.ones(200))
+        >>> print(f"largest {abs(alpha).max():.2f} rad, at the end {abs(alpha[-1]):.2f} rad")
+        largest 0.29 rad, at the end 0.00 rad
         """
         return filtered(self.B, self.denominator, column("u", u))
 

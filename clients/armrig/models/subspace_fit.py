@@ -23,6 +23,17 @@ class SubspaceFit(Fit):
 
     The polynomials are computed from the innovations form: A is det(q - A_s) and C is det(q - A_s +
     K C_s), both divided by q^n.
+
+    Examples
+    --------
+    The fourth canonical correlation is much smaller than the third: the order is 3.
+
+    >>> import armrig
+    >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
+    >>> fit.order, fit.suggested_order
+    (3, 3)
+    >>> fit.canonical_correlations[:4].round(1)
+    array([1. , 1. , 1. , 0.3])
     """
 
     weights: str
@@ -48,6 +59,18 @@ class SubspaceFit(Fit):
 
         The state x_k(t) is the response at t + k - 1 to the past before t, minus the contributions
         of x_1 … x_(k-1). The dimension n is the larger of the order and nk + nb - 1.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
+        >>> A, B, C, D, K = fit.state_space()
+        >>> A.round(1)
+        array([[ 2.5,  1. ,  0. ],
+               [-2.1,  0. ,  1. ],
+               [ 0.6,  0. ,  0. ]])
+        >>> C, D
+        (array([[1., 0., 0.]]), array([[0.]]))
         """
         n = max(self.A.size, self.B.size) - 1
         a, b, c = (np.pad(p, (0, n + 1 - p.size)) for p in (self.A, self.B, self.C))
@@ -57,14 +80,37 @@ class SubspaceFit(Fit):
         return A, B, np.eye(1, n), np.array([[b[0]]]), (c[1:] - a[1:])[:, None]
 
     def to_control(self) -> control.StateSpace:
-        """Return the model from u to y as a python-control state-space system with dt=Ts."""
+        """Return the model from u to y as a python-control state-space system with dt=Ts.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
+        >>> system = fit.to_control()
+        >>> system.nstates, system.input_labels, system.output_labels, system.dt
+        (3, ['u'], ['alpha'], 0.01)
+        """
         import control
 
         A, B, C, D, _ = self.state_space()
         return control.ss(A, B, C, D, self.Ts, inputs=["u"], outputs=[self.output])
 
     def explain(self) -> str:
-        """Return a text with the canonical correlations and the order that the data suggest."""
+        """Return a text with the canonical correlations and the order that the data suggest.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> fit = armrig.n4sid(armrig.example_recording().dataset("alpha"))
+        >>> print(fit.explain())
+        canonical correlations of past and future:
+           1   0.9999...
+           2   0.999...
+           3   0.994...  <- order
+           4   0.25...
+          ...
+        the one-step errors suggest order 3 (MDL)
+        """
         values = self.canonical_correlations[: max(10, self.order + 2)]
         lines = ["canonical correlations of past and future:"]
         lines += [
