@@ -62,6 +62,15 @@ def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
 
     The model is sampled exactly for an input held over Ts, see `transfer`. Its standard deviations
     are 0, because nothing is estimated.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("theta_1")
+    >>> physics = armrig.physical_model(armrig.ArmParameters(), data)
+    >>> print(armrig.compare(data, physics))
+    simulation; initial state and input offset estimated from these data by least squares
+      physics  fit   99.99 %  rms 0.0035... rad  velocity fit   83.4... %
     """
     A, B, C = arm_matrices(p)
     data = as_dataset(data)

@@ -49,6 +49,15 @@ def arm(p: ArmParameters) -> control.StateSpace:
     control.StateSpace
         Input u in V; outputs theta_1 and alpha in rad; states theta_1, alpha and their rates in
         rad/s.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> system = armrig.arm(armrig.ArmParameters())
+    >>> system.input_labels, system.output_labels
+    (['u'], ['theta_1', 'alpha'])
+    >>> sorted(abs(system.poles()).round(1).tolist())
+    [0.0, 18.9, 18.9, 36.7]
     """
     import control
 
@@ -71,6 +80,15 @@ def chassis(p: ArmParameters) -> control.StateSpace:
     -------
     control.StateSpace
         Input u in V; output theta_1 in rad; states theta_1 and its rate in rad/s.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> system = armrig.chassis(armrig.ArmParameters())
+    >>> system.state_labels
+    ['theta_1', 'theta_1_rate']
+    >>> sorted(abs(system.poles()).round(1).tolist())
+    [0.0, 52.8]
     """
     import control
 

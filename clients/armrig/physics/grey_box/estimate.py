@@ -124,6 +124,16 @@ def greybox(
        7.2 and 9.4.
     .. [2] G. H. Golub, V. Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (linear parameters
        projected out).
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("theta_1")
+    >>> fit = armrig.greybox(data, armrig.arm, free=("J_1", "K_lin"))
+    >>> for name in fit.names:
+    ...     print(f"{name} = {fit.values[name]:.2g} ± {100 * fit.relative_std[name]:.1f} %")
+    J_1 = 0.0017 ± 0.1 %
+    K_lin = 1.2 ± 0.1 %
     """
     p = ArmParameters() if fixed is None else fixed
     require_parameters(p)

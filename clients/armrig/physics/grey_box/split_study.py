@@ -237,6 +237,18 @@ def split_study(
     ValueError
         A number of parts is not an integer >= 1, a part is too short, the parameter is unknown, or
         its standard deviation is not known.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("theta_1")
+    >>> study = armrig.split_study(data, estimator=lambda part: armrig.greybox(part, armrig.arm))
+    >>> [split.k for split in study.splits], round(study.exponent, 1)
+    ([1, 2, 4], -0.5)
+    >>> print(study.verdict)
+    From 1 to 4 parts the standard deviation of J_1 changes by a factor of 2.0..., ...
+    The 2 parts agree at a level of 1 % (...).
+    The 4 parts agree at a level of 1 % (...).
     """
     require_several(parts=parts)
     if not parts:
@@ -340,6 +352,17 @@ def agreement(efficient: GreyFit, other: GreyFit) -> tuple[Agreement, ...]:
     References
     ----------
     .. [1] J. A. Hausman, Econometrica 46 (1978) 1251-1271.
+
+    Examples
+    --------
+    >>> import armrig, control, numpy as np
+    >>> u = armrig.telegraph(1000, 0.05)
+    >>> chassis = armrig.chassis(armrig.ArmParameters()).sample(0.01)
+    >>> theta_1 = control.forced_response(chassis, inputs=u).outputs
+    >>> theta_1 += 0.003 * np.random.default_rng(1).standard_normal(1000)
+    >>> data = armrig.Dataset(u=u, y=theta_1, Ts=0.01, output="theta_1", unit="rad")
+    >>> armrig.agreement(armrig.greybox(data), armrig.inverse_dynamics(data))
+    (J_1: -1.5...e-06 apart, -0.7... sd, p = 0.47...,)
     """
     rows = []
     note = too_quiet(efficient.quantum, efficient.noise_variance)

@@ -75,6 +75,15 @@ def sinusoid(
     ------
     ValueError
         A shape or a number is not allowed.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> problem = armrig.sinusoid([[-5.0]], [1.0], omega=2.0)
+    >>> for h in (0.1, 0.05):
+    ...     print(f"h = {h} s: error {100 * problem.error(h, 'heun'):.1f} %")
+    h = 0.1 s: error 1.2 %
+    h = 0.05 s: error 0.3 %
     """
     A_, B_, x0_ = system(A, B, x0)
     require_positive(omega=omega)
@@ -115,6 +124,16 @@ def convergence(problem: Sinusoid, method: str, h: ArrayLike | None = None) -> C
 
     By default the largest step is twice the stability limit, or a third of the input's period if
     there is no limit. Ten halvings follow.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> problem = armrig.sinusoid([[-5.0]], [1.0], omega=2.0)
+    >>> for method in ("forward_euler", "heun"):
+    ...     found = armrig.convergence(problem, method, h=[0.02, 0.01, 0.005])
+    ...     print(f"{method}: order {found.order:.1f}, stable up to {found.limit:.1f} s")
+    forward_euler: order 1.0, stable up to 0.4 s
+    heun: order 2.0, stable up to 0.4 s
     """
     method_named(method)
     limit = stability_limit(problem.A, method)

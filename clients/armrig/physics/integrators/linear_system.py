@@ -91,6 +91,15 @@ def exact(
     References
     ----------
     .. [1] C. F. Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404.
+
+    Examples
+    --------
+    The integral of sin(pi t) is (1 - cos(pi t))/pi.
+
+    >>> import armrig, numpy as np
+    >>> x = armrig.exact([[0.0]], [1.0], amplitude=1.0, omega=np.pi, x0=[0.0], t=[0.0, 0.5, 1.0])
+    >>> x[:, 0].round(4)
+    array([0.    , 0.3183, 0.6366])
     """
     A_, B_, x0_ = system(A, B, x0)
     require_numbers(amplitude=amplitude, omega=omega)

@@ -56,6 +56,17 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
     ------
     ValueError
         A is not square or not finite, or the method is unknown.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> A = armrig.arm(armrig.ArmParameters()).A
+    >>> for method in ("forward_euler", "ab2", "heun", "trapezoidal"):
+    ...     print(f"{method}: {armrig.stability_limit(A, method):.3f} s")
+    forward_euler: 0.045 s
+    ab2: 0.027 s
+    heun: 0.054 s
+    trapezoidal: inf s
     """
     chosen = method_named(method)
     A_, *_ = system(A, np.zeros(np.shape(A)[0] if np.ndim(A) else 1))

@@ -103,6 +103,19 @@ def recommend_step(
     ------
     ValueError
         A number is not allowed, or no step of a method is stable.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> system = armrig.arm(armrig.ArmParameters())
+    >>> found = armrig.recommend_step(system.A, system.B, omega=5.0, tolerance=0.01)
+    >>> for row in found.rows:
+    ...     print(f"{row.method}: {1000 * row.h:.1f} ms")
+    trapezoidal: 12.0 ms
+    ab2: 5.6 ms
+    heun: 8.1 ms
+    midpoint: 8.0 ms
+    forward_euler: 0.5 ms
     """
     require_positive(tolerance=tolerance)
     if not 1e-8 <= tolerance <= 0.5:

@@ -75,6 +75,13 @@ def integrate(
     ----------
     .. [1] E. Hairer, S. P. Nørsett, G. Wanner, *Solving Ordinary Differential Equations I*, 1993,
        sections II.1 and III.1.
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> t, x = armrig.integrate([[-1.0]], [1.0], lambda t: 1.0, [0.0], 0.1, 10, "heun")
+    >>> print(f"x({t[-1]:.0f} s) = {x[-1, 0]:.3f}, exact {1 - np.exp(-1):.3f}")
+    x(1 s) = 0.631, exact 0.632
     """
     A_, B_, x0_ = system(A, B, x0)
     require_positive(h=h)
