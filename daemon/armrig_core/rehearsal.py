@@ -71,6 +71,18 @@ def rehearse(
     InputError
         A limit is reached or exceeded. During the run, the device enters FAULT as soon as
         `revolutions` is reached; nothing watches alpha.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> u = armrig.step(300, low=0.0, high=4.0)
+    >>> found = armrig.rehearse(u, 0.01)
+    >>> print(f"{found.revolutions:.1f} turns, alpha up to {found.alpha_rad:.2f} rad")
+    3.5 turns, alpha up to 0.29 rad
+    >>> armrig.rehearse(u, 0.01, revolutions=3)
+    Traceback (most recent call last):
+        ...
+    armrig_core.errors.InputError: the rehearsal turns the chassis by up to 3.47 turns: ...
     """
     volts = np.asarray(u, dtype=np.float64)
     Phi, Gamma, m = _steps(parameters, arm_removed, Ts, volts.size)
