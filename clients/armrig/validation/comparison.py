@@ -159,6 +159,16 @@ def compare(
     ValueError
         No model was given, the numbers of labels and models differ, or a model has another output,
         unit or sampling time than the data.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> first, second = armrig.example_recording().dataset("alpha").split(2)
+    >>> models = armrig.oe(first, nb=3, nf=3), armrig.arx(first, na=3, nb=3)
+    >>> print(armrig.compare(second, *models))
+    simulation; initial state estimated from these data by least squares
+      OE[3 3 1]   fit   97.5... %  rms 0.0035... rad
+      ARX[3 3 1]  fit   50.0... %  rms 0.072... rad
     """
     if not models:
         raise InputError("compare needs at least one model: compare(data, fit)")

@@ -116,6 +116,14 @@ def search(
     ----------
     .. [1] T. Hastie, R. Tibshirani, J. Friedman, *The Elements of Statistical Learning*, 2nd ed.,
        2009, section 7.10 (one standard error).
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> found = armrig.search(data, families=["arx", "oe"], orders=[2, 3])
+    >>> found.fit.heading
+    'OE(nb=3, nf=3, nk=1)'
     """
     require_several(orders=orders)
     halved = validation is None

@@ -187,6 +187,18 @@ def residuals(
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 16.6.
     .. [2] T. Söderström, P. Stoica, *System Identification*, 1989, section 11.2.
+
+    Examples
+    --------
+    A model of order 2 is too simple for these data.
+
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> for n in (2, 3):
+    ...     test = armrig.residuals(armrig.oe(data, nb=n, nf=n), data)
+    ...     print(f"order {n}: coloured {test.white.coloured}, p {test.missing_dynamics:.2f}")
+    order 2: coloured True, p 0.00
+    order 3: coloured False, p 0.03
     """
     if isinstance(fit, MultivariableFit):
         from armrig.validation.multivariable.residuals import residuals as of_several

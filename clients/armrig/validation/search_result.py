@@ -97,7 +97,20 @@ class Scored:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SearchResult:
-    """Models ranked on validation data, with the choice and its reasons."""
+    """Models ranked on validation data, with the choice and its reasons.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> found = armrig.search(data, families=["arx", "oe"], orders=[2, 3])
+    >>> found.fit.heading
+    'OE(nb=3, nf=3, nk=1)'
+    >>> [scored.candidate.name for scored in found.ranked]
+    ['OE[3 3 1]', 'OE[2 2 1]', 'ARX[3 3 1]', 'ARX[2 2 1]']
+    >>> found.rms.round(3)
+    array([0.004, 0.034, 0.072, 0.11 ])
+    """
 
     ranked: tuple[Scored, ...]
     """Candidates with a usable model, best first."""
@@ -141,14 +154,32 @@ class SearchResult:
         return np.asarray(self.excess <= self.excess_std)
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of error against number of parameters: see `armrig.plots.plot_search`."""
+        """Return a figure of error against number of parameters: see `armrig.plots.plot_search`.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("alpha")
+        >>> armrig.search(data, families=["arx", "oe"], orders=[2, 3]).plot()
+        <Figure size ... with 1 Axes>
+        """
         from armrig.plots.layout import figure_of
         from armrig.validation.figures import plot_search
 
         return figure_of(plot_search(self, ax=ax))
 
     def explain(self) -> str:
-        """Return the findings against the data, the choice and its reasons, in words."""
+        """Return the findings against the data, the choice and its reasons, in words.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("alpha")
+        >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).explain())
+        - best simulation of the validation data: OE[3 3 1], rms error 0.0035... rad
+        - chosen: the best, since no simpler model is within one standard error of it
+        - fewer parameters are not enough: OE[2 2 1] has 4, rms error 0.0341..., ...
+        """
         doubts = [f"doubt about the data, {f.about}: {f.text}" for f in self.doubts]
         return "\n".join(f"- {line}" for line in (*doubts, *self.reasons))
 
@@ -158,7 +189,19 @@ class SearchResult:
         return tuple(_reasons(self))
 
     def table(self, most: int = 10) -> str:
-        """Return a table of the best candidates, with a mark at the chosen candidate."""
+        """Return a table of the best candidates, with a mark at the chosen candidate.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("alpha")
+        >>> print(armrig.search(data, families=["arx", "oe"], orders=[2, 3]).table())
+        4 models, simulated, ranked by their error on the second half of the data; the first ...
+          model      parameters   rms [rad]  excess mean square ± se [rad²]
+          OE[3 3 1]           6   0.0035...                                  <- chosen
+          OE[2 2 1]           4     0.0341...               0.0011... ± 0.00011
+          ARX[3 3 1]          6    0.072...
+        """
         what = "simulated" if self.horizon is None else f"predicted {_ahead(self.horizon)}"
         count = len(self.ranked) + len(self.failed)
         where = "second half of the data; the first" if self.halved else "validation data"

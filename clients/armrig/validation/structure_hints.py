@@ -191,6 +191,15 @@ def structure_hints(
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 16.2 and 16.3.
     .. [2] S. Y. Kung, Proc. 12th Asilomar Conf., 1978, 705-714 (Hankel singular values).
+
+    Examples
+    --------
+    >>> import armrig
+    >>> hints = armrig.structure_hints(armrig.example_recording().dataset("theta_1")[:400])
+    >>> hints.structures[0]
+    Recommended(nb=4, nf=4, nk=1, integrator=True)
+    >>> hints.relative_degree, hints.nk_interval
+    (2, (1, 1))
     """
     integrates, known = integrator, data.output in INTEGRATING_OUTPUTS
     of_rate = None

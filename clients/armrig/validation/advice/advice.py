@@ -68,6 +68,16 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, chapters 14 and 16.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> print(armrig.advice(armrig.oe(data, nb=3, nf=3)))
+    advice on OE[3 3 1] of alpha: nothing to act on
+      search     one minimum
+      residuals  residuals white (p = 0.10..., portmanteau test): trust the ordinary deviations
+      order      no pole and zero cancel
     """
     if not isinstance(data_or_fit, Fit):
         data = as_dataset(data_or_fit)

@@ -93,6 +93,13 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 16.4 and 16.5.
     .. [2] S. Björklund, *A Survey and Comparison of Time-Delay Estimation Methods in Linear
        Systems*, Linköping, 2003, chapters 5 and 6.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> found = armrig.delay(armrig.example_recording().dataset("alpha"))
+    >>> found.nk, found.delay, found.interval
+    (1, 0, (1, 1))
     """
     samples = _enough(data)
     decided = integration(data, integrator)

@@ -171,6 +171,13 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
     ----------
     .. [1] C. A. Sims, American Economic Review 62 (1972) 540-552.
     .. [2] L. Ljung, *System Identification*, 2nd ed., 1999, section 13.4.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> test = armrig.open_loop(armrig.example_recording().dataset("alpha"))
+    >>> test.feedback, test.p_value > 0.05
+    (False, True)
     """
     require_level(level)
     found: Sims | None = None
