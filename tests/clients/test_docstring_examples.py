@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import doctest
+from collections.abc import Iterator
 from importlib import import_module
+from inspect import getattr_static, isclass, isfunction
 from pathlib import Path
+from typing import Any
 
 import armrig
 import armrig_core
@@ -39,3 +42,28 @@ def test_an_example_prints_what_it_shows(
 
     assert found.attempted
     assert not found.failed, "".join(report)
+
+
+def test_a_public_name_has_an_example() -> None:
+    """`help(armrig.oe)` and `help(armrig.Fit.save)` show how to call the function."""
+    without = [
+        full_name
+        for name in armrig.__all__
+        for full_name, value in _documented(name, getattr(armrig, name))
+        if ">>> " not in (value.__doc__ or "")
+    ]
+
+    assert not without, f"{len(without)} without an example: {', '.join(without)}"
+
+
+def _documented(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield a function, or a class with its public methods, inherited methods included."""
+    yield name, value
+    if not isclass(value):
+        return
+    for method in dir(value):
+        found = getattr_static(value, method)
+        if isinstance(found, classmethod | staticmethod):
+            found = found.__func__
+        if isfunction(found) and not method.startswith("_"):
+            yield f"{name}.{method}", found
