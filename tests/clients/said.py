@@ -18,6 +18,7 @@ from code import InteractiveInterpreter
 from collections.abc import Iterator
 from contextlib import chdir, redirect_stderr, redirect_stdout, suppress
 from difflib import SequenceMatcher, unified_diff
+from importlib.metadata import version
 from pathlib import Path
 from traceback import format_exception_only
 from typing import Any
@@ -31,7 +32,8 @@ WITHIN = 1e-3
 _TINY = 1e-9  # two numbers that are smaller are rounding
 _NUMBER = re.compile(r" *(?<![\w.])[-+−]?\d+(?:\.\d+)*(?:e[-+]?\d+)? *")
 _SHOWN, _ITEMS, _LINES = ("  ", "! ", "+ ", "exit "), 8, 40
-_OTHERS = (  # of another machine, another day, another version of zstd
+_OTHERS = (  # of another machine, day or version
+    (re.compile(rf"(?<![\w.]){re.escape(version('armrig'))}(?!\.?\w)"), "VERSION"),
     (re.compile(r"(?<![\w.])(?:[0-9a-f]{12}|(?=\w*[a-f])[0-9a-f]{13,64})(?![\w-]|\.\w)"), "HASH"),
     (re.compile(r"━ 100% \d\d:\d\d"), "━ 100%"),
     (re.compile(r"(bytes|_offset_ns|modified_ns): \d+"), r"\1: …"),

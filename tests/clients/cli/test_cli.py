@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,6 +27,8 @@ from tests.clients.made_recordings import sample, written
 from tests.clients.running import running
 from tests.clients.told import told
 
+PROJECT = Path(__file__).parents[3] / "pyproject.toml"
+VERSION = tomllib.loads(PROJECT.read_text(encoding="utf-8"))["project"]["version"]
 READERS = (["info"], ["identify", "--structure", "arx"], ["compare"], ["report"])
 HEAVY = ("numpy", "scipy", "zenoh", "mcap", "matplotlib", "typst", "control", "rich.console")
 
@@ -196,7 +199,7 @@ def test_nothing_heavy_is_imported_before_it_is_needed(program: str) -> None:
 
 def test_every_public_name_is_there() -> None:
     assert all(getattr(armrig, name) is not None for name in armrig.__all__)
-    assert armrig.__version__ == "0.1.0"
+    assert armrig.__version__ == VERSION
     assert set(armrig.__all__) < set(dir(armrig))
     assert not hasattr(armrig, "nothing")
 
@@ -324,7 +327,7 @@ def test_watch_into_a_pipe_gives_a_line_for_each_sample(
 def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--version"]) == 0
 
-    assert capsys.readouterr().out == "armrig 0.1.0\n"
+    assert capsys.readouterr().out == f"armrig {VERSION}\n"
 
 
 def test_without_a_command_there_is_help_and_exit_code_2(
