@@ -6,7 +6,7 @@ PIP := $(BIN)/pip install --quiet --disable-pip-version-check
 # Hundreds of processes are started. Each would compile armrig again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench timing fuzz simulate firmware simavr fil docs lock lowest audit release format clean
+.PHONY: demo test test-all machine walk check coverage stored mutants planted shake bench timing fuzz simulate firmware simavr fil docs lock lowest audit release reproduce format clean
 
 # FIRMWARE=1: the Uno's firmware in simavr is the device, in virtual time; `make fil` is made first.
 demo: .venv/run $(if $(FIRMWARE),fil)
@@ -122,9 +122,12 @@ lowest: .venv/dev
 audit: .venv/dev
 	$(BIN)/pip-audit --disable-pip --require-hashes -r requirements.lock
 
-# The files of a release, in dist/: the sources, the wheel built from them, and their hashes.
+# The release of a tagged commit, in dist/: notes, sources, wheel, SBOM, docs and hashes. `make
+# reproduce`, as root, makes the release of HEAD on two empty Debians, and compares the hashes.
 release: .venv/dev
 	.ci/release
+reproduce: .venv/dev
+	$(BIN)/python -m tests.reproduce
 
 format: .venv/dev
 	$(BIN)/ruff check --fix

@@ -33,7 +33,7 @@ def lay_checkout(folder: Path) -> None:
     shutil.copytree(CHECKOUT, folder, ignore=shutil.ignore_patterns(*_NOT_SOURCES))
 
 
-def type_in(root: Path, text: str) -> None:
+def type_in(root: Path, text: str, *, within_s: float = FETCHED_S) -> None:
     """Type lines as root, before any systemd is there; what they install starts nothing."""
     policy = root / "usr/sbin/policy-rc.d"  # Debian's way to say so
     policy.write_text("#!/bin/sh\nexit 101\n")
@@ -42,11 +42,12 @@ def type_in(root: Path, text: str) -> None:
     _run(
         *("unshare", "--mount", "--pid", "--fork", "--kill-child"),
         *("sh", "-ec", shell, "sh", text),
+        within_s=within_s,
     )
     policy.unlink()
 
 
-def _run(*command: str) -> None:
+def _run(*command: str, within_s: float = FETCHED_S) -> None:
     clean = {"PATH": os.environ["PATH"], "DEBIAN_FRONTEND": "noninteractive", "LC_ALL": "C.UTF-8"}
     done = subprocess.run(
         command,
@@ -54,7 +55,7 @@ def _run(*command: str) -> None:
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
-        timeout=FETCHED_S,
+        timeout=within_s,
         check=False,
     )
     assert done.returncode == 0, f"{command}: {done.stdout[-2000:]}{done.stderr}"
