@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import sys
 from importlib.metadata import version as installed_version
 from pathlib import Path
+
+import armrig
+from numpydoc.xref import DEFAULT_LINKS
 
 sys.path.insert(0, str(Path(__file__).parent))
 
@@ -50,6 +55,17 @@ autodoc_typehints = "none"
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
+# The types in "Parameters" and "Returns" link to the classes that docs/results.md lists.
+numpydoc_xref_param_type = True
+numpydoc_xref_ignore = "all"
+DEFAULT_LINKS.clear()  # which lead to the sites of Python and numpy
+numpydoc_xref_aliases = {
+    full.rpartition(".")[2]: full
+    for full in (
+        *(f"armrig.{name}" for name in armrig.__all__ if inspect.isclass(getattr(armrig, name))),
+        *re.findall(r"~(armrig[\w.]+)", Path(__file__).with_name("results.md").read_text("utf-8")),
+    )
+}
 
 html_theme = "pydata_sphinx_theme"
 html_sidebars = {
