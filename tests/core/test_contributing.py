@@ -83,7 +83,7 @@ def test_a_name_that_is_gone_is_found(text: str) -> None:
 
 
 def test_decisions_are_numbered_without_a_hole() -> None:
-    files = sorted((ROOT / "docs" / "decisions").glob("*.md"))
+    files = sorted((ROOT / "docs" / "decisions").glob("[0-9]*.md"))
 
     assert [int(file.name[:4]) for file in files] == list(range(1, len(files) + 1))
     titles = [file.read_text(encoding="utf-8").partition("\n")[0] for file in files]
