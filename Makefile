@@ -98,7 +98,7 @@ simavr fil:
 # The site, in docs/_build/html: its first page is docs/index.html. A warning is an error, and so is
 # a dead link inside the site, a public name without an example, or an option without help.
 docs: .venv/dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/sphinx-build -q -E -W --keep-going -b html -c docs . docs/_build/html
+	OPENBLAS_NUM_THREADS=1 $(BIN)/sphinx-build -q -E -W --keep-going -d docs/_build/doctrees -b html -c docs . docs/_build/html
 	PYTHONPATH=docs $(BIN)/python -m site_parts.counts docs/_build/html
 
 # Lock the exact versions and their hashes, for all systems, here and in CI: after each change of

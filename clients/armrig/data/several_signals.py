@@ -17,7 +17,7 @@ R = TypeVar("R")
 
 _NOTE = """\
     `Signals` with several inputs or outputs are accepted, too. Their parameters and result are
-    described by help("{home}")."""
+    those of `{home}.{name}`."""
 
 
 def accepts_signals(home: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -39,7 +39,7 @@ def accepts_signals(home: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
             return f(*args, **options)
 
         summary, _, rest = (f.__doc__ or "").partition("\n\n")
-        choosing.__doc__ = f"{summary}\n\n{_NOTE.format(home=home)}\n\n{rest}"
+        choosing.__doc__ = f"{summary}\n\n{_NOTE.format(home=home, name=f.__name__)}\n\n{rest}"
         return cast("Callable[P, R]", choosing)
 
     return decorate
