@@ -124,8 +124,8 @@ def greybox(
 ) -> GreyFit:
     """Estimate physical parameters from several outputs together.
 
-    The estimate minimises the sum over the outputs of ``|e_i|²/std_i²``. The deviations std_i of the
-    noise are estimated again after each search. All outputs of an experiment have one initial
+    The estimate minimises the sum over the outputs of ``|e_i|²/std_i²``. The deviations std_i of
+    the noise are estimated again after each search. All outputs of an experiment have one initial
     state and one input offset.
 
     Parameters
