@@ -49,6 +49,8 @@ myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
 
 default_role = "autolink"
+highlight_language = "text"
+smartquotes = False  # "--" is an option
 templates_path = ["_templates"]
 autosummary_generate = True
 autodoc_typehints = "none"
