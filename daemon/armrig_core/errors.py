@@ -2,11 +2,31 @@
 
 
 class ArmrigError(Exception):
-    """An error that the user can correct; the message says what is wrong and what to do."""
+    """An error that the user can correct; the message says what is wrong and what to do.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> try:
+    ...     armrig.oe(armrig.example_recording().dataset("alpha"), nb=3)
+    ... except armrig.ArmrigError as err:
+    ...     print(err)
+    oe needs nf: oe(data, nb=…, nf=…)
+    """
 
 
 class InputError(ArmrigError, ValueError):
-    """A value or data that cannot be used; the message says what is allowed."""
+    """A value or data that cannot be used; the message says what is allowed.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> try:
+    ...     u = armrig.step(500, high=6)
+    ... except armrig.InputError as err:
+    ...     print(err)
+    high=6 V is outside the rig's 0 to 5 V
+    """
 
 
 class ParameterError(InputError):
@@ -48,7 +68,18 @@ class InputTypeError(ArmrigError, TypeError):
 
 
 class FileError(InputError):
-    """A file with unusable content; the message names the file."""
+    """A file with unusable content; the message names the file.
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> np.savetxt("table.csv", [[0, 1, 2]], delimiter=",", header="t,u,y", comments="")
+    >>> try:
+    ...     recording = armrig.load("table.csv")
+    ... except armrig.FileError as err:
+    ...     print(err)
+    table.csv: is not a recording of the rig; give a recording ...
+    """
 
 
 class MalformedReplyError(ArmrigError, ValueError):

@@ -75,6 +75,14 @@ class Dataset:
     ValueError
         The lengths differ, u or y is complex, u is masked or not finite, a valid y is not finite,
         or Ts is not > 0.
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> data = armrig.Dataset(u=[1, 1, 4, 4], y=[0.1, 0.1, 0.2, np.nan], Ts=0.01,
+    ...                       valid=[True, True, True, False], output="alpha", unit="rad")
+    >>> data
+    <Dataset: 4 samples at 0.01 s; output alpha [rad]; 1 missing (25.0 %)>
     """
 
     u: Vector
@@ -184,7 +192,15 @@ class Dataset:
         return hashlib.blake2b(b"".join(x.tobytes() for x in arrays), digest_size=8).hexdigest()
 
     def origin(self) -> dict[str, Any]:
-        """Return the fields of a `Fit` that describe its data, such as units and history."""
+        """Return the fields of a `Fit` that describe its data, such as units and history.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> origin = armrig.example_recording().dataset("alpha").origin()
+        >>> origin["output"], origin["unit"], origin["input_unit"]
+        ('alpha', 'rad', 'V')
+        """
         names = ("output", "unit", "input_unit", "source", "history", "digest")
         return {name: getattr(self, name) for name in names}
 
@@ -198,6 +214,14 @@ class Dataset:
         kind : {"time", "spectrum", "values"}
             Plot against time, the power spectra, or a histogram of the values: see `plot_data`,
             `plot_spectrum` and `plot_values` of `armrig.plots`.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("alpha")
+        >>> data.plot()
+        <Figure size ... with 2 Axes>
+        >>> data.plot("spectrum").savefig("spectrum.png")
         """
         from armrig.data.figures import plot_data, plot_spectrum, plot_values
         from armrig.plots.layout import figure_of
@@ -251,6 +275,17 @@ class Dataset:
         ------
         ValueError
             There are fewer samples than parts, or `k` is less than 1.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> first, second = armrig.example_recording().dataset("alpha").split(2)
+        >>> first.N, second.N
+        (1500, 1500)
+        >>> fit = armrig.oe(first, nb=3, nf=3)  # estimate from one half, validate with the other
+        >>> print(armrig.compare(second, fit))
+        simulation; initial state estimated from these data by least squares
+          OE[3 3 1]  fit   97.5... %  rms 0.0035... rad
         """
         require_integers(k=(k, 1))
         if not 1 <= k <= self.N:
@@ -261,7 +296,16 @@ class Dataset:
         return tuple(self[a:b] for a, b in pairwise(edges))
 
     def experiments(self) -> Iterator[Dataset]:
-        """Iterate over the experiments, each as a Dataset."""
+        """Iterate over the experiments, each as a Dataset.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> data = armrig.example_recording().dataset("alpha")
+        >>> both = armrig.merge(data.split(2))
+        >>> [experiment.N for experiment in both.experiments()]
+        [1500, 1500]
+        """
         for a, b in zip(self.starts, (*self.starts[1:], self.N), strict=True):
             yield self[a:b]
 
@@ -272,6 +316,13 @@ class Dataset:
         ------
         ValueError
             An experiment does not exist, or no number is given.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> thirds = armrig.merge(armrig.example_recording().dataset("alpha").split(3))
+        >>> thirds.select(0, 2)  # without the second third
+        <Dataset: 2000 samples at 0.01 s; output alpha [rad]; 2 experiments; ...>
         """
         parts = list(self.experiments())
         if not which or not all(0 <= i < len(parts) for i in which):
@@ -297,7 +348,16 @@ class Dataset:
         history: tuple[str, ...] | None = None,
         trends: tuple[Trend, ...] | None = None,
     ) -> Dataset:
-        """Return a copy with the given fields replaced; its history ends with `step` if given."""
+        """Return a copy with the given fields replaced; its history ends with `step` if given.
+
+        Examples
+        --------
+        >>> import armrig, numpy as np
+        >>> data = armrig.example_recording().dataset("alpha")
+        >>> degrees = data.replaced(step="converted y to degrees", y=np.rad2deg(data.y), unit="deg")
+        >>> degrees
+        <Dataset: 3000 samples at 0.01 s; output alpha [deg]; history: converted y to degrees>
+        """
         history = self.history if history is None else history
         return Dataset(
             u=self.u if u is None else u,

@@ -34,6 +34,14 @@ def merge(parts: Sequence[Any]) -> Dataset | Signals:
     ------
     ValueError
         The sequence is empty, or the parts differ in Ts, names or units.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> first, second, third = armrig.example_recording().dataset("alpha").split(3)
+    >>> data = armrig.merge([first, third])
+    >>> data.N, data.starts
+    (2000, (0, 1000))
     """
     given: Any = parts
     kinds = {type(part) for part in ((None,) if isinstance(given, Dataset | Signals) else given)}

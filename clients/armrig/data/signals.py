@@ -210,7 +210,14 @@ class Signals:
         return hashlib.blake2b(b"".join(x.tobytes() for x in arrays), digest_size=8).hexdigest()
 
     def equidistant(self) -> float:
-        """Return Ts in s, or refuse times that are not equidistant."""
+        """Return Ts in s, or refuse times that are not equidistant.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> armrig.example_recording().signals().equidistant()
+        0.01
+        """
         if self.Ts is None:
             raise InputError(
                 "the sample times are not equidistant, which a model in discrete time needs; "
@@ -219,11 +226,27 @@ class Signals:
         return self.Ts
 
     def output(self, name: str | None = None) -> int:
-        """Return the index of an output; the name may be left out if there is one output."""
+        """Return the index of an output; the name may be left out if there is one output.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> signals.outputs, signals.output("alpha")
+        (('theta_1', 'alpha'), 1)
+        """
         return _index("output", name, self.outputs)
 
     def input(self, name: str | None = None) -> int:
-        """Return the index of an input; the name may be left out if there is one input."""
+        """Return the index of an input; the name may be left out if there is one input.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> signals.u[:, signals.input("u")].max().round(1)
+        np.float64(4.5)
+        """
         return _index("input", name, self.inputs)
 
     def dataset(self, output: str | None = None, input: str | None = None) -> Dataset:
@@ -235,6 +258,13 @@ class Signals:
         ------
         ValueError
             There is no such channel, a name is needed, or the times are not equidistant.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> signals.dataset("alpha")
+        <Dataset: 3000 samples at 0.01 s; output alpha [rad]>
         """
         if (output is None and self.ny > 1) or (input is None and self.nu > 1):
             raise InputError(
@@ -262,6 +292,13 @@ class Signals:
         ------
         ValueError
             There is no such channel, or a name repeats.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> signals.channels(outputs="alpha")
+        <Signals: 3000 samples at 0.01 s; outputs alpha [rad]; inputs u [V]>
         """
         of_y = [self.output(name) for name in _sequence(self.outputs, outputs)]
         of_u = [self.input(name) for name in _sequence(self.inputs, inputs)]
@@ -311,6 +348,13 @@ class Signals:
         ------
         ValueError
             There are fewer samples than parts, or `k` is less than 1.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> first, second = armrig.example_recording().signals().split(2)
+        >>> len(first.u), len(second.u)
+        (1500, 1500)
         """
         require_integers(k=(k, 1))
         if k > self.N:
@@ -321,7 +365,16 @@ class Signals:
         return tuple(self[a:b] for a, b in pairwise(edges))
 
     def experiments(self) -> Iterator[Signals]:
-        """Iterate over the experiments, each as Signals."""
+        """Iterate over the experiments, each as Signals.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> first, second, third = armrig.example_recording().signals().split(3)
+        >>> both = armrig.merge([first, third])
+        >>> [len(experiment.u) for experiment in both.experiments()]
+        [1000, 1000]
+        """
         for a, b in zip(self.starts, (*self.starts[1:], self.N), strict=True):
             yield self[a:b]
 
@@ -342,6 +395,18 @@ class Signals:
         ValueError
             There is no such channel, or the treatment changes the sampling time of some channels
             only.
+
+        Examples
+        --------
+        The mean of alpha is removed; theta_1 integrates and keeps its level.
+
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> treated = signals.treated(armrig.detrend, "alpha")
+        >>> treated.history
+        ('removed the mean from u and y (order 0) (alpha only)',)
+        >>> abs(treated.dataset("alpha").y.mean()) < 1e-12
+        np.True_
         """
         named = set((*self.outputs, *self.inputs) if channels is None else _tuple(channels))
         if unknown := sorted(named - {*self.outputs, *self.inputs}):
@@ -388,7 +453,16 @@ class Signals:
         )
 
     def replaced(self, *, step: str | None, **fields: Any) -> Signals:
-        """Return a copy with the given fields replaced and `step`, unless None, in its history."""
+        """Return a copy with the given fields replaced and `step`, unless None, in its history.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals()
+        >>> shifted = signals.replaced(step="subtracted 2.5 V from u", u=signals.u - 2.5)
+        >>> shifted.history
+        ('subtracted 2.5 V from u',)
+        """
         values = {name: getattr(self, name) for name in self.__slots__} | fields
         t = values.pop("times")
         if step is not None:
@@ -396,7 +470,14 @@ class Signals:
         return Signals(**values | ({} if t is None else {"t": t, "Ts": None}))
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of all outputs and inputs against time."""
+        """Return a figure of all outputs and inputs against time.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> armrig.example_recording().signals().plot()
+        <Figure size ... with 3 Axes>
+        """
         from armrig.data.signal_figures import plot_signals
         from armrig.plots.layout import figure_of
 

@@ -73,6 +73,14 @@ def load_data(
         The file cannot be read as data. The message names the problem and the remedy.
     OSError
         The file cannot be read.
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> rows = [[0, 1, 0.1], [0.01, 1, 0.1], [0.02, 4, np.nan]]
+    >>> np.savetxt("mine.csv", rows, delimiter=",", header="t [s],u [V],alpha [rad]", comments="")
+    >>> armrig.load_data("mine.csv", signal="alpha")
+    <Dataset: 3 samples at 0.01 s; output alpha [rad]; 1 missing (33.3 %)>
     """
     columns = {"input": input, "signal": signal}
     return _loaded(path, lambda table, source: _dataset(table, columns, time, Ts, source))
