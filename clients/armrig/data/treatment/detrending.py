@@ -52,6 +52,15 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
     ------
     ValueError
         order is neither 0 nor 1.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.detrend(armrig.example_recording().dataset("alpha"))
+    >>> data.history
+    ('removed the mean from u and y (order 0)',)
+    >>> print(f"mean of u removed: {data.trends[0].u_level:.2f} V")
+    mean of u removed: 2.49 V
     """
     if order not in (0, 1):
         raise InputError(
@@ -112,6 +121,14 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
     ValueError
         No trend was removed from these data, or a later step made it impossible to restore the
         trend; or y is not (N,).
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> restored = armrig.retrend(armrig.detrend(data))
+    >>> np.allclose(restored.y, data.y)
+    True
     """
     if not data.trends:
         done = "; ".join(data.history) or "no step"

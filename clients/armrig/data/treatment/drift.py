@@ -73,6 +73,15 @@ def drift(
     ValueError
         The output integrates, so that its line is the response to the input, or there are too few
         samples.
+
+    Examples
+    --------
+    The drift of alpha is less than two standard deviations.
+
+    >>> import armrig
+    >>> (found,) = armrig.drift(armrig.example_recording().dataset("alpha"))
+    >>> print(f"{1e3 * found.rate:.2f} ± {1e3 * found.std:.2f} mrad/s")
+    -0.02 ± 0.06 mrad/s
     """
     found = integrating(data) if integrator is None else None
     if found or integrator:

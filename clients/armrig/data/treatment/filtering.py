@@ -63,6 +63,14 @@ def prefilter(
     ValueError
         Both or neither of numerator and band are given, the filter is unstable, the band is not
         inside 0 to pi/Ts, or all samples would be missing.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> slow = armrig.prefilter(data, band=(0, 50))
+    >>> print(slow.history[0])
+    filtered u and y with a Butterworth low-pass to 50 rad/s of order 4; ...
     """
     if (numerator is None) == (band is None):
         raise InputError(
@@ -122,6 +130,14 @@ def resample(data: Dataset, Ts: float) -> Dataset:
     ValueError
         Ts is not a multiple of the data's Ts, an experiment is too short, or all samples would be
         missing.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> slow = armrig.resample(data, Ts=0.02)
+    >>> slow.Ts, slow.N  # 8 samples are cut off at each end
+    (0.02, 1484)
     """
     from scipy.signal import firwin
 

@@ -99,6 +99,13 @@ def difference(data: Dataset) -> Dataset:
     Dataset
         N samples whose output is the rate of y, in y's unit per s; the rate of theta_1 is named
         `velocity`.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> data = armrig.difference(armrig.example_recording().dataset("theta_1"))
+    >>> data.output, data.unit
+    ('velocity', 'rad/s')
     """
     y = np.full(data.N, np.nan)
     y[1:] = np.diff(data.y) / data.Ts

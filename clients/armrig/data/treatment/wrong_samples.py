@@ -304,6 +304,16 @@ def hampel(
     ----------
     .. [1] F. R. Hampel, J. Amer. Statist. Assoc. 69 (1974) 383-393.
     .. [2] I. Chang, G. C. Tiao, C. Chen, Technometrics 30 (1988) 193-204 (additive outliers).
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> data = armrig.example_recording().dataset("alpha")
+    >>> y = data.y.copy()
+    >>> y[100] += 1.0  # a wrong sample
+    >>> found = armrig.hampel(data.replaced(step=None, y=y))
+    >>> np.flatnonzero(~found.valid)
+    array([100])
     """
     if not isinstance(data, Signals):
         return _of_dataset(data, threshold=threshold, order=order)
