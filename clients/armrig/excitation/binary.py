@@ -53,6 +53,12 @@ def telegraph(
     Notes
     -----
     telegraph.m of the handout (3.1.2) returns the values -1 and 1, which would damage the rig.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> armrig.telegraph(8, 0.3, seed=1)
+    array([0.5, 0.5, 4.5, 4.5, 4.5, 4.5, 4.5, 4.5])
     """
     require_integers(N=(N, 1))
     require_levels(low=low, high=high)
@@ -111,6 +117,15 @@ def prbs(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, section 13.3.
+
+    Examples
+    --------
+    A register of 7 bits has a period of 127 samples.
+
+    >>> import armrig
+    >>> u = armrig.prbs(254, register=7)
+    >>> bool((u[:127] == u[127:]).all())
+    True
     """
     from scipy.signal import max_len_seq
 
@@ -157,6 +172,13 @@ def white_noise(
     ------
     ValueError
         The interval is outside 0 to 5 V, or N, seed or distribution is not allowed.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> u = armrig.white_noise(1000, seed=1)
+    >>> print(f"{u.min():.1f} to {u.max():.1f} V, standard deviation {u.std():.1f} V")
+    0.5 to 4.5 V, standard deviation 1.2 V
     """
     from scipy.special import ndtr, ndtri
 

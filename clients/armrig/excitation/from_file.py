@@ -52,6 +52,14 @@ def from_csv(
         message names the first such row.
     OSError
         The file cannot be read.
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> rows = [[0, 1], [0.01, 1], [0.02, 4]]
+    >>> np.savetxt("mine.csv", rows, delimiter=",", header="t,u", comments="")
+    >>> armrig.from_csv("mine.csv", Ts=0.01)
+    array([1., 1., 4.])
     """
     path = Path(path)
     _require_figures(Ts, low, high)

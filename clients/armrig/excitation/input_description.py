@@ -130,6 +130,17 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 13.2 and 13.3.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> found = armrig.describe_input(armrig.telegraph(1000, 0.05), Ts=0.01)
+    >>> found.order
+    50
+    >>> print(found)
+    input of 1000 samples at 0.01 s (10 s), 0.5 to 4.5 V
+      mean 2.744 V, effective value about it 1.985 V, crest factor 1.13
+      ...
     """
     u_ = column("u", u)
     if not np.isfinite(u_).all():

@@ -38,6 +38,12 @@ def step(N: int, *, low: float = 0.5, high: float = 4.5, at: int = 0) -> Vector:
     ------
     ValueError
         A level is outside 0 to 5 V, or N or `at` is not allowed.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> armrig.step(5, at=2)
+    array([0.5, 0.5, 4.5, 4.5, 4.5])
     """
     require_integers(N=(N, 1), at=(at, 0))
     require_levels(low=low, high=high)
@@ -74,6 +80,12 @@ def staircase(
     ValueError
         A level is outside [low, high], or there are more levels than samples. The message names the
         first level outside.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> armrig.staircase(6, [1, 2, 3])
+    array([1., 1., 2., 2., 3., 3.])
     """
     require_integers(N=(N, 1))
     require_levels(low=low, high=high)

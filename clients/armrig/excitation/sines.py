@@ -62,6 +62,13 @@ def multisine(
     ----------
     .. [1] R. Pintelon, J. Schoukens, *System Identification: A Frequency Domain Approach*,
        2nd ed., 2012, section 5.3.
+
+    Examples
+    --------
+    >>> import armrig, numpy as np
+    >>> u = armrig.multisine(1000, lines=[1, 3, 5])
+    >>> np.flatnonzero(abs(np.fft.rfft(u)) > 1e-6)  # 0 is the mean
+    array([0, 1, 3, 5])
     """
     require_integers(N=(N, 1), periods=(periods, 1))
     require_levels(low=low, high=high)
@@ -138,6 +145,13 @@ def chirp(
     ------
     ValueError
         The interval is outside 0 to 5 V, or a frequency is not between 0 and 1/(2 Ts).
+
+    Examples
+    --------
+    >>> import armrig
+    >>> u = armrig.chirp(1000, 0.01, from_hz=0.1, to_hz=10)
+    >>> print(f"{u.size} samples, {u.min():.1f} to {u.max():.1f} V")
+    1000 samples, 0.5 to 4.5 V
     """
     require_integers(N=(N, 1))
     require_levels(low=low, high=high)

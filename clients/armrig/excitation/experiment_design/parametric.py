@@ -73,6 +73,15 @@ def predicted_std(
     References
     ----------
     .. [1] L. Ljung, *System Identification*, 2nd ed., 1999, sections 7.4, 9.4 and 13.2.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> model = armrig.PlannedModel(B=[0, 0.1], F=[1, -0.9], noise_variance=1e-4, Ts=0.01)
+    >>> print(armrig.predicted_std(model, armrig.telegraph(1000, 0.05)))
+    predicted for 1000 samples in 10 s:
+      b1 = 0.1 ± 4.1e-05 (0.041 %)
+      f1 = -0.9 ± 4.2e-05 (0.0047 %)
     """
     variance = model.noise_variance if noise_variance is None else noise_variance
     if not (np.isfinite(variance) and variance > 0):
@@ -211,6 +220,13 @@ class PlannedModel:
     ------
     ValueError
         A denominator does not begin with 1 or is unstable, or all coefficients of B are 0.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> model = armrig.PlannedModel(B=[0, 0.1], F=[1, -0.9], noise_variance=1e-4, Ts=0.01)
+    >>> model.B, model.F
+    (array([0. , 0.1]), array([ 1. , -0.9]))
     """
 
     B: Vector

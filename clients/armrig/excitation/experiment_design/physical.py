@@ -65,6 +65,18 @@ def predicted_parameter_std(
     ------
     ValueError
         A parameter or output does not exist, or the input cannot determine all free parameters.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> u = armrig.telegraph(1000, 0.05)
+    >>> found = armrig.predicted_parameter_std(
+    ...     armrig.arm, u, Ts=0.01, noise_variance=1e-5, free=("J_1", "K_lin"), output="alpha"
+    ... )
+    >>> print(found)
+    predicted for 1000 samples in 10 s:
+      J_1 = 0.0017 ± 4.5e-06 (0.27 %)
+      K_lin = 1.19 ± 0.00059 (0.05 %)
     """
     require_numbers(noise_variance=noise_variance, Ts=Ts)
     p = ArmParameters() if fixed is None else fixed
