@@ -83,7 +83,17 @@ class LeftOut(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
 class Catalogue:
-    """The recordings of a folder, newest first; `len` returns their number."""
+    """The recordings of a folder, newest first; `len` returns their number.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> table = armrig.catalogue(armrig.example_recording().path.parent)
+    >>> len(table), table.unfinished
+    (1, ())
+    >>> table.recordings[0].experiment, table.recordings[0].samples
+    ('blackbox', 3000)
+    """
 
     folder: Path
     """Folder of the recordings."""
@@ -103,6 +113,13 @@ class Catalogue:
 
         `started` is in UTC, to the millisecond; NaT if a recording contains no valid time of its
         start.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> columns = armrig.catalogue(armrig.example_recording().path.parent).columns()
+        >>> columns["samples"], columns["Ts"]
+        (array([3000]), array([0.01]))
         """
         return columns(self.recordings)
 
@@ -113,6 +130,14 @@ class Catalogue:
         ------
         ImportError
             pandas is not installed.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> table = armrig.catalogue(armrig.example_recording().path.parent)
+        >>> table.to_pandas()[["experiment", "samples", "Ts"]]
+          experiment  samples    Ts
+        0   blackbox     3000  0.01
         """
         pandas = imported("pandas", "pandas")
         frame: DataFrame = pandas.DataFrame(self.columns())
@@ -128,6 +153,13 @@ class Catalogue:
             pyarrow is not installed.
         OSError
             The file cannot be written.
+
+        Examples
+        --------
+        >>> import armrig, pandas
+        >>> armrig.catalogue(armrig.example_recording().path.parent).to_parquet("all.parquet")
+        >>> pandas.read_parquet("all.parquet").shape
+        (1, 20)
         """
         pyarrow = imported("pyarrow", "parquet")
         parquet = imported("pyarrow.parquet", "parquet")
@@ -168,6 +200,17 @@ def catalogue(folder: str | Path) -> Catalogue:
     ------
     OSError
         The folder does not exist or cannot be read.
+
+    Examples
+    --------
+    The example uses the folder of the example recording.
+
+    >>> import armrig
+    >>> folder = armrig.example_recording().path.parent
+    >>> armrig.catalogue(folder)
+    <Catalogue: 1 recordings in ...>
+    >>> [recording.run_id for recording in armrig.catalogue(folder).recordings]
+    ['64ad4518']
     """
     folder = Path(folder)
     looked_ns, files = now_ns(), found_files(folder)

@@ -91,6 +91,13 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
     -------
     SamplingStatistics
         Times in µs, and numbers of samples. Times are NaN if there are too few samples.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> found = armrig.sampling_statistics(armrig.example_recording())
+    >>> found.mean_us, found.std_us, found.missing
+    (10000.0, 0.0, 0)
     """
     t = intervals_us(recording)
     some = t if t.size else np.full(1, np.nan)

@@ -83,6 +83,14 @@ def load(
         read. The parts belong to different runs, or the range contains no sample.
     OSError
         The file cannot be opened or read.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> path = armrig.example_recording().path
+    >>> recording = armrig.load(path, start=5.0, stop=10.0)
+    >>> recording.N, recording.Ts
+    (500, 0.01)
     """
     given = [path] if isinstance(path, str | Path) else path
     if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):

@@ -45,6 +45,15 @@ class Recording:
 
     The grid is complete, from the first sample that was due to the last. In the row of a missing
     sample, `theta_1` and `alpha` are NaN. Every formula that uses them then returns NaN.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> recording = armrig.example_recording()
+    >>> recording
+    <Recording 2ac691c3170e: blackbox, 3000 samples at 0.01 s; 97 in the dead band or just after>
+    >>> recording.alpha[:3].round(3), recording.gaps
+    (array([0.006, 0.   , 0.   ]), ())
     """
 
     path: Path
@@ -145,7 +154,15 @@ class Recording:
         return self.sha256[:12]
 
     def channel(self, name: str) -> Channel:
-        """Return the values of a channel of the rig, such as "alpha"."""
+        """Return the values of a channel of the rig, such as "alpha".
+
+        Examples
+        --------
+        >>> import armrig
+        >>> alpha = armrig.example_recording().channel("alpha")
+        >>> alpha.y.shape, bool(alpha.valid.all())
+        ((3000,), True)
+        """
         if name in self.others:
             return self.others[name]
         (valid,) = (c.valid for c in telemetry.CHANNELS if c.name == name)
@@ -167,6 +184,15 @@ class Recording:
         ------
         FileError
             There is no valid sample, or the output does not exist.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> recording = armrig.example_recording()
+        >>> recording.dataset("alpha")
+        <Dataset: 3000 samples at 0.01 s; output alpha [rad]>
+        >>> recording.dataset("velocity").unit
+        'rad/s'
         """
         outputs = {c.name: c for c in telemetry.CHANNELS}
         outputs |= {c.rate: c for c in telemetry.CHANNELS if c.rate}
@@ -210,6 +236,13 @@ class Recording:
         ------
         FileError
             An output has no valid sample, or does not exist.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> signals = armrig.example_recording().signals(["theta_1", "alpha"])
+        >>> signals.outputs, signals.inputs
+        (('theta_1', 'alpha'), ('u',))
         """
         each = [self.dataset(output) for output in outputs]
         if not each:
@@ -236,19 +269,43 @@ class Recording:
         ------
         ImportError
             pandas is not installed.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> table = armrig.example_recording().to_pandas()
+        >>> table.index.name, len(table)
+        ('t', 3000)
+        >>> table[["u", "alpha"]].loc[1.0].round(2).to_dict()
+        {'u': 4.5, 'alpha': -0.31}
         """
         from armrig.recordings.export import to_pandas
 
         return to_pandas(self)
 
     def to_xarray(self) -> XarrayDataset:
-        """Return the columns of the export as an xarray.Dataset over t in s, with units."""
+        """Return the columns of the export as an xarray.Dataset over t in s, with units.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> table = armrig.example_recording().to_xarray()
+        >>> table.sizes["t"], table.attrs["unit_alpha"]
+        (3000, 'rad')
+        """
         from armrig.recordings.export import to_xarray
 
         return to_xarray(self)
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of theta_1 and u against time: see `armrig.plots.plot_data`."""
+        """Return a figure of theta_1 and u against time: see `armrig.plots.plot_data`.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> armrig.example_recording().plot()
+        <Figure size ... with 2 Axes>
+        """
         from armrig.data.figures import plot_data
         from armrig.plots.layout import figure_of
 

@@ -117,6 +117,17 @@ def data_verdict(recording: Recording) -> DataVerdict:
     -------
     DataVerdict
         Findings, with `usable` and `warnings`, and the numbers from which they follow.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> verdict = armrig.data_verdict(armrig.example_recording())
+    >>> verdict.usable, verdict.warnings
+    (True, ())
+    >>> print(verdict)
+    recording 2ac691c3170e: can be used
+      samples  all 3000 samples arrived
+      ...
     """
     came = recording.samples.size
     known = np.count_nonzero(recording.valid & np.isfinite(recording.u))
