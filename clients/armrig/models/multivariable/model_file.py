@@ -42,6 +42,15 @@ def load_fit(path: str | PathLike[str]) -> Fit | MultivariableFit:
         The file contains no model, has another format version, or is damaged.
     OSError
         The file cannot be read.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> fit = armrig.oe(armrig.example_recording().dataset("alpha"), nb=3, nf=3)
+    >>> fit.save("alpha.json")
+    >>> loaded = armrig.load_fit("alpha.json")
+    >>> loaded.heading, bool((loaded.theta == fit.theta).all())
+    ('OE(nb=3, nf=3, nk=1)', True)
     """
     path = Path(path)
     try:
