@@ -20,12 +20,27 @@ MODULES = [
     for path in sorted((root / name).rglob("*.py"))
     if ">>> " in path.read_text(encoding="utf-8")
 ]
+LIVE = "running(["
+"""Code of an example that starts an emulated rig, which is real time."""
 EXAMPLES = [
-    pytest.param(example, id=example.name)
+    pytest.param(
+        example, id=example.name, marks=[pytest.mark.real_time] * (LIVE in example.docstring)
+    )
     for module in MODULES
     for example in doctest.DocTestFinder().find(import_module(module))
     if example.examples
 ]
+
+
+@pytest.fixture(autouse=True)
+def own_directories(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Keep the socket, settings and recordings of an example apart from those of the user."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("s")))
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
+    monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path / "data"))
 
 
 @pytest.mark.parametrize("example", EXAMPLES)

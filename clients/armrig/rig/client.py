@@ -74,6 +74,20 @@ class Rig:
         cannot be used.
     ValueError
         The id is not valid.
+
+    Examples
+    --------
+    The example starts an emulated rig. While `armrig lab` runs, only the inner block is needed.
+
+    >>> import armrig
+    >>> from pathlib import Path
+    >>> from armrig.rig.local_daemon import running
+    >>> with running(["--emulate"], rig="1", log=Path("log")):
+    ...     with armrig.Rig("1") as rig:
+    ...         granted = rig.arm("a student", Ts=0.01)
+    ...         path = rig.run(armrig.step(50, at=20))
+    >>> armrig.load(path).N
+    50
     """
 
     def __init__(
@@ -117,7 +131,19 @@ class Rig:
             self._session = None
 
     def status(self) -> commands.StatusReport:
-        """Return the daemon's status; repeat the query for up to 2.5 s if the daemon is busy."""
+        """Return the daemon's status; repeat the query for up to 2.5 s if the daemon is busy.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     granted = rig.arm("a student")
+        ...     status = rig.status()
+        >>> status.phase, status.owner, status.u_max
+        ('armed', 'a student', 5.0)
+        """
         return self._ask_again(commands.Status(), commands.StatusReport)
 
     def arm(self, owner: str, Ts: float | None = None) -> commands.LeaseGranted:
@@ -142,6 +168,16 @@ class Rig:
             exception is a `BusyError` if the rig or its host was not ready within 2.5 s.
         NoReplyError
             The daemon does not answer.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     granted = rig.arm("a student", Ts=0.005)
+        >>> granted.Ts, granted.u_min, granted.u_max
+        (0.005, 0.0, 5.0)
         """
         granted = self._ask_again(commands.Arm(owner=owner, Ts=Ts), commands.LeaseGranted)
         self._lease, self._n, self._owner = granted.lease, 0, owner
@@ -203,6 +239,20 @@ class Rig:
         ValueError
             `u` does not have the shape (N,), or a voltage is not allowed or not a number. Nothing
             was sent.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> u = armrig.telegraph(50, 0.1, seed=1)
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     granted = rig.arm("a student", Ts=0.01)
+        ...     path = rig.run(u, experiment="blackbox", details={"seed": 1})
+        >>> rig.last_run.outcome, rig.last_run.samples
+        ('complete', 50)
+        >>> abs(armrig.load(path).u - u).max() < 0.005  # a step of the motor's driver
+        np.True_
         """
         voltage = self._allowed(u)
         request = commands.Run(
@@ -273,6 +323,20 @@ class Rig:
             The rig is not armed, or another client has the lease.
         ValueError
             The voltage is not allowed or not a number; nothing was sent.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     granted = rig.arm("a student")
+        ...     for sample in rig.stream():
+        ...         rig.set(2.0)  # again within granted.period_s
+        ...         if sample.u_applied_v > 0:
+        ...             break
+        >>> print(f"{sample.u_applied_v:.1f} V")
+        2.0 V
         """
         (volts,) = self._allowed([u])
         self._ask(commands.Set(**self._stamp(), u=float(volts)), commands.Done)
@@ -291,6 +355,18 @@ class Rig:
             The daemon does not answer. Without its daemon, a device stops the motor by itself.
         RigError
             The answer does not confirm the stop: pull the motor's plug.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     granted = rig.arm("a student")
+        ...     rig.stop()
+        ...     status = rig.status()
+        >>> status.phase, status.owner
+        ('safe', '')
         """
         who = by or self._owner or this_user()
         try:
@@ -328,6 +404,17 @@ class Rig:
             The daemon does not answer.
         ValueError
             The text is not allowed; nothing was sent.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     granted = rig.arm("a student")
+        ...     path = rig.run(armrig.step(50), accepted=lambda run: rig.note("the lamp is on"))
+        >>> [note.text for note in armrig.load(path).notes]
+        ['the lamp is on']
         """
         commands.check_note(text)  # a network drops a long message without an answer
         request = commands.Note(text=text, owner=(owner or self._owner or this_user())[:80])
@@ -343,7 +430,18 @@ class Rig:
             ) from err
 
     def reset(self) -> bool:
-        """Clear a latched fault; the rig is then disarmed. Return True if there was a fault."""
+        """Clear a latched fault; the rig is then disarmed. Return True if there was a fault.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     was_in_fault = rig.reset()
+        >>> was_in_fault
+        False
+        """
         return self._ask_again(commands.Reset(), commands.Done).done
 
     def calibrate(self, path: str | Path) -> None:
@@ -364,23 +462,76 @@ class Rig:
             The file contains no calibration; this exception is a ValueError.
         RefusedError
             A client has the lease, the rig is in a fault, or the calibration is of another rig.
+
+        Examples
+        --------
+        The daemon accepts the file of `armrig calibrate`, and refuses a file without measurements.
+
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> _ = Path("mine.toml").write_text("alpha = {zero_counts = 32800.0}")
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     try:
+        ...         rig.calibrate("mine.toml")
+        ...     except armrig.RigError as err:
+        ...         print(err)
+        the calibration does not say how it was made; `armrig calibrate` makes one
         """
         found = read_calibration(Path(path))
         request = commands.Calibrate(calibration=found, raw=raw_samples(found))
         self._ask_again(request, commands.Done)
 
     def disarm(self) -> None:
-        """Give up the lease of the rig, at 0 V."""
+        """Give up the lease of the rig, at 0 V.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     granted = rig.arm("a student")
+        ...     rig.disarm()
+        ...     status = rig.status()
+        >>> status.phase, status.owner
+        ('safe', '')
+        """
         stamp = self._stamp()
         self._lease = ""
         self._ask(commands.Disarm(**stamp), commands.Done)
 
     def stream(self, name: str = "sample") -> Iterator[Any]:
-        """Iterate over the messages that the rig publishes after this call: see `armrig.stream`."""
+        """Iterate over the messages that the rig publishes after this call: see `armrig.stream`.
+
+        Examples
+        --------
+        >>> import armrig
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     samples = rig.stream()
+        ...     first, second = next(samples), next(samples)
+        >>> second.k - first.k
+        1
+        """
         return listen(self._connected(), topics.stream_key(self.rig, name), self.endpoint)
 
     def arrivals(self, name: str) -> AbstractContextManager[Callable[[], list[Any]]]:
-        """Yield, in a `with` block, a function that returns the new messages without waiting."""
+        """Yield, in a `with` block, a function that returns the new messages without waiting.
+
+        Examples
+        --------
+        >>> import armrig, time
+        >>> from pathlib import Path
+        >>> from armrig.rig.local_daemon import running
+        >>> with running(["--emulate"], rig="1", log=Path("log")), armrig.Rig("1") as rig:
+        ...     with rig.arrivals("sample") as new_samples:
+        ...         time.sleep(0.5)
+        ...         samples = new_samples()
+        >>> len(samples) > 10
+        True
+        """
         return arrivals(self._connected(), topics.stream_key(self.rig, name))
 
     def _allowed(self, u: ArrayLike) -> NDArray[np.float64]:

@@ -20,7 +20,20 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveGap:
-    """Consecutive samples that a listener does not receive; a stream yields it in their place."""
+    """Consecutive samples that a listener does not receive; a stream yields it in their place.
+
+    Examples
+    --------
+    A listener that receives the samples 502 and 505 missed the two samples between them.
+
+    >>> import armrig
+    >>> from armrig.rig.live_gaps import gaps_between
+    >>> from armrig_core.telemetry import Sample
+    >>> rows = armrig.example_recording().samples[[0, 3]]
+    >>> (gap,) = gaps_between(*(Sample._make(row.tolist()) for row in rows), [])
+    >>> gap.k_first, gap.count, gap.reason
+    (503, 2, 'the listener, or the way to it, did not keep up')
+    """
 
     k_first: int
     """Index of the first missing sample, as in `Sample.k`."""

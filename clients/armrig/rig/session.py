@@ -43,7 +43,18 @@ _SILENT = "no answer: check that the host is on, and that no firewall blocks the
 
 
 class RigError(OperationError):
-    """A rig refuses, or the connection to a rig fails; the message contains the remedy."""
+    """A rig refuses, or the connection to a rig fails; the message contains the remedy.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> try:
+    ...     with armrig.Rig("no-such-rig") as rig:
+    ...         print(rig.status())
+    ... except armrig.RigError as err:
+    ...     print(err)
+    no reply from rig no-such-rig ...
+    """
 
     def __init__(self, message: str) -> None:
         """Store the message; unprintable characters, which others may write, are escaped."""

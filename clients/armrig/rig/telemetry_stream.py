@@ -64,6 +64,18 @@ def stream(
         The socket's directory may belong to another user, or a message did not come from armrigd.
     ValueError
         The key is not a stream of a rig.
+
+    Examples
+    --------
+    >>> import armrig
+    >>> from pathlib import Path
+    >>> from armrig.rig.local_daemon import running
+    >>> with running(["--emulate"], rig="1", log=Path("log")):
+    ...     for sample in armrig.stream("rig/1/sample"):
+    ...         if not isinstance(sample, armrig.LiveGap):
+    ...             break
+    >>> sample.u_applied_v
+    0.0
     """
     rig, _ = _stream_of(key)
     connection = open_connection(connect, rig=rig, certificate=certificate)
