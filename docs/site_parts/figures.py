@@ -44,10 +44,24 @@ def _drawn_by_armrig(path: Path) -> bool:
 
 
 def mark(app: Any, document: nodes.document) -> None:
-    """Mark armrig's figures, so that the theme gives them no white background in dark mode."""
-    for image in document.findall(nodes.image):
-        if _drawn_by_armrig(Path(app.srcdir, image["uri"])):
+    """Mark armrig's figures, so that the theme gives them no white background in dark mode.
+
+    A picture NAME that has a second file, NAME-dark, is shown in light mode only, and the second
+    file in dark mode.
+    """
+    for image in list(document.findall(nodes.image)):
+        path = Path(app.srcdir, image["uri"])
+        dark = path.with_stem(f"{path.stem}-dark")
+        if _drawn_by_armrig(path):
             image["classes"].append("dark-light")
+        elif dark.exists():
+            second = image.copy()
+            second["uri"] = str(dark.relative_to(app.srcdir))
+            second["candidates"] = {"*": second["uri"]}
+            app.env.images.add_file(app.env.docname, second["uri"])
+            second["classes"] = ["only-dark", "dark-light"]
+            image["classes"].append("only-light")
+            image.parent.insert(image.parent.index(image) + 1, second)
 
 
 def adapt(app: Any, failure: Exception | None) -> None:
