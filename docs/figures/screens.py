@@ -24,8 +24,16 @@ SPINNER = re.compile("[\u2800-\u28ff]")
 LIGHT = TerminalTheme(
     (255, 255, 255),
     (34, 34, 34),
-    [(0, 0, 0), (176, 0, 0), (0, 110, 0), (130, 90, 0), (0, 70, 170), (130, 0, 130), (0, 110, 120)]
-    + [(90, 90, 90)],
+    [
+        (0, 0, 0),
+        (176, 0, 0),
+        (0, 110, 0),
+        (130, 90, 0),
+        (0, 70, 170),
+        (130, 0, 130),
+        (0, 110, 120),
+        (90, 90, 90),
+    ],
 )
 PAGE = """<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {terminal_width} {terminal_height}">
 <style>.{unique_id}-matrix {{ font: {char_height}px monospace }} {styles}</style>
