@@ -163,7 +163,7 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     ----------
     data : Dataset
         At least one step up or down after 8 samples of rest. Missing samples and several
-        experiments are allowed.
+        experiments are allowed. A step with fewer than 2 samples just before it is left out.
     integrator : bool, optional
         As in `etfe`.
 
@@ -175,7 +175,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     Raises
     ------
     ValueError
-        u has no step with long holds before and after, or y does not respond.
+        u has no step with long holds before and after, y is missing just before each step, or y
+        does not respond.
 
     References
     ----------
@@ -276,7 +277,21 @@ def _steps(data: Dataset) -> _Steps:
         )
     longest = max(min(pre, post) for _, _, pre, post in found)
     kept = [f for f in found if min(f[2], f[3]) >= longest // 2]
-    return _Steps([f[:2] for f in kept], min(f[2] for f in kept), min(f[3] for f in kept))
+    pre, post = min(f[2] for f in kept), min(f[3] for f in kept)
+    valid = [part.valid for part in data.experiments()]
+    at = [f[:2] for f in kept if np.count_nonzero(valid[f[0]][_before(f[1], pre)]) >= 2]
+    if not at:
+        raise InputError(
+            f"{data.output} has fewer than 2 samples just before each step of u "
+            f"({plural(len(kept), 'step')}), so that the level before a step is unknown; record "
+            "the step again at another angle of the chassis (`armrig collect step --at SECONDS`)"
+        )
+    return _Steps(at, pre, post)
+
+
+def _before(at: int, pre: int) -> slice:
+    """Return the samples before a step from which its level is computed."""
+    return slice(at - pre // 2 - 1, at)
 
 
 def _averaged(
@@ -294,7 +309,7 @@ def _averaged(
     for i, at in steps.at:
         part = parts[i]
         size = part.u[at] - part.u[at - 1]
-        near = slice(at - steps.pre // 2 - 1, at)
+        near = _before(at, steps.pre)
         y, known = part.y[at - steps.pre : at + steps.post], part.valid[near]
         there = np.arange(near.start - at, 0)[known]
         before = np.polyfit(there, part.y[near][known], 1 if slope else 0)

@@ -12,6 +12,8 @@ from armrig.data.merging import merge
 from armrig.estimation.nonparametric.step_analysis import StepAnalysis, step_analysis
 from armrig.numerics.polynomial import filtered
 from armrig.numerics.quantities import with_std
+from armrig.recordings.example import example_recording
+from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
 TS, TAU, GAIN = 0.01, 0.2, 3.0
@@ -177,6 +179,31 @@ def test_what_has_no_step_is_refused() -> None:
     said = "the response has not settled in the last third of the hold: hold u longer"
     assert said in short.warnings
     assert said not in step_analysis(first_order(), integrator=False).warnings
+
+
+@pytest.mark.parametrize("integrator", [False, True])
+def test_a_step_without_a_known_level_before_it_is_left_out(integrator: bool) -> None:
+    """The output is missing just before the first of two steps, as in a dead band."""
+    first, second = first_order(std=0.01), first_order(std=0.01, down=True, seed=2)
+    gap = (np.arange(first.N) >= 40) & (np.arange(first.N) < 105)
+    y = np.cumsum(first.y) if integrator else first.y
+    late = np.cumsum(second.y) if integrator else second.y
+    part = Dataset(u=first.u, y=np.where(gap, np.nan, y), Ts=TS, valid=~gap)
+    whole = Dataset(u=second.u, y=late, Ts=TS)
+
+    found = step_analysis(merge([part, whole]), integrator=integrator)
+
+    assert found.steps == 1
+    assert found.tau == pytest.approx(TAU, rel=0.1)
+    with pytest.raises(InputError, match=r"y.* has fewer than 2 samples .* \(1 step\), .*; record"):
+        step_analysis(part, integrator=integrator)
+
+
+def test_the_steps_of_a_telegraph_signal_are_analysed_despite_the_dead_band() -> None:
+    recording = example_recording()
+
+    for output in ("theta_1", "velocity"):
+        step_analysis(recording.dataset(output))
 
 
 @pytest.mark.parametrize(("before", "is_told"), [(20, True), (60, True), (160, False)])
