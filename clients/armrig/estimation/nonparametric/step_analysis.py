@@ -282,9 +282,9 @@ def _steps(data: Dataset) -> _Steps:
     at = [f[:2] for f in kept if np.count_nonzero(valid[f[0]][_before(f[1], pre)]) >= 2]
     if not at:
         raise InputError(
-            f"{data.output} has fewer than 2 samples just before each step of u "
-            f"({plural(len(kept), 'step')}), so that the level before a step is unknown; record "
-            "the step again at another angle of the chassis (`armrig collect step --at SECONDS`)"
+            f"{data.output} has fewer than 2 samples just before each of u's "
+            f"{plural(len(kept), 'step')}: record the step again at another angle of the chassis "
+            "(`armrig collect step --at SECONDS`)"
         )
     return _Steps(at, pre, post)
 

@@ -195,7 +195,7 @@ def test_a_step_without_a_known_level_before_it_is_left_out(integrator: bool) ->
 
     assert found.steps == 1
     assert found.tau == pytest.approx(TAU, rel=0.1)
-    with pytest.raises(InputError, match=r"y.* has fewer than 2 samples .* \(1 step\), .*; record"):
+    with pytest.raises(InputError, match=r"y.* has fewer than 2 samples .* u's 1 step: record"):
         step_analysis(part, integrator=integrator)
 
 
