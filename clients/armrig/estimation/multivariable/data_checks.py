@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
-from armrig.models.multivariable.fit import Form
+from armrig.models.multivariable.fit import Form, OutputQuality
 from armrig.numerics.least_squares import orthonormal
 
 _CIRCLE_TOLERANCE = 1e-6
@@ -40,6 +40,21 @@ def instability(form: Form) -> Iterator[EstimateFinding]:
             "bound",
             modulus=largest,
         )
+
+
+def poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[EstimateFinding]:
+    """Yield a warning for each output that the model predicts worse than a constant."""
+    remedy = "use another order, or ss"
+    if data.missing:
+        remedy = f"{data.missing} values are missing and count as 0 in the prediction; use oe or bj"
+    for name, found in zip(data.outputs, quality, strict=True):
+        if found.fit_percent < 0:
+            yield warning(
+                "poor_fit",
+                f"the model predicts {name} worse than the mean of {name} does "
+                f"(fit {found.fit_percent:.0f} %): {remedy}",
+                fit_percent=found.fit_percent,
+            )
 
 
 def require_informative(data: Signals) -> None:

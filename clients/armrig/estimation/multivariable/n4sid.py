@@ -13,6 +13,7 @@ from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import (
     instability,
     origin,
+    poor_fits,
     require_informative,
 )
 from armrig.estimation.multivariable.inference import pairwise_covariance, quality_of
@@ -140,6 +141,7 @@ def n4sid(
         ([e[:, k] * sy[k] for e in residuals], [p.y[:, k] for p in data.experiments()])
         for k in range(data.ny)
     ]
+    quality = tuple(quality_of(e, y, parameters) for e, y in outputs)
     return MultivariableFit(
         structure="n4sid",
         orders=f"order={n}, nk={delays[0] if len(set(delays)) == 1 else list(delays)}",
@@ -147,8 +149,8 @@ def n4sid(
         covariance=scale[:, None] * covariance * scale,
         covariance_robust=scale[:, None] * covariance * scale,
         noise_covariance=pairwise_covariance(np.vstack(residuals)) * np.outer(sy, sy),
-        quality=tuple(quality_of(e, y, parameters) for e, y in outputs),
-        findings=tuple(instability(form)),
+        quality=quality,
+        findings=(*instability(form), *poor_fits(data, quality)),
         **origin(data),
     )
 

@@ -202,6 +202,19 @@ def test_missing_outputs_of_an_output_error_model_are_left_out() -> None:
     np.testing.assert_allclose(nearest(fit.poles().values), POLES, atol=0.03)
 
 
+def test_a_subspace_estimate_worse_than_the_mean_is_reported() -> None:
+    """theta_1 is far from 0, so a missing value that counts as 0 spoils the prediction."""
+    poor = armrig.n4sid(armrig.example_recording().signals(), 4, replicates=0)
+    good = armrig.n4sid(data(), 3, replicates=0)
+
+    (found,) = poor.findings
+    assert (found.level, found.about) == ("warning", "poor_fit")
+    assert found.text.startswith("the model predicts alpha worse than the mean of alpha does")
+    assert "97 values are missing" in found.text
+    assert found.numbers["fit_percent"] == poor.quality[1].fit_percent < 0
+    assert not good.findings
+
+
 def test_weights_choose_the_output_that_a_simple_model_fits() -> None:
     signals = data()
     by_noise = armrig.ss(signals, order=1)
