@@ -1,5 +1,5 @@
 // What a CRC-32 costs an AVR, in cycles: by the core's table of 256 entries, and by one of 16.
-// docs/benchmarks.md says how it is built and run.
+// docs/benchmarks/firmware.md says how it is built and run.
 #include <avr/interrupt.h>
 #include <avr/io.h>
 #include <avr/sleep.h>
