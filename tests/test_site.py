@@ -13,7 +13,9 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 sys.path.insert(0, str(DOCS))
 PAGES = [
-    path for path in sorted(DOCS.rglob("*.md")) if not {"generated", "decisions"} & set(path.parts)
+    path
+    for path in sorted(DOCS.rglob("*.md"))
+    if not {"generated", "decisions", "benchmarks"} & set(path.parts)
 ]
 _FIRST_COMMAND = re.compile(r"^```(?:sh|python)$|`armrigd? [a-z]", re.MULTILINE)
 
