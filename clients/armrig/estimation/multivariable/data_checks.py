@@ -44,15 +44,12 @@ def instability(form: Form) -> Iterator[EstimateFinding]:
 
 def poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[EstimateFinding]:
     """Yield a warning for each output that the model predicts worse than a constant."""
-    remedy = "use another order, or ss"
-    if data.missing:
-        remedy = f"{data.missing} values are missing and count as 0 in the prediction; use oe or bj"
     for name, found in zip(data.outputs, quality, strict=True):
         if found.fit_percent < 0:
             yield warning(
                 "poor_fit",
                 f"the model predicts {name} worse than the mean of {name} does "
-                f"(fit {found.fit_percent:.0f} %): {remedy}",
+                f"(fit {found.fit_percent:.2g} %): use another order, or ss",
                 fit_percent=found.fit_percent,
             )
 

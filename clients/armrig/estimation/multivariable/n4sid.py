@@ -43,6 +43,8 @@ _MAX_SUGGESTED_ORDER = 10
 _STEP = 1e-6  # of an entry of the matrices, for a derivative
 _RANK_TOLERANCE = 1e-8  # of the derivatives, which are 0 for a change of coordinates
 _MIN_HORIZON = 10
+_MAX_PASSES = 20
+_SMALL_CHANGE = 0.3  # of a predicted missing output, in standard deviations of the noise
 _REPLICATES = 100
 
 
@@ -129,8 +131,7 @@ def n4sid(
     found = projected(whole, i, weights)
     n = _suggested_order(found) if order is None else int(order)
     direct = max(delays) == 0
-    model = _completed(signals, *realised(found, n), direct=direct)
-    residuals = _residuals(signals, model)
+    model, residuals = _estimated(signals, *realised(found, n), direct=direct)
     covariance = _replicated(
         signals, model, residuals, i, weights, direct=direct, replicates=replicates, seed=seed
     )
@@ -178,32 +179,73 @@ def _suggested_order(found: Projected) -> int:
     return 1 + int(np.argmin(scores))
 
 
-def _completed(
+def _estimated(
     signals: Sequence[tuple[Array, Array]], A: Array, C: Array, K: Array, *, direct: bool
-) -> _Model:
-    """Return the model with the B, D and initial states that minimise the one-step errors."""
+) -> tuple[_Model, list[Array]]:
+    """Return the model with given A, C and K, and its one-step errors, NaN where y is missing.
+
+    Where an output is missing, the predictor uses its own prediction. The first predictions are
+    simulated outputs plus the error of the simulation, interpolated over the gap.
+    """
+    outputs = [y for _, y in signals]
+    known, passes = outputs, 0
+    if not all(np.isfinite(y).all() for y in outputs):
+        _, simulated = _completed(signals, outputs, A, C, np.zeros(K.shape), direct=direct)
+        known = [_interpolated(y, found) for y, found in zip(outputs, simulated, strict=True)]
+        passes = _MAX_PASSES
+    model, predicted = _completed(signals, known, A, C, K, direct=direct)
+    for _ in range(passes):
+        filled = [
+            np.where(np.isfinite(y), y, found) for y, found in zip(outputs, predicted, strict=True)
+        ]
+        changes = np.abs(np.vstack(filled) - np.vstack(known))
+        known = filled
+        model, predicted = _completed(signals, known, A, C, K, direct=direct)
+        noise = np.nanstd(np.vstack(outputs) - np.vstack(predicted), axis=0)
+        if np.all(changes <= _SMALL_CHANGE * noise):
+            break
+    return model, [y - found for y, found in zip(outputs, predicted, strict=True)]
+
+
+def _interpolated(y: Array, simulated: Array) -> Array:
+    """Return y (N, ny) with estimates of its missing values."""
+    rows = np.arange(y.shape[0])
+    filled = y.copy()
+    for k, is_known in enumerate(np.isfinite(y).T):
+        error = np.interp(rows, rows[is_known], (y - simulated)[is_known, k])
+        filled[~is_known, k] = (simulated[:, k] + error)[~is_known]
+    return filled
+
+
+def _completed(
+    signals: Sequence[tuple[Array, Array]],
+    known: Sequence[Array],
+    A: Array,
+    C: Array,
+    K: Array,
+    *,
+    direct: bool,
+) -> tuple[_Model, list[Array]]:
+    """Return the B, D and initial states that minimise the one-step errors, and the predictions.
+
+    The predictor uses the outputs `known`; the errors are those of the outputs of the signals.
+    """
     Abar = reflected_matrix(A - K @ C)
+    feedback = [y @ K.T if K.any() else np.zeros((y.shape[0], A.shape[0])) for y in known]
     driven = []
-    for u, y in signals:
-        known = np.where(np.isfinite(y), y, 0.0)
-        x = recursion(Abar, known @ K.T, np.zeros(A.shape[0]))[:-1]
+    for (u, y), fed in zip(signals, feedback, strict=True):
+        x = recursion(Abar, fed, np.zeros(A.shape[0]))[:-1]
         driven.append((u, y - x @ C.T))
     problem = StateSpaceProblem(
         parts=parts_of(driven, np.eye(C.shape[0])), order=A.shape[0], direct=direct, noise=False
     )
     linear = problem.linear(Abar, C)
-    return _Model(A=Abar + K @ C, B=linear.Bbar + K @ linear.D, C=C, D=linear.D, K=K, x0=linear.x0)
-
-
-def _residuals(signals: Sequence[tuple[Array, Array]], model: _Model) -> list[Array]:
-    """Return e (N, ny) of each experiment, NaN where an output is missing."""
-    Abar, Bbar = model.A - model.K @ model.C, model.B - model.K @ model.D
-    found = []
-    for (u, y), x0 in zip(signals, model.x0, strict=True):
-        known = np.where(np.isfinite(y), y, 0.0)
-        x = recursion(Abar, u @ Bbar.T + known @ model.K.T, x0)[:-1]
-        found.append(y - x @ model.C.T - u @ model.D.T)
-    return found
+    model = _Model(A=Abar + K @ C, B=linear.Bbar + K @ linear.D, C=C, D=linear.D, K=K, x0=linear.x0)
+    predicted = []
+    for (u, _), fed, x0 in zip(signals, feedback, model.x0, strict=True):
+        x = recursion(Abar, u @ linear.Bbar.T + fed, x0)[:-1]
+        predicted.append(x @ C.T + u @ linear.D.T)
+    return model, predicted
 
 
 def _replicated(
@@ -238,7 +280,7 @@ def _replicated(
             data.append((u, np.where(np.isfinite(y), simulated, np.nan)))
         found = projected(complete_stretches(data, 2 * horizon), horizon, weights)
         A, C, K = realised(found, model.A.shape[0])
-        replicate = _completed(data, A, C, K, direct=direct)
+        replicate, _ = _estimated(data, A, C, K, direct=direct)
         samples.append(_impulses(replicate, length))
     d = _vector(model).size
     if len(samples) < 2:
