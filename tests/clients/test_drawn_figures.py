@@ -3,8 +3,8 @@
 After a wanted change of a figure, `make stored` writes the list again: read its difference.
 
 A line is an artist: its look, the number of points (and of gaps), and of x and y the first, last,
-least, greatest and mean. A single number means that all are the same. The words of titles, labels
-and legends are omitted, as are limits that matplotlib chooses.
+least, greatest and mean. A contour has the last three. A single number means that all are the same.
+The words of titles, labels and legends are omitted, as are limits that matplotlib chooses.
 """
 
 from __future__ import annotations
@@ -63,9 +63,11 @@ def listed(figure: Figure) -> Iterator[Listed]:
         for look, points in (*one_by_one, *((k, np.concatenate(v)) for k, v in alike.items())):
             seen = points[np.isfinite(points).all(axis=1)]
             gaps = f"+{len(points) - len(seen)}" if len(seen) < len(points) else ""
-            # How many points a contour has is a matter of rounding.
-            n = "" if look.startswith("contour") else f"n={len(seen)}{gaps} "
-            yield f"{look} {n}{_numbers('x', seen[:, 0])} {_numbers('y', seen[:, 1])}", near_0
+            # The number of points of a contour and its first point are a matter of rounding.
+            ends = not look.startswith("contour")
+            n = f"n={len(seen)}{gaps} " if ends else ""
+            x, y = (_numbers(name, seen[:, k], ends=ends) for k, name in enumerate("xy"))
+            yield f"{look} {n}{x} {y}", near_0
 
 
 def _axes(ax: Axes) -> str:
@@ -151,10 +153,10 @@ def _points(artist: Any) -> NDArray[np.float64]:
     return np.ma.filled(np.ma.asarray(points, np.float64), np.nan)
 
 
-def _numbers(name: str, values: NDArray[np.float64]) -> str:
+def _numbers(name: str, values: NDArray[np.float64], *, ends: bool = True) -> str:
     shown: ArrayLike = values[:1]
     if values.size and np.ptp(values) > 1e-9 * np.abs(values).max():
-        shown = [values[0], values[-1], values.min(), values.max(), values.mean()]
+        shown = [*values[[0, -1]][: 2 * ends], values.min(), values.max(), values.mean()]
     return " ".join([name, *(f"{v:.4g}" for v in shown)])
 
 
