@@ -27,6 +27,7 @@ extensions = [
     "sphinx_design",
     "site_parts.codes",
     "site_parts.commands",
+    "site_parts.docstrings",
     "site_parts.figures",
     "site_parts.gallery",
     "site_parts.languages",
@@ -51,7 +52,7 @@ myst_heading_anchors = 4
 default_role = "autolink"
 highlight_language = "text"
 smartquotes = False  # "--" is an option
-templates_path = ["_templates"]
+templates_path = [str(Path(__file__).with_name("_templates"))]
 autosummary_generate = True
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"

@@ -80,3 +80,16 @@ def test_a_figure_has_a_second_set_of_colours() -> None:
     assert f'[style*="fill: #ffffff"]{{fill:{DARK["#ffffff"]} !important}}' in drawn
     assert "(prefers-color-scheme: dark)" in drawn
     assert adapted(drawn) == drawn
+
+
+def test_bars_of_a_docstring_are_no_substitution() -> None:
+    pytest.importorskip("sphinx")
+    from site_parts.docstrings import with_bars
+
+    text = ["|G| and ``|H|`` ::", "", "    |u| <= 5", "", ">>> a | b", "|c|", "", "|d|"]
+
+    assert list(with_bars(text)) == [
+        "\\|G\\| and ``|H|`` ::",
+        *text[1:7],
+        "\\|d\\|",
+    ]
