@@ -14,19 +14,26 @@ from site_parts.pages import GENERATED, table, write_page
 
 
 def commands() -> Iterator[tuple[str, Any]]:
-    """Yield the name and the click command of each command that has no subcommands."""
+    """Yield the name and the click command of each command, a group before its members."""
     for program, typed in (("armrig", armrig), ("armrigd", armrigd)):
-        yield from _leaves(program, typer.main.get_command(typed))
+        yield from _below(program, typer.main.get_command(typed))
 
 
-def _leaves(name: str, command: Any) -> Iterator[tuple[str, Any]]:
-    below = getattr(command, "commands", None)
-    if below is None:
-        yield name, command
-        return
-    for key in command.list_commands(None):
-        if not below[key].hidden:
-            yield from _leaves(f"{name} {key}", below[key])
+def _below(name: str, command: Any) -> Iterator[tuple[str, Any]]:
+    for key, member in _members(command):
+        yield f"{name} {key}", member
+        yield from _below(f"{name} {key}", member)
+
+
+def _members(command: Any) -> list[tuple[str, Any]]:
+    """Return the visible commands of a group; none of another command."""
+    found = getattr(command, "commands", {})
+    names = command.list_commands(None) if found else []
+    return [(name, found[name]) for name in names if not found[name].hidden]
+
+
+def _first(command: Any) -> str:
+    return _plain(command.help).split("\n\n")[0].replace("\n", " ")
 
 
 def options(name: str, command: Any) -> Iterator[tuple[str, str, str]]:
@@ -48,6 +55,9 @@ def page(name: str, command: Any) -> str:
     for kind in ("Argument", "Option"):
         if some := [(f"`{spelling}`", _plain(said)) for k, spelling, said in rows if k == kind]:
             text.append(table((kind, "Meaning"), *some))
+    file = name.replace(" ", "-")
+    if below := [(f"[{name} {k}]({file}-{k}.md)", _first(c)) for k, c in _members(command)]:
+        text.append(table(("Command", "Effect"), *below))
     return "\n\n".join(text) + "\n"
 
 
@@ -63,8 +73,7 @@ def write(folder: Path = GENERATED / "commands") -> None:
     for name, command in commands():
         file = name.replace(" ", "-")
         write_page(folder / f"{file}.md", page(name, command))
-        first = _plain(command.help).split("\n\n")[0].replace("\n", " ")
-        listed[name.split()[0]].append((f"[{name}]({file}.md)", first))
+        listed[name.split()[0]].append((f"[{name}]({file}.md)", _first(command)))
     index = [
         "# Commands",
         "`armrig` is for people who use a rig or its data. `armrigd` is the daemon.",

@@ -131,9 +131,16 @@ ROWS: dict[str, Row] = {
     "recordings removed": Row(
         "recordings folder removed", "the same", "the same", Stand.remove_recordings
     ),
-    "unplug": Row("cable pulled, scheduled", _WATCHDOG, _110, _line("unplug"), has_line=True),
+    "unplug": Row(
+        "cable to the device pulled, scheduled", _WATCHDOG, _110, _line("unplug"), has_line=True
+    ),
     "unplug, exchange": Row(
-        "cable pulled, exchange", _WATCHDOG, _110, _line("unplug"), "exchange", has_line=True
+        "cable to the device pulled, exchange",
+        _WATCHDOG,
+        _110,
+        _line("unplug"),
+        "exchange",
+        has_line=True,
     ),
     "device does not read": Row(
         "device does not read (exchange)",

@@ -76,7 +76,10 @@ def greybox(
     verbose: Verbose = False,
     plot: Plot = None,
 ) -> None:
-    """Estimate physical parameters: J_1, or more (handout 3.5)."""
+    """Estimate physical parameters: the moment of inertia J_1, or more (handout 3.5).
+
+    `armrig collect greybox` records the data for J_1, after the rotating part was removed.
+    """
     from armrig.cli.spinner import spinner
     from armrig.physics.grey_box.estimate import greybox as estimate
     from armrig.recordings.usability import emulation

@@ -28,9 +28,10 @@ Where = Annotated[
 def recover(where: Where = None, json: Json = False) -> None:
     """Complete recordings that a daemon left unfinished when it died.
 
-    A daemon completes its own recordings when it starts again; this command is for copied files.
-    Each file keeps its undamaged part and gets a name that ends in .mcap. If a file cannot be
-    recovered, it stays unchanged, and the exit code is 1.
+    A daemon completes its own recordings when it starts again; this command is for copied files. It
+    refuses a file that a daemon is still writing. Each file keeps its undamaged part and gets a
+    name that ends in .mcap. If a file cannot be recovered, it stays unchanged, and the exit code is
+    1.
     """
     from armrig_core.recording_file.recovery import sentence
     from armrig_core.recording_file.unfinished import NotOursError, RecoveryError

@@ -72,7 +72,7 @@ def greybox(
     fixed_std: Mapping[str, float] | None = None,
     friction: Friction | None = None,
 ) -> GreyFit:
-    """Estimate physical parameters by minimising the error of the simulated output.
+    """Estimate physical parameters, such as J_1, by minimising the error of the simulated output.
 
     The model and its derivatives are sampled exactly for the held input. Initial state and input
     offset u0 of each experiment are estimated too. A missing output removes only its own residual.
@@ -86,8 +86,8 @@ def greybox(
         u in V and the output that `output` names. From Signals with theta_1 and alpha, the
         parameters are estimated from both outputs together; the default model is then `armrig.arm`.
     model : callable, default `armrig.chassis`
-        Function `ArmParameters` -> control.StateSpace, continuous with one input: `armrig.chassis`,
-        `armrig.arm`, or your own function.
+        Function `ArmParameters` -> control.StateSpace, continuous with one input: `armrig.chassis`
+        if the rotating part was removed, `armrig.arm` for the complete rig, or your own function.
     free : sequence of str, default ("J_1",)
         Parameters to estimate, fields of `ArmParameters`. The search starts at their values in
         `fixed`.
