@@ -199,6 +199,14 @@ def residuals(
     ...     print(f"order {n}: coloured {test.white.coloured}, p {test.missing_dynamics:.2f}")
     order 2: coloured True, p 0.00
     order 3: coloured False, p 0.03
+
+    A p below 0.01 rejects.
+
+    >>> print(test)
+    residuals on estimation data, 3000 samples
+      white (p = 0.1..., portmanteau test)
+      no dynamics missing (p = 0.02...)
+      no feedback (p = 0.5...)
     """
     if isinstance(fit, MultivariableFit):
         from armrig.validation.multivariable.residuals import residuals as of_several
