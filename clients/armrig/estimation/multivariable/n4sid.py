@@ -44,7 +44,7 @@ _STEP = 1e-6  # of an entry of the matrices, for a derivative
 _RANK_TOLERANCE = 1e-8  # of the derivatives, which are 0 for a change of coordinates
 _MIN_HORIZON = 10
 _MAX_PASSES = 20
-_SMALL_CHANGE = 0.3  # of a predicted missing output, in standard deviations of the noise
+_SMALL_DECREASE = 1e-3  # of the sum of squared one-step errors, relative
 _REPLICATES = 100
 
 
@@ -185,26 +185,28 @@ def _estimated(
     """Return the model with given A, C and K, and its one-step errors, NaN where y is missing.
 
     Where an output is missing, the predictor uses its own prediction. The first predictions are
-    simulated outputs plus the error of the simulation, interpolated over the gap.
+    simulated outputs plus the error of the simulation, interpolated over the gap. Predictions
+    replace them as long as the one-step errors decrease.
     """
     outputs = [y for _, y in signals]
-    known, passes = outputs, 0
+    known = outputs
     if not all(np.isfinite(y).all() for y in outputs):
         _, simulated = _completed(signals, outputs, A, C, np.zeros(K.shape), direct=direct)
         known = [_interpolated(y, found) for y, found in zip(outputs, simulated, strict=True)]
-        passes = _MAX_PASSES
-    model, predicted = _completed(signals, known, A, C, K, direct=direct)
-    for _ in range(passes):
-        filled = [
+    loss, least = np.inf, np.inf
+    for _ in range(_MAX_PASSES):
+        now, predicted = _completed(signals, known, A, C, K, direct=direct)
+        errors = [y - found for y, found in zip(outputs, predicted, strict=True)]
+        loss = sum(float(np.nansum(e**2)) for e in errors)
+        if loss < least:
+            model, residuals = now, errors
+        if known is outputs or not loss < (1.0 - _SMALL_DECREASE) * least:
+            break
+        least = loss
+        known = [
             np.where(np.isfinite(y), y, found) for y, found in zip(outputs, predicted, strict=True)
         ]
-        changes = np.abs(np.vstack(filled) - np.vstack(known))
-        known = filled
-        model, predicted = _completed(signals, known, A, C, K, direct=direct)
-        noise = np.nanstd(np.vstack(outputs) - np.vstack(predicted), axis=0)
-        if np.all(changes <= _SMALL_CHANGE * noise):
-            break
-    return model, [y - found for y, found in zip(outputs, predicted, strict=True)]
+    return model, residuals
 
 
 def _interpolated(y: Array, simulated: Array) -> Array:
