@@ -193,7 +193,7 @@ def _estimated(
     if not all(np.isfinite(y).all() for y in outputs):
         _, simulated = _completed(signals, outputs, A, C, np.zeros(K.shape), direct=direct)
         known = [_interpolated(y, found) for y, found in zip(outputs, simulated, strict=True)]
-    loss, least = np.inf, np.inf
+    least = np.inf
     for _ in range(_MAX_PASSES):
         now, predicted = _completed(signals, known, A, C, K, direct=direct)
         errors = [y - found for y, found in zip(outputs, predicted, strict=True)]
