@@ -198,7 +198,7 @@ def _estimated(
         now, predicted = _completed(signals, known, A, C, K, direct=direct)
         errors = [y - found for y, found in zip(outputs, predicted, strict=True)]
         loss = sum(float(np.nansum(e**2)) for e in errors)
-        if loss < least:
+        if loss <= least:
             model, residuals = now, errors
         if known is outputs or not loss < (1.0 - _SMALL_DECREASE) * least:
             break
