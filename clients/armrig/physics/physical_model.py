@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 from armrig_core.calls import checked_call
+from armrig_core.telemetry import ALPHA
 from numpy.typing import NDArray
 
 from armrig.data.argument import as_dataset
@@ -58,10 +59,11 @@ class PhysicalModel(Model):
 
 @checked_call
 def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
-    """Return the physics of the whole arm from u to theta_1 as a model.
+    """Return the physics of the whole arm from u to the output of the data as a model.
 
-    The model is sampled exactly for an input held over Ts, see `transfer`. Its standard deviations
-    are 0, because nothing is estimated.
+    If the output of the data is alpha, the model is from u to alpha, which has no integrator. For
+    all other data the model is from u to theta_1. The model is sampled exactly for an input held
+    over Ts, see `transfer`. Its standard deviations are 0, because nothing is estimated.
 
     Examples
     --------
@@ -74,12 +76,16 @@ def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
     """
     A, B, C = arm_matrices(p)
     data = as_dataset(data)
-    numerator, denominator = transfer(A, B, C[0], data.Ts)
+    integrator = data.output != ALPHA
+    # theta_1, the first state, acts on no other state: alpha has the other three states alone.
+    first = int(not integrator)
+    c = C[0] if integrator else C[1, 1:]
+    numerator, denominator = transfer(A[first:, first:], B[first:], c, data.Ts)
     return PhysicalModel(
         B=numerator,
         F=denominator,
         nk=1,
-        integrator=True,
+        integrator=integrator,
         Ts=data.Ts,
         output=data.output,
         unit=data.unit,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from armrig.models.model import Model
 from armrig.physics.physical_model import PhysicalModel, physical_model
-from armrig_core.arm import ArmParameters
+from armrig_core.arm import ArmParameters, arm_matrices, zero_order_hold
 
 if TYPE_CHECKING:
     from tests.clients.handout_plant import HandoutPlant
@@ -89,6 +89,24 @@ def test_the_physics_predicts_by_simulation(plant: HandoutPlant) -> None:
 
     np.testing.assert_array_equal(physics.predict(data), physics.predict(data, horizon=1))
     assert np.nanstd(data.y - physics.predict(data)) < 0.01
+
+
+def test_the_physics_of_alpha_is_that_of_the_arm() -> None:
+    """The pulse response is C Phi^(k-1) Gamma of the second output, without an integrator."""
+    A, B, C = arm_matrices(ArmParameters())
+    data = armrig.Dataset(u=np.zeros(2), y=np.zeros(2), Ts=0.01, output="alpha", unit="rad")
+    Phi, Gamma = zero_order_hold(A, B, data.Ts)
+    x, expected = Gamma[:, 0], [0.0]
+    for _ in range(49):
+        expected.append(float(C[1] @ x))
+        x = Phi @ x
+
+    physics = physical_model(ArmParameters(), data)
+
+    np.testing.assert_allclose(physics.simulate(np.eye(1, 50)[0]), expected, rtol=1e-9, atol=1e-14)
+    assert physics.orders == {"nb": 3, "nf": 3, "nk": 1}
+    assert not physics.integrator
+    assert np.all(np.abs(np.roots(physics.F)) < 1)
 
 
 def test_a_pole_that_an_ill_conditioned_covariance_hardly_moves_has_a_deviation(
