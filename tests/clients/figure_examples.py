@@ -25,7 +25,12 @@ from armrig.physics.systems import beside_the_handout
 from armrig.recordings.calibration import estimate
 from armrig.recordings.overview import overview
 from armrig.recordings.recording import Recording
-from armrig.report.figures import _residuals_figure, write_figures, write_handout_figures
+from armrig.report.figures import (
+    _residuals_figure,
+    _velocity_figure,
+    write_figures,
+    write_handout_figures,
+)
 from armrig.report.handout_study import handout_study
 from armrig.report.study import Study, study
 from armrig.validation.search_result import SearchResult
@@ -181,6 +186,9 @@ def ax() -> Axes:
 
 FIGURES: dict[str, Callable[[Examples], Any]] = {
     "report": lambda e: saved(lambda to: write_figures(e.study, to)),
+    "report, detail of alpha": lambda e: _velocity_figure(
+        study([e.first, e.second], outputs=("alpha",))
+    ),
     "report, three models": lambda e: _residuals_figure(
         replace(e.study, estimated=(*e.study.estimated, e.study.estimated[0]))
     ),

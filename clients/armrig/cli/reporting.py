@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from armrig_core.errors import InputError
 from armrig_core.printable import printable
+from armrig_core.telemetry import THETA_1, OutputName
 
+from armrig.cli.channels import names, recorded_outputs
 from armrig.cli.chosen_recording import recording_path
 from armrig.cli.figures import check_output
 from armrig.cli.next_step import free_name, opener, say_next
@@ -54,6 +56,16 @@ Files = Annotated[
     ),
 ]
 Pdf = Annotated[Path, typer.Option("-o", "--output", metavar="PDF", help="PDF to write.")]
+Outputs = Annotated[
+    str | None,
+    typer.Option(
+        "--signal",
+        metavar="NAMES",
+        help="Output of the models: theta_1, alpha, or theta_1,alpha for models of both outputs. "
+        "The orders are those of theta_1; the models of alpha have one coefficient less of each.",
+        show_default="theta_1",
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite an existing PDF.")]
 Handout = Annotated[
     bool,
@@ -84,6 +96,7 @@ AnswersFile = Annotated[
 def report(
     files: Files = None,
     output: Pdf = Path("report.pdf"),
+    signal: Outputs = None,
     na: Na = 4,
     nb: Nb = 4,
     nf: Nf = 4,
@@ -110,7 +123,15 @@ def report(
         _write_questions(questions)
         return
     _check_options(
-        files, handout, {"edited": edited, "source": source, "answers": answers, "set": given}
+        files,
+        handout,
+        {
+            "edited": edited,
+            "source": source,
+            "answers": answers,
+            "set": given,
+            "signal": signal,
+        },
     )
     check_output(output, files, suffix=".pdf")
     if output.exists() and not force:
@@ -135,7 +156,10 @@ def report(
                 omega=omega,
             )
         else:
-            recordings = _report_study(files, output, calibration, orders, source)
+            outputs = recorded_outputs(names("--signal", signal) or (THETA_1,))
+            recordings = _report_study(
+                files, output, calibration, source, orders=orders, outputs=outputs
+            )
     if json:
         print_json({"report": str(output), "recordings": [r.sha256 for r in recordings]})
     else:
@@ -149,7 +173,9 @@ def report(
 def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object]) -> None:
     """Refuse options that do not go together."""
     edited = given["edited"]
-    if edited and (files or handout or any(given[x] for x in ("source", "answers", "set"))):
+    if edited and (
+        files or handout or any(given[x] for x in ("source", "answers", "set", "signal"))
+    ):
         raise typer.BadParameter(
             f"--from {edited}: give no recordings, and no option but -o and --force; the folder "
             f"contains all data of the report, the answers in {edited}/data.json"
@@ -157,6 +183,11 @@ def _check_options(files: Sequence[Path], handout: bool, given: dict[str, object
     for name in ("answers", "set"):
         if given[name] and not handout:
             raise typer.BadParameter(f"--{name} applies to the handout's report: add --handout")
+    if given["signal"] and handout:
+        raise typer.BadParameter(
+            f"--signal {given['signal']}: the handout's report is of theta_1; leave out --handout "
+            "or --signal"
+        )
     if not (files or handout or given["edited"]):
         raise typer.BadParameter(
             "give recordings to report on, such as those of `armrig collect blackbox "
@@ -202,8 +233,10 @@ def _report_study(
     files: Sequence[Path],
     output: Path,
     calibration: Path | None,
-    orders: Orders,
     source: Path | None,
+    *,
+    orders: Orders,
+    outputs: Sequence[OutputName],
 ) -> list[Recording]:
     """Typeset a study of recordings."""
     from armrig.cli.recorded_data import loaded
@@ -214,7 +247,7 @@ def _report_study(
     recordings = loaded(files, calibration)
     _report_ignored(recordings)
     with estimating("na, nb and nf"):
-        done = study(recordings, orders=orders)
+        done = study(recordings, orders=orders, outputs=outputs)
     remarks = []
     if done.validation.digest == done.estimation.digest:
         tell(SAME_DATA)

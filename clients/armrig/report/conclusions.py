@@ -29,10 +29,10 @@ MIN_BIASED_RMS_RATIO = 3.0
 def conclusions(study: Study) -> list[str]:
     """Return the conclusions of a study, each in a few sentences."""
     points = [
-        _simulation_verdict(study),
+        *(_simulation_verdict(one, _of(one, study, "of")) for one in study.each),
         *(_residual_verdict(model) for model in study.ranked),
-        _physics_verdict(study),
-        *_structure_verdicts(study),
+        *(_physics_verdict(one, _of(one, study, "to")) for one in study.each),
+        *dict.fromkeys(text for one in study.each for text in _structure_verdicts(one)),
     ]
     points += calibration_sentences(study.recordings)
     points.append(_jitter_verdict(study))
@@ -45,7 +45,12 @@ def conclusions(study: Study) -> list[str]:
     return points
 
 
-def _simulation_verdict(study: Study) -> str:
+def _of(one: Study, study: Study, word: str) -> str:
+    """Return " of the arm angle" after a blank; "" if the study has one output."""
+    return f" {word} the {one.angle}" if study.others else ""
+
+
+def _simulation_verdict(study: Study, of: str) -> str:
     """Return a sentence with the rms error of each model, the best estimated model first."""
     names = [*(m.name for m in study.ranked), "the physics of the handout"]
     errors = ", ".join(
@@ -53,17 +58,19 @@ def _simulation_verdict(study: Study) -> str:
         for m, name in zip([*study.ranked, study.reference], names, strict=True)
     )
     return (
-        f"In a simulation of the {study.validation.t[-1]:.0f} s of validation data the rms error "
-        f"is {errors}."
+        f"In a simulation of the {study.validation.t[-1]:.0f} s of validation data the rms error"
+        f"{of} is {errors}."
     )
 
 
-def _physics_verdict(study: Study) -> str:
+def _physics_verdict(study: Study, to: str) -> str:
     span = f"{study.omega[0]:g} to {study.omega[-1]:.0f} rad/s"
     medians = listed(
         [f"{percent(100 * float(np.median(m.deviation)))} ({m.name})" for m in study.ranked]
     )
-    return f"From {span} the frequency response differs from the physics by a median of {medians}."
+    return (
+        f"From {span} the frequency response{to} differs from the physics by a median of {medians}."
+    )
 
 
 def _structure_verdicts(study: Study) -> Iterator[str]:
@@ -98,21 +105,26 @@ def calibration_sentences(recordings: Sequence[Recording]) -> list[str]:
 
 
 def _jitter_verdict(study: Study) -> str:
-    """Return the jitter of the validation data, and the error of the angle that it causes."""
-    data = study.validation
-    timing = study.timing[study.recordings.index(study.recording_of(data.source))]
+    """Return the jitter of the validation data, and the errors of the angles that it causes."""
+    timing = study.timing[study.recordings.index(study.recording_of(study.validation.source))]
+    moved: list[str] = []
+    for one in study.each:
+        data = one.validation
+        rate = f"at {number(fastest_rate(data))} {data.unit}/s"
+        rate += "" if moved else ", the rate that 99 % of the data do not exceed,"
+        by = error(angle_of_jitter(timing, data), data.unit)
+        moved.append(f"{rate} this jitter moves {one.symbol} by {by}")
     return (
         "The sampling interval of the validation data has a standard deviation of "
-        f"{microseconds(timing.std_us)}. At {number(fastest_rate(data))} {data.unit}/s, the "
-        "rate that 99 % of the data do not exceed, this jitter moves θ₁ by "
-        f"{error(angle_of_jitter(timing, data), data.unit)}. The jitter affects both the "
+        f"{microseconds(timing.std_us)}. A{'; '.join(moved)[1:]}. The jitter affects both the "
         "measurement and the response to the input."
     )
 
 
 def _residual_verdict(model: AssessedFit) -> str:
-    tests = model.tests
-    if np.isnan([tests.whiteness, tests.missing_dynamics]).any():
+    tests = model.together or model.tests
+    whiteness = tests.white.p_value
+    if np.isnan([whiteness, tests.missing_dynamics]).any():
         return f"{model.name}: too few residuals to test."
     white, free = not tests.white.coloured, tests.missing_dynamics >= WHITE_LEVEL
     if tests.powerless and white and free:
@@ -124,22 +136,30 @@ def _residual_verdict(model: AssessedFit) -> str:
     ending = "nothing speaks against its structure"
     if not (white and free):
         ending = f"look at its {'noise model' if free else 'orders and its delay'}"
-    if min(tests.whiteness, tests.missing_dynamics) >= 0.001 and not (white and free):
+    if min(whiteness, tests.missing_dynamics) >= 0.001 and not (white and free):
         ending += ", though one correct model in a hundred fails this test by chance"
-    return f"On validation data the residuals of {model.name} are {said}: {ending}."
+    of = f"{model.name}, all outputs together," if model.together else model.name
+    return f"On validation data the residuals of {of} are {said}: {ending}."
 
 
 def abstract(study: Study) -> str:
     """Return the result of a study in three sentences."""
-    best = study.best
+    name, several = study.best.name, bool(study.others)
     N, Ts = study.estimation.N, study.estimation.Ts
-    deviation = 100 * float(np.median(best.deviation))
-    rms = error(best.comparison.rms_error, study.validation.unit)
+    best = [next(m for m in one.estimated if m.name == name) for one in study.each]
+    errors = [
+        f"{f'the {one.angle}' if several else 'the angle'} with an rms error of "
+        f"{error(m.comparison.rms_error, one.validation.unit)}"
+        for one, m in zip(study.each, best, strict=True)
+    ]
+    medians = listed([percent(100 * float(np.median(m.deviation))) for m in best])
+    differs = "responses differ from those" if several else "response differs from that"
     names = listed([with_article(m.name) for m in study.estimated])
     were = "were" if len(study.estimated) > 1 else "was"
     return (
-        f"{names[0].upper()}{names[1:]} model from the motor's voltage to the chassis angle "
-        f"{were} estimated from {N} samples at {milliseconds(Ts)}. On validation data the "
-        f"{best.name} model simulates the angle with an rms error of {rms}. Its frequency response "
-        f"differs from that of the physical model by a median of {percent(deviation)}."
+        f"{names[0].upper()}{names[1:]} model from the motor's voltage to "
+        f"{listed([f'the {one.angle}' for one in study.each])} {were} estimated from {N} samples "
+        f"at {milliseconds(Ts)}. On validation data the {name} model simulates {listed(errors)}. "
+        f"Its frequency {differs} of the physical model by "
+        f"{'medians' if several else 'a median'} of {medians}."
     )

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from string import ascii_lowercase
 from typing import Any
 
+from armrig.data.dataset import Dataset
 from armrig.numerics.quantities import error, percent
 from armrig.recordings.usability import different_calibrations, emulation
 from armrig.report.conclusions import abstract, conclusions
-from armrig.report.figures import DETAIL_S, write_figures
+from armrig.report.figures import DETAIL_S, suffix, write_figures
 from armrig.report.model_facts import (
-    estimation,
+    estimations,
     model_table,
     orders,
     percent_warning,
@@ -106,23 +107,68 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
         "step": _step_caption(study),
         "orders": orders(study),
         "structure": structure(study),
-        "models": [model_table(m, study.reference) for m in study.estimated],
-        "estimation": " ".join(estimation(m) for m in study.estimated),
-        "fits": [
-            [
-                row.name,
-                percent(row.fit_percent),
-                error(row.rms_error, study.validation.unit),
-                "–" if row.velocity_fit_percent is None else percent(row.velocity_fit_percent),
-            ]
-            for row in (m.comparison for m in study.models)
+        "estimation": estimations(study),
+        "fits_header": [
+            *(["output"] if study.others else []),
+            "model",
+            "fit of the angle",
+            "rms error",
+            *(["fit of the velocity"] if _with_velocity(study) else []),
         ],
+        "fits": [row for one in study.each for row in _fit_rows(one, study)],
         "percent": percent_warning(study),
         "physics": physics(study),
-        "tested": [m.name for m in study.estimated],
+        "tests_header": [
+            "hypothesis",
+            *(["output"] if study.others else []),
+            *(f"p ({m.name})" for m in study.estimated),
+            "a small p points to",
+        ],
         "tests": residual_rows(study),
-        "captions": _captions(study),
         "verdict": conclusions(study),
+        "captions": {
+            "fits": f"Simulation of the validation data (recording {_run(study.validation, study)}"
+            f"). {study.note[0].upper()}{study.note[1:]}.",
+            "tests": "Tests of the one-step residuals on the validation data (recording "
+            f"{_run(study.validation, study)}). The tests allow for the uncertainty of the "
+            "estimated models.",
+        },
+        "outputs": [_of_output(one, study) for one in study.each],
+    }
+
+
+def _run(data: Dataset, study: Study) -> str:
+    """Return the name of the run that data were recorded in."""
+    return run_name(study.recording_of(data.source))
+
+
+def _with_velocity(study: Study) -> bool:
+    """Return True if the velocity of an output is compared."""
+    rows = (one.reference.comparison for one in study.each)
+    return any(row.velocity_fit_percent is not None for row in rows)
+
+
+def _fit_rows(one: Study, study: Study) -> Iterator[list[str]]:
+    """Yield a row for each model: its fits and its rms error for one output."""
+    for k, m in enumerate(one.models):
+        row = m.comparison
+        velocity = "–" if row.velocity_fit_percent is None else percent(row.velocity_fit_percent)
+        yield [
+            *([one.symbol if k == 0 else ""] if study.others else []),
+            row.name,
+            percent(row.fit_percent),
+            error(row.rms_error, one.validation.unit),
+            *([velocity] if _with_velocity(study) else []),
+        ]
+
+
+def _of_output(one: Study, study: Study) -> dict[str, Any]:
+    """Return the values for the tables and figures of one output."""
+    symbol = one.symbol if study.others else ""
+    return {
+        "suffix": suffix(one, study),
+        "models": [model_table(m, one.reference, symbol) for m in one.estimated],
+        "captions": _captions(one),
     }
 
 
@@ -136,36 +182,32 @@ def _step_caption(study: Study) -> str | None:
     )
 
 
-def _captions(study: Study) -> dict[str, str]:
-    estimation, validation = (
-        run_name(study.recording_of(data.source)) for data in (study.estimation, study.validation)
-    )
-    marks = ascii_lowercase[: 2 * len(study.estimated)]
-    halves = ", the first and the second half of one recording" if study.halves else ""
+def _captions(one: Study) -> dict[str, str]:
+    """Return the captions of the figures of one output."""
+    estimation, validation = (_run(data, one) for data in (one.estimation, one.validation))
+    marks = ascii_lowercase[: 2 * len(one.estimated)]
+    halves = ", the first and the second half of one recording" if one.halves else ""
+    angle, ramp = one.angle, ", minus the ramp of its mean speed" if one.integrates else ""
+    turns = " with its turns counted" if one.integrates else ""
+    detail = f"rate of the {angle}, from differences" if one.integrates else angle
     return {
         "data": f"Estimation data (a, b; recording {estimation}) and validation data (c, d; "
-        f"recording {validation}){halves}. (a, c) Chassis angle with its turns counted, minus the "
-        "ramp of its mean speed; (b, d) voltage that the device applied. Shaded: dead band or "
-        "missing sample.",
-        "fits": f"Simulation of the validation data (recording {validation}). "
-        f"{study.note[0].upper()}{study.note[1:]}.",
-        "compare": "(a) Measured and simulated angle of the validation data (recording "
-        f"{validation}), minus the ramp of its mean speed; (b) data (dots) and models, minus the "
-        "best model. If a model has a much larger error, the scale is logarithmic beyond the "
-        "dotted lines.",
-        "velocity": f"Detail of {DETAIL_S:g} s: rate of the angle, from differences (recording "
-        f"{validation}). The simulation of the models starts at the beginning of the data.",
-        "bode": "Frequency response from voltage to angle with 95 % bands. A band is linearised "
+        f"recording {validation}){halves}. (a, c) {angle.capitalize()}{turns}{ramp}; (b, d) "
+        "voltage that the device applied. Shaded: dead band or missing sample.",
+        "compare": f"(a) Measured and simulated {angle} of the validation data (recording "
+        f"{validation}){ramp}; (b) data (dots) and models, minus the best model. If a model has a "
+        "much larger error, the scale is logarithmic beyond the dotted lines.",
+        "velocity": f"Detail of {DETAIL_S:g} s: {detail} (recording {validation}). The simulation "
+        "of the models starts at the beginning of the data.",
+        "bode": f"Frequency response from voltage to {angle} with 95 % bands. A band is linearised "
         "or, if a linearisation is poor, sampled from the covariance of the parameters. Dots: "
         "spectral analysis of the estimation data with 95 % bars. Recording "
         f"{estimation}.",
-        "step_poles": "(a) Response to a unit step with 95 % bands; (b) poles (×) and zeros (○) "
-        "with 95 % regions: bars for real roots, ellipses for complex roots, dotted if sampled. A "
-        "square marks a pole and a zero that are not significantly different (1 %). Models from "
-        f"recording {estimation}.",
-        "tests": "Tests of the one-step residuals on the validation data (recording "
-        f"{validation}). The tests allow for the uncertainty of the estimated models.",
-        "residuals": f"Correlation of the residuals with themselves ({', '.join(marks[::2])}) "
-        f"and with the input ({', '.join(marks[1::2])}) on recording {validation}. Grey: range "
-        "of 99 % of the values if the hypothesis is true.",
+        "step_poles": f"(a) Response of the {angle} to a unit step with 95 % bands; (b) poles (×) "
+        "and zeros (○) with 95 % regions: bars for real roots, ellipses for complex roots, dotted "
+        "if sampled. A square marks a pole and a zero that are not significantly different (1 %). "
+        f"Models from recording {estimation}.",
+        "residuals": f"Correlation of the residuals of the {angle} with themselves "
+        f"({', '.join(marks[::2])}) and with the input ({', '.join(marks[1::2])}) on recording "
+        f"{validation}. Grey: range of 99 % of the values if the hypothesis is true.",
     }

@@ -13,10 +13,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from armrig import plots
+from armrig.data.dataset import Vector
 from armrig.estimation.nonparametric.spectral import spectral_reference
 from armrig.physics.integrators.accuracy import convergence
 from armrig.physics.systems import ArmParameters
-from armrig.plots.captions import legend, named_by_run
+from armrig.plots.captions import legend, named, named_by_run
 from armrig.plots.layout import pens, save
 from armrig.report.handout_study import METHODS, HandoutStudy
 from armrig.report.study import STEP, Study, kind_of
@@ -48,12 +49,18 @@ def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
     paths = []
     runs = {r.sha256: r.manifest.run_id for r in study.recordings}
     with mpl.rc_context(STYLE), named_by_run(runs):
-        for name, draw in _FIGURES.items():
-            figure = draw(study)
-            if figure is not None:
-                paths.append(directory / f"{name}.svg")
-                save(figure, paths[-1])
+        for one in study.each:
+            for name, draw in _FIGURES.items():
+                figure = draw(one) if one is study or name not in _OF_RECORDINGS else None
+                if figure is not None:
+                    paths.append(directory / f"{name}{suffix(one, study)}.svg")
+                    save(figure, paths[-1])
     return tuple(paths)
+
+
+def suffix(one: Study, study: Study) -> str:
+    """Return the end of the names of an output's figures; "" for the first output."""
+    return "" if one is study else f"-{one.output}"
 
 
 def _canvas(height: float, columns: int = 1, rows: int = 1) -> tuple[Figure, list[Any]]:
@@ -97,20 +104,25 @@ def _compare_figure(study: Study) -> Figure:
 def _velocity_figure(study: Study) -> Figure:
     figure, (ax,) = _canvas(2.0)
     data = study.validation
+
+    def of(y: Vector) -> Vector:
+        return np.diff(y) / data.Ts if study.integrates else y[1:]
+
     t = data.t[1:]
     begin = min(data.N // 3 * data.Ts, max(data.t[-1] - DETAIL_S, 0.0))
     shown = (t >= begin) & (t <= begin + DETAIL_S)
-    rate = np.diff(data.y) / data.Ts
-    ax.plot(t[shown], rate[shown], ".", color=plots.INK, ms=2.5, alpha=0.6, label="measured")
+    measured = of(data.y)[shown]
+    ax.plot(t[shown], measured, ".", color=plots.INK, ms=2.5, alpha=0.6, label="measured")
     for model, pen in zip(study.estimated, pens(len(study.estimated)), strict=True):
-        modelled = np.diff(model.comparison.y) / data.Ts
+        modelled = of(model.comparison.y)
         ax.plot(t[shown], modelled[shown], label=f"{model.name}, simulated", **pen)
-    lowest, highest = np.nanmin(rate[shown]), np.nanmax(rate[shown])
+    lowest, highest = np.nanmin(measured), np.nanmax(measured)
     room = 0.15 * (highest - lowest)
     ax.set_ylim(lowest - room, highest + room)
     ax.set_xlim(begin, begin + DETAIL_S)
     ax.set_xlabel("$t$ [s]")
-    ax.set_ylabel(rf"$\Delta\theta_1/T_s$ [{data.unit}/s]")
+    label = rf"$\Delta\theta_1/T_s$ [{data.unit}/s]"
+    ax.set_ylabel(label if study.integrates else named(data.output, data.unit))
     plots.finish(ax)
     plots.sign(ax, data.source, above=legend(ax))
     return figure
@@ -154,6 +166,8 @@ _FIGURES: dict[str, Callable[[Study], Figure | None]] = {
     "step_poles": _step_poles_figure,
     "residuals": _residuals_figure,
 }
+_OF_RECORDINGS = ("timing", "step")
+"""Figures that all outputs have in common."""
 
 
 class Shown(Protocol):

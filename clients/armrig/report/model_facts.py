@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,22 @@ from armrig.numerics.quantities import fixed, listed, number, p_value, percent, 
 from armrig.recordings.findings import alpha_moves
 from armrig.report.recording_facts import run_name
 from armrig.report.study import Assessed, AssessedFit, Study
+from armrig.validation.multivariable.residual_test import SignalsResidualTest
+from armrig.validation.residuals import ResidualTest
 
 
 def orders(study: Study) -> str:
-    """Return the orders of the models as text; orders that all models share are not repeated."""
+    """Return the orders of the models of each output as text."""
+    of_each = [_orders(one) for one in study.each]
+    if len(of_each) == 1:
+        return of_each[0]
+    return "; ".join(
+        f"for {one.symbol} {text}" for one, text in zip(study.each, of_each, strict=True)
+    )
+
+
+def _orders(study: Study) -> str:
+    """Return the orders of the models; orders that all models share are not repeated."""
     values: dict[str, set[int]] = {}
     for m in study.estimated:
         for name, n in m.fit.orders.items():
@@ -36,20 +48,32 @@ def _assigned(orders: Mapping[str, int]) -> str:
     return ", ".join(f"{name} = {n}" for name, n in orders.items())
 
 
-def model_table(m: AssessedFit, reference: Assessed) -> dict[str, Any]:
+def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> dict[str, Any]:
     """Return the equation and the table of a model's coefficients, as values of the template.
 
     If the reference has the same form as the model, a column contains the reference's coefficients.
+
+    Parameters
+    ----------
+    symbol : str, optional
+        Symbol of the output, if the model has several.
     """
     same = letters(m.fit) == letters(reference.model)
-    caption = f"{m.name} model and its standard deviations."
+    of = f" of {symbol}" if symbol else ""
+    caption = f"{m.name} model{of} and its standard deviations."
     if same:
-        caption = f"{m.name} model, its standard deviations, and the coefficients of the physical "
-        caption += "model."
+        caption = f"{m.name} model{of}, its standard deviations, and the coefficients of the "
+        caption += "physical model."
     return {
         "name": m.name,
         "equation": typst_form(m.fit),
-        "header": [m.name, "estimate", "σ", "σ robust", *([reference.name] if same else [])],
+        "header": [
+            f"{m.name}, {symbol}" if symbol else m.name,
+            "estimate",
+            "σ",
+            "σ robust",
+            *([reference.name] if same else []),
+        ],
         "rows": _coefficients(m.fit, reference.model if same else None),
         "caption": caption,
     }
@@ -70,36 +94,84 @@ def _coefficients(fit: Fit, reference: Model | None) -> list[list[str]]:
 
 def structure(study: Study) -> str:
     """Return a text on the integrator, the initial state and the dead band in the models."""
-    integrating = sorted({m.fit.integrating.upper() for m in study.estimated if m.fit.integrator})
-    if not integrating:
-        return ""
-    return (
-        f"The angle integrates the voltage, so {listed(integrating)} "
-        f"{'has' if len(integrating) == 1 else 'have'} the factor 1 − q⁻¹ by construction. The "
-        "initial state and the input offset of each experiment are estimated with the model. "
-        "Samples in the dead band of the potentiometer, and the first sample after it, count as "
-        "missing."
+    said = []
+    letters_of = {
+        m.fit.integrating.upper() for one in study.each for m in one.estimated if m.fit.integrator
+    }
+    if letters_of:
+        angle = _the_angle(next(one for one in study.each if one.integrates), study)
+        of = " of this angle" if study.others else ""
+        has = "have" if len(letters_of) > 1 else "has"
+        said.append(
+            f"{angle} integrates the voltage, so {listed(sorted(letters_of))}{of} {has} the factor "
+            "1 − q⁻¹ by construction."
+        )
+    if study.others:
+        said.append(_shared(study))
+    offset = " and the input offset" if letters_of else ""
+    are = "are" if offset else "is"
+    said.append(
+        f"The initial state{offset} of each experiment {are} estimated with the model. Samples in "
+        "the dead band of the potentiometer, and the first sample after it, count as missing."
     )
+    return " ".join(said)
+
+
+def _shared(study: Study) -> str:
+    """Return sentences on the parameters that the models of several outputs have in common."""
+    return (
+        f"Each model has both outputs, {listed([one.symbol for one in study.each])}. In the OE "
+        "model both outputs have one denominator, which is estimated from both. The table of each "
+        "output contains the coefficients of its own transfer function. In the ARX model each "
+        "output depends on its own past only, and the covariance of the errors weights both "
+        "outputs."
+    )
+
+
+def _the_angle(one: Study, study: Study) -> str:
+    """Return the subject of a sentence on an output; the output has a name if there are several."""
+    return f"The {one.angle}" if study.others else "The angle"
+
+
+def estimations(study: Study) -> str:
+    """Return the losses of all models, without repeated warnings."""
+    sentences = [
+        text
+        for one in study.each
+        for m in one.estimated
+        for text in _estimation(m, one.symbol if study.others else "")
+    ]
+    return " ".join(dict.fromkeys(sentences))
 
 
 def estimation(model: AssessedFit) -> str:
     """Return a model's losses, and which of its standard deviations are valid."""
+    return " ".join(_estimation(model, ""))
+
+
+def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
+    """Yield the losses, and the findings; the criteria of a model of several outputs are joint."""
     fit = model.fit
-    warned = "".join(f" {w[:1].upper()}{w[1:].rstrip('.')}." for w in fit.warnings)
-    converged = "" if fit.converged else " The search did not converge."
-    return (
-        f"{model.name}: loss {power(fit.loss)} {fit.unit}², "
-        f"FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}; "
-        f"on the estimation data, {whiteness_sentence(fit, 'σ', 'σ robust')}.{converged}{warned}"
+    of = f" of {symbol}" if symbol else ""
+    criteria = f", FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}" if not symbol else ""
+    yield (
+        f"{model.name}{of}: loss {power(fit.loss)} {fit.unit}²{criteria}; "
+        f"on the estimation data, {whiteness_sentence(fit, 'σ', 'σ robust')}."
     )
+    if not fit.converged:
+        yield "The search did not converge."
+    for w in fit.warnings:
+        yield f"{w[:1].upper()}{w[1:].rstrip('.')}."
 
 
 def percent_warning(study: Study) -> str:
-    """Return a warning about the fits in percent if the output integrates; "" otherwise."""
-    if study.reference.comparison.velocity_fit_percent is None:
+    """Return a warning about the fits in percent if an output integrates; "" otherwise."""
+    ramps = [o for o in study.each if o.reference.comparison.velocity_fit_percent is not None]
+    if not ramps:
         return ""
+    angle = f"the {ramps[0].angle}" if study.others else "the angle"
     return (
-        "The fit of the angle is high for every model, because the ramp dominates the angle's "
+        f"The fit of {angle} is high for every model, because the ramp dominates the angle's "
         "variation: compare the rms errors. The fit of the velocity is computed from differences "
         "of the angle. The measured differences contain the converter's noise twice, so even the "
         "true system would not reach 100 %."
@@ -108,19 +180,27 @@ def percent_warning(study: Study) -> str:
 
 def physics(study: Study) -> str:
     """Return a text with the distance of each model to the physics, the best model first."""
-    first, *others = (_deviation(m, study) for m in study.ranked)
-    name, (median, most, at) = study.best.name, first
-    text = (
+    return (
         "The physical model is the handout's: two inertias, a spring and a DC motor. It has the "
         "handout's parameters and is sampled exactly for a held input; nothing in it was fitted. "
-        f"From {study.omega[0]:g} to {study.omega[-1]:.0f} rad/s the {name} model differs from the "
+        f"{' '.join(_deviations(one, study) for one in study.each)}{arm_at_rest(study)}"
+    )
+
+
+def _deviations(one: Study, study: Study) -> str:
+    """Return a sentence with the distance of each model of one output to the physics."""
+    first, *others = (_deviation(m, one) for m in one.ranked)
+    name, (median, most, at) = one.best.name, first
+    to = f" to the {one.angle}" if study.others else ""
+    text = (
+        f"From {one.omega[0]:g} to {one.omega[-1]:.0f} rad/s the {name} model{to} differs from the "
         f"physical model by a median of {median} and at most by {most}, at {at}"
     )
-    for m, (median, most, at) in zip(study.ranked[1:], others, strict=True):
+    for m, (median, most, at) in zip(one.ranked[1:], others, strict=True):
         text += (
             f"; the {m.name} model differs by a median of {median} and at most by {most}, at {at}"
         )
-    return f"{text}.{arm_at_rest(study)}"
+    return f"{text}."
 
 
 def arm_at_rest(study: Study) -> str:
@@ -142,19 +222,40 @@ def _deviation(m: AssessedFit, study: Study) -> tuple[str, str, str]:
     return percent(100 * median), percent(100 * most), f"{number(at)} rad/s"
 
 
+HYPOTHESES = (
+    ("white", "noise model or orders"),
+    ("no correlation with past input", "orders or delay"),
+    ("no correlation with future input", "feedback in the experiment, or delay too large"),
+)
+"""Hypotheses that the residuals test, each with what to change if its p value is small."""
+
+
 def residual_rows(study: Study) -> list[list[str]]:
-    """Return rows of the residual tests: hypothesis, p value of each model, and what to change."""
-    tests = [m.tests for m in study.estimated]
+    """Return rows of the residual tests: hypothesis, p value of each model, and what to change.
+
+    If the models have several outputs, the second column contains the output. The first row of
+    each hypothesis then tests all outputs together.
+    """
+    of_each = [(one.symbol, _p_values([m.tests for m in one.estimated])) for one in study.each]
+    together = [m.together for m in study.estimated if m.together]
+    if together:
+        of_each.insert(0, ("together", _p_values(together)))
     return [
-        ["white", *(p_value(t.whiteness) for t in tests), "noise model or orders"],
         [
-            "no correlation with past input",
-            *(p_value(t.missing_dynamics) for t in tests),
-            "orders or delay",
-        ],
-        [
-            "no correlation with future input",
-            *(p_value(t.feedback) for t in tests),
-            "feedback in the experiment, or delay too large",
-        ],
+            "" if i else hypothesis,
+            *([output] if together else []),
+            *(p_value(p) for p in values[k]),
+            "" if i else remedy,
+        ]
+        for k, (hypothesis, remedy) in enumerate(HYPOTHESES)
+        for i, (output, values) in enumerate(of_each)
+    ]
+
+
+def _p_values(tests: Sequence[ResidualTest | SignalsResidualTest]) -> list[list[float]]:
+    """Return the p values of each hypothesis, in the order of `HYPOTHESES`, for each model."""
+    return [
+        [t.white.p_value for t in tests],
+        [t.missing_dynamics for t in tests],
+        [t.feedback for t in tests],
     ]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from armrig_core.calibration import Driver
+from armrig_core.telemetry import ALPHA
 
 from armrig.data.dataset import Dataset
 from armrig.numerics.quantities import NBSP, microseconds, milliseconds, number, percent
@@ -129,17 +130,24 @@ def _percentiles(spread: Spread) -> str:
 
 
 def data_text(study: Study) -> str:
-    """Return a text on the sources of angle and voltage, and the percentage of missing angles."""
-    hidden = 100 * study.estimation.missing / study.estimation.N
+    """Return a text on the sources of angles and voltage, and the percentages of missing angles."""
+    said = ["The voltage is the applied voltage that the device reports."]
     steps = len(study.estimation.history)
     cut = 1 if study.halves else 0  # a split into halves is no treatment
-    untouched = ". No mean and no trend is removed from it" if steps <= cut else ""
-    return (
-        "The voltage is the applied voltage that the device reports. The angle is unwrapped from "
-        "the raw counts. The angle grows without limit, because the voltage is never negative"
-        f"{untouched}. {hidden:.1f}{NBSP}% "
-        f"of the estimation data have no angle. {_units(study)}"
-    )
+    for one in study.each:
+        the, no = ("The angle", "no angle")
+        if study.others or not one.integrates:
+            the, no = f"The {one.angle} {one.symbol}", f"no {one.symbol}"
+        said.append(
+            f"{the} is unwrapped from the raw counts. {the} grows without limit, because the "
+            "voltage is never negative"
+            if one.integrates
+            else f"{the} is relative to the chassis"
+        )
+        said[-1] += ". No mean and no trend is removed from it." if steps <= cut else "."
+        hidden = 100 * one.estimation.missing / one.estimation.N
+        said.append(f"{hidden:.1f}{NBSP}% of the estimation data have {no}.")
+    return " ".join([*said, _units(study)])
 
 
 def _units(study: Study) -> str:
@@ -164,7 +172,9 @@ def _units(study: Study) -> str:
     if not all("driver_gain" in m.figures for m in made):
         of = "the codes" if all(c.driver == Driver() for c in measured) else "a configured driver"
         volt = f"the volt is from {of}: no meter was read at the motor's terminals"
-    return f"{angle}; {volt}."
+    alpha = any(one.output == ALPHA for one in study.each)
+    scale = ". The scale of α is a configured value that was never measured" if alpha else ""
+    return f"{angle}; {volt}{scale}."
 
 
 def treatment(study: Study) -> list[str]:
@@ -172,17 +182,17 @@ def treatment(study: Study) -> list[str]:
 
     If both datasets had the same treatment, each step is reported once.
     """
+    return list(dict.fromkeys(text for one in study.each for text in _treatment(one)))
+
+
+def _treatment(study: Study) -> Iterator[str]:
     ours, theirs = study.estimation, study.validation
     if ours.history == theirs.history and not (ours.trends or theirs.trends):
-        return [f"Both: {step}." for step in ours.history]
-    return [
-        sentence
-        for name, data in (("Estimation data", ours), ("Validation data", theirs))
-        for sentence in (
-            *(f"{name}: {step}." for step in data.history),
-            *_trends(name, data),
-        )
-    ]
+        yield from (f"Both: {step}." for step in ours.history)
+        return
+    for name, data in (("Estimation data", ours), ("Validation data", theirs)):
+        yield from (f"{name}: {step}." for step in data.history)
+        yield from _trends(name, data)
 
 
 def _trends(name: str, data: Dataset) -> list[str]:

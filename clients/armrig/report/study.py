@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Final
 
 import numpy as np
 from armrig_core.arm import ArmParameters
-from armrig_core.errors import FileError
+from armrig_core.errors import FileError, InputError
+from armrig_core.telemetry import ALPHA, THETA_1, OutputName
 
 from armrig.data.dataset import Dataset, Vector
+from armrig.data.signals import Signals
+from armrig.data.treatment import INTEGRATING_OUTPUTS
 from armrig.estimation.arx import arx
 from armrig.estimation.oe import oe
 from armrig.estimation.orders import require_sensible
 from armrig.models.fit import Fit
 from armrig.models.model import Model
+from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.structure_table import ARM_POLES
 from armrig.physics.physical_model import physical_model
 from armrig.recordings.jitter import (
@@ -26,12 +31,17 @@ from armrig.recordings.jitter import (
 )
 from armrig.recordings.recording import Recording
 from armrig.validation.comparison import Comparison, compare
+from armrig.validation.multivariable.residual_test import SignalsResidualTest
 from armrig.validation.residuals import ResidualTest, residuals
 
 STEP = "step"
 """Kind of experiment that a report shows, but from which it estimates no model."""
 STAIRCASE = "staircase"
 """Another kind of experiment that a report shows, but from which it estimates no model."""
+OUTPUTS: Final = {THETA_1: "chassis angle", ALPHA: "arm angle"}
+"""Outputs of which a report can be, with their names in its sentences."""
+SYMBOLS: Final = {THETA_1: "θ₁", ALPHA: "α"}
+"""Symbols of the outputs, in tables and names of models."""
 
 
 def kind_of(recording: Recording) -> str:
@@ -41,7 +51,11 @@ def kind_of(recording: Recording) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Orders:
-    """Orders of the models; the arm has four poles, one of them an integrator."""
+    """Orders of the models of theta_1; the arm has four poles, one of them an integrator.
+
+    The models of alpha have one pole and one coefficient of B less, because alpha has no
+    integrator.
+    """
 
     na: int = ARM_POLES
     """Number of a coefficients of the ARX model."""
@@ -53,6 +67,18 @@ class Orders:
     """Number of samples before u acts on y, in both models."""
     integrator: bool = True
     """Fix an integrator in the OE model; the ARX model estimates all its poles."""
+
+    def of(self, output: str) -> Orders:
+        """Return the orders of the models of one output."""
+        if output != ALPHA:
+            return self
+        na, nb, nf = (n - 1 for n in (self.na, self.nb, self.nf))
+        if min(na, nb, nf) < 1:
+            raise InputError(
+                f"na={self.na}, nb={self.nb}, nf={self.nf}: the models of alpha have one "
+                "coefficient less of each; give orders >= 2"
+            )
+        return replace(self, na=na, nb=nb, nf=nf, integrator=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -83,6 +109,8 @@ class AssessedFit(Assessed):
     """Tests of the model's residuals on the validation data."""
     deviation: Vector
     """|G - G_physics| / |G_physics| at the study's frequencies, (n,)."""
+    together: SignalsResidualTest | None = None
+    """Tests of the residuals of all outputs of the model; None if the model has one output."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,6 +137,33 @@ class Study:
     """Disturbances of the timing of each recording."""
     omega: Vector
     """Frequencies at which the models are compared with the physics, in rad/s, (n,)."""
+    others: tuple[Study, ...] = ()
+    """Studies of the other outputs of the same models and recordings."""
+
+    @property
+    def output(self) -> str:
+        """Name of the output: theta_1 or alpha."""
+        return self.estimation.output
+
+    @property
+    def angle(self) -> str:
+        """Name of the output in a sentence."""
+        return OUTPUTS.get(self.output, self.output)
+
+    @property
+    def symbol(self) -> str:
+        """Symbol of the output."""
+        return SYMBOLS.get(self.output, self.output)
+
+    @property
+    def integrates(self) -> bool:
+        """True if the output is a ramp at a constant voltage."""
+        return self.output in INTEGRATING_OUTPUTS
+
+    @property
+    def each(self) -> tuple[Study, ...]:
+        """The study of each output."""
+        return (self, *self.others)
 
     @property
     def models(self) -> tuple[Assessed, ...]:
@@ -138,7 +193,8 @@ def study(
     recordings: Sequence[Recording],
     *,
     orders: Orders | None = None,
-    treat: Callable[[Dataset], Dataset] | None = None,
+    treat: Callable[[Any], Any] | None = None,
+    outputs: Sequence[OutputName] = (THETA_1,),
 ) -> Study:
     """Estimate ARX and OE models, and compare them and the physical model with validation data.
 
@@ -155,53 +211,127 @@ def study(
     treat : callable, optional
         Treatment of the data of each recording before the estimation, such as `armrig.hampel`.
         The report prints every step of the treatment.
+    outputs : sequence of {"theta_1", "alpha"}, default theta_1
+        Outputs of the models. If there are two, each model has both outputs, and the OE model has
+        one denominator for both.
 
     Returns
     -------
     Study
-        Models, their comparison and their residual tests.
+        Models, their comparison and their residual tests. `Study.others` has those of the second
+        output.
 
     Raises
     ------
     ValueError
-        There are no data to estimate from, or the orders are too high for the data.
+        There are no data to estimate from, the orders are too high for the data, or an output is
+        neither theta_1 nor alpha.
     """
     orders = orders or Orders()
+    if not outputs or len({*outputs} & OUTPUTS.keys()) < len(outputs):
+        raise InputError(
+            f"{', '.join(outputs) or 'no output'}: the models of a report have the output "
+            f"{' or '.join(OUTPUTS)}, or both; `armrig identify` takes the others"
+        )
     excited = [r for r in recordings if kind_of(r) not in (STEP, STAIRCASE)]
     if not excited:
         raise FileError(
             "nothing to identify from: give a recording whose input is not a single step, such as "
             "a recording of `armrig collect blackbox`"
         )
-    data = [r.dataset() if treat is None else treat(r.dataset()) for r in excited[:2]]
+    several = len(outputs) > 1
+    read = [r.signals(outputs) if several else r.dataset(outputs[0]) for r in excited[:2]]
+    data = read if treat is None else [treat(one) for one in read]
     estimation, validation = data if len(data) > 1 else data[0].split(2)
-    samples, nk = estimation.N - estimation.missing, orders.nk
+    each = [_of_each(one) for one in (estimation, validation)]
+    for one in each[0]:
+        _require_sensible(one, orders.of(one.output))
+    tests: dict[str, SignalsResidualTest] = {}
+    if isinstance(estimation, Signals) and isinstance(validation, Signals):
+        joint = _joint_fits(estimation, orders)
+        tests = {name: residuals(fit, validation) for name, fit in joint.items()}
+        fits = [
+            {name: replace(fit[one.output], digest=one.digest) for name, fit in joint.items()}
+            for one in each[0]
+        ]
+    else:
+        fits = [_fits(one, orders.of(one.output)) for one in each[0]]
+    shared: dict[str, Any] = {
+        "recordings": tuple(recordings),
+        "halves": len(excited) == 1,
+        "timing": tuple(sampling_statistics(r) for r in recordings),
+        "disturbances": tuple(disturbances(r) for r in recordings),
+    }
+    first, *others = (
+        Study(
+            estimation=ours,
+            validation=theirs,
+            **shared,
+            **assessed(found, physical_model(ArmParameters(), ours), theirs, tests),
+        )
+        for found, ours, theirs in zip(fits, *each, strict=True)
+    )
+    return replace(first, others=tuple(others))
+
+
+def _of_each(data: Dataset | Signals) -> list[Dataset]:
+    """Return the data of each output."""
+    return [data.dataset(name) for name in data.outputs] if isinstance(data, Signals) else [data]
+
+
+def _require_sensible(data: Dataset, orders: Orders) -> None:
+    samples, nk = data.N - data.missing, orders.nk
     require_sensible(samples=samples, nk=nk, na=orders.na, nb=orders.nb)
     require_sensible(
         samples=samples, nk=nk, integrator=orders.integrator, nb=orders.nb, nf=orders.nf
     )
-    fits = {
-        "ARX": arx(estimation, na=orders.na, nb=orders.nb, nk=nk),
-        "OE": oe(estimation, nb=orders.nb, nf=orders.nf, nk=nk, integrator=orders.integrator),
+
+
+def _fits(data: Dataset, orders: Orders) -> dict[str, Fit]:
+    """Return the models of one output, by their names in the report."""
+    nb, nk = orders.nb, orders.nk
+    return {
+        "ARX": arx(data, na=orders.na, nb=nb, nk=nk),
+        "OE": oe(data, nb=nb, nf=orders.nf, nk=nk, integrator=orders.integrator),
     }
-    return Study(
-        recordings=tuple(recordings),
-        estimation=estimation,
-        validation=validation,
-        halves=len(excited) == 1,
-        timing=tuple(sampling_statistics(r) for r in recordings),
-        disturbances=tuple(disturbances(r) for r in recordings),
-        **assessed(fits, physical_model(ArmParameters(), estimation), validation),
-    )
 
 
-def assessed(fits: Mapping[str, Fit], physics: Model, validation: Dataset) -> dict[str, Any]:
+def _joint_fits(data: Signals, orders: Orders) -> dict[str, MultivariableFit]:
+    """Return the models of all outputs, by their names in the report."""
+    from armrig.estimation.multivariable.arx import arx as arx_of_several
+    from armrig.estimation.multivariable.oe import oe as oe_of_several
+
+    of_each = [orders.of(name) for name in data.outputs]
+    integrating = [n for n, own in zip(data.outputs, of_each, strict=True) if own.integrator]
+    nb, nk = [[own.nb] for own in of_each], orders.nk
+    return {
+        # A is diagonal: each output has its own past only, as in the model of one output.
+        "ARX": arx_of_several(data, na=np.diag([own.na for own in of_each]), nb=nb, nk=nk),
+        "OE": oe_of_several(
+            data,
+            nb=nb,
+            nf=orders.nf - bool(integrating),
+            nk=nk,
+            integrator=integrating,
+            shared="denominator",
+        ),
+    }
+
+
+def assessed(
+    fits: Mapping[str, Fit],
+    physics: Model,
+    validation: Dataset,
+    together: Mapping[str, SignalsResidualTest] = MappingProxyType({}),
+) -> dict[str, Any]:
     """Compare the models and the physics with the validation data; return fields of a `Study`.
 
     Parameters
     ----------
     fits : mapping of str to Fit
         Models by their names in the report.
+    together : mapping of str to SignalsResidualTest, optional
+        Tests of all outputs of the models that have several.
     """
     # The comparison is first: it refuses a model of another sampling time.
     table = compare(validation, *fits.values(), physics, labels=(*fits, physics.label))
@@ -214,8 +344,9 @@ def assessed(fits: Mapping[str, Fit], physics: Model, validation: Dataset) -> di
             fit=fit,
             tests=residuals(fit, validation),
             deviation=np.abs(fit.frequency_response(omega).G - G) / np.abs(G),
+            together=together.get(name),
         )
-        for row, fit in zip(rows, fits.values(), strict=True)
+        for row, (name, fit) in zip(rows, fits.items(), strict=True)
     )
     return {
         "estimated": estimated,

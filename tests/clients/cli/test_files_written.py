@@ -260,6 +260,11 @@ def test_questions_are_text_whatever_the_name_of_their_file(
             ["x.mcap", "--answers", "a.toml"],
             "--answers applies to the handout's report: add --handout",
         ),
+        (
+            ["--handout", "--signal", "theta_1,alpha"],
+            "--signal theta_1,alpha: the handout's report is of theta_1; leave out --handout or",
+        ),
+        (["x.mcap", "--signal", "beta"], "--signal beta: a recording has theta_1, alpha"),
         (["x.mcap", "--set", "J_1=0.002"], "--set applies to the handout's report: add --handout"),
         (["--handout", "--answers", "mine.toml"], 'mine.toml: unknown key "mine"; known are stude'),
     ],

@@ -231,11 +231,14 @@ def test_the_chassis_may_accompany_the_whole_rig_in_a_handout_alone(
 
     orders = ["--na", "2", "--nb", "3", "--nf", "5", "--nk", "6"]
     of_the_handout = ["--handout", "--set", "J_2=0.006", "--omega", "3", "--amplitude", "1"]
-    options = [*orders, *(of_the_handout if handout else ())]
+    of_a_study = ["--signal", "theta_1,alpha"]
+    options = [*orders, *(of_the_handout if handout else of_a_study)]
     assert main(["report", *options, "blackbox.mcap", "greybox.mcap"]) == 1
 
     cases = {"handout": ArmParameters(), "J_2=0.006": ArmParameters(J_2=0.006)}
-    more = {"cases": cases, "amplitude": 1.0, "omega": 3.0} if handout else {}
+    more: dict[str, Any] = {"outputs": ["theta_1", "alpha"]}
+    if handout:
+        more = {"cases": cases, "amplitude": 1.0, "omega": 3.0}
     assert calls[0][-1] == {"orders": Orders(na=2, nb=3, nf=5, nk=6), **more}
     assert ("are two plants" in told(capsys)) is not handout
 

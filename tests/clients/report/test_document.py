@@ -233,12 +233,13 @@ def test_a_report_describes_a_third_model(of_three: Study) -> None:
     names = ["ARMAX", "ARX", "OE"]
     told = content(of_three, ())
     said = " ".join(told["verdict"])
+    [output] = told["outputs"]
 
-    assert [table["name"] for table in told["models"]] == names
-    assert [len(table["header"]) for table in told["models"]] == [4, 4, 5]
-    assert all(len(row) == len(t["header"]) for t in told["models"] for row in t["rows"])
+    assert [table["name"] for table in output["models"]] == names
+    assert [len(table["header"]) for table in output["models"]] == [4, 4, 5]
+    assert all(len(row) == len(t["header"]) for t in output["models"] for row in t["rows"])
     assert [row[0] for row in told["fits"]] == [*names, "physics"]
-    assert told["tested"] == names
+    assert told["tests_header"][1:-1] == [f"p ({name})" for name in names]
     assert all(len(row) == 1 + 3 + 1 for row in told["tests"])
     assert told["orders"] == "na = 4, nb = 4, nc = 2, nf = 4, nk = 1"
     for name in names:

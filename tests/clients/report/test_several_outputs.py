@@ -1,0 +1,122 @@
+"""The report of both outputs of the rig: models of both, with results for each output."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.recordings.loading import load
+from armrig.report.conclusions import abstract, conclusions
+from armrig.report.document import content, report
+from armrig.report.study import Orders, Study, study
+from armrig_core.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def both(three_recordings: tuple[Path, Path, Path]) -> Study:
+    """Give the study of both outputs."""
+    return study([load(path) for path in three_recordings], outputs=("theta_1", "alpha"))
+
+
+def test_both_outputs_have_the_poles_of_one_model(both: Study) -> None:
+    theta_1, alpha = (one.model("OE").model for one in both.each)
+
+    np.testing.assert_allclose(theta_1.F, np.convolve([1.0, -1.0], alpha.F), atol=1e-12)
+    assert [one.output for one in both.each] == ["theta_1", "alpha"]
+
+
+def test_a_model_of_both_outputs_has_smaller_deviations_of_its_poles(
+    both: Study, done: Study
+) -> None:
+    pair = [np.sort(x.best.fit.poles().std)[1] for x in (both, done)]
+
+    assert pair[0] < 0.7 * pair[1]
+
+
+def test_the_numbers_of_each_output_are_those_of_the_model_of_both(
+    both: Study, three_recordings: tuple[Path, Path, Path]
+) -> None:
+    first, other = (armrig.load(path).signals() for path in three_recordings[1:])
+    oe = armrig.oe(first, nb=[[4], [3]], nf=3, integrator="theta_1", shared="denominator")
+    arx = armrig.arx(first, na=[[4, 0], [0, 3]], nb=[[4], [3]])
+
+    for name, fit in (("ARX", arx), ("OE", oe)):
+        row = armrig.compare(other, fit)[0]
+        rms = [one.model(name).comparison.rms_error for one in both.each]
+        np.testing.assert_allclose(rms, row.rms_error, rtol=1e-3)
+    tests = armrig.residuals(oe, other)
+    together = both.estimated[1].together
+    assert together is not None
+    assert together.white.p_value == pytest.approx(tests.white.p_value)
+    assert together.missing_dynamics == pytest.approx(tests.missing_dynamics)
+
+
+def test_each_table_has_rows_for_each_output(both: Study) -> None:
+    values = content(both, ())
+
+    fits, tests = values["fits"], values["tests"]
+    assert [row[0] for row in fits] == ["θ₁", "", "", "α", "", ""]
+    assert [row[1] for row in fits] == ["ARX", "OE", "physics"] * 2
+    assert [row[4] == "–" for row in fits] == [False] * 3 + [True] * 3
+    assert [row[1] for row in tests] == ["together", "θ₁", "α"] * 3
+    assert all(len(row) == len(values["tests_header"]) for row in tests)
+    assert all(len(row) == len(values["fits_header"]) for row in fits)
+    names = [table["header"][0] for output in values["outputs"] for table in output["models"]]
+    assert names == ["ARX, θ₁", "OE, θ₁", "ARX, α", "OE, α"]
+    assert values["orders"] == "for θ₁ na = nb = nf = 4, nk = 1; for α na = nb = nf = 3, nk = 1"
+
+
+def test_the_sentences_name_the_output(both: Study) -> None:
+    said = conclusions(both)
+
+    assert "simulates the chassis angle with an rms error of" in abstract(both)
+    assert "and the arm angle with an rms error of" in abstract(both)
+    assert "the rms error of the chassis angle is" in said[0]
+    assert "the rms error of the arm angle is" in said[1]
+    assert any("residuals of OE, all outputs together, are white" in text for text in said)
+    assert len(said) == len(set(said))
+    estimation = content(both, ())["estimation"]
+    assert estimation.count("outside the unit circle") <= 1
+    assert "OE of α: loss" in estimation
+
+
+def test_the_document_has_the_figures_of_both_outputs(both: Study, tmp_path: Path) -> None:
+    pdf = report(both, tmp_path / "report.pdf", figures=tmp_path)
+
+    names = {path.stem for path in tmp_path.glob("*.svg")}
+    of_each = {"data", "compare", "velocity", "bode", "step_poles", "residuals"}
+    assert names == {"timing", "step"} | of_each | {f"{name}-alpha" for name in of_each}
+    assert "alpha" in (tmp_path / "velocity-alpha.svg").read_text()
+    assert pdf.read_bytes().startswith(b"%PDF-")
+
+
+def test_a_report_may_be_of_alpha_alone(three_recordings: tuple[Path, Path, Path]) -> None:
+    found = study([load(path) for path in three_recordings], outputs=("alpha",))
+
+    assert found.best.fit.orders == {"nb": 3, "nf": 3, "nk": 1}
+    assert np.median(found.best.deviation) < 0.02
+    values = content(found, ())
+    assert values["fits_header"] == ["model", "fit of the angle", "rms error"]
+    assert "to the arm angle were estimated" in values["summary"]
+    assert "never negative" not in values["data"]
+
+
+@pytest.mark.parametrize(
+    ("outputs", "orders", "match"),
+    [
+        (("velocity",), Orders(), "velocity: the models of a report have the output theta_1 or"),
+        (("theta_1", "theta_1"), Orders(), "theta_1, theta_1: the models of a report"),
+        ((), Orders(), "no output: the models"),
+        (("theta_1", "alpha"), Orders(nb=1), "nb=1, nf=4: the models of alpha have one"),
+    ],
+)
+def test_outputs_and_orders_without_a_report_are_refused(
+    outputs: tuple[str, ...],
+    orders: Orders,
+    match: str,
+    three_recordings: tuple[Path, Path, Path],
+) -> None:
+    with pytest.raises(InputError, match=match):
+        study([load(three_recordings[1])], orders=orders, outputs=outputs)  # type: ignore[arg-type]
