@@ -21,7 +21,6 @@ from armrig.cli.model_structures import (
 )
 from armrig.cli.next_step import say_next, typed, validation_beside
 from armrig.cli.options import (
-    SAME_DATA,
     CalibrationFile,
     DataTs,
     Detrend,
@@ -38,7 +37,12 @@ from armrig.cli.options import (
     say,
     tell,
 )
-from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
+from armrig.cli.recorded_data import (
+    SignalChoice,
+    from_recording,
+    source_facts,
+    warn_of_estimation_data,
+)
 from armrig.cli.several_signals import Outputs
 from armrig.cli.several_signals import identify as identify_several
 from armrig.estimation.request import Request
@@ -288,8 +292,7 @@ def _validated(fit: Fit, other: Dataset) -> _Validation:
 
     with estimating("the orders"):
         table, tests = compare(other, fit), residuals(fit, other)
-    if table[0].on_estimation_data:
-        tell(SAME_DATA)
+    warn_of_estimation_data(table)
     return _Validation(data=other, table=table, tests=tests)
 
 

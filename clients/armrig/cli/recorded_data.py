@@ -27,13 +27,14 @@ from armrig.cli.column_notes import (
     tell_of_signals,
 )
 from armrig.cli.figures import name_runs
-from armrig.cli.options import SAME_DATA, tell, warned
+from armrig.cli.options import tell, warned
 from armrig.data.files.suffixes import DATA, OTHER_DATA, RECORDING
 
 if TYPE_CHECKING:
     from armrig.data.dataset import Dataset
     from armrig.data.signals import Signals
     from armrig.models.model import Model
+    from armrig.models.multivariable.comparison import SignalsComparisonTable
     from armrig.models.multivariable.fit import MultivariableFit
     from armrig.models.spectral_estimate import SpectralEstimate
     from armrig.recordings.recording import Recording
@@ -307,10 +308,10 @@ def _with_level(model: Model | None) -> bool:
     return bool(getattr(model, "offset", False))
 
 
-def warn_of_estimation_data(table: ComparisonTable) -> None:
-    """Print a warning if a model is judged on its own estimation data."""
-    if any(row.on_estimation_data for row in table.rows):
-        tell(SAME_DATA)
+def warn_of_estimation_data(table: ComparisonTable | SignalsComparisonTable) -> None:
+    """Print a warning if a model is judged on its own estimation data, or on a part of them."""
+    for finding in table.findings:
+        tell(finding.text)
 
 
 def spectral_beside(data: Dataset) -> list[SpectralEstimate]:

@@ -11,8 +11,13 @@ import typer
 from armrig.cli import several_next
 from armrig.cli.figures import write_plot
 from armrig.cli.model_structures import Given, requested_of_several
-from armrig.cli.options import SAME_DATA, print_json, say, tell
-from armrig.cli.recorded_data import SignalChoice, from_recording, source_facts
+from armrig.cli.options import print_json, say, tell
+from armrig.cli.recorded_data import (
+    SignalChoice,
+    from_recording,
+    source_facts,
+    warn_of_estimation_data,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -175,8 +180,7 @@ def compared(
     from armrig.models.multivariable.comparison import compare
 
     table = compare(data, *fits, horizon=horizon, labels=labels)
-    if any(row.on_estimation_data for row in table.rows):
-        tell(SAME_DATA)
+    warn_of_estimation_data(table)
     return table
 
 

@@ -16,7 +16,7 @@ from armrig_core.errors import InputError, InputTypeError
 from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.pandas_columns import plain, present
-from armrig.data.step import Step, codes_of
+from armrig.data.step import Step, codes_of, in_merged, took
 from armrig.data.trend import Trend
 from armrig.numerics.checks import column, require_integers
 from armrig.numerics.stretches import Mask
@@ -257,7 +257,7 @@ class Dataset:
             valid=self.valid[a:b],
             starts=(0, *(s - a for s in self.starts if a < s < b)),
             trends=self._trends_between(a, b),
-            step=f"took samples {a} to {b - 1} of {self.N}",
+            step=took(f"took samples {a} to {b - 1} of {self.N}", a * self.Ts, b * self.Ts),
         )
 
     def _trends_between(self, a: int, b: int) -> tuple[Trend, ...]:
@@ -431,7 +431,7 @@ def joined_history(parts: Sequence[HasHistory]) -> tuple[str, ...]:
             break
         common.append(steps[0])
     own = [
-        Step(f"part {i}: {step}", code)
+        Step(f"part {i}: {step}", in_merged(code))
         for i, d in enumerate(parts, 1)
         for step, code in list(zip(d.history, codes_of(d.history), strict=True))[len(common) :]
     ]

@@ -9,6 +9,12 @@ from typing import Literal
 Asks = Literal["", "order", "integrator", "structure"]
 """Setting to change in the next estimation; "" if no setting must change."""
 
+OWN_DATA = (
+    "the models are judged on their own estimation data, which gives too good results: "
+    "validate on other data"
+)
+"""Text of the finding that models are compared on their estimation data."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from armrig.data.dataset import Dataset, joined_history, require_size, starts_of
 from armrig.data.pandas_columns import is_pandas, plain
-from armrig.data.step import Step, codes_of
+from armrig.data.step import Step, codes_of, took
 from armrig.numerics.checks import require_integers
 
 if TYPE_CHECKING:
@@ -332,13 +332,15 @@ class Signals:
             )
         if (a, b) == (0, self.N):
             return self  # Signals are immutable
+        begin = float(self.t[a] - self.t[0])
+        end = float(self.t[b - 1] - self.t[0]) + (self.Ts or 0.0)
         return self.replaced(
             u=self.u[a:b],
             y=self.y[a:b],
             valid=self.valid[a:b],
             times=None if self.times is None else self.times[a:b],
             starts=(0, *(s - a for s in self.starts if a < s < b)),
-            step=f"took samples {a} to {b - 1} of {self.N}",
+            step=took(f"took samples {a} to {b - 1} of {self.N}", begin, end),
         )
 
     def split(self, k: int) -> tuple[Signals, ...]:

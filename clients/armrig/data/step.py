@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import inf
 from typing import Self
 
 MEAN = "mean"
 """Code of a step that removed the mean."""
 LINE = "line"
 """Code of a step that removed a straight line."""
+
+_PART = "part"
+"""First word of the code of a step that took a part; start and end, in s, follow."""
+_SEVERAL_PARTS = "parts"
+"""Code of such a step of one of several merged parts."""
 
 
 class Step(str):
@@ -27,3 +33,29 @@ class Step(str):
 def codes_of(history: Iterable[str]) -> list[str]:
     """Return the code of each step, "" for a step without a code."""
     return [step.code if isinstance(step, Step) else "" for step in history]
+
+
+def took(text: str, start: float, stop: float) -> Step:
+    """Return the step that took the part from `start` to `stop`, in s from the first sample."""
+    return Step(text, f"{_PART} {start:.9g} {stop:.9g}")
+
+
+def in_merged(code: str) -> str:
+    """Return the code of a step of one of several merged parts."""
+    return _SEVERAL_PARTS if code.startswith(f"{_PART} ") else code
+
+
+def span_of(history: Iterable[str]) -> tuple[float, float] | None:
+    """Return the part of the source that data contain, in s; None if several parts are merged.
+
+    The end is infinite if the data contain the whole source.
+    """
+    start, stop = 0.0, inf
+    for code in codes_of(history):
+        kind, *ends = code.split(" ")
+        if kind == _SEVERAL_PARTS:
+            return None
+        if kind == _PART:
+            a, b = map(float, ends)
+            start, stop = start + a, min(stop, start + b)
+    return start, stop

@@ -315,6 +315,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
         truncated=bool(content.damage),
         cut_off=content.cut_off,
         damage=content.damage + saved if content.damage else "",
+        part=_span(t, manifest.Ts) if between != EVERYTHING and t.size else None,
         **reports,
     )
     shown = (recording.channel(channel.name) for channel in telemetry.CHANNELS)
@@ -322,6 +323,11 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
     for array in arrays:
         array.flags.writeable = False
     return recording
+
+
+def _span(t: Vector, Ts: float) -> tuple[float, float]:
+    """Return the first time, and one sampling time after the last, without rounding errors."""
+    return round(float(t[0]), 9), round(float(t[-1]) + Ts, 9)
 
 
 def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:

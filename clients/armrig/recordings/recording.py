@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from armrig.data.dataset import Dataset
 from armrig.data.signals import Signals
+from armrig.data.step import took
 from armrig.data.treatment import difference
 from armrig.numerics.stretches import Mask
 from armrig.recordings.daemon_reports import DeviceClock, Event, Gap, Note, Timing
@@ -122,6 +123,8 @@ class Recording:
     """True if the file is truncated, without another error."""
     damage: str
     """Damage of the file, and the amount of saved data; "" for a complete file."""
+    part: tuple[float, float] | None = None
+    """Start and end of the samples that were read, in s as in `t`; None for all samples."""
 
     @property
     def N(self) -> int:
@@ -219,6 +222,9 @@ class Recording:
             output=measured.name,
             unit=measured.unit,
             source=self.sha256,
+            history=[took("took {:g} to {:g} s of the run".format(*self.part), *self.part)]
+            if self.part
+            else (),
         )
         return difference(data) if output == measured.rate else data
 

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import takes_recordings
 from armrig.data.dataset import Dataset
+from armrig.data.finding import EstimateFinding
 from armrig.data.several_signals import accepts_signals
 from armrig.data.treatment import INTEGRATING_OUTPUTS, difference
 from armrig.models.characteristics import ModelCharacteristics, model_characteristics
+from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.model import Model
 from armrig.models.prediction import predicted
 from armrig.numerics.criteria import fit_percent
@@ -75,6 +77,12 @@ class ComparisonTable:
     def __getitem__(self, i: int) -> Comparison:
         """Return the comparison of model i, from 0."""
         return self.rows[i]
+
+    @property
+    def findings(self) -> tuple[EstimateFinding, ...]:
+        """Warnings, with codes: "own data" and "overlap" for models estimated from these data."""
+        named = [(row.name, row.model) for row in self.rows]
+        return tuple(findings_on_own_data(named, self.data))
 
     def table(self, *, brief: bool = False) -> str:
         """Return a table of gain, resonances, bandwidth, step response and poles of the models.

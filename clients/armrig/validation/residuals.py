@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from armrig.data.argument import HasDataset, as_dataset
 from armrig.data.dataset import Dataset
+from armrig.data.finding import EstimateFinding
 from armrig.models.estimate import Estimate
+from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.models.prediction import Residuals, prediction_errors, require_same_signals
 from armrig.numerics.covariance import exogenous_score
@@ -78,6 +80,9 @@ class ResidualTest:
     """True if the parameters were estimated from these data; the tests account for this."""
     source: str
     """Hash of the recording, or ""."""
+    findings: tuple[EstimateFinding, ...] = ()
+    """Warnings, with the code "overlap" if the model was also estimated from a part of these data.
+    """
 
     @property
     def white(self) -> Whiteness:
@@ -107,7 +112,8 @@ class ResidualTest:
         if self.powerless:
             p_values = (self.whiteness, self.missing_dynamics, self.feedback)
             if not any(p < WHITE_LEVEL for p in p_values):
-                return f"residuals on validation data: no test has power: {self.powerless}"
+                powerless = f"residuals on validation data: no test has power: {self.powerless}"
+                return "\n".join([powerless, *self._warnings()])
         where = "estimation" if self.on_estimation_data else "validation"
         look = ": look at the noise model or order" if self.white.coloured else ""
         verdicts = (
@@ -123,7 +129,10 @@ class ResidualTest:
             if not p < WHITE_LEVEL:
                 said = f"{good} (p {p_relation(p)})" if p >= 0 else f"{good}: too few to test"
             lines.append(f"  {said}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *self._warnings()])
+
+    def _warnings(self) -> list[str]:
+        return [f"  {finding.text}" for finding in self.findings]
 
 
 @overload
@@ -251,6 +260,7 @@ def residuals(
         feedback=joint_p_value(input_.sums[future], input_.covariance[future, future]),
         on_estimation_data=own,
         source=data.source,
+        findings=() if own else tuple(findings_on_own_data([(fit.label, fit)], data)),
     )
 
 

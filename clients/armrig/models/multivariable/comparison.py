@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from armrig_core.errors import InputError, InputTypeError
 
+from armrig.data.finding import EstimateFinding
 from armrig.data.signals import Signals
+from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.model import Matrix
 from armrig.numerics.criteria import fit_percent
 from armrig.numerics.quantities import plural
@@ -73,6 +75,12 @@ class SignalsComparisonTable:
     def __getitem__(self, i: int) -> SignalsComparison:
         """Return the comparison of model i, from 0."""
         return self.rows[i]
+
+    @property
+    def findings(self) -> tuple[EstimateFinding, ...]:
+        """Warnings, with codes: "own data" and "overlap" for models estimated from these data."""
+        named = [(row.name, row.model) for row in self.rows]
+        return tuple(findings_on_own_data(named, self.data))
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
         """Return a figure with a panel for each output: measured, and each model."""

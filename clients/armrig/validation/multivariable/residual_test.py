@@ -9,6 +9,7 @@ import numpy as np
 from armrig_core.errors import InputError
 from numpy.typing import NDArray
 
+from armrig.data.finding import EstimateFinding
 from armrig.numerics.polynomial import Array
 from armrig.numerics.quantities import listed, p_relation
 from armrig.numerics.whiteness import WHITE_LEVEL, Whiteness
@@ -91,6 +92,9 @@ class SignalsResidualTest:
     """True if the parameters were estimated from these data; the tests account for this."""
     source: str
     """Hash of the recording, or ""."""
+    findings: tuple[EstimateFinding, ...] = ()
+    """Warnings, with the code "overlap" if the model was also estimated from a part of these data.
+    """
 
     @property
     def rejects(self) -> bool:
@@ -172,7 +176,7 @@ class SignalsResidualTest:
                 f"  {self.inputs[j]} to {self.outputs[i]}: {what} (p {p_relation(float(p[i, j]))})"
                 for i, j in zip(*np.nonzero(p < WHITE_LEVEL / p.size), strict=True)
             ]
-        return "\n".join(lines)
+        return "\n".join([*lines, *(f"  {finding.text}" for finding in self.findings)])
 
 
 def _verdict(good: str, bad: str, p: float) -> str:

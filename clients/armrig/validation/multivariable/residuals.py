@@ -9,6 +9,7 @@ from armrig_core.errors import InputError
 
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.inference import OutputResiduals, exogenous_covariance
+from armrig.models.estimation_data import findings_on_own_data
 from armrig.models.multivariable.fit import MultivariableFit, require_same_channels
 from armrig.numerics.polynomial import Array
 from armrig.numerics.whiteness import default_lags, joint_p_value
@@ -107,6 +108,7 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
         allowance=allowance,
         on_estimation_data=own,
         source=data.source,
+        findings=() if own else tuple(findings_on_own_data([(fit.label, fit)], data)),
     )
 
 

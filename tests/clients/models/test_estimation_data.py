@@ -1,0 +1,134 @@
+"""Findings about models that are compared with data which they were estimated from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import armrig
+import numpy as np
+import pytest
+from armrig.cli import main
+from armrig.data.dataset import Dataset
+from armrig.data.finding import EstimateFinding
+from armrig.data.signals import Signals
+from armrig.models.fit import Fit
+from armrig.models.multivariable.fit import MultivariableFit
+
+
+def dataset(source: str = "a") -> Dataset:
+    """Return 400 samples of a first-order system at 10 Hz."""
+    rng = np.random.default_rng(1)
+    u = rng.standard_normal(400)
+    y = np.zeros(400)
+    for k in range(1, 400):
+        y[k] = 0.8 * y[k - 1] + u[k - 1] + 0.1 * rng.standard_normal()
+    return Dataset(u=u, y=y, Ts=0.1, source=source)
+
+
+def signals() -> Signals:
+    """Return the same input with two outputs."""
+    data = dataset()
+    y = np.column_stack([data.y, data.y + np.roll(data.y, 1)])
+    return Signals(u=data.u[:, None], y=y, Ts=data.Ts, source=data.source)
+
+
+def found(data: Dataset, fit: Fit) -> list[EstimateFinding]:
+    """Return the findings of a comparison; the residual tests have the same overlaps."""
+    table, tests = armrig.compare(data, fit), armrig.residuals(fit, data)
+    assert tests.findings == tuple(f for f in table.findings if f.about == "overlap")
+    return list(table.findings)
+
+
+def test_an_overlap_has_a_code_and_its_times() -> None:
+    data = dataset()
+    fit = armrig.arx(data[:200], na=1, nb=1)
+
+    [finding] = found(data[150:], fit)
+
+    assert (finding.about, finding.level) == ("overlap", "warning")
+    assert finding.numbers == pytest.approx({"start": 15.0, "stop": 20.0})
+    assert "15 to 20 s of the same file" in finding.text
+    assert finding.text in repr(armrig.residuals(fit, data[150:]))
+    assert found(data[200:], fit) == []
+
+
+def test_the_times_of_a_part_of_a_part_are_those_of_the_file() -> None:
+    data = dataset()
+    fit = armrig.arx(data[100:][50:200], na=1, nb=1)
+
+    [finding] = found(data[120:][60:], fit)
+
+    assert finding.numbers == pytest.approx({"start": 18.0, "stop": 30.0})
+    assert found(data[:150], fit) == []
+
+
+def test_a_treatment_does_not_hide_the_overlap() -> None:
+    data = dataset()
+    fit = armrig.arx(data, na=1, nb=1)
+
+    [finding] = found(armrig.detrend(data[100:300]), fit)
+
+    assert finding.numbers == pytest.approx({"start": 10.0, "stop": 30.0})
+
+
+def test_the_same_data_have_a_code_of_their_own() -> None:
+    data = dataset()
+
+    [finding] = found(data, armrig.arx(data, na=1, nb=1))
+
+    assert finding.about == "own data"
+
+
+def test_data_of_another_file_or_of_merged_parts_have_no_finding() -> None:
+    data = dataset()
+    fit = armrig.arx(armrig.merge([data[:100], data[300:]]), na=1, nb=1)
+
+    assert found(data[100:300], fit) == []
+    assert found(dataset(source="b"), armrig.arx(data[:200], na=1, nb=1)) == []
+    assert found(dataset(source=""), armrig.arx(dataset(source="")[:200], na=1, nb=1)) == []
+
+
+def test_a_saved_model_contains_its_part(tmp_path: Path) -> None:
+    data = dataset()
+    armrig.arx(data[:200], na=1, nb=1).save(tmp_path / "m.json")
+
+    fit = armrig.load_fit(tmp_path / "m.json")
+
+    assert isinstance(fit, Fit)
+    assert [f.about for f in found(data[150:], fit)] == ["overlap"]
+
+
+def test_several_signals_have_the_same_findings(tmp_path: Path) -> None:
+    data = signals()
+    armrig.arx(data[:200], na=[[1, 0], [0, 1]], nb=1).save(tmp_path / "m.json")
+    fit = armrig.load_fit(tmp_path / "m.json")
+
+    assert isinstance(fit, MultivariableFit)
+    for part, times in ((data[150:], [15.0, 20.0]), (data[200:], [])):
+        table, tests = armrig.compare(part, fit), armrig.residuals(fit, part)
+        numbers = [x for f in table.findings for x in f.numbers.values()]
+        assert numbers == pytest.approx(times)
+        assert tests.findings == table.findings
+
+
+@pytest.mark.parametrize("several", [False, True])
+def test_the_commands_print_the_overlap(
+    several: bool,
+    three_recordings: tuple[Path, Path, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    recording, model = str(three_recordings[1]), str(tmp_path / "m.json")
+    signal = "theta_1,alpha" if several else "alpha"
+    structure = ["--structure", "arx", "--na", "2", "--nb", "2", "--signal", signal]
+    assert main(["identify", recording, *structure, "--to", "8", "--save", model]) == 0
+
+    warned = []
+    for command, start in (("validate", "6"), ("compare", "6"), ("validate", "8")):
+        capsys.readouterr()
+        assert main([command, recording, "--model", model, "--from", start]) == 0
+        warned.append(
+            "was also estimated from 6 to 8 s of the same file" in capsys.readouterr().err
+        )
+
+    assert warned == [True, True, False]
