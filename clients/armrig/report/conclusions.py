@@ -20,7 +20,7 @@ from armrig.numerics.whiteness import WHITE_LEVEL
 from armrig.recordings.calibration.staleness import remarks
 from armrig.recordings.jitter import angle_of_jitter, fastest_rate
 from armrig.recordings.recording import Recording
-from armrig.report.study import AssessedFit, Study
+from armrig.report.study import AssessedFit, Study, each_output
 
 MIN_BIASED_RMS_RATIO = 3.0
 """Ratio of the rms errors of an ARX model and the best model, above which ARX is called biased."""
@@ -29,10 +29,10 @@ MIN_BIASED_RMS_RATIO = 3.0
 def conclusions(study: Study) -> list[str]:
     """Return the conclusions of a study, each in a few sentences."""
     points = [
-        *(_simulation_verdict(one, _of(one, study, "of")) for one in study.each),
+        *(_simulation_verdict(one, _of(one, study, "of")) for one in each_output(study)),
         *(_residual_verdict(model) for model in study.ranked),
-        *(_physics_verdict(one, _of(one, study, "to")) for one in study.each),
-        *dict.fromkeys(text for one in study.each for text in _structure_verdicts(one)),
+        *(_physics_verdict(one, _of(one, study, "to")) for one in each_output(study)),
+        *dict.fromkeys(text for one in each_output(study) for text in _structure_verdicts(one)),
     ]
     points += calibration_sentences(study.recordings)
     points.append(_jitter_verdict(study))
@@ -108,7 +108,7 @@ def _jitter_verdict(study: Study) -> str:
     """Return the jitter of the validation data, and the errors of the angles that it causes."""
     timing = study.timing[study.recordings.index(study.recording_of(study.validation.source))]
     moved: list[str] = []
-    for one in study.each:
+    for one in each_output(study):
         data = one.validation
         rate = f"at {number(fastest_rate(data))} {data.unit}/s"
         rate += "" if moved else ", the rate that 99 % of the data do not exceed,"
@@ -146,19 +146,20 @@ def abstract(study: Study) -> str:
     """Return the result of a study in three sentences."""
     name, several = study.best.name, bool(study.others)
     N, Ts = study.estimation.N, study.estimation.Ts
-    best = [next(m for m in one.estimated if m.name == name) for one in study.each]
+    best = [next(m for m in one.estimated if m.name == name) for one in each_output(study)]
     errors = [
         f"{f'the {one.angle}' if several else 'the angle'} with an rms error of "
         f"{error(m.comparison.rms_error, one.validation.unit)}"
-        for one, m in zip(study.each, best, strict=True)
+        for one, m in zip(each_output(study), best, strict=True)
     ]
     medians = listed([percent(100 * float(np.median(m.deviation))) for m in best])
     differs = "responses differ from those" if several else "response differs from that"
+    angles = listed([f"the {one.angle}" for one in each_output(study)])
     names = listed([with_article(m.name) for m in study.estimated])
     were = "were" if len(study.estimated) > 1 else "was"
     return (
         f"{names[0].upper()}{names[1:]} model from the motor's voltage to "
-        f"{listed([f'the {one.angle}' for one in study.each])} {were} estimated from {N} samples "
+        f"{angles} {were} estimated from {N} samples "
         f"at {milliseconds(Ts)}. On validation data the {name} model simulates {listed(errors)}. "
         f"Its frequency {differs} of the physical model by "
         f"{'medians' if several else 'a median'} of {medians}."

@@ -34,7 +34,7 @@ from armrig.report.recording_facts import (
     timing_rows,
     treatment,
 )
-from armrig.report.study import STEP, Study, kind_of
+from armrig.report.study import STEP, Study, each_output, kind_of
 from armrig.report.typesetting import recorded, source_folder, typeset
 
 
@@ -115,7 +115,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
             "rms error",
             *(["fit of the velocity"] if _with_velocity(study) else []),
         ],
-        "fits": [row for one in study.each for row in _fit_rows(one, study)],
+        "fits": [row for one in each_output(study) for row in _fit_rows(one, study)],
         "percent": percent_warning(study),
         "physics": physics(study),
         "tests_header": [
@@ -133,7 +133,7 @@ def content(study: Study, remarks: Sequence[str]) -> dict[str, Any]:
             f"{_run(study.validation, study)}). The tests allow for the uncertainty of the "
             "estimated models.",
         },
-        "outputs": [_of_output(one, study) for one in study.each],
+        "outputs": [_of_output(one, study) for one in each_output(study)],
     }
 
 
@@ -144,7 +144,7 @@ def _run(data: Dataset, study: Study) -> str:
 
 def _with_velocity(study: Study) -> bool:
     """Return True if the velocity of an output is compared."""
-    rows = (one.reference.comparison for one in study.each)
+    rows = (one.reference.comparison for one in each_output(study))
     return any(row.velocity_fit_percent is not None for row in rows)
 
 

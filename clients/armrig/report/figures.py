@@ -20,7 +20,7 @@ from armrig.physics.systems import ArmParameters
 from armrig.plots.captions import legend, named, named_by_run
 from armrig.plots.layout import pens, save
 from armrig.report.handout_study import METHODS, HandoutStudy
-from armrig.report.study import STEP, Study, kind_of
+from armrig.report.study import STEP, Study, each_output, kind_of
 
 STYLE: Any = {
     "svg.fonttype": "none",
@@ -49,7 +49,7 @@ def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
     paths = []
     runs = {r.sha256: r.manifest.run_id for r in study.recordings}
     with mpl.rc_context(STYLE), named_by_run(runs):
-        for one in study.each:
+        for one in each_output(study):
             for name, draw in _FIGURES.items():
                 figure = draw(one) if one is study or name not in _OF_RECORDINGS else None
                 if figure is not None:

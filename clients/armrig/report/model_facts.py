@@ -14,18 +14,18 @@ from armrig.models.model import Model
 from armrig.numerics.quantities import fixed, listed, number, p_value, percent, places, power
 from armrig.recordings.findings import alpha_moves
 from armrig.report.recording_facts import run_name
-from armrig.report.study import Assessed, AssessedFit, Study
+from armrig.report.study import Assessed, AssessedFit, Study, each_output
 from armrig.validation.multivariable.residual_test import SignalsResidualTest
 from armrig.validation.residuals import ResidualTest
 
 
 def orders(study: Study) -> str:
     """Return the orders of the models of each output as text."""
-    of_each = [_orders(one) for one in study.each]
+    of_each = [_orders(one) for one in each_output(study)]
     if len(of_each) == 1:
         return of_each[0]
     return "; ".join(
-        f"for {one.symbol} {text}" for one, text in zip(study.each, of_each, strict=True)
+        f"for {one.symbol} {text}" for one, text in zip(each_output(study), of_each, strict=True)
     )
 
 
@@ -96,10 +96,13 @@ def structure(study: Study) -> str:
     """Return a text on the integrator, the initial state and the dead band in the models."""
     said = []
     letters_of = {
-        m.fit.integrating.upper() for one in study.each for m in one.estimated if m.fit.integrator
+        m.fit.integrating.upper()
+        for one in each_output(study)
+        for m in one.estimated
+        if m.fit.integrator
     }
     if letters_of:
-        angle = _the_angle(next(one for one in study.each if one.integrates), study)
+        angle = _the_angle(next(one for one in each_output(study) if one.integrates), study)
         of = " of this angle" if study.others else ""
         has = "have" if len(letters_of) > 1 else "has"
         said.append(
@@ -119,8 +122,9 @@ def structure(study: Study) -> str:
 
 def _shared(study: Study) -> str:
     """Return sentences on the parameters that the models of several outputs have in common."""
+    outputs = listed([one.symbol for one in each_output(study)])
     return (
-        f"Each model has both outputs, {listed([one.symbol for one in study.each])}. In the OE "
+        f"Each model has both outputs, {outputs}. In the OE "
         "model both outputs have one denominator, which is estimated from both. The table of each "
         "output contains the coefficients of its own transfer function. In the ARX model each "
         "output depends on its own past only, and the covariance of the errors weights both "
@@ -137,7 +141,7 @@ def estimations(study: Study) -> str:
     """Return the losses of all models, without repeated warnings."""
     sentences = [
         text
-        for one in study.each
+        for one in each_output(study)
         for m in one.estimated
         for text in _estimation(m, one.symbol if study.others else "")
     ]
@@ -166,7 +170,9 @@ def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
 
 def percent_warning(study: Study) -> str:
     """Return a warning about the fits in percent if an output integrates; "" otherwise."""
-    ramps = [o for o in study.each if o.reference.comparison.velocity_fit_percent is not None]
+    ramps = [
+        o for o in each_output(study) if o.reference.comparison.velocity_fit_percent is not None
+    ]
     if not ramps:
         return ""
     angle = f"the {ramps[0].angle}" if study.others else "the angle"
@@ -183,7 +189,7 @@ def physics(study: Study) -> str:
     return (
         "The physical model is the handout's: two inertias, a spring and a DC motor. It has the "
         "handout's parameters and is sampled exactly for a held input; nothing in it was fitted. "
-        f"{' '.join(_deviations(one, study) for one in study.each)}{arm_at_rest(study)}"
+        f"{' '.join(_deviations(one, study) for one in each_output(study))}{arm_at_rest(study)}"
     )
 
 
@@ -236,7 +242,9 @@ def residual_rows(study: Study) -> list[list[str]]:
     If the models have several outputs, the second column contains the output. The first row of
     each hypothesis then tests all outputs together.
     """
-    of_each = [(one.symbol, _p_values([m.tests for m in one.estimated])) for one in study.each]
+    of_each = [
+        (one.symbol, _p_values([m.tests for m in one.estimated])) for one in each_output(study)
+    ]
     together = [m.together for m in study.estimated if m.together]
     if together:
         of_each.insert(0, ("together", _p_values(together)))

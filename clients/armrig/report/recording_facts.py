@@ -13,7 +13,7 @@ from armrig.numerics.quantities import NBSP, microseconds, milliseconds, number,
 from armrig.recordings.calibration.staleness import calibrated
 from armrig.recordings.jitter import Disturbances, SamplingStatistics, Spread
 from armrig.recordings.recording import Recording
-from armrig.report.study import STAIRCASE, STEP, Study, kind_of
+from armrig.report.study import STAIRCASE, STEP, Study, each_output, kind_of
 
 _MAX_NOTES = 20  # of a recording
 _ANGLE_SCALE = "theta_1_rad_per_count"
@@ -134,7 +134,7 @@ def data_text(study: Study) -> str:
     said = ["The voltage is the applied voltage that the device reports."]
     steps = len(study.estimation.history)
     cut = 1 if study.halves else 0  # a split into halves is no treatment
-    for one in study.each:
+    for one in each_output(study):
         the, no = ("The angle", "no angle")
         if study.others or not one.integrates:
             the, no = f"The {one.angle} {one.symbol}", f"no {one.symbol}"
@@ -172,7 +172,7 @@ def _units(study: Study) -> str:
     if not all("driver_gain" in m.figures for m in made):
         of = "the codes" if all(c.driver == Driver() for c in measured) else "a configured driver"
         volt = f"the volt is from {of}: no meter was read at the motor's terminals"
-    alpha = any(one.output == ALPHA for one in study.each)
+    alpha = any(one.output == ALPHA for one in each_output(study))
     scale = ". The scale of α is a configured value that was never measured" if alpha else ""
     return f"{angle}; {volt}{scale}."
 
@@ -182,7 +182,7 @@ def treatment(study: Study) -> list[str]:
 
     If both datasets had the same treatment, each step is reported once.
     """
-    return list(dict.fromkeys(text for one in study.each for text in _treatment(one)))
+    return list(dict.fromkeys(text for one in each_output(study) for text in _treatment(one)))
 
 
 def _treatment(study: Study) -> Iterator[str]:

@@ -161,11 +161,6 @@ class Study:
         return self.output in INTEGRATING_OUTPUTS
 
     @property
-    def each(self) -> tuple[Study, ...]:
-        """The study of each output."""
-        return (self, *self.others)
-
-    @property
     def models(self) -> tuple[Assessed, ...]:
         """The estimated models, then the physical model."""
         return (*self.estimated, self.reference)
@@ -187,6 +182,11 @@ class Study:
     def recording_of(self, sha256: str) -> Recording:
         """Return the recording with this hash."""
         return next(r for r in self.recordings if r.sha256 == sha256)
+
+
+def each_output(study: Study) -> tuple[Study, ...]:
+    """Return the study of each output."""
+    return (study, *study.others)
 
 
 def study(

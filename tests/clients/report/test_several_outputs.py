@@ -10,7 +10,7 @@ import pytest
 from armrig.recordings.loading import load
 from armrig.report.conclusions import abstract, conclusions
 from armrig.report.document import content, report
-from armrig.report.study import Orders, Study, study
+from armrig.report.study import Orders, Study, each_output, study
 from armrig_core.errors import InputError
 
 
@@ -21,10 +21,10 @@ def both(three_recordings: tuple[Path, Path, Path]) -> Study:
 
 
 def test_both_outputs_have_the_poles_of_one_model(both: Study) -> None:
-    theta_1, alpha = (one.model("OE").model for one in both.each)
+    theta_1, alpha = (one.model("OE").model for one in each_output(both))
 
     np.testing.assert_allclose(theta_1.F, np.convolve([1.0, -1.0], alpha.F), atol=1e-12)
-    assert [one.output for one in both.each] == ["theta_1", "alpha"]
+    assert [one.output for one in each_output(both)] == ["theta_1", "alpha"]
 
 
 def test_a_model_of_both_outputs_has_smaller_deviations_of_its_poles(
@@ -44,7 +44,7 @@ def test_the_numbers_of_each_output_are_those_of_the_model_of_both(
 
     for name, fit in (("ARX", arx), ("OE", oe)):
         row = armrig.compare(other, fit)[0]
-        rms = [one.model(name).comparison.rms_error for one in both.each]
+        rms = [one.model(name).comparison.rms_error for one in each_output(both)]
         np.testing.assert_allclose(rms, row.rms_error, rtol=1e-3)
     tests = armrig.residuals(oe, other)
     together = both.estimated[1].together
