@@ -68,7 +68,7 @@ def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = Fa
     """Stop the rig at 0 V, with any owner.
 
     With --json the command prints {"rig": "1", "stopped": true}. If no daemon answers, the exit
-    code is 1.
+    code is 1; `armrigd estop` then stops the device without a daemon.
     """
     with _opened(rig, connect) as opened:
         opened.stop(by)
@@ -81,6 +81,8 @@ def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = Fa
 
 def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Clear a latched fault; the rig is then at 0 V and has no owner.
+
+    The fault remains if its cause remains; `armrig status` shows both.
 
     With --json the command prints {"rig": "1", "was_latched": true}, or false if no fault was
     latched.

@@ -91,6 +91,12 @@ def load(
     >>> recording = armrig.load(path, start=5.0, stop=10.0)
     >>> recording.N, recording.Ts
     (500, 0.01)
+
+    The signals are arrays of numpy. A missing angle is NaN.
+
+    >>> t, u, theta_1, alpha = recording.t, recording.u, recording.theta_1, recording.alpha
+    >>> u[:3]
+    array([0.5, 0.5, 0.5])
     """
     given = [path] if isinstance(path, str | Path) else path
     if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):
