@@ -105,7 +105,7 @@ _ROWS = (
         orders={"na": _N, "nb": _N, "nc": _N},
         poles="na",
         takes=_SEARCHED,
-        takes_several=("shared",),
+        takes_several=("integrator", "shared"),
         closed_loop=True,
     ),
     RegisteredStructure(

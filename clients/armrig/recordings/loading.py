@@ -95,8 +95,8 @@ def load(
     The signals are arrays of numpy. A missing angle is NaN.
 
     >>> t, u, theta_1, alpha = recording.t, recording.u, recording.theta_1, recording.alpha
-    >>> u[:3]
-    array([0.5, 0.5, 0.5])
+    >>> u[:3].round(1)
+    array([0.5, 4.5, 4.5])
     """
     given = [path] if isinstance(path, str | Path) else path
     if not isinstance(given, list | tuple) or not all(isinstance(p, str | Path) for p in given):

@@ -65,7 +65,8 @@ def plans_of(
             raise InputError(f"nb is 0 for all inputs of {name}; leave this output out")
     inside = np.zeros(data.ny, dtype=np.int_) if shared else np.array(integrators, dtype=np.int_)
     if (nf < inside[:, None]).any():
-        raise InputError("nf must be at least 1 with an integrator, because its root counts")
+        name = "na" if equation_error else "nf"
+        raise InputError(f"{name} must be at least 1 with an integrator, because its root counts")
     if shared and not (nf == nf[0, 0]).all():
         raise InputError(f"nf={nf.tolist()}: outputs that share a denominator need one order nf")
     groups = [range(data.ny)] if shared else [range(i, i + 1) for i in range(data.ny)]
@@ -100,6 +101,7 @@ def plans_of(
                     c=c,
                     d=d,
                     integrator=integrators[i],
+                    integrated_noise=equation_error and integrators[i],
                     at_rest=initial == "zero",
                 )
             )

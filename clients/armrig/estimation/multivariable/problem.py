@@ -21,10 +21,11 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from armrig.estimation.multivariable.whitening import spread, spread_apart
 from armrig.models.innovations import summed_input
@@ -62,6 +63,8 @@ class Row:
     """Index of the polynomial D."""
     integrator: bool = False
     """True if each F of the row has the additional factor 1 - q^-1."""
+    integrated_noise: bool = False
+    """True if D of the row has the additional factor 1 - q^-1, as in an ARMAX model."""
     at_rest: bool = False
     """True if each experiment begins with all signals at zero."""
 
@@ -83,6 +86,11 @@ class Row:
             g: max(sizes[g] + inside, *(self.lags(j)[-1] for j in of)) - inside
             for g, of in self.groups().items()
         }
+
+    @property
+    def without_noise(self) -> Row:
+        """Equation of the same output with white noise."""
+        return replace(self, c=ONE, d=ONE, integrated_noise=False)
 
     @property
     def trend(self) -> int:
@@ -348,6 +356,10 @@ class PolynomialProblem:
             moved = lagged(filtered([1.0], polynomials[f], w), range(1, at.stop - at.start + 1))
             Psi[:, b.size + at.start : b.size + at.stop] -= g.noise.columns(moved)[0]
         by_noise, by_scale = g.noise.derivatives(np.where(x.rows, v, 0.0), -past)
+        if row.integrated_noise:
+            nd = polynomials[row.d].size - 1
+            by = block_diag(np.eye(g.noise.C.size - 1), integrated(np.eye(nd)))
+            by_noise, by_scale = by_noise @ by, by_scale @ by
         scale = np.zeros(sum(self.sizes))
         nc = polynomials[row.c].size - 1
         for p, these in ((row.c, slice(0, nc)), (row.d, slice(nc, None))):
@@ -363,7 +375,9 @@ class PolynomialProblem:
 def _equation(row: Row, x: RowData, polynomials: list[Array]) -> _Equation:
     """Return the linear equation of one row and experiment."""
     N = x.y.size
-    noise = NoiseFilter(C=polynomials[row.c], D=polynomials[row.d], rows=x.rows)
+    D = polynomials[row.d]
+    D = np.convolve([1.0, -1.0], D) if row.integrated_noise else D
+    noise = NoiseFilter(C=polynomials[row.c], D=D, rows=x.rows)
     inputs = [
         lagged(filtered([1.0], polynomials[f], u), row.lags(j))
         for j, (f, u) in enumerate(zip(row.f, x.u.T, strict=True))
@@ -375,6 +389,12 @@ def _equation(row: Row, x: RowData, polynomials: list[Array]) -> _Equation:
     b = sum(row.nb)
     states = columns[:, b:-1] if row.at_rest else np.hstack([columns[:, b:-1], past])
     return _Equation(X=columns[:, :b], Z=states, y=columns[:, -1], noise=noise, log_scale=log_scale)
+
+
+def integrated(M: Array) -> Array:
+    """Return the derivatives of (1 - q^-1) F from the derivatives of F."""
+    n = M.shape[0]
+    return np.asarray((np.eye(n + 1, n) - np.eye(n + 1, n, k=-1)) @ M)
 
 
 def _padded(responses: Array, counts: dict[int, int], k: int, N: int) -> Array:

@@ -18,16 +18,18 @@ if TYPE_CHECKING:
     from armrig.data.signals import Signals
     from armrig.models.multivariable.fit import MultivariableFit
 
-_COUNTS_INTEGRATOR = ("nb", "nf")
+_COUNTS_INTEGRATOR = ("na", "nb", "nf")
 """Orders that are one less for an output that does not integrate."""
+_DENOMINATORS = ("na", "nf")
+"""Orders of the denominators."""
 
 
 class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
     """A structure with its orders, which all outputs and inputs have in common.
 
-    The orders also count the root at 1 of an integrating output. The orders nb and nf of the other
-    outputs are then one less, as for the rig. Its transfer function to alpha has one pole and one
-    coefficient of B less than that to theta_1.
+    The orders also count the root at 1 of an integrating output. The orders na, nb and nf of the
+    other outputs are then one less, as for the rig. Its transfer function to alpha has one pole and
+    one coefficient of B less than that to theta_1.
     """
 
     structure: CommandName
@@ -54,7 +56,7 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
         require_sensible(samples=data.N, nk=self.nk, integrator=bool(self.integrating), **given)
         orders: dict[str, Any] = dict(given)
         if self.integrating:
-            for name in _COUNTS_INTEGRATOR:
+            for name in [x for x in _COUNTS_INTEGRATOR if x in given]:
                 orders[name] = self._without_root(name, given[name], data)
         takes = OF_SEVERAL[self.structure].takes_several or ()
         options = {
@@ -67,7 +69,7 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
 
     def _without_root(self, name: str, n: int, data: Signals) -> Any:
         """Return an order of each channel, one less without an integrator."""
-        if name == "nf" and self.shared:
+        if name in _DENOMINATORS and self.shared:
             return n - 1
         others = [output for output in data.outputs if output not in self.integrating]
         if others and n < 2:
@@ -75,11 +77,10 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
                 f"{name}={n} leaves no coefficient for {', '.join(others)}, because {name} also "
                 f"counts the integrator of {', '.join(self.integrating)}; give {name} >= 2"
             )
-        return {
-            (output, input): n - (output in others)
-            for output in data.outputs
-            for input in data.inputs
-        }
+        each = {output: n - (output in others) for output in data.outputs}
+        if name == "na":
+            return each
+        return {(output, input): each[output] for output in data.outputs for input in data.inputs}
 
     def estimated(self, data: Signals) -> MultivariableFit:
         """Return the model estimated from the data."""

@@ -23,6 +23,7 @@ from armrig.estimation.multivariable.problem import (
     PolynomialProblem,
     Row,
     Solution,
+    integrated,
     row_data,
 )
 from armrig.estimation.multivariable.start_values import start_values
@@ -275,7 +276,7 @@ def _form(
             F = [polynomials[f] for f in row.f]
             by_f = [block(f) for f in row.f]
             if row.integrator:
-                by_f = [_integrated(M) for M in by_f]
+                by_f = [integrated(M) for M in by_f]
                 F = [np.convolve([1.0, -1.0], f) for f in F]
             ends = np.cumsum(row.nb)[:-1]
             b = np.split(one.solution.b[r], ends)
@@ -302,12 +303,6 @@ def _form(
     fields = {name: tuple(rows[i][name] for i in range(ny)) for name in rows[0]}
     T = np.vstack([M for i in range(ny) for M in blocks[i]])
     return T, Polynomials(**fields)
-
-
-def _integrated(M: Array) -> Array:
-    """Return the derivatives of (1 - q^-1) F from the derivatives of F."""
-    n = M.shape[0]
-    return (np.eye(n + 1, n) - np.eye(n + 1, n, k=-1)) @ M
 
 
 def _findings(

@@ -38,7 +38,7 @@ class _Path:
 
 def start_values(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
     """Yield named start values theta with stable C and F."""
-    output_error = replace(problem, rows=tuple(replace(row, c=ONE, d=ONE) for row in problem.rows))
+    output_error = replace(problem, rows=tuple(row.without_noise for row in problem.rows))
     candidates = list(_denominators(problem))
     if not candidates:
         yield "least squares", _with_noise(problem, np.zeros(sum(problem.sizes)))
@@ -47,7 +47,7 @@ def start_values(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
     names = dict(reversed(candidates))  # the best of each name
     for name, theta in names.items():
         yield name, _with_noise(problem, theta)
-    if any(row.c or row.d for row in problem.rows):
+    if any(row.c or row.d or row.integrated_noise for row in problem.rows):
         best = output_error.minimise(candidates[0][1], most=_MAX_OUTPUT_ERROR_STEPS).theta
         yield "OE", _with_noise(problem, best)
 
@@ -152,7 +152,7 @@ def _equation_error(paths: Sequence[_Path], F: Array, n: int) -> Array:
 def _with_noise(problem: PolynomialProblem, theta: Array) -> Array:
     """Return theta with C and D fitted to the residuals of an output-error model."""
     theta = theta.copy()
-    silent = replace(problem, rows=tuple(replace(row, c=ONE, d=ONE) for row in problem.rows))
+    silent = replace(problem, rows=tuple(row.without_noise for row in problem.rows))
     solution = silent.solve(theta)
     for i, row in enumerate(problem.rows):
         own = row.d != ONE and row.d not in row.f
@@ -160,6 +160,7 @@ def _with_noise(problem: PolynomialProblem, theta: Array) -> Array:
         if nc + nd == 0:
             continue
         known = problem.polynomials(theta)[row.d] if row.d in row.f else np.ones(1)
+        known = np.convolve([1.0, -1.0], known) if row.integrated_noise else known
         v = []
         for x, of in zip(problem.experiments, solution.experiments, strict=True):
             noise = np.where(x[i].rows, of[i].e, np.nan)

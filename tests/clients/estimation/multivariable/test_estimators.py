@@ -136,6 +136,64 @@ def test_an_integrating_output_alone_gives_the_estimate_of_the_dataset() -> None
     assert 1.0 in found.poles().values
 
 
+def integrated(seed: int, missing: float = 0.0) -> Signals:
+    """Return data of an ARMAX model whose first output integrates the inputs and the noise."""
+    rng = np.random.default_rng(seed)
+    u = inputs(rng)[:300] + 0.05
+    e = 0.1 * rng.standard_normal((300, 2))
+    A = np.convolve([1, -1], [1, -0.7])
+    y = np.column_stack(
+        [
+            filtered([0, 0.5, 0.2], A, u[:, 0])
+            + filtered([0, 0.3], A, u[:, 1])
+            + filtered([1, 0.5], A, e[:, 0]),
+            filtered([0, 1], [1, -0.8], u[:, 0]) + filtered([1, 0.3], [1, -0.8], e[:, 1]),
+        ]
+    )
+    valid = rng.random(y.shape) >= missing
+    return Signals(
+        u=u, y=y + np.array([3, 0]), Ts=0.1, valid=valid, outputs=["a", "b"], inputs=["u", "v"]
+    )
+
+
+def test_an_armax_model_that_integrates_its_noise_is_that_of_the_dataset() -> None:
+    data = integrated(3).channels("a", "u")
+    known = armrig.armax(data.dataset(), na=2, nb=2, nc=1, integrator=True)
+
+    found = several("armax", data, na=2, nb=2, nc=1, integrator="a")
+
+    np.testing.assert_allclose(found["a"].theta, known.theta, rtol=1e-6)
+    np.testing.assert_allclose(found["a"].std, known.std, rtol=1e-5)
+    assert found["a"].integrator
+    e = data.y[:, 0] - found.predict(data)[:, 0]
+    np.testing.assert_allclose(e[1:], (data.y[:, 0] - known.predict(data.dataset()))[1:], atol=1e-4)
+
+
+def test_an_integrator_of_one_output_is_fixed_and_the_rest_is_estimated() -> None:
+    true = [-1.7, 0.7, 0.5, 0.2, 0.3, 0.5, -0.8, 1.0, 0.3]
+
+    fit = armrig.armax(integrated(1), na=[2, 1], nb=[[2, 1], [1, 0]], nc=1, integrator="a")
+
+    assert np.max(np.abs(fit.theta - true) / fit.std) < 4
+    assert fit["a", "u"].A.sum() == pytest.approx(0, abs=1e-12)
+    assert 1.0 in fit.poles().values
+    tests = armrig.residuals(fit, integrated(2))
+    assert not tests.rejects
+
+
+def test_a_shared_denominator_of_an_armax_model_may_have_an_integrator() -> None:
+    data = integrated(1)
+
+    fit = armrig.armax(data, na=1, nb=2, nc=1, integrator="a", shared="denominator")
+
+    A = fit["b", "u"].A
+    np.testing.assert_allclose(fit["a", "u"].A, np.convolve([1, -1], A), atol=1e-12)
+    with pytest.raises(InputError, match="na must be at least 1 with an integrator"):
+        armrig.armax(data, na=[0, 1], nb=1, nc=0, integrator="a")
+    with pytest.raises(InputError, match=r"\d+ values of a are missing, and armax with an int"):
+        armrig.armax(integrated(1, 0.1), na=2, nb=1, nc=0, integrator="a")
+
+
 @pytest.mark.parametrize("missing", [0.0, 0.2])
 def test_noise_free_data_give_back_the_plant(missing: float) -> None:
     fit = armrig.oe(plant(scale=0.0, missing=missing), **ORDERS)
