@@ -77,6 +77,7 @@ class Runs:
         self._last: LastRun | None = None
         self._presence: ClientWatchdog | None = None
         self._reported_error = ""
+        self._early_notes: list[Outgoing] = []  # of a run that was requested and has not begun
 
     @property
     def last(self) -> LastRun | None:
@@ -197,6 +198,7 @@ class Runs:
         """Discard a planned run that the loop has refused or has not answered."""
         if self._planned is not None and self._planned.run_id == run_id:
             self._planned = None
+            self._early_notes = []
 
     def begin(
         self, started: RunStarted, state: State, host: dict[str, Any], clock_offset_ns: int
@@ -211,6 +213,7 @@ class Runs:
             No client has requested this run.
         """
         planned, self._planned = self._planned, None
+        early_notes, self._early_notes = self._early_notes, []
         if planned is None or planned.run_id != started.run_id:
             raise LookupError(f"run {started.run_id} was not requested")
         manifest = self._manifest(planned, started, state, host, clock_offset_ns)
@@ -237,13 +240,16 @@ class Runs:
                 self._last, finished=True, outcome=str(err), code=OutcomeCode.RECORDING
             )
             raise
+        self._recording.add(early_notes)
         self._presence = begun(planned.request, time.monotonic())
         return self._recording.active
 
     @property
     def takes_notes(self) -> bool:
-        """True while a recording is written."""
-        return self._recording is not None and not self._recording.error
+        """True from the request of a run until its recording ends."""
+        if self._recording is None:
+            return self._planned is not None
+        return not self._recording.error
 
     def includes_sample(self, k: int) -> bool:
         """Return whether the recording includes sample `k`."""
@@ -260,9 +266,17 @@ class Runs:
         if self._recording is not None and batch:
             self._recording.add(batch)
 
+    def add_note(self, note: Outgoing) -> None:
+        """Record a note; the recording of a requested run gets the note when it begins."""
+        if self._recording is None and self._planned is not None:
+            self._early_notes.append(note)
+        else:
+            self.add([note])
+
     def end(self, ended: Ending) -> None:
         """End the recording; its writer finishes the file."""
         self._planned = self._presence = None
+        self._early_notes = []
         recording, self._recording = self._recording, None
         if recording is None or self._last is None:
             return

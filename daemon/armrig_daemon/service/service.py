@@ -318,7 +318,7 @@ class Service:
         """Publish and record a note; the thinning of the log drops no note."""
         fields = {"owner": owner, "command": commands.Note.name}
         log = Log(t_host_ns=t_host_ns, level="info", message=text, fields=fields, is_note=True)
-        self._runs.add(self._published([log]))
+        self._runs.add_note(self._publish(log))
 
     def _hear_of_stalls(self, fd: int) -> None:
         """Report the stalls of an emulator, which writes them at most once a second."""

@@ -15,10 +15,11 @@ from armrig_core.recording_file.outgoing import Outgoing
 from armrig_core.recording_file.recording_part import EndsHereError, Part
 from armrig_core.telemetry import Sample, encode_sample
 from armrig_daemon.config import Config, Limits, Recording
-from armrig_daemon.pipe import Gap, RunStarted, State
+from armrig_daemon.pipe import Gap, Log, RunStarted, State
 from armrig_daemon.service.protobuf_out import outgoing
 from armrig_daemon.service.runs import Runs
 from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
 
 REQUEST = Run(lease="a" * 32, n=1, u=[1.0] * 10, dead_man=2.0)
 STATE = State(t_host_ns=0, phase="active", reason="", owner="a test", ts_us=10_000, device={})
@@ -192,6 +193,36 @@ def test_an_event_before_the_first_sample_is_of_its_time_at_the_latest(runs: Run
     with path.with_suffix("").open("rb") as file:
         times = [m.log_time for _, _, m in make_reader(file).iter_messages(log_time_order=False)]
     assert times == [T_NS, T_NS + 9]
+
+
+def _note(text: str) -> Outgoing:
+    fields = {"owner": "Ada"}
+    return outgoing(Log(t_host_ns=1, level="info", message=text, fields=fields, is_note=True), 0)
+
+
+def _notes(path: Path) -> list[str]:
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        return [m.decoded_message.message for m in reader.iter_decoded_messages()]
+
+
+def test_a_note_between_the_request_and_the_first_sample_is_recorded_once(runs: Runs) -> None:
+    refused, _ = runs.plan(REQUEST, 0.01)
+    runs.add_note(_note("of a refused run"))
+    runs.forget(refused.run_id)
+    assert not runs.takes_notes
+    runs.add_note(_note("of no run"))
+
+    order, answer = runs.plan(REQUEST, 0.01)
+    assert runs.takes_notes
+    runs.add_note(_note("early"))
+    started = RunStarted(run_id=order.run_id, k_first=FIRST, count=END - FIRST, t_host_ns=T_NS)
+    runs.begin(started, STATE, {}, 0)
+    runs.add_note(_note("during the run"))
+    runs.end(COMPLETE)
+    runs.finished(timeout=30)
+
+    assert _notes(Path(answer.recording)) == ["early", "during the run"]
 
 
 def test_a_run_is_reported_as_finished_once_its_recording_is_complete(runs: Runs) -> None:
