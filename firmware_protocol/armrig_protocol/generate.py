@@ -57,9 +57,10 @@ def decoded_length(message: Table) -> int:
 
 def field_doc(field: Table) -> str:
     """Return a field's meaning with its unit and its enumeration."""
+    meaning, semicolon, details = field["doc"].partition(";")
     unit = f", in {field['unit']}" if "unit" in field else ""
     names = f" (`{field['enum']}`)" if "enum" in field else ""
-    return f"{field['doc']}{unit}{names}"
+    return f"{meaning}{unit}{semicolon}{details}{names}"
 
 
 def python_text(schema: Table) -> str:

@@ -200,9 +200,9 @@ class Config(NamedTuple):
     u_max: int
     """Highest code accepted, in code."""
     u_rest: int
-    """Code of standstill, latched when RUN begins and after an underrun; other than 0 only with an enable line, in code."""
+    """Code of standstill, latched when RUN begins and after an underrun, in code; other than 0 only with an enable line."""
     slew: int
-    """Largest change from one sample to the next; 0 sets no limit, in code."""
+    """Largest change from one sample to the next, in code; 0 sets no limit."""
     watchdog_ms: int
     """Silence of the host before FAULT(WATCHDOG), in ms."""
     mode: int
@@ -214,9 +214,9 @@ class Config(NamedTuple):
     oversampling: int
     """Conversions averaged in one reading of each channel, at least 1."""
     rail_ticks: int
-    """Samples in a row at a rail that cause FAULT(ADC_RAIL) in RUN; 0 sets no limit, in samples."""
+    """Samples in a row at a rail that cause FAULT(ADC_RAIL) in RUN, in samples; 0 sets no limit."""
     turns: int
-    """Net turns of theta_1 since START that cause FAULT(REV_LIMIT); 0 sets no limit, in turns/100."""
+    """Net turns of theta_1 since START that cause FAULT(REV_LIMIT), in turns/100; 0 sets no limit."""
 
 
 class Arm(NamedTuple):
@@ -303,7 +303,7 @@ class Setpoints(NamedTuple):
     zero: int
     """0."""
     u: tuple[int, ...]
-    """Codes; padded with 0, in code."""
+    """Codes, in code; padded with 0."""
 
 
 class Ping(NamedTuple):
@@ -314,7 +314,7 @@ class Ping(NamedTuple):
     seq: int
     """Number of the frame, counted by its sender."""
     host_ns: int
-    """Host's clock when the host sent PING; returned in PONG, in ns."""
+    """Host's clock when the host sent PING, in ns; returned in PONG."""
 
 
 class Keepalive(NamedTuple):
@@ -369,7 +369,7 @@ class HelloReply(NamedTuple):
     capabilities: int
     """What the device can do (`Capability`)."""
     skew_us: int
-    """Time from a conversion to the next, and so from alpha's conversion to theta_1's conversion; rounded up, in µs."""
+    """Time from a conversion to the next, and so from alpha's conversion to theta_1's conversion, in µs; rounded up."""
     hold_us: int
     """Time from the trigger (t_us) to the hold of theta_1 and the latch of u, in µs."""
     adc_bits: int
@@ -469,7 +469,7 @@ class Status(NamedTuple):
     boot: int
     """Low half of boot_id."""
     vcc_mv: int
-    """Last measured supply; 0 if the device has not measured it, in mV."""
+    """Last measured supply, in mV; 0 if the device has not measured it."""
     uptime_ms: int
     """Time since the reset, in ms."""
     frames: int
@@ -508,7 +508,7 @@ class Sample(NamedTuple):
     k: int
     """Sample index: k of the EXCHANGE, or in scheduled mode counted from 0 at START."""
     t_us: int
-    """Device clock at theta_1's trigger; wraps after 71.6 min, in µs."""
+    """Device clock at theta_1's trigger, in µs; wraps after 71.6 min."""
     y0: int
     """Theta_1, left-justified to 16 bits, in counts."""
     y1: int
@@ -554,7 +554,7 @@ class CalReply(NamedTuple):
     mean_256: int
     """Mean, in counts/256."""
     variance_256: int
-    """Variance with the divisor n - 1; at most 2^32 - 1, and 0 for n = 1, in counts²/256."""
+    """Variance with the divisor n - 1, in counts²/256; at most 2^32 - 1, and 0 for n = 1."""
     least: int
     """Smallest, in counts."""
     greatest: int

@@ -120,15 +120,15 @@ typedef struct __attribute__((packed)) {
     uint32_t ts_us; // sampling time, in µs
     uint16_t u_min; // lowest code accepted, in code
     uint16_t u_max; // highest code accepted, in code
-    uint16_t u_rest; // code of standstill, latched when RUN begins and after an underrun; other than 0 only with an enable line, in code
-    uint16_t slew; // largest change from one sample to the next; 0 sets no limit, in code
+    uint16_t u_rest; // code of standstill, latched when RUN begins and after an underrun, in code; other than 0 only with an enable line
+    uint16_t slew; // largest change from one sample to the next, in code; 0 sets no limit
     uint16_t watchdog_ms; // silence of the host before FAULT(WATCHDOG), in ms
     uint8_t mode; // who paces the samples (`Mode`)
     uint8_t underrun; // policy for an empty queue (`Underrun`)
     uint8_t hold; // longest HOLD, in ticks
     uint8_t oversampling; // conversions averaged in one reading of each channel, at least 1
-    uint16_t rail_ticks; // samples in a row at a rail that cause FAULT(ADC_RAIL) in RUN; 0 sets no limit, in samples
-    uint16_t turns; // net turns of theta_1 since START that cause FAULT(REV_LIMIT); 0 sets no limit, in turns/100
+    uint16_t rail_ticks; // samples in a row at a rail that cause FAULT(ADC_RAIL) in RUN, in samples; 0 sets no limit
+    uint16_t turns; // net turns of theta_1 since START that cause FAULT(REV_LIMIT), in turns/100; 0 sets no limit
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
 } rig_config_t;
 _Static_assert(sizeof(rig_config_t) == 30, "CONFIG");
@@ -217,7 +217,7 @@ typedef struct __attribute__((packed)) {
     uint32_t k0; // sample index of the first code
     uint8_t n; // number of codes, 1 to 24
     uint8_t zero; // 0
-    uint16_t u[24]; // codes; padded with 0, in code
+    uint16_t u[24]; // codes, in code; padded with 0
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
 } rig_setpoints_t;
 _Static_assert(sizeof(rig_setpoints_t) == 62, "SETPOINTS");
@@ -229,7 +229,7 @@ typedef struct __attribute__((packed)) {
     uint8_t type;
     uint8_t state; // state of the device; 0 from a host (`State`)
     uint16_t seq; // number of the frame, counted by its sender
-    uint64_t host_ns; // host's clock when the host sent PING; returned in PONG, in ns
+    uint64_t host_ns; // host's clock when the host sent PING, in ns; returned in PONG
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it
 } rig_ping_t;
 _Static_assert(sizeof(rig_ping_t) == 16, "PING");
@@ -276,7 +276,7 @@ typedef struct __attribute__((packed)) {
     uint16_t full_scale_mv; // voltage of code 65535, in mV
     uint16_t queue; // capacity of the queue, in setpoints
     uint16_t capabilities; // what the device can do (`Capability`)
-    uint16_t skew_us; // time from a conversion to the next, and so from alpha's conversion to theta_1's conversion; rounded up, in µs
+    uint16_t skew_us; // time from a conversion to the next, and so from alpha's conversion to theta_1's conversion, in µs; rounded up
     uint16_t hold_us; // time from the trigger (t_us) to the hold of theta_1 and the latch of u, in µs
     uint8_t adc_bits; // resolution of the converter; readings are left-justified to 16 bits
     uint8_t pwm_bits; // resolution of the duty; 16 if the duty is not quantised
@@ -352,7 +352,7 @@ typedef struct __attribute__((packed)) {
     uint8_t state; // state of the device; 0 from a host (`State`)
     uint16_t seq; // number of the frame, counted by its sender
     uint16_t boot; // low half of boot_id
-    uint16_t vcc_mv; // last measured supply; 0 if the device has not measured it, in mV
+    uint16_t vcc_mv; // last measured supply, in mV; 0 if the device has not measured it
     uint32_t uptime_ms; // time since the reset, in ms
     uint32_t frames; // valid frames received
     uint32_t spoilt; // frames dropped because of COBS, length or CRC
@@ -378,7 +378,7 @@ typedef struct __attribute__((packed)) {
     uint16_t echo; // seq of the newest host frame taken in
     uint16_t u_seq; // seq of the frame that u_k came from; 0 if there was no such frame
     uint32_t k; // sample index: k of the EXCHANGE, or in scheduled mode counted from 0 at START
-    uint32_t t_us; // device clock at theta_1's trigger; wraps after 71.6 min, in µs
+    uint32_t t_us; // device clock at theta_1's trigger, in µs; wraps after 71.6 min
     uint16_t y0; // theta_1, left-justified to 16 bits, in counts
     uint16_t y1; // alpha, left-justified to 16 bits, in counts
     uint16_t u_k; // code of the duty that the motor has from sample k on, in code
@@ -414,7 +414,7 @@ typedef struct __attribute__((packed)) {
     uint8_t zero; // 0
     uint16_t n; // readings taken
     uint32_t mean_256; // mean, in counts/256
-    uint32_t variance_256; // variance with the divisor n - 1; at most 2^32 - 1, and 0 for n = 1, in counts²/256
+    uint32_t variance_256; // variance with the divisor n - 1, in counts²/256; at most 2^32 - 1, and 0 for n = 1
     uint16_t least; // smallest, in counts
     uint16_t greatest; // largest, in counts
     uint32_t crc; // CRC-32/ISO-HDLC of all bytes before it

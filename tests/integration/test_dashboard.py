@@ -201,7 +201,7 @@ MARKUP = "<img src=x onerror=alert(1)>"
         ({"kind": "step", "at": 9.0}, "step at 9 s: after the end"),
         ({"kind": "nonsense"}, "nonsense"),
         ({"kind": "step", "unknown": 1}, "unknown"),
-        ({"kind": "csv", "text": "u\n7\n"}, "is outside 0 to 5 V"),
+        ({"kind": "csv", "text": "u\n7\n"}, "outside 0 to 5 V"),
         ({"kind": "csv", "text": "u\n1\n", "file": MARKUP, "seconds": 1e9}, "seconds"),
         ({"kind": "blackbox", "seconds": 80_000, "Ts": 0.001}, "(4000000 samples)"),
         ({"kind": "step", "name": "No!"}, "name"),

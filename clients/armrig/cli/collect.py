@@ -253,8 +253,8 @@ def bla(
     realisations(3, 1, low, high, seed, periods=1)
     if seconds is not None and period is not None:
         raise InputError(
-            f"--seconds {seconds:g} with --period {period:g}: a recording is {periods} periods "
-            "long (--periods); give only one of the two"
+            f"--seconds {seconds:g} with --period {period:g}: give only one of these two options, "
+            f"because a recording has {periods} periods (--periods)"
         )
     if period is not None and not period > 0:  # NaN neither
         raise InputError(f"--period {period:g}: must be a number of seconds, more than 0")

@@ -234,7 +234,7 @@ def _check_files(
         check_output(save, inputs)
         if save.suffix.lower() != ".json":
             msg = f"--save {save}: a model is written as JSON; give a name that ends in .json"
-            raise InputError(f"{msg} (a figure's is -o)")
+            raise InputError(f"{msg}; to write a figure, use -o")
 
 
 def _found(wanted: _Search | Request, data: Dataset, other: Dataset | None) -> _Found:

@@ -206,7 +206,7 @@ def simulate(
     file: Annotated[
         Path | None,
         typer.Argument(
-            metavar="F", parser=recording_path, help="Recording whose input is simulated."
+            metavar="F", parser=recording_path, help="Recording with the input of the simulation."
         ),
     ] = None,
     model: Annotated[
@@ -232,7 +232,8 @@ def simulate(
         given_for_file |= {"--from": start, "--to": stop}
         for option in (name for name, value in given_for_file.items() if value not in (None, [])):
             raise typer.BadParameter(
-                f"{option} needs a recording, whose input is simulated: armrig simulate F"
+                f"{option} needs a recording F: armrig simulate F simulates the response to its "
+                "input"
             )
         _step(cases(given), json=json, plot=plot)
         return

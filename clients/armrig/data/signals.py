@@ -420,7 +420,10 @@ class Signals:
         found = [treatment(self.dataset(self.outputs[i], self.inputs[j])) for i, j in pairs]
         first = found[0]
         if channels is not None and (first.Ts, first.N) != (self.Ts, self.N):
-            raise InputError("all channels need one sampling time: leave out `channels`")
+            raise InputError(
+                "the treatment changes the sampling time or the number of samples, so it must be "
+                "applied to all channels: leave out `channels`"
+            )
         u, y, valid = (
             np.array(np.column_stack(x), order="F")
             for x in (

@@ -83,8 +83,8 @@ def from_text(
     if outside.any():
         k = int(np.argmax(outside))
         raise InputError(
-            f"{name}, row {rows[k]}: u={u[k]:g} V (sample {k}) is outside {low:g} to {high:g} V, "
-            f"as are {np.count_nonzero(outside)} of {u.size} values; scale or shift the signal"
+            f"{name}: {np.count_nonzero(outside)} of {u.size} values outside {low:g} to {high:g} "
+            f"V, first in row {rows[k]}: u={u[k]:g} V (sample {k}); scale or shift the signal"
         )
     return u
 

@@ -113,8 +113,8 @@ def within(u: ArrayLike, *, low: float = LOWEST_V, high: float = HIGHEST_V) -> V
     if outside.any():
         first = int(np.argmax(outside))
         raise InputError(
-            f"u[{first}]={given[first]:g} V is outside {low:g} to {high:g} V, as are "
-            f"{np.count_nonzero(outside)} of {given.size} values; scale or shift the signal"
+            f"{np.count_nonzero(outside)} of {given.size} values outside {low:g} to {high:g} V, "
+            f"first u[{first}]={given[first]:g} V; scale or shift the signal"
         )
     return given
 

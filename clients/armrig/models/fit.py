@@ -86,8 +86,8 @@ class Fit(Estimate):
     def plot(self) -> Figure:
         """Return a figure of frequency and step response, poles and zeros, with 95 % regions.
 
-        The functions of `armrig.plots` draw each panel alone, for several models or in your own
-        axes.
+        `plot_bode`, `plot_step` and `plot_poles_zeros` of `armrig.plots` draw each panel alone, for
+        several models or in your own axes.
 
         Examples
         --------

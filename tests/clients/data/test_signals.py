@@ -200,7 +200,7 @@ def test_named_channels_are_treated_and_others_are_not() -> None:
     assert found.history[1:] == (
         "removed the mean from u and y of each experiment (order 0) (flow, heater only)",
     )
-    with pytest.raises(InputError, match="all channels need one sampling time"):
+    with pytest.raises(InputError, match="so it must be applied to all channels"):
         signals.treated(lambda data: armrig.resample(data, 0.2), "flow")
     with pytest.raises(InputError, match="fan: there is no such channel; there are temperature"):
         signals.treated(armrig.detrend, "fan")

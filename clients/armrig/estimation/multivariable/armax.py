@@ -49,7 +49,8 @@ def armax(
         State at the start of each experiment: estimated, or at rest.
     shared : {"", "denominator"}
         With "denominator" all outputs have one A, and the outputs are weighted by the covariance
-        of e. The root of an integrator is an additional factor.
+        of e. For an output with an integrator, A is multiplied by 1 - q^-1; this root does not
+        count in na.
 
     Returns
     -------

@@ -40,7 +40,8 @@ def oe(
         State at the start of each experiment: estimated, or at rest.
     shared : {"", "denominator"}
         With "denominator" all outputs and inputs have one F, of order `nf`, and the outputs are
-        weighted by the covariance of e. The root of an integrator is an additional factor.
+        weighted by the covariance of e. For an output with an integrator, F is multiplied by
+        1 - q^-1; this root does not count in nf.
 
     Returns
     -------

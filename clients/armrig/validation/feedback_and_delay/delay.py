@@ -72,7 +72,8 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
     ----------
     data : Dataset or Signals
         At least 50 samples with an exciting input. Samples may be missing, and the data may have
-        several experiments. Of Signals each channel is tested alone.
+        several experiments. If `data` is a Signals, each pair of an output and an
+        input is tested alone.
     integrator : bool, optional
         True if y integrates. The default is True for theta_1, and for any y that a test finds to
         integrate; `remarks` contains the result of this test.
