@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import tomllib
 from collections.abc import Iterator
+from contextlib import chdir
 from itertools import groupby
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from matplotlib import pyplot as plt
@@ -21,13 +23,14 @@ FOLDER = GENERATED / "gallery"
 
 
 def drawn(code: str) -> Figure:
-    """Run the code after `BEFORE` in an empty namespace, and return the figure of its last line."""
+    """Run the code after `BEFORE` in an empty namespace and folder; return its figure."""
     *statements, last = ast.parse(BEFORE + code).body
     if not isinstance(last, ast.Expr):
         raise TypeError(f"the last line is no figure: {ast.unparse(last)}")
     names: dict[str, Any] = {}
-    exec(compile(ast.Module(statements, []), "gallery.toml", "exec"), names)
-    figure = eval(compile(ast.Expression(last.value), "gallery.toml", "eval"), names)
+    with TemporaryDirectory() as folder, chdir(folder):
+        exec(compile(ast.Module(statements, []), "gallery.toml", "exec"), names)
+        figure = eval(compile(ast.Expression(last.value), "gallery.toml", "eval"), names)
     if not isinstance(figure, Figure):
         raise TypeError(f"{ast.unparse(last)} is a {type(figure).__name__}, not a figure")
     return figure
