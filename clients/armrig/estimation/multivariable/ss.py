@@ -18,9 +18,11 @@ from armrig.estimation.multivariable.inference import (
     pairwise_covariance,
 )
 from armrig.estimation.multivariable.n4sid import n4sid
+from armrig.estimation.multivariable.state_space_gaps import searched
 from armrig.estimation.multivariable.state_space_problem import (
     Linear,
     Part,
+    Predictor,
     StateSpaceProblem,
     delays_of,
     parts_of,
@@ -98,7 +100,8 @@ def ss(
     Parameters
     ----------
     data : Signals
-        N samples of nu inputs and ny outputs. Only with noise=False may values be missing.
+        N samples of nu inputs and ny outputs. After a missing y, a Kalman filter predicts; the
+        search then takes about ten times as long.
     order : int, optional
         Number of states, >= 1; by default the order that `n4sid` chooses.
     nk : int or sequence of int, default 1
@@ -145,16 +148,18 @@ def ss(
     require_flags(noise=noise)
     delays = delays_of(nk, data)
     require_informative(data)
-    if noise and data.missing:
-        raise InputError(
-            f"{data.missing} values are missing, and ss estimates K from complete data only; give "
-            "noise=False for an output-error model, or use bj"
-        )
     n, nu, ny = int(order), data.nu, data.ny
     direct = max(delays) == 0
     parameters = n * (ny + nu) + (n * ny if noise else 0) + (ny * nu if direct else 0)
     require_samples(f"order={n}", needed=parameters // ny + 2 * n + 2, got=data.N)
-    signals, su, sy = scaled_signals(data, delays)
+    gaps = noise and data.missing > 0
+    if gaps and output_weights is not None:
+        raise InputError(
+            f"{data.missing} values are missing: weights of outputs and an estimated K need "
+            "complete data; leave out output_weights, or give noise=False"
+        )
+    whole = _filled(data, n, nk) if gaps else data
+    signals, su, sy = scaled_signals(whole, delays)
     problem = StateSpaceProblem(
         parts=parts_of(signals, np.eye(ny)), order=n, direct=direct, noise=noise
     )
@@ -169,8 +174,28 @@ def ss(
             f"order={n}: the data determine only {linear.rank} of {linear.X.shape[1]} entries of "
             "B, D and K; lower the order or excite with richer inputs"
         )
-    form, T = _form(best, linear, su, sy, delays, problem)
-    found = _inference(data, problem, best, linear, sy)
+    predictor = Predictor(
+        Abar=best.Abar,
+        Bbar=linear.Bbar,
+        C=best.C,
+        D=linear.D,
+        K=linear.K,
+        x0=linear.x0,
+    )
+    if gaps:
+        measured = [
+            (u, np.where(part.valid, y, np.nan))
+            for (u, y), part in zip(signals, data.experiments(), strict=True)
+        ]
+        end = searched(measured, predictor, best.Lambda, direct=direct)
+        problem, predictor = replace(problem, parts=end.problem.parts), end.predictor
+        best = replace(best, iterations=best.iterations + end.iterations, converged=end.converged)
+        Psi, residuals = end.problem.influence(predictor), end.problem.residuals(predictor)
+    else:
+        Psi = _influence(problem, best, linear)
+        residuals = problem.residuals(best.Abar, best.C, linear)
+    form, T = _form(predictor, su, sy, delays, problem)
+    found = _inference(data, problem, Psi, residuals, sy)
     fields = found.fields()
     fields["covariance"] = T @ found.covariance @ T.T
     fields["covariance_robust"] = T @ found.covariance_robust @ T.T
@@ -193,6 +218,13 @@ def ss(
         **fields,
         **origin(data),
     )
+
+
+def _filled(data: Signals, order: int, nk: int | Sequence[int]) -> Signals:
+    """Return the data with each missing output replaced by that of an output-error model."""
+    simulated = ss(data, order=order, nk=nk, noise=False).predict(data, horizon=None)
+    y = np.where(data.valid, data.y, simulated)
+    return data.replaced(step=None, y=y, valid=np.isfinite(y))
 
 
 def _weights(given: Sequence[float] | None, data: Signals) -> tuple[float, ...]:
@@ -311,12 +343,7 @@ def _round(
 
 
 def _form(
-    best: _End,
-    linear: Linear,
-    su: Array,
-    sy: Array,
-    delays: tuple[int, ...],
-    problem: StateSpaceProblem,
+    predictor: Predictor, su: Array, sy: Array, delays: tuple[int, ...], problem: StateSpaceProblem
 ) -> tuple[Matrices, Array]:
     """Return the model in units of the data, and the derivatives of its theta.
 
@@ -324,7 +351,7 @@ def _form(
     signal, then D.
     """
     n, ny, nu = problem.order, sy.size, su.size
-    Abar, C, K, D = best.Abar, best.C, linear.K, linear.D
+    Abar, C, K, D = predictor.Abar, predictor.C, predictor.K, predictor.D
     V = tangent(Abar, C)
     width = n * nu + n * ny * problem.noise + ny * nu * problem.direct
     d = V.shape[1] + width
@@ -347,7 +374,7 @@ def _form(
     by_B = by_B + by_K @ D + K @ by_D
     form = Matrices(
         A=Abar + K @ C,
-        B=(linear.Bbar + K @ D) / su,
+        B=(predictor.Bbar + K @ D) / su,
         C=sy[:, None] * C,
         D=sy[:, None] * D / su,
         K=K / sy,
@@ -357,26 +384,23 @@ def _form(
     return form, np.hstack([b.reshape(d, -1) for b in blocks]).T
 
 
-def _inference(
-    data: Signals, problem: StateSpaceProblem, best: _End, linear: Linear, sy: Array
-) -> Any:
+def _influence(problem: StateSpaceProblem, best: _End, linear: Linear) -> Array:
+    """Return the derivatives of the whitened predictions, without the states at the start."""
     V = tangent(best.Abar, best.C)
     by = problem.derivatives(best.Abar, best.C, linear, V)
+    along = [
+        Z.without(whitened(part, d))
+        for part, d, Z in zip(problem.parts, by, linear.states, strict=True)
+    ]
+    return np.hstack([np.vstack(along), linear.X])
+
+
+def _inference(
+    data: Signals, problem: StateSpaceProblem, Psi: Array, residuals: Sequence[Array], sy: Array
+) -> Any:
     edges = problem.edges()
-    Psi = np.hstack(
-        [
-            np.vstack(
-                [
-                    Z.without(whitened(part, d))
-                    for part, d, Z in zip(problem.parts, by, linear.states, strict=True)
-                ]
-            ),
-            linear.X,
-        ]
-    )
     basis = orthonormal(Psi)
     H = basis.Q @ basis.W.T
-    residuals = problem.residuals(best.Abar, best.C, linear)
     ny = sy.size
     experiments = []
     for part, e, at, experiment in zip(

@@ -52,6 +52,36 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Predictor:
+    """Predictor of scaled signals: x(t+1) = Abar x + Bbar u + K y, yhat = C x + D u."""
+
+    Abar: Array
+    """Matrix A - K C (n, n)."""
+    Bbar: Array
+    """Matrix B - K D (n, nu)."""
+    C: Array
+    """Matrix of the outputs (ny, n)."""
+    D: Array
+    """Direct term (ny, nu)."""
+    K: Array
+    """Gain of complete data (n, ny)."""
+    x0: tuple[Array, ...]
+    """State at the start of each experiment, (n,)."""
+
+    def balanced(self) -> Predictor:
+        """Return the same predictor in the coordinates of `output_normal`."""
+        T, inverse = _balancing(self.Abar, self.C)
+        return Predictor(
+            Abar=T @ self.Abar @ inverse,
+            Bbar=T @ self.Bbar,
+            C=self.C @ inverse,
+            D=self.D,
+            K=T @ self.K,
+            x0=tuple(T @ x for x in self.x0),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Linear:
     """Linear part of the predictor for given Abar and C."""
 
@@ -230,12 +260,16 @@ def reflected_matrix(A: Array, largest: float = 0.995) -> Array:
 
 def output_normal(A: Array, C: Array) -> tuple[Array, Array]:
     """Return A and C of the same model with A^T A + C^T C = 1, which suits a search."""
+    T, inverse = _balancing(A, C)
+    return T @ A @ inverse, C @ inverse
+
+
+def _balancing(A: Array, C: Array) -> tuple[Array, Array]:
+    """Return the change of coordinates of `output_normal`, and its inverse."""
     gramian = solve_discrete_lyapunov(A.T, C.T @ C)
     values, axes = np.linalg.eigh((gramian + gramian.T) / 2)
     root = np.sqrt(np.maximum(values, 1e-14 * values[-1]))
-    T = (axes * root).T
-    inverse = axes / root
-    return T @ A @ inverse, C @ inverse
+    return (axes * root).T, axes / root
 
 
 def tangent(A: Array, C: Array) -> Array:

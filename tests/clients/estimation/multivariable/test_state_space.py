@@ -9,8 +9,10 @@ import armrig
 import numpy as np
 import pytest
 from armrig import Dataset, Signals
+from armrig.estimation.multivariable.state_space_gaps import GapProblem
 from armrig.estimation.multivariable.state_space_problem import (
     Part,
+    Predictor,
     StateSpaceProblem,
     output_normal,
     reflected_matrix,
@@ -102,6 +104,59 @@ def test_output_normal_form_is_the_same_model() -> None:
     np.testing.assert_allclose(nearest(np.linalg.eigvals(a)), POLES, atol=1e-10)
 
 
+def predictor(experiments: int) -> Predictor:
+    """Return the predictor of the model above, with different first states."""
+    x0 = tuple(np.array([1.0, -2.0, 0.5]) * (i + 1) for i in range(experiments))
+    return Predictor(Abar=A - K @ C, Bbar=B, C=C, D=np.zeros((2, 2)), K=K, x0=x0)
+
+
+def test_with_outputs_missing_the_errors_give_the_likelihood_of_the_measured_outputs() -> None:
+    rng = np.random.default_rng(7)
+    parts = []
+    for n, share in ((9, 0.4), (7, 0.0)):
+        rows = rng.random((n, 2)) >= share
+        rows[3:5] = share == 0  # an instant without any output
+        y = np.where(rows, rng.standard_normal((n, 2)), 0.0)
+        parts.append(
+            Part(u=rng.standard_normal((n, 2)), y=y, rows=rows, weights=whitening(LAMBDA, rows))
+        )
+    model = predictor(2)
+
+    z, log = GapProblem(parts=tuple(parts), Lambda=LAMBDA, direct=False).errors([model, model])
+
+    quadratic = determinant = 0.0
+    for part, x0 in zip(parts, model.x0, strict=True):
+        n = part.y.shape[0]
+        mean = recursion(A, part.u @ B.T, x0)[:-1] @ C.T
+        noise = [np.eye(2), *(C @ np.linalg.matrix_power(A, k) @ K for k in range(n - 1))]
+        zero = np.zeros((2, 2))
+        H = np.block([[noise[i - j] if j <= i else zero for j in range(n)] for i in range(n)])
+        known = part.rows.ravel()
+        S = (H @ np.kron(np.eye(n), LAMBDA) @ H.T)[np.ix_(known, known)]
+        error = (part.y - mean).ravel()[known]
+        quadratic += error @ np.linalg.solve(S, error)
+        determinant += np.linalg.slogdet(S)[1]
+        determinant -= sum(np.linalg.slogdet(LAMBDA[np.ix_(r, r)])[1] for r in part.rows if r.any())
+    np.testing.assert_allclose(np.sum(z**2, axis=1), quadratic, rtol=1e-9)
+    np.testing.assert_allclose(log * sum(p.rows.sum() for p in parts), determinant, rtol=1e-9)
+
+
+def test_without_a_gap_the_errors_are_those_of_the_constant_gain() -> None:
+    whole = problem(noise=True, direct=True, missing=0.0)
+    linear = whole.linear(A - K @ C, C)
+    at = Predictor(
+        Abar=A - K @ C, Bbar=linear.Bbar, C=C, D=linear.D, K=linear.K, x0=linear.x0
+    ).balanced()
+
+    gaps = GapProblem(parts=whole.parts, Lambda=LAMBDA, direct=True)
+
+    z, log = gaps.errors([at])
+    np.testing.assert_allclose(z[0], linear.e, atol=1e-9)
+    np.testing.assert_array_equal(log, 0)
+    for found, e in zip(gaps.residuals(at), whole.residuals(A - K @ C, C, linear), strict=True):
+        np.testing.assert_allclose(found, e, atol=1e-9)
+
+
 def test_a_start_value_is_stable() -> None:
     inside = reflected_matrix(np.diag([1.5, 0.5]))
 
@@ -134,9 +189,9 @@ def test_noise_free_data_give_back_the_plant() -> None:
         np.testing.assert_allclose(G, C @ np.linalg.solve(z * np.eye(3) - A, B), atol=1e-4)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_estimates_lie_within_their_deviations(seed: int) -> None:
-    fit = armrig.ss(data(seed=seed), order=3)
+@pytest.mark.parametrize(("seed", "missing"), [(0, 0.0), (1, 0.0), (2, 0.0), (3, 0.2)])
+def test_estimates_lie_within_their_deviations(seed: int, missing: float) -> None:
+    fit = armrig.ss(data(seed=seed, missing=missing), order=3)
 
     poles = fit.poles()
     order = [int(np.argmin(np.abs(poles.values - z))) for z in POLES]
@@ -304,6 +359,8 @@ def test_what_does_not_fit_is_refused() -> None:
     for weights in ([1.0], [1, 0], [1, -1], [1, np.nan]):
         with pytest.raises(InputError, match="must be 2 positive numbers, one for each output of"):
             armrig.ss(data(), order=2, output_weights=weights)
+    with pytest.raises(InputError, match="weights of outputs and an estimated K need complete"):
+        armrig.ss(data(missing=0.2), order=2, output_weights=[1, 1])
     with pytest.raises(InputError, match="a direct term needs nk=0 for all inputs"):
         armrig.ss(data(), order=2, nk=[0, 1])
     with pytest.raises(InputError, match="weights='pls' must be one of"):

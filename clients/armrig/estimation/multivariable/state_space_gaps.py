@@ -1,0 +1,233 @@
+"""Prediction-error problem of a state-space model with K, when outputs are missing.
+
+The predictor of complete data has the constant gain K. After a missing output the state is not
+known exactly, and the predictor is a Kalman filter. P(t) is the covariance of the state, given the
+outputs measured before t; o marks the outputs measured at t ::
+
+    nu(t) = y_o(t) - C_o x(t) - D_o u(t),    S(t) = C_o P(t) C_o^T + Lambda_oo
+    G(t) = (A P(t) C_o^T + K Lambda_o) inv(S(t))
+    x(t+1) = A x(t) + B u(t) + G(t) nu(t)
+    P(t+1) = A P(t) A^T + K Lambda K^T - G(t) S(t) G(t)^T
+
+P is 0 as long as no output is missing, because the first state is estimated. The criterion is the
+likelihood of the measured outputs: the sum of nu^T inv(S) nu, times the geometric mean of det S.
+
+References
+----------
+.. [1] R. H. Jones, Technometrics 22 (1980) 389-395 (likelihood with missing observations).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from armrig.estimation.multivariable.inference import pairwise_covariance
+from armrig.estimation.multivariable.state_space_problem import (
+    Part,
+    Predictor,
+    parts_of,
+    stable_matrix,
+    tangent,
+)
+from armrig.numerics.least_squares import orthonormal
+from armrig.numerics.levenberg_marquardt import Optimum, levenberg_marquardt
+from armrig.numerics.polynomial import Array
+
+_NEGLIGIBLE = 1e-9  # of the variance of a prediction, relative to the variance of e
+_STEP = 1e-6  # of a numerical derivative; the coordinates are scaled
+_STEPS = 3  # steps of the search between two estimates of Lambda
+_MAX_ROUNDS = 30
+_LIKELIHOOD_TOLERANCE = 1e-3  # change of -2 log likelihood at which the search ends
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GapProblem:
+    """Problem of all parameters of a predictor, with outputs missing."""
+
+    parts: tuple[Part, ...]
+    """Signals of each experiment, whitened by `Lambda`."""
+    Lambda: Array
+    """Covariance of e (ny, ny)."""
+    direct: bool
+    """True if D is estimated."""
+
+    def errors(self, predictors: Sequence[Predictor]) -> tuple[Array, Array]:
+        """Return the whitened errors and the mean of log det(S inv(Lambda_oo)) of each predictor.
+
+        The errors (m, N ny) are output after output within each experiment, and 0 where an output
+        is missing. The mean is over all measured values, (m,).
+        """
+        found, logs, count = [], np.zeros(len(predictors)), 0
+        for i, part in enumerate(self.parts):
+            z, log = self._filtered(part, predictors, np.array([p.x0[i] for p in predictors]))
+            found.append(z.transpose(1, 2, 0).reshape(len(predictors), -1))
+            logs += log
+            count += int(part.rows.sum())
+        return np.hstack(found), logs / count
+
+    def _filtered(
+        self, part: Part, predictors: Sequence[Predictor], x: Array
+    ) -> tuple[Array, Array]:
+        """Return the whitened errors (N, m, ny), and the sum of the logarithms (m,)."""
+        K, C = (np.array([getattr(p, name) for p in predictors]) for name in ("K", "C"))
+        D = np.array([p.D for p in predictors])
+        A = np.array([p.Abar for p in predictors]) + K @ C
+        B = np.array([p.Bbar for p in predictors]) + K @ D
+        driven = np.einsum("mij,tj->tmi", B, part.u)
+        direct = np.einsum("mij,tj->tmi", D, part.u)
+        noise = K @ self.Lambda
+        Q = noise @ K.swapaxes(1, 2)
+        root = part.weights
+        z = np.zeros((part.y.shape[0], *x.shape[:1], part.y.shape[1]))
+        logs = np.zeros(len(predictors))
+        P: Array | None = None
+        for t, rows in enumerate(part.rows):
+            predicted = (C @ x[:, :, None])[:, :, 0] + direct[t]
+            x, before = (A @ x[:, :, None])[:, :, 0] + driven[t], x
+            if rows.all() and P is None:
+                nu = part.y[t] - predicted
+                z[t] = nu @ root[t].T
+                x = x + (K @ nu[:, :, None])[:, :, 0]
+                continue
+            o = np.flatnonzero(rows)
+            if P is None:
+                P = np.zeros((len(predictors), before.shape[1], before.shape[1]))
+            PC = P @ C[:, o].swapaxes(1, 2)
+            S = C[:, o] @ PC + self.Lambda[np.ix_(o, o)]
+            cross = A @ PC + noise[:, :, o]
+            P = A @ P @ A.swapaxes(1, 2) + Q
+            if o.size:
+                nu = part.y[t, o] - predicted[:, o]
+                L = np.linalg.cholesky(S)
+                inverse = np.linalg.inv(L)
+                z[t][:, o] = (inverse @ nu[:, :, None])[:, :, 0]
+                diagonal = np.log(np.diagonal(L, axis1=1, axis2=2)).sum(axis=1)
+                own = root[t][np.ix_(o, o)]
+                logs += 2 * (diagonal + np.log(np.diag(own)).sum())
+                G = cross @ inverse.swapaxes(1, 2)
+                x = x + (G @ z[t][:, o, None])[:, :, 0]
+                P = P - G @ G.swapaxes(1, 2)
+            spread = np.einsum("mij,mjk,mik->i", C, P, C)
+            if (np.abs(spread) <= _NEGLIGIBLE * np.diag(self.Lambda)).all():
+                P = None
+        return z, logs
+
+    def moved(self, at: Predictor, V: Array, t: Array) -> Predictor:
+        """Return a predictor for coordinates t.
+
+        The coordinates are along the tangent space V of (Abar, C), then Bbar and K signal by
+        signal, then D row by row, then the states at the start.
+        """
+        n, ny = at.K.shape
+        nu = at.Bbar.shape[1]
+        sizes = [V.shape[1], n * (nu + ny), ny * nu * self.direct]
+        along, signals, direct, states = np.split(t, np.cumsum(sizes))
+        change = V @ along
+        columns = signals.reshape(nu + ny, n).T
+        return Predictor(
+            Abar=at.Abar + change[: n * n].reshape(n, n),
+            C=at.C + change[n * n :].reshape(ny, n),
+            Bbar=at.Bbar + columns[:, :nu],
+            K=at.K + columns[:, nu:],
+            D=at.D + direct.reshape(ny, nu) if self.direct else at.D,
+            x0=tuple(x + d for x, d in zip(at.x0, states.reshape(-1, n), strict=True)),
+        )
+
+    def linearise(self, at: Predictor, V: Array, t: Array) -> tuple[Array, Array, Array, Array]:
+        """Return errors and mean of the logarithms, each with its derivatives, negative for errors.
+
+        The derivatives are numerical.
+        """
+        steps = [t, *(t + _STEP * unit for unit in np.eye(t.size))]
+        z, logs = self.errors([self.moved(at, V, step) for step in steps])
+        return z[0], -(z[1:] - z[0]).T / _STEP, logs[0], (logs[1:] - logs[0]) / _STEP
+
+    def minimise(self, at: Predictor, *, most: int) -> tuple[Predictor, Optimum]:
+        """Return the predictor after at most `most` steps."""
+        at = at.balanced()
+        V = tangent(at.Abar, at.C)
+
+        def linearise(t: Array) -> tuple[Array, Array]:
+            z, J, log, by_log = self.linearise(at, V, t)
+            scale = np.exp(log / 2)
+            return scale * z, scale * (J - 0.5 * np.outer(z, by_log))
+
+        def stable(t: Array) -> bool:
+            predictor = self.moved(at, V, t)
+            return stable_matrix(predictor.Abar)
+
+        n = at.Abar.shape[0]
+        size = V.shape[1] + at.Bbar.size + at.K.size + self.direct * at.D.size + n * len(at.x0)
+        found = levenberg_marquardt(linearise, np.zeros(size), admissible=stable, most=most)
+        return self.moved(at, V, found.theta), found
+
+    def residuals(self, at: Predictor) -> list[Array]:
+        """Return the errors (N, ny) of each experiment, scaled to the covariance of e; NaN is none.
+
+        An error is scaled by the root of Lambda_oo inv(S), so that its covariance is Lambda_oo.
+        """
+        z, _ = self.errors([at])
+        found, first = [], 0
+        for part in self.parts:
+            own = z[0, first : first + part.y.size].reshape(part.y.shape[1], -1).T
+            first += part.y.size
+            e = np.full_like(part.y, np.nan)
+            for rows in np.unique(part.rows, axis=0):
+                o, times = np.flatnonzero(rows), (part.rows == rows).all(axis=1)
+                if o.size:
+                    root = np.linalg.cholesky(self.Lambda[np.ix_(o, o)])
+                    e[np.ix_(times, o)] = own[np.ix_(times, o)] @ root.T
+            found.append(e)
+        return found
+
+    def influence(self, at: Predictor) -> Array:
+        """Return the derivatives of the whitened predictions, without the states at the start.
+
+        The columns are the coordinates of `moved`, (ny N, d). The covariance S is held constant.
+        """
+        V = tangent(at.Abar, at.C)
+        states = at.Abar.shape[0] * len(self.parts)
+        size = V.shape[1] + at.Bbar.size + at.K.size + self.direct * at.D.size
+        _, J, _, _ = self.linearise(at, V, np.zeros(size + states))
+        return orthonormal(J[:, size:]).without(J[:, :size])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GapSearch:
+    """End of a search with missing outputs."""
+
+    problem: GapProblem
+    """Problem with the Lambda of the end."""
+    predictor: Predictor
+    """Predictor of the end."""
+    iterations: int
+    """Steps of the search."""
+    converged: bool
+    """True if the likelihood no longer changed."""
+
+
+def searched(
+    signals: Sequence[tuple[Array, Array]], at: Predictor, Lambda: Array, *, direct: bool
+) -> GapSearch:
+    """Return the minimum that a search from `at` reaches; Lambda is estimated between its steps."""
+    last, iterations = np.inf, 0
+    for _ in range(_MAX_ROUNDS):
+        problem = GapProblem(parts=parts_of(signals, Lambda), Lambda=Lambda, direct=direct)
+        at, found = problem.minimise(at, most=_STEPS)
+        iterations += found.iterations
+        e = np.vstack(problem.residuals(at))
+        Lambda = pairwise_covariance(e)
+        value = np.isfinite(e).sum() * np.linalg.slogdet(Lambda)[1] / e.shape[1]
+        _, logs = problem.errors([at])
+        value += float(logs[0]) * np.isfinite(e).sum()
+        if abs(last - value) <= _LIKELIHOOD_TOLERANCE:
+            break
+        last = value
+    converged = abs(last - value) <= _LIKELIHOOD_TOLERANCE
+    problem = GapProblem(parts=parts_of(signals, Lambda), Lambda=Lambda, direct=direct)
+    return GapSearch(
+        problem=problem, predictor=at, iterations=iterations, converged=bool(converged)
+    )
