@@ -189,7 +189,7 @@ def test_collect_bla_takes_the_length_of_a_recording(
 
     u = np.array(run.u).reshape(3, 50)
     np.testing.assert_array_equal(u, np.tile(u[0], (3, 1)))
-    assert "--seconds 1.5 with --period 0.5: a recording is 3 periods long" in told(capsys)
+    assert "--seconds 1.5 with --period 0.5: give only one of these two options" in told(capsys)
 
 
 @pytest.mark.parametrize("name", ["telegraph", "prbs", "white", "multisine"])
