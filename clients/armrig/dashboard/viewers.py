@@ -1,4 +1,7 @@
-"""Viewers of a door: each has a bounded queue, and a viewer that does not read is dropped."""
+"""Viewers of a door, each with a bounded queue.
+
+A viewer that does not receive its messages is dropped.
+"""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def transient_count(
 ) -> int:
     """Return the number of pulses that replace an unknown past: the dimension of the state.
 
-    With an integrator, one dimension of the state is the level, which is a separate column.
+    With an integrator the count is smaller by one, because the level has a separate column.
     """
     return max(max(numerator_degree, denominator_degree) - int(integrator), 0)
 

@@ -185,7 +185,7 @@ class Part:
         sync_directory(self.path.parent)
 
     def compact(self) -> None:
-        """Rewrite the complete file, renamed or not, in full chunks.
+        """Rewrite the finished file in full chunks, under its active name or its final name.
 
         If the disk has no space for a second copy, the first copy, which is complete, stays.
         """

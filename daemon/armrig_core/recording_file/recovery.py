@@ -233,7 +233,7 @@ def _manifest(path: Path, rewriter: Rewriter, rig: str) -> Manifest | None:
         return None
     manifest = _checked(path, manifest_of, rewriter.metadata[RUN])
     if rig and manifest.rig != rig:
-        raise NotOursError(f"{path}: a recording of rig {manifest.rig}")
+        raise NotOursError(f"{path}: belongs to rig {manifest.rig}, not to rig {rig}")
     return manifest
 
 

@@ -36,7 +36,7 @@ def _stale(host: Host) -> None:
 
 
 def _answers_to_old(host: Host, lag: int) -> list[Message]:
-    """Return the answers to a KEEPALIVE with a seq `lag` below the newest."""
+    """Return the answers to a KEEPALIVE whose seq is the newest seq minus `lag`."""
     newest = host.seq
     host.put(Keepalive, seq=(newest - lag) & _U16)
     host.seq = newest

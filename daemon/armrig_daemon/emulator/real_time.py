@@ -69,7 +69,7 @@ class RealTimeDevice(Protocol):
         """Put bytes on the wire to the device."""
 
     def rx_backlog_ns(self, now_ns: int) -> int:
-        """Return the time for which the received bytes still occupy the wire, in ns."""
+        """Return the time for which the sent bytes still occupy the wire to the device, in ns."""
 
     def visible_ns(self) -> int:
         """Return a time before which `advance` need not be called."""

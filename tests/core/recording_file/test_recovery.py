@@ -354,7 +354,7 @@ def test_the_file_of_another_rig_is_left_to_its_daemon(tmp_path: Path) -> None:
     assert unfinished.unfinished(tmp_path, "2") == []
     of_rig_1 = Recovery(armrig="0", now=lambda: "", rig="1")
 
-    assert isinstance(_untouched(left, data, "of rig 1-b", of_rig_1), NotOursError)
+    assert isinstance(_untouched(left, data, "to rig 1-b, not to rig 1", of_rig_1), NotOursError)
 
 
 def test_a_recording_of_that_name_is_not_written_over(tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ _MAX_CURVE_VALUES = 4_000_000  # number of values in memory at once
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Answer:
-    """Step response divided by its final value, with the times of the drawn curves."""
+    """Step response divided by its final value; times and peaks of curves sampled at random."""
 
     t: Vector
     """Times after the step, in s, (n,)."""

@@ -107,7 +107,8 @@ def batch(
     items = items_in(folder, rigs=rigs, kinds=kinds)
     if not items:
         raise InputError(
-            f"{folder}: contains no recording to work on; `armrig ls {folder}` lists its recordings"
+            f"{folder}: no recording is of the chosen rigs and kinds; `armrig ls {folder}` lists "
+            "all recordings"
         )
     header = header_of(task, folder, rigs, kinds)
     before = [] if anew else read_rows(table, header)

@@ -525,7 +525,7 @@ def test_a_worker_that_is_killed_costs_no_row(lab: tuple[Path, bytes], tmp_path:
         (["verify", "FOLDER", "-o", "x.csv"], "ends in .parquet"),
         (["verify", "nowhere", "-o", "x.parquet"], "nowhere"),
         (["verify", "FOLDER", "-o", "no/x.parquet"], "there is no directory no; create it first"),
-        (["verify", "FOLDER", "-o", "x.parquet", "--rig", "9"], "contains no recording to work on"),
+        (["verify", "FOLDER", "-o", "x.parquet", "--rig", "9"], "no recording is of the chosen"),
         (["validate", "FOLDER", "--model", "no.json", "-o", "x.parquet"], "no.json"),
         (["identify", "FOLDER", "-o", "x.parquet", "--structure", "arx", "--nf", "3"], "--nf"),
         (
