@@ -104,7 +104,7 @@ docs: .venv/dev
 # Lock the exact versions and their hashes, for all systems, here and in CI: after each change of
 # pyproject.toml's dependencies. UPGRADE=1 takes the newest versions.
 LOCKED = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
-  --no-header --no-annotate $(if $(UPGRADE),--upgrade)
+  --no-header --no-annotate --no-strip-extras $(if $(UPGRADE),--upgrade)
 lock: .venv
 	$(BIN)/pip install --quiet uv
 	$(LOCKED) pyproject.toml -o requirements.lock

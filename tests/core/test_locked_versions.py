@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import re
 import tomllib
 from pathlib import Path
@@ -12,7 +13,8 @@ requirements = pytest.importorskip("packaging.requirements")
 ROOT = Path(__file__).parents[2]
 LOCKS = {"application": ROOT / "requirements.lock", "dev": ROOT / "tests" / "requirements.lock"}
 _PINNED = re.compile(
-    r"^([a-z0-9.-]+)==(\S+)(?: ; (.+?))? \\\n((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)",
+    r"^([a-z0-9.-]+)(\[[a-z0-9,-]+\])?==(\S+)(?: ; (.+?))? \\\n"
+    r"((?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+)",
     re.MULTILINE,
 )
 
@@ -20,7 +22,7 @@ _PINNED = re.compile(
 def pinned(path: Path) -> dict[str, set[str]]:
     """Return the versions of each package; it has two where they hang on the Python."""
     found: dict[str, set[str]] = {}
-    for name, version, _, _ in _PINNED.findall(path.read_text()):
+    for name, _, version, _, _ in _PINNED.findall(path.read_text()):
         found.setdefault(name, set()).add(version)
     return found
 
@@ -51,6 +53,24 @@ def test_all_that_is_asked_for_is_in_it_within_its_bounds(
         assert name in versions, f"{name}: make lock"
         for version in versions[name]:
             assert asked.specifier.contains(version), f"{name} {version}: make lock"
+
+
+def test_an_extra_that_a_locked_package_requires_is_locked_with_its_version() -> None:
+    """An older pip refuses a lock without it once a newer version of the package is out."""
+    locked = {
+        name: set(extras.strip("[]").split(","))
+        for name, extras, *_ in _PINNED.findall(LOCKS["dev"].read_text())
+    }
+    required = [
+        (package.name, asked.name.lower().replace("_", "-"), asked.extras)
+        for package in importlib.metadata.distributions()
+        for asked in map(requirements.Requirement, package.requires or [])
+        if package.name.lower().replace("_", "-") in locked
+        if asked.marker is None or asked.marker.evaluate({"extra": ""})
+    ]
+    missing = [line for line in required if line[2] and not line[2] <= locked.get(line[1], set())]
+    assert any(extras for _, _, extras in required)
+    assert missing == []
 
 
 def test_tests_run_with_the_versions_of_an_installation() -> None:
