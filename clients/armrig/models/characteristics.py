@@ -39,6 +39,7 @@ DRAWS = 400
 MAX_INVALID_SHARE = 0.05
 """A number, such as a resonance, has a range only if at most this share of the draws lacks it."""
 _SPREAD_ROUNDING = 1e-9  # relative spread of draws up to which the spread is rounding
+_NEAR_NYQUIST = 1e-6  # relative distance from the last point of the grid
 _DIFFERENCE_SIGMAS = 1e-2  # step of the central differences, in standard deviations
 _FREQUENCY_POINTS = 600
 _MIN_NYQUIST_SHARE = 1 / 3000  # lowest frequency of the grid, as a share of the Nyquist frequency
@@ -192,11 +193,14 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
 
     x = np.exp(-1j * omega * model.Ts)
     of_grid = np.asarray(np.abs(evaluate(B, x) / evaluate(F, x)) ** 2)
-    b, f = B[::-1].tolist(), F[::-1].tolist()
+    b, f = ((p[::-1].tolist(), (np.arange(p.size) * p)[::-1].tolist()) for p in (B, F))
 
-    def power(w: float) -> float:
+    def slope(w: float) -> float:
+        """Return d|G|²/dw times a positive number."""
         at = exp(-1j * w * model.Ts)
-        return abs(_horner(b, at)) ** 2 / max(abs(_horner(f, at)) ** 2, 1e-300)
+        (B_w, dB), (F_w, dF) = ([_horner(p, at) for p in pair] for pair in (b, f))
+        by_B, by_F = B_w.conjugate() * dB, F_w.conjugate() * dF
+        return by_B.imag * abs(F_w) ** 2 - by_F.imag * abs(B_w) ** 2
 
     modulus = np.abs(roots(F))
     y = filtered(B, F, np.ones(_length(modulus)))
@@ -210,8 +214,8 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
         decay = np.log(modulus) / model.Ts
     return {
         "gain": gain,
-        "resonance": _extreme(omega, of_grid, power, sign=1),
-        "antiresonance": _extreme(omega, of_grid, power, sign=-1),
+        "resonance": _extreme(omega, of_grid, slope, sign=1),
+        "antiresonance": _extreme(omega, of_grid, slope, sign=-1),
         "bandwidth": _first_below(omega, of_grid, gain**2 / 2),
         "rise_time": rise_time(shown, model.Ts, integrated=integrating),
         "equivalent_time": model.Ts * (mean_lag(B, F) - first - dead),
@@ -248,15 +252,14 @@ def _length(modulus: Vector) -> int:
 
 
 def _extreme(
-    omega: Vector, of_grid: Vector, power: Callable[[float], float], *, sign: int
+    omega: Vector, of_grid: Vector, slope: Callable[[float], float], *, sign: int
 ) -> float:
     """Return the frequency of the most prominent peak of at least 1 dB, or NaN.
 
-    If sign is -1, the function searches for a dip instead. The peak is found on the grid, and then
-    refined between the neighbouring points. The refinement uses |G|², because |G|² is smooth at a
-    zero of |G|.
+    If sign is -1, the function searches for a dip instead. The peak is found on the grid. The root
+    of the slope of |G|² between the neighbouring points is the peak itself.
     """
-    from scipy.optimize import minimize_scalar
+    from scipy.optimize import brentq
     from scipy.signal import find_peaks
 
     level = sign * 10 * np.log10(np.maximum(of_grid, 1e-300))
@@ -264,14 +267,11 @@ def _extreme(
     if at.size == 0:
         return float("nan")
     i = int(at[np.argmax(of["prominences"])])
-    scale = sign * of_grid[i]
-    found = minimize_scalar(
-        lambda w: -power(float(w)) / scale if scale else 0.0,
-        bounds=(omega[i - 1], omega[i + 1]),
-        method="bounded",
-        options={"xatol": 1e-7 * omega[i]},
-    )
-    return float(found.x)
+    # The slope is 0 at the Nyquist frequency, the last point.
+    low, high = float(omega[i - 1]), float(omega[i + 1]) * (1 - _NEAR_NYQUIST)
+    if slope(low) * slope(high) >= 0:
+        return float(omega[i])
+    return float(brentq(slope, low, high, xtol=1e-12 * low))
 
 
 def _horner(p: list[float], x: complex) -> complex:

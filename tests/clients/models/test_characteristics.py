@@ -176,6 +176,17 @@ def _any_fit() -> armrig.Fit:
     )
 
 
+def test_a_resonance_is_the_peak_of_the_gain_to_rounding() -> None:
+    """The peak of 1/|F|² for a pair of poles r exp(±iφ) has a closed form."""
+    r, phi, Ts = 0.95, 0.4, 0.01
+    F = np.array([1.0, -2 * r * np.cos(phi), r**2])
+    P = np.zeros((3, 3))
+    fit = replace(_any_fit(), F=F, Ts=Ts, covariance=P, covariance_robust=P)
+    peak = np.arccos((1 + r**2) / (2 * r) * np.cos(phi)) / Ts
+
+    assert model_characteristics(fit).resonance == pytest.approx(peak, rel=1e-11)
+
+
 @pytest.mark.parametrize("Ts", [0.002, 0.01])
 def test_the_times_of_a_model_are_those_of_the_step_analysis_whatever_Ts(Ts: float) -> None:
     """A chassis with a time constant of 20 ms, by its rate, and with a dead time."""
