@@ -234,7 +234,7 @@ class Polynomials:
             block = _observer(n, nu, ny)
             block["A"][:, :1] -= _tail(f, n)[:, None]
             block["B"][:, j] = _tail(b, n) - _tail(f, n) * D[j]
-            blocks.append(block)
+            blocks.append(_with_sum(block) if self.integrators[i] else block)
         driven = {
             "A": block_diag(*(p["A"] for p in blocks)),
             "B": np.vstack([p["B"] for p in blocks]),
@@ -260,6 +260,20 @@ def _observer(n: int, nu: int, ny: int) -> dict[str, Any]:
         "C": np.eye(1, n)[0],
         "D": np.zeros(nu),
     }
+
+
+def _with_sum(block: dict[str, Any]) -> dict[str, Any]:
+    """Return the matrices with the sum of the states as first state, if F has the root 1.
+
+    The sum only adds up inputs. In the other coordinates each rounding error would move the root,
+    and the error of the integral would grow with time.
+    """
+    n = block["C"].size
+    T, inverse = np.eye(n), np.eye(n)
+    T[0], inverse[0, 1:] = 1.0, -1.0
+    A = T @ block["A"] @ inverse
+    A[0] = np.eye(1, n)[0]
+    return block | {"A": A, "B": T @ block["B"], "C": block["C"] @ inverse}
 
 
 def _tail(p: Vector, n: int) -> Vector:

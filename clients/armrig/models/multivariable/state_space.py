@@ -112,21 +112,18 @@ def predicted(
     return np.where(unknown, np.nan, found) if horizon is not None else found
 
 
-def prediction_errors(
-    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], noise_std: Vector
-) -> tuple[Array, Array]:
-    """Return e = y - ŷ (N, ny) one step ahead, and its responses (N, r, ny) to what is estimated.
+def error_responses(
+    system: StateSpace, part: Signals, *, integrating: tuple[bool, ...]
+) -> ErrorResponses:
+    """Return the responses of e = y - ŷ, one step ahead, to the data and to what is estimated.
 
-    The estimated quantities are the initial state and the ramps of `predicted`. e is NaN where y is
-    missing; the responses are 0 there.
+    The estimated quantities are the initial state and the ramps of `predicted`.
     """
-    r = _responses(system, part, integrating=integrating, used=part.valid)
-    e = np.einsum("k,tki->ti", r.combination(part, noise_std), r.errors)
-    return np.where(part.valid, e, np.nan), r.errors[:, 1:] * part.valid[:, None]
+    return _responses(system, part, integrating=integrating, used=part.valid)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Responses:
+class ErrorResponses:
     """Responses to the data (the first column), to each state, and to each ramp."""
 
     inputs: Array
@@ -146,7 +143,7 @@ class _Responses:
 
 def _responses(
     system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], used: Array
-) -> _Responses:
+) -> ErrorResponses:
     """Return the responses, with the innovations of the outputs marked in `used`."""
     at = [i for i, integrates in enumerate(integrating) if integrates]
     n = system.order
@@ -159,7 +156,7 @@ def _responses(
     x0[1 : 1 + n] = np.eye(n)
     x = _states(system, inputs, outputs, x0, used)
     errors = outputs - _outputs(system, x, inputs)
-    return _Responses(inputs=inputs, outputs=outputs, x=x, errors=errors)
+    return ErrorResponses(inputs=inputs, outputs=outputs, x=x, errors=errors)
 
 
 def _initial(responses: Array, errors: Array) -> Array:

@@ -10,7 +10,7 @@ import numpy as np
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.whitening import whitening
 from armrig.models.multivariable.fit import MultivariableFit
-from armrig.models.multivariable.state_space import prediction_errors
+from armrig.models.multivariable.state_space import ErrorResponses, error_responses
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array
 
@@ -43,17 +43,27 @@ def parts_of(fit: MultivariableFit, data: Signals) -> list[Part]:
     """Return the residuals of each experiment with their derivatives."""
     std = np.sqrt(np.diag(fit.noise_covariance))
 
-    def errors(theta: Array) -> list[tuple[Array, Array]]:
+    def responses(theta: Array) -> list[ErrorResponses]:
         system = fit.form.replaced(theta).realised()
         return [
-            prediction_errors(system, part, integrating=fit.form.integrators, noise_std=std)
+            error_responses(system, part, integrating=fit.form.integrators)
             for part in data.experiments()
         ]
 
+    experiments = list(data.experiments())
+    at_theta = responses(fit.theta)
+    # The initial states stay as they are for a derivative, because `projection` removes the effect
+    # of their estimates. To estimate them again would amplify rounding errors.
+    states = [r.combination(part, std) for r, part in zip(at_theta, experiments, strict=True)]
     by: list[list[Array]] = []
     for direction in _directions(fit).T:
-        ahead, behind = (errors(fit.theta + h * _STEP * direction) for h in (1, -1))
-        by.append([(a - b) / (2 * _STEP) for (a, _), (b, _) in zip(ahead, behind, strict=True)])
+        ahead, behind = (responses(fit.theta + h * _STEP * direction) for h in (1, -1))
+        by.append(
+            [
+                np.einsum("k,tki->ti", c, a.errors - b.errors) / (2 * _STEP)
+                for c, a, b in zip(states, ahead, behind, strict=True)
+            ]
+        )
     # Rows that the estimator treats together are weighted by the inverse of Lambda.
     together = fit.shared or fit.form.coupled or fit.structure == "arx"
     Lambda = fit.noise_covariance if together else np.diag(std**2)
@@ -61,13 +71,15 @@ def parts_of(fit: MultivariableFit, data: Signals) -> list[Part]:
         Lambda = np.diag(1 / np.asarray(fit.output_weights))
     mean = np.mean(data.u, axis=0)
     found = []
-    for k, ((e, S), part) in enumerate(zip(errors(fit.theta), data.experiments(), strict=True)):
-        Psi = [np.nan_to_num(one[k]) for one in by]
+    for k, (r, c, part) in enumerate(zip(at_theta, states, experiments, strict=True)):
+        e = np.where(part.valid, np.einsum("k,tki->ti", c, r.errors), np.nan)
+        S = (r.errors[:, 1:] * part.valid[:, None]).transpose(0, 2, 1)
+        Psi = [np.where(part.valid, one[k], 0.0) for one in by]
         found.append(
             Part(
                 u=part.u - mean,
                 e=e,
-                S=S.transpose(0, 2, 1),
+                S=S,
                 Psi=np.stack(Psi, axis=-1) if Psi else np.zeros((*e.shape, 0)),
                 G=whitening(Lambda, np.isfinite(e)),
             )
