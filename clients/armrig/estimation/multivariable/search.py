@@ -12,6 +12,7 @@ from armrig_core.errors import InputError
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
+from armrig.estimation.multivariable.ends import log_cost, ranked
 from armrig.estimation.multivariable.inference import (
     Inference,
     OutputResiduals,
@@ -37,7 +38,8 @@ from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array
 
 _MAX_ROUNDS = 10
-_SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration ends
+_SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from a start ends
+_END_TOLERANCE = 1e-10  # relative change of Lambda at which the iteration from the best end ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -136,9 +138,9 @@ def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
         experiments=experiments,
         weights=tuple(whitening(Lambda, m) for m in masks),
     )
-    ends = sorted(
+    ends = ranked(
         ((start, problem.minimise(theta)) for start, theta in start_values(problem)),
-        key=lambda end: end[1].cost,
+        lambda end: log_cost(end[1].cost),
     )
     if len(plan.rows) > 1:
         problem, ends = _reweighted(problem, masks, ends)
@@ -162,19 +164,26 @@ def _reweighted(
     The best end has the least det Lambda. With the first Lambda, the variances of the outputs, it
     need not be the first one: an output that integrates then has little weight.
     """
-    found: list[tuple[float, PolynomialProblem, tuple[str, Optimum]]] = []
-    for name, end in ends:
-        weighted, Lambda = problem, np.zeros(0)
-        for _ in range(_MAX_ROUNDS):
-            before, Lambda = Lambda, _covariance(weighted, masks, end.theta)
-            weighted = replace(weighted, weights=tuple(whitening(Lambda, m) for m in masks))
-            end = weighted.minimise(end.theta)
-            if before.size and np.abs(Lambda - before).max() <= _SAME_TOLERANCE * Lambda.max():
-                break
-        criterion = np.linalg.slogdet(_covariance(weighted, masks, end.theta))[1]
-        found.append((float(criterion), weighted, (name, end)))
-    found.sort(key=lambda one: one[0])
-    return found[0][1], [end for _, _, end in found]
+    found = [(name, *_iterated(problem, masks, end, _SAME_TOLERANCE)) for name, end in ends]
+    found = ranked(found, lambda one: one[1])
+    name, _, weighted, end = found[0]
+    _, weighted, end = _iterated(weighted, masks, end, _END_TOLERANCE)
+    return weighted, [(name, end), *((other, end) for other, _, _, end in found[1:])]
+
+
+def _iterated(
+    problem: PolynomialProblem, masks: Sequence[Array], end: Optimum, tolerance: float
+) -> tuple[float, PolynomialProblem, Optimum]:
+    """Return log det Lambda, the problem and its minimum, with Lambda iterated from an end."""
+    Lambda = _covariance(problem, masks, end.theta)
+    for _ in range(_MAX_ROUNDS):
+        problem = replace(problem, weights=tuple(whitening(Lambda, m) for m in masks))
+        end = problem.minimise(end.theta)
+        before, Lambda = Lambda, _covariance(problem, masks, end.theta)
+        std = np.sqrt(np.diag(Lambda))
+        if (np.abs(Lambda - before) <= tolerance * np.outer(std, std)).all():
+            break
+    return float(np.linalg.slogdet(Lambda)[1]), problem, end
 
 
 def _covariance(problem: PolynomialProblem, masks: Sequence[Array], theta: Array) -> Array:

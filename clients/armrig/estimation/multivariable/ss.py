@@ -12,6 +12,7 @@ from armrig_core.errors import InputError
 from armrig.data.finding import EstimateFinding, warning
 from armrig.data.signals import Signals
 from armrig.estimation.multivariable.data_checks import instability, origin, require_informative
+from armrig.estimation.multivariable.ends import ranked
 from armrig.estimation.multivariable.inference import (
     OutputResiduals,
     inferred,
@@ -269,7 +270,7 @@ def _searched(
         _improved(problem, replace(end, criterion=np.inf, converged=False), criterion)
         for end in ends[:_CONTINUED]
     ]
-    return sorted(ends, key=lambda end: end.criterion)
+    return ranked(ends, lambda end: end.criterion)
 
 
 def _begun(

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from armrig.estimation.hannan_rissanen import noise_start
+from armrig.estimation.multivariable.ends import log_cost, ranked
 from armrig.estimation.multivariable.problem import ONE, PolynomialProblem, Row, RowData
 from armrig.numerics.least_squares import orthonormal
 from armrig.numerics.polynomial import Array, filtered, lagged, reflected
@@ -43,7 +44,7 @@ def start_values(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
     if not candidates:
         yield "least squares", _with_noise(problem, np.zeros(sum(problem.sizes)))
         return
-    candidates.sort(key=lambda found: output_error.cost(found[1]))
+    candidates = ranked(candidates, lambda found: log_cost(output_error.cost(found[1])))
     names = dict(reversed(candidates))  # the best of each name
     for name, theta in names.items():
         yield name, _with_noise(problem, theta)

@@ -12,6 +12,7 @@ import armrig
 import numpy as np
 import pytest
 from armrig import Dataset, Signals
+from armrig.estimation.multivariable.ends import ranked
 from armrig.models.model_file import load_fit as load_single
 from armrig.models.multivariable.fit import MultivariableFit
 from armrig.numerics.polynomial import Array, filtered
@@ -448,6 +449,26 @@ def test_a_damaged_file_is_refused(change: dict[str, Any], message: str, tmp_pat
 
     with pytest.raises(FileError, match=message):
         armrig.load_fit(path)
+
+
+def test_ends_at_one_minimum_keep_their_order() -> None:
+    """A search may end lower than another by rounding only, differently on each processor."""
+    ends = {"first": 2.0 + 1e-9, "higher": 2.1, "second": 2.0, "none": float("nan")}
+
+    assert ranked(ends, ends.__getitem__) == ["first", "second", "higher", "none"]
+
+
+def test_the_output_of_an_integrator_stays_where_it_is_without_an_input() -> None:
+    rng = np.random.default_rng(3)
+    u = inputs(rng, 1)[:, 0] + 0.2
+    y = filtered([0, 0.1, 0.05], np.convolve([1, -1], [1, -0.9]), u) + 0.02 * rng.normal(size=N)
+    fit = several("oe", Signals(u=u, y=y, Ts=0.1), nb=2, nf=2, integrator="y")
+    pulse = np.zeros((100_000, 1))
+    pulse[0] = 1.0
+
+    simulated = fit.form.realised().simulated(pulse)[:, 0]
+
+    assert np.ptp(simulated[1000:]) < 1e-14 * abs(simulated[-1])
 
 
 def test_few_samples_without_a_gap_before_them_leave_finite_deviations() -> None:
