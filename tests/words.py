@@ -5,6 +5,9 @@ and its docstrings with a banned first word (tests/words.toml), and compares the
 tests/words_left.txt. Those numbers may only fall: `--write` stores lower ones. `--list ROOM` prints
 each finding of a room. Quotations, code and tables are left out. If modules move to another room,
 remove the table and store it again with `--write`: the sums must not rise.
+
+`python tests/words.py --draw SEED` prints 100 sentences for a reader, who marks those that must be
+read twice: the linter cannot see them.
 """
 
 from __future__ import annotations
@@ -12,12 +15,13 @@ from __future__ import annotations
 import argparse
 import ast
 import inspect
+import random
 import re
 import subprocess
 import sys
 import tomllib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -68,27 +72,48 @@ def _blank(match: re.Match[str]) -> str:
     return "\n" * match[0].count("\n")
 
 
+class Sentence(NamedTuple):
+    """A sentence of a file; a name or a piece of code in it is an X."""
+
+    line: int
+    text: str
+
+
 def page_findings(text: str) -> Iterator[Finding]:
     """Yield the findings of a page in Markdown."""
+    return _judged(page_sentences(text))
+
+
+def module_findings(source: str, *, quotes: bool = False) -> Iterator[Finding]:
+    """Yield the findings of a Python module: in its docstrings, help texts and messages."""
+    for text in _docstrings(ast.parse(source)):
+        first = re.match(r"\w+", text.value.strip())
+        if first and first[0] in _FIRST_WORDS:
+            yield Finding("first", text.lineno, text.value.strip().partition("\n")[0])
+    yield from _judged(module_sentences(source, quotes=quotes))
+
+
+def script_findings(source: str) -> Iterator[Finding]:
+    """Yield the findings of the dashboard's page: in the texts of its scripts and its HTML."""
+    return _judged(script_sentences(source))
+
+
+def page_sentences(text: str) -> Iterator[Sentence]:
+    """Yield the sentences of a page in Markdown."""
     text = _LAYOUT.sub(_blank, _FENCE.sub(_blank, text))
     yield from _sentences(_LINK.sub(r"\1", text), 1)
 
 
-def module_findings(source: str, *, quotes: bool = False) -> Iterator[Finding]:
-    """Yield the findings of a Python module: in its docstrings, help texts and messages.
+def module_sentences(source: str, *, quotes: bool = False) -> Iterator[Sentence]:
+    """Yield the sentences of a Python module: its docstrings, help texts and messages.
 
     The messages of a test are quotations (`quotes`), and are left out.
     """
     tree = ast.parse(source)
-    docstrings = {
-        node.value for node in ast.walk(tree) if isinstance(node, ast.Expr) and _is_text(node.value)
-    }
+    docstrings = set(_docstrings(tree))
     parts = {v for n in ast.walk(tree) if isinstance(n, ast.JoinedStr) for v in ast.walk(n)}
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and node in docstrings:
-            first = re.match(r"\w+", node.value.strip())
-            if first and first[0] in _FIRST_WORDS:
-                yield Finding("first", node.lineno, node.value.strip().partition("\n")[0])
             text = _LITERAL.sub(_blank, inspect.cleandoc(node.value))
             yield from _sentences(_NAMES.sub(_blank, text), node.lineno)
         elif quotes:
@@ -100,38 +125,50 @@ def module_findings(source: str, *, quotes: bool = False) -> Iterator[Finding]:
             yield from _message(node.value, node.lineno)
 
 
-def script_findings(source: str) -> Iterator[Finding]:
-    """Yield the findings of the dashboard's page: in the texts of its scripts and its HTML."""
+def script_sentences(source: str) -> Iterator[Sentence]:
+    """Yield the sentences in the texts of the page's scripts and its HTML."""
     for match in _PAGE_TEXT.finditer(source):
         text = re.sub(r"\$\{[^}]*\}", "N", next(t for t in match.groups() if t is not None))
         yield from _message(text, source.count("\n", 0, match.start()) + 1)
+
+
+def _docstrings(tree: ast.AST) -> Iterator[ast.Constant]:
+    """Yield the texts that are statements: docstrings, and those of fields."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and _is_text(node.value):
+            yield node.value
 
 
 def _is_text(node: ast.AST) -> bool:
     return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
-def _message(text: str, line: int) -> Iterator[Finding]:
-    """Yield the findings of a text that a program prints; a text without two words is a name."""
+def _message(text: str, line: int) -> Iterator[Sentence]:
+    """Yield the sentences of a text that a program prints; a text without two words is a name."""
     for shown in text.split("\n"):
         if _PROSE.search(shown):
             yield from _sentences(shown, line)
 
 
-def _sentences(text: str, line: int) -> Iterator[Finding]:
-    """Yield the findings of prose that begins at a line."""
+def _sentences(text: str, line: int) -> Iterator[Sentence]:
+    """Yield the sentences of prose that begins at a line."""
     for pattern in (_CODE, _QUOTED):
         text = pattern.sub(lambda m: "X" + _blank(m), text)
     for start, block in _split(_BLOCK, text):
         for at, sentence in _split(_END, block):
             where = line + text.count("\n", 0, start + at)
             where += len(sentence[: len(sentence) - len(sentence.lstrip())].splitlines()[1:])
-            shown = " ".join(sentence.split())
-            if sum(bool(_WORD.search(word)) for word in shown.split()) > _MOST_WORDS:
-                yield Finding("long", where, shown)
-            for phrase, better in _PHRASES.items():
-                for found in phrase.findall(shown):
-                    yield Finding("phrase", where, f"{found} (write: {better}): {shown}")
+            yield Sentence(where, " ".join(sentence.split()))
+
+
+def _judged(sentences: Iterable[Sentence]) -> Iterator[Finding]:
+    """Yield the findings of sentences."""
+    for line, text in sentences:
+        if sum(bool(_WORD.search(word)) for word in text.split()) > _MOST_WORDS:
+            yield Finding("long", line, text)
+        for phrase, better in _PHRASES.items():
+            for found in phrase.findall(text):
+                yield Finding("phrase", line, f"{found} (write: {better}): {text}")
 
 
 def _split(pattern: re.Pattern[str], text: str) -> Iterator[tuple[int, str]]:
@@ -143,10 +180,10 @@ def _split(pattern: re.Pattern[str], text: str) -> Iterator[tuple[int, str]]:
 
 
 _READERS = {
-    ".md": page_findings,
-    ".py": module_findings,
-    ".js": script_findings,
-    ".html": script_findings,
+    ".md": (page_findings, page_sentences),
+    ".py": (module_findings, module_sentences),
+    ".js": (script_findings, script_sentences),
+    ".html": (script_findings, script_sentences),
 }
 
 
@@ -156,21 +193,42 @@ def room_of(path: Path) -> str:
     return "/".join(path.parent.parts[:depth]) or path.name
 
 
-def tree_findings() -> Iterator[tuple[Path, Finding]]:
-    """Yield the findings of all files that git lists or that are new."""
+def tree_files() -> Iterator[Path]:
+    """Yield all files with prose that git lists or that are new."""
     call = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
     listed = subprocess.run(call, cwd=ROOT, capture_output=True, text=True, check=True)
     for path in sorted({Path(line) for line in listed.stdout.splitlines()}):
-        if not (ROOT / path).is_file():  # deleted, and not committed
-            continue
-        if path.suffix in _READERS and not str(path).startswith(LEFT_OUT):
-            text = (ROOT / path).read_text(encoding="utf-8")
-            found = (
-                module_findings(text, quotes=True)
-                if path.suffix == ".py" and path.parts[0] == "tests"
-                else _READERS[path.suffix](text)
-            )
-            yield from ((path, finding) for finding in found)
+        # A deleted file that is not committed is still listed.
+        if (
+            path.suffix in _READERS
+            and not str(path).startswith(LEFT_OUT)
+            and (ROOT / path).is_file()
+        ):
+            yield path
+
+
+def tree_findings() -> Iterator[tuple[Path, Finding]]:
+    """Yield the findings of all files."""
+    for path in tree_files():
+        text = (ROOT / path).read_text(encoding="utf-8")
+        found = (
+            module_findings(text, quotes=True)
+            if path.suffix == ".py" and path.parts[0] == "tests"
+            else _READERS[path.suffix][0](text)
+        )
+        yield from ((path, finding) for finding in found)
+
+
+def drawn(seed: int, n: int = 100) -> list[tuple[Path, Sentence]]:
+    """Return n sentences of at least four words that users and maintainers read; no tests."""
+    found = [
+        (path, sentence)
+        for path in tree_files()
+        if path.parts[0] != "tests"
+        for sentence in _READERS[path.suffix][1]((ROOT / path).read_text(encoding="utf-8"))
+        if len(_PROSE.findall(sentence.text)) >= 2
+    ]
+    return random.Random(seed).sample(found, n)
 
 
 def read_table(text: str) -> Counter[tuple[str, str]]:
@@ -201,7 +259,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--list", metavar="ROOM", help="print each finding of this room or file")
     parser.add_argument("--write", action="store_true", help="store the numbers that have fallen")
+    parser.add_argument("--draw", metavar="SEED", type=int, help="print 100 drawn sentences")
     given = parser.parse_args()
+    if given.draw is not None:
+        for path, sentence in drawn(given.draw):
+            print(f"{path}:{sentence.line}: {sentence.text}")
+        return 0
     found = list(tree_findings())
     if given.list:
         for path, finding in found:
