@@ -16,34 +16,35 @@ _MIN_COLUMN_REST = 1e-5
 _MIN_DISPLACEMENT_RATIO = 8  # windows over their length; displacement is faster above this ratio
 
 
-def gram_of_windows(parts: Sequence[tuple[Array, Array]], length: int) -> Array:
-    """Return the Gram matrix of U and Y about their means, (2 length, 2 length).
+def gram_of_windows(parts: Sequence[Sequence[Array]], length: int) -> Array:
+    """Return the Gram matrix of the windows of m signals about their means, (m length, m length).
 
-    Row t of [U Y] is the window u(t) … u(t + length - 1), y(t) … y(t + length - 1) of a part. Let
-    each of x and z be u or y. Then entry (i, j) is the sum of x(t + i) z(t + j) over the n windows,
-    and the entries follow from the recursion ::
+    Row t of the matrix of windows is x(t) … x(t + length - 1) of the first signal of a part, then
+    the same of the second signal, and so on. Let x and z be two signals. Then entry (i, j) of their
+    block is the sum of x(t + i) z(t + j) over the n windows, and it follows from the recursion ::
 
         G(i + 1, j + 1) = G(i, j) + x(n + i) z(n + j) - x(i) z(j)
 
-    The first row and column are correlations. The recursion needs 4 n length multiplications. The
-    matrix product would need (2 length)² n multiplications.
+    The first row and column are correlations. The recursion needs m² n length multiplications.
+    The matrix product would need (m length)² n multiplications.
 
     Parameters
     ----------
-    parts : sequence of (ndarray, ndarray)
-        u and y, each of at least `length` samples.
+    parts : sequence of sequences of ndarray
+        The m signals of each part, for example (u, y), of at least `length` samples.
 
     References
     ----------
     .. [1] T. Kailath, S.-Y. Kung, M. Morf, J. Math. Anal. Appl. 68 (1979) 395-407 (displacement
        rank).
     """
-    G, total, N = np.zeros((2, length, 2, length)), np.zeros((2, length)), 0
+    m = len(parts[0]) if parts else 0
+    G, total, N = np.zeros((m, length, m, length)), np.zeros((m, length)), 0
     for part in parts:
         x = np.stack(part)
         n = x.shape[1] - length + 1
         if n < _MIN_DISPLACEMENT_RATIO * length:
-            M = np.lib.stride_tricks.sliding_window_view(x, n, axis=1).reshape(2 * length, n)
+            M = np.lib.stride_tricks.sliding_window_view(x, n, axis=1).reshape(m * length, n)
             G += (M @ M.T).reshape(G.shape)
             total += M.sum(axis=1).reshape(total.shape)
         else:
@@ -51,7 +52,7 @@ def gram_of_windows(parts: Sequence[tuple[Array, Array]], length: int) -> Array:
             inner = x[:, length - 1 : n].sum(axis=1)
             total += inner[:, None] + _ends(x, length)
         N += n
-    whole, s = G.reshape(2 * length, 2 * length), total.ravel()
+    whole, s = G.reshape(m * length, m * length), total.ravel()
     return np.asarray(whole - np.outer(s, s) / max(N, 1))
 
 
@@ -62,15 +63,15 @@ def _ends(x: Array, length: int) -> Array:
     """
     before = np.cumsum(x[:, : length - 1][:, ::-1], axis=1)[:, ::-1]
     after = np.cumsum(x[:, x.shape[1] - length + 1 :], axis=1)
-    none = np.zeros((2, 1))
+    none = np.zeros((x.shape[0], 1))
     return np.asarray(np.hstack([before, none]) + np.hstack([none, after]))
 
 
 def _by_displacement(x: Array, length: int) -> Array:
-    """Return the Gram matrix of the windows of one part, (2, length, 2, length)."""
-    n = x.shape[1] - length + 1
+    """Return the Gram matrix of the windows of one part, (m, length, m, length)."""
+    m, n = x.shape[0], x.shape[1] - length + 1
     first = np.array([[np.correlate(z, v[:n]) for z in x] for v in x])
-    G = np.empty((2, length, 2, length))
+    G = np.empty((m, length, m, length))
     G[:, 0] = first
     G[:, :, :, 0] = first.transpose(1, 2, 0)
     late, early = x[:, n : n + length - 1], x[:, : length - 1]

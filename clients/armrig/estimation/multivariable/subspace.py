@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solve_discrete_are
 
 from armrig.models.structure_table import Weights
+from armrig.numerics.gram import cholesky_factor, gram_of_windows
 from armrig.numerics.least_squares import least_squares, triangle, without_span
 from armrig.numerics.polynomial import Array, lagged
 from armrig.numerics.stretches import stretches
@@ -73,7 +74,7 @@ def projected(signals: Signals, horizon: int, weights: Weights) -> Projected:
     i = horizon
     (u, y), *_ = signals
     nu, ny = u.shape[1], y.shape[1]
-    R = triangle(_windows(signals, i), 1 + 2 * i * (nu + ny))[1:, 1:]
+    R = _factor(signals, i)
     N = sum(v.shape[0] - 2 * i + 1 for _, v in signals)
     f, p = i * nu, i * (nu + ny)
     R12, R22 = R[:f, f : f + p], R[f : f + p, f : f + p]
@@ -89,6 +90,22 @@ def projected(signals: Signals, horizon: int, weights: Weights) -> Projected:
     else:
         U, sigma, _ = np.linalg.svd(H @ np.hstack([R12.T, R22.T]), full_matrices=False)
     return Projected(R=R, H=H, U=U, singular_values=sigma, horizon=i, nu=nu, ny=ny, N=N)
+
+
+def _factor(signals: Signals, i: int) -> Array:
+    """Return the triangular factor of [U_f U_p Y_p Y_f] about the means.
+
+    The factor is that of the Gram matrix of the windows. If its squares lose too many digits, the
+    windows themselves are decomposed.
+    """
+    (u, y), *_ = signals
+    nu, ny = u.shape[1], y.shape[1]
+    whole = np.vstack([np.hstack(part) for part in signals])
+    centred = [[*(np.hstack(part) - whole.mean(axis=0)).T] for part in signals]
+    at = np.arange((nu + ny) * 2 * i).reshape(nu + ny, 2 * i).T  # instant after instant
+    order = np.concatenate([at[i:, :nu], at[:i, :nu], at[:i, nu:], at[i:, nu:]], axis=None)
+    R = cholesky_factor(gram_of_windows(centred, 2 * i)[np.ix_(order, order)])
+    return triangle(_windows(signals, i), 1 + order.size)[1:, 1:] if R is None else R
 
 
 def _windows(signals: Signals, i: int) -> list[Array]:

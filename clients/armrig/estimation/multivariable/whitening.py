@@ -17,13 +17,14 @@ def whitening(noise_covariance: Array, rows: Array) -> Array:
     """
     N, ny = rows.shape
     G = np.zeros((N, ny, ny))
-    for pattern in np.unique(rows, axis=0):
-        at = np.flatnonzero(pattern)
+    codes = rows @ (1 << np.arange(ny))
+    for code in np.unique(codes):
+        at = np.flatnonzero(code >> np.arange(ny) & 1)
         if at.size:
             L = np.linalg.cholesky(noise_covariance[np.ix_(at, at)])
             whole = np.zeros((ny, ny))
             whole[np.ix_(at, at)] = np.linalg.inv(L)
-            G[(rows == pattern).all(axis=1)] = whole
+            G[codes == code] = whole
     return G
 
 
