@@ -63,7 +63,7 @@ def recursion(Phi: Array, w: Array, x0: Array) -> Array:
 
 
 def free_responses(Phi: Array, C: Array, N: int) -> Array:
-    """Return C Phi^t e_k, t = 0 … N - 1, for each unit vector e_k as initial state, (N, n, ny).
+    """Return C Phi^t e_k, t = 0 … N - 1, for each unit vector e_k as initial state, (n, ny, N).
 
     The powers up to about sqrt(N) and the powers of the last of them are computed one by one, and
     all others as their products.
@@ -81,11 +81,11 @@ def free_responses(Phi: Array, C: Array, N: int) -> Array:
             late[j + 1] = late[j] @ powers[length]
         found = late.reshape(-1, n) @ powers[:length].transpose(1, 0, 2).reshape(n, -1)
     shape = (length, C.shape[0], length, n)
-    return found.reshape(shape).transpose(0, 2, 3, 1).reshape(length**2, n, -1)[:N]
+    return found.reshape(shape).transpose(3, 1, 0, 2).reshape(n, -1, length**2)[:, :, :N]
 
 
 def responses(Phi: Array, C: Array, signals: Array) -> Array:
-    """Return C (q - Phi)^-1 e_k s for each signal s and unit vector e_k, (N, m, n, ny).
+    """Return C (q - Phi)^-1 e_k s for each signal s and unit vector e_k, (m, n, ny, N).
 
     Each mode filters each signal by a filter of first order. If the eigenvectors are nearly
     dependent, `recursion` is used instead, which takes several times as long.
@@ -105,11 +105,15 @@ def responses(Phi: Array, C: Array, signals: Array) -> Array:
         driven = np.zeros((N, m, n, n))
         driven[:, :, range(n), range(n)] = signals[:, :, None]
         x = recursion(Phi, driven.reshape(N, m * n, n), np.zeros((m * n, n)))[:-1]
-        return np.asarray(x @ C.T).reshape(N, m, n, ny)
+        return np.ascontiguousarray((x @ C.T).transpose(1, 2, 0)).reshape(m, n, ny, N)
     kept = np.flatnonzero(z.imag >= 0)
     twice = np.where(z[kept].imag > 0, 2.0, 1.0)
-    modes = np.stack([lfilter([0.0, 1.0], [1.0, -z[i]], signals, axis=0) for i in kept], axis=2)
+    each = np.ascontiguousarray(signals.T)
+    modes = np.empty((m, 2 * kept.size, N))  # real parts, then imaginary parts
+    for k, i in enumerate(kept):
+        pole = z[i] if z[i].imag else z[i].real
+        mode = lfilter([0.0, 1.0], [1.0, -pole], each)
+        modes[:, k], modes[:, kept.size + k] = mode.real, mode.imag
     parts = (C @ V[:, kept] * twice)[:, :, None] * np.linalg.inv(V)[kept]  # (ny, modes, n)
-    weights = parts.transpose(1, 2, 0).reshape(kept.size, n * ny)
-    whole = modes.real @ weights.real - modes.imag @ weights.imag
-    return np.asarray(whole).reshape(N, m, n, ny)
+    weights = parts.transpose(2, 0, 1).reshape(n * ny, kept.size)
+    return np.asarray(np.hstack([weights.real, -weights.imag]) @ modes).reshape(m, n, ny, N)

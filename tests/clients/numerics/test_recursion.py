@@ -35,4 +35,4 @@ def test_free_responses_are_the_recursion_without_input(N: int) -> None:
     found = free_responses(Phi, C, N)
 
     expected = recursion(Phi, np.zeros((N, 3, 3)), np.eye(3))[:N] @ C.T
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(found, expected.transpose(1, 2, 0), rtol=1e-10, atol=1e-12)

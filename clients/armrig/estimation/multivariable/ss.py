@@ -28,8 +28,10 @@ from armrig.estimation.multivariable.state_space_problem import (
     delays_of,
     parts_of,
     scaled_signals,
+    stacked,
     tangent,
     whitened,
+    without,
 )
 from armrig.estimation.multivariable.state_space_starts import moved_modes, starts
 from armrig.estimation.multivariable.whitening import whitening
@@ -52,6 +54,7 @@ _PART_SAMPLES = 2000  # samples of long data on which every start is tried
 _DISTINCT = 1e-3  # difference of log det Lambda between two minima
 _CONTINUED = 3  # starts that continue
 _MAX_MOVES = 3  # searches for a better end with a mode moved
+_MAX_CATCH_UP = 10  # decreases like the last one by which a search may be above a better end
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -73,9 +76,11 @@ class _Criterion:
 
     given: Array | None
 
-    def __call__(self, problem: StateSpaceProblem, Abar: Array, C: Array) -> tuple[Array, float]:
+    def __call__(
+        self, problem: StateSpaceProblem, Abar: Array, C: Array, linear: Linear
+    ) -> tuple[Array, float]:
         """Return the Lambda that weights the errors next, and the logarithm of the criterion."""
-        e = np.vstack(problem.residuals(Abar, C, problem.linear(Abar, C)))
+        e = np.vstack(problem.residuals(Abar, C, linear))
         if self.given is None:
             Lambda = pairwise_covariance(e)
             return Lambda, float(np.linalg.slogdet(Lambda)[1])
@@ -266,11 +271,12 @@ def _searched(
         ends = _different([*ends, *_tried(part, moved, criterion)])
         if ends[0] is best:
             break
-    ends = [
-        _improved(problem, replace(end, criterion=np.inf, converged=False), criterion)
-        for end in ends[:_CONTINUED]
-    ]
-    return ranked(ends, lambda end: end.criterion)
+    improved: list[_End] = []
+    for end in ends[:_CONTINUED]:
+        least = min((end.criterion for end in improved), default=np.inf)
+        begun = replace(end, criterion=np.inf, converged=False)
+        improved.append(_improved(problem, begun, criterion, least))
+    return ranked(improved, lambda end: end.criterion)
 
 
 def _begun(
@@ -279,7 +285,7 @@ def _begun(
     """Return the state of a search at each start value."""
     found = []
     for name, (Abar, C) in values.items():
-        Lambda, value = criterion(problem, Abar, C)
+        Lambda, value = criterion(problem, Abar, C, problem.linear(Abar, C))
         found.append(_End(name=name, Abar=Abar, C=C, Lambda=Lambda, criterion=value))
     return found
 
@@ -314,12 +320,13 @@ def _different(ends: list[_End]) -> list[_End]:
     return kept
 
 
-def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion) -> _End:
-    """Return the end of a search."""
-    rounds = 0
-    while rounds < _MAX_ROUNDS and not end.converged:
-        end = _round(problem, end, criterion, _STEPS, _SAME_TOLERANCE)
-        rounds += 1
+def _improved(problem: StateSpaceProblem, end: _End, criterion: _Criterion, least: float) -> _End:
+    """Return the end of a search, which stops early if it cannot reach the criterion `least`."""
+    for _ in range(_MAX_ROUNDS):
+        before, end = end, _round(problem, end, criterion, _STEPS, _SAME_TOLERANCE)
+        decrease = before.criterion - end.criterion
+        if end.converged or end.criterion - least > _MAX_CATCH_UP * decrease:
+            break
     return end
 
 
@@ -330,8 +337,8 @@ def _round(
     if end.converged:
         return end
     weighted = _weighted(problem, end.Lambda)
-    Abar, C, found = weighted.minimise(end.Abar, end.C, most=most)
-    Lambda, value = criterion(weighted, Abar, C)
+    Abar, C, linear, found = weighted.minimise(end.Abar, end.C, most=most)
+    Lambda, value = criterion(weighted, Abar, C, linear)
     return replace(
         end,
         Abar=Abar,
@@ -390,10 +397,10 @@ def _influence(problem: StateSpaceProblem, best: _End, linear: Linear) -> Array:
     V = tangent(best.Abar, best.C)
     by = problem.derivatives(best.Abar, best.C, linear, V)
     along = [
-        Z.without(whitened(part, d))
+        without(Z, whitened(part, d))
         for part, d, Z in zip(problem.parts, by, linear.states, strict=True)
     ]
-    return np.hstack([np.vstack(along), linear.X])
+    return np.hstack([stacked(along), linear.X])
 
 
 def _inference(

@@ -122,17 +122,16 @@ class StateSpaceProblem:
         """Return the linear parameters by least squares."""
         n, (ny, _) = self.order, C.shape
         nu = self.parts[0].u.shape[1]
-        states, X, y, raw = [], [], [], []
+        states, left, raw = [], [], []
         for part in self.parts:
             driven, free = self._responses(part, Abar, C)
             Z = orthonormal(whitened(part, free))
-            both = np.column_stack([whitened(part, driven), whitened(part, part.y[:, None])])
-            raw.append(both)
-            both = Z.without(both)
+            both = whitened(part, np.concatenate([driven, part.y.T[None]]))
             states.append(Z)
-            X.append(both[:, :-1])
-            y.append(both[:, -1])
-        whole, right = np.vstack(X), np.concatenate(y)
+            raw.append(both)
+            left.append(without(Z, both))
+        both = stacked(left)
+        whole, right = both[:, :-1], both[:, -1]
         basis = orthonormal(whole)
         theta = basis.coefficients(right)
         signals = theta[: n * (nu + ny * self.noise)].reshape(-1, n).T
@@ -153,16 +152,16 @@ class StateSpaceProblem:
         )
 
     def _responses(self, part: Part, Abar: Array, C: Array) -> tuple[Array, Array]:
-        """Return the outputs (N, k, ny) driven by each linear parameter, and by each state."""
+        """Return the outputs (k, ny, N) driven by each linear parameter, and by each state."""
         n = self.order
         signals = np.hstack([part.u, part.y]) if self.noise else part.u
         N, m = signals.shape
-        driven = responses(Abar, C, signals).reshape(N, m * n, -1)
+        driven = responses(Abar, C, signals).reshape(m * n, -1, N)
         if self.direct:
             ny, nu = C.shape[0], part.u.shape[1]
-            at_once = np.zeros((N, ny, nu, ny))
-            at_once[:, range(ny), :, range(ny)] = part.u
-            driven = np.concatenate([driven, at_once.reshape(N, ny * nu, ny)], axis=1)
+            at_once = np.zeros((ny, nu, ny, N))
+            at_once[range(ny), :, range(ny)] = part.u.T
+            driven = np.concatenate([driven, at_once.reshape(ny * nu, ny, N)])
         return driven, free_responses(Abar, C, N)
 
     def cost(self, Abar: Array, C: Array) -> float:
@@ -171,7 +170,7 @@ class StateSpaceProblem:
         return float(e @ e)
 
     def derivatives(self, Abar: Array, C: Array, linear: Linear, directions: Array) -> list[Array]:
-        """Return the derivatives of yhat in given directions, (N, k, ny) for each experiment.
+        """Return the derivatives of yhat in given directions, (k, ny, N) for each experiment.
 
         Parameters
         ----------
@@ -184,16 +183,16 @@ class StateSpaceProblem:
         found = []
         for part, x0 in zip(self.parts, linear.x0, strict=True):
             x = recursion(Abar, part.u @ linear.Bbar.T + part.y @ linear.K.T, x0)[:-1]
-            driven = np.tensordot(x, by_A, axes=(1, 2))
-            moved = recursion(Abar, driven, np.zeros((by_A.shape[0], n)))[:-1]
-            found.append(moved @ C.T + np.tensordot(x, by_C, axes=(1, 2)))
+            moved = np.tensordot(by_A, responses(Abar, C, x), axes=((2, 1), (0, 1)))
+            found.append(moved + by_C @ x.T)
         return found
 
-    def minimise(self, Abar: Array, C: Array, *, most: int) -> tuple[Array, Array, Optimum]:
-        """Return Abar and C after at most `most` steps along the tangent space."""
+    def minimise(self, Abar: Array, C: Array, *, most: int) -> tuple[Array, Array, Linear, Optimum]:
+        """Return Abar, C and the linear part after at most `most` steps along the tangent space."""
         Abar, C = output_normal(Abar, C)
         V = tangent(Abar, C)
         n = self.order
+        last: dict[bytes, Linear] = {}
 
         def at(t: Array) -> tuple[Array, Array]:
             moved = V @ t
@@ -202,12 +201,14 @@ class StateSpaceProblem:
         def linearise(t: Array) -> tuple[Array, Array]:
             A, c = at(t)
             linear = self.linear(A, c)
+            last.clear()
+            last[t.tobytes()] = linear
             by = self.derivatives(A, c, linear, V)
             J = [
-                Z.without(whitened(part, d))
+                without(Z, whitened(part, d))
                 for part, d, Z in zip(self.parts, by, linear.states, strict=True)
             ]
-            return linear.e, linear.basis.without(np.vstack(J))
+            return linear.e, without(linear.basis, stacked(J))
 
         found = levenberg_marquardt(
             linearise,
@@ -215,7 +216,9 @@ class StateSpaceProblem:
             admissible=lambda t: stable_matrix(at(t)[0]),
             most=most,
         )
-        return *at(found.theta), found
+        Abar, C = at(found.theta)
+        linear = last.get(found.theta.tobytes()) or self.linear(Abar, C)
+        return Abar, C, linear, found
 
     def residuals(self, Abar: Array, C: Array, linear: Linear) -> list[Array]:
         """Return e (N, ny) of each experiment, NaN where an output is missing."""
@@ -233,13 +236,23 @@ class StateSpaceProblem:
 
 
 def whitened(part: Part, columns: Array) -> Array:
-    """Return columns (N, k, ny) whitened, with the rows output after output, (ny N, k)."""
-    N, k, ny = columns.shape
+    """Return columns (k, ny, N) whitened, with the rows output after output, (ny N, k)."""
+    k, ny, N = columns.shape
     if part.rows.all():
-        white = columns @ part.weights[0].T
+        white = part.weights[0] @ columns
     else:
-        white = columns @ part.weights.transpose(0, 2, 1)
-    return np.asarray(white.transpose(2, 0, 1)).reshape(ny * N, k)
+        white = np.einsum("tij,kjt->kit", part.weights, columns)
+    return white.reshape(k, ny * N).T
+
+
+def without(basis: Basis, M: Array) -> Array:
+    """Return M minus its projection on the basis, column after column in the memory."""
+    return np.asarray(M - ((M.T @ basis.Q) @ basis.Q.T).T)
+
+
+def stacked(blocks: Sequence[Array]) -> Array:
+    """Return the blocks one below the other, column after column in the memory."""
+    return blocks[0] if len(blocks) == 1 else np.hstack([block.T for block in blocks]).T
 
 
 def stable_matrix(A: Array) -> bool:

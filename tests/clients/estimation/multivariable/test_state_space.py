@@ -9,6 +9,8 @@ import armrig
 import numpy as np
 import pytest
 from armrig import Dataset, Signals
+from armrig.estimation.multivariable import subspace
+from armrig.estimation.multivariable.ss import _Criterion, _End, _improved
 from armrig.estimation.multivariable.state_space_gaps import GapProblem
 from armrig.estimation.multivariable.state_space_problem import (
     Part,
@@ -18,6 +20,7 @@ from armrig.estimation.multivariable.state_space_problem import (
     reflected_matrix,
     tangent,
 )
+from armrig.estimation.multivariable.subspace import projected
 from armrig.estimation.multivariable.whitening import whitening
 from armrig.numerics.polynomial import Array, filtered
 from armrig.numerics.recursion import recursion, responses
@@ -75,7 +78,7 @@ def test_the_gradient_is_the_slope_of_the_cost(noise: bool, direct: bool, missin
     assert e.size == 400
     J = np.vstack(
         [
-            Z.without(np.einsum("tij,tkj->itk", part.weights, d).reshape(-1, V.shape[1]))
+            Z.without(np.einsum("tij,kjt->itk", part.weights, d).reshape(-1, V.shape[1]))
             for part, d, Z in zip(p.parts, by, linear.states, strict=True)
         ]
     )
@@ -171,11 +174,11 @@ def test_responses_are_those_of_the_recursion(Phi: Array) -> None:
 
     found = responses(Phi, c, signals)
 
-    assert found.shape == (50, 2, n, 2)
+    assert found.shape == (2, n, 2, 50)
     for s in range(2):
         for k in range(n):
             x = recursion(Phi, np.outer(signals[:, s], np.eye(n)[k]), np.zeros(n))[:-1]
-            np.testing.assert_allclose(found[:, s, k], x @ c.T, atol=1e-9)
+            np.testing.assert_allclose(found[s, k].T, x @ c.T, atol=1e-9)
 
 
 def test_noise_free_data_give_back_the_plant() -> None:
@@ -332,6 +335,36 @@ def test_a_search_leaves_a_local_minimum(
         assert 100 * (1 - np.linalg.norm(e) / np.linalg.norm(spread)) == pytest.approx(
             expected, abs=0.1
         )
+
+
+def test_a_worse_minimum_is_not_searched_to_its_end() -> None:
+    """The criterion of a better end is out of reach after a few rounds."""
+    p = problem(noise=True, direct=False, missing=0.0)
+    z = np.diag([0.1, -0.2, 0.3])
+    begun = _End(name="far", Abar=z, C=C, Lambda=LAMBDA, criterion=np.inf)
+
+    alone = _improved(p, begun, _Criterion(given=None), np.inf)
+    given_up = _improved(p, begun, _Criterion(given=None), alone.criterion - 50)
+
+    assert alone.converged
+    assert not given_up.converged
+    assert given_up.iterations < alone.iterations / 2
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e4])
+def test_windows_have_one_factor_by_squares_and_by_a_decomposition(
+    offset: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    signals = data()
+    parts = [(signals.u[at] + offset, signals.y[at] - offset) for at in (slice(300), slice(300, N))]
+
+    fast = projected(parts, 8, "cva")
+    monkeypatch.setattr(subspace, "cholesky_factor", lambda _: None)
+    safe = projected(parts, 8, "cva")
+
+    squares = safe.R.T @ safe.R
+    np.testing.assert_allclose(fast.R.T @ fast.R, squares, atol=1e-9 * np.abs(squares).max())
+    np.testing.assert_allclose(fast.singular_values, safe.singular_values, rtol=1e-6)
 
 
 def test_the_replicates_have_the_deviations_of_many_runs() -> None:
