@@ -242,7 +242,7 @@ def whitened(part: Part, columns: Array) -> Array:
         white = part.weights[0] @ columns
     else:
         white = np.einsum("tij,kjt->kit", part.weights, columns)
-    return white.reshape(k, ny * N).T
+    return np.asarray(white.reshape(k, ny * N).T)
 
 
 def without(basis: Basis, M: Array) -> Array:
