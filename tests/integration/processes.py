@@ -267,20 +267,26 @@ class Bench:
 
     def voltage_changes(self) -> list[tuple[int, float]]:
         """Return the witness's voltages at the motor's terminals: monotonic ns, V."""
-        return _changes(self.trace.read_text().splitlines())
+        return _changes(complete_lines(self.trace.read_text()))
 
     def volts(self) -> float:
         """Return the voltage at the motor's terminals, read from the end: it is asked often."""
         with self.trace.open("rb") as trace:
             skipped = trace.seek(max(trace.seek(0, os.SEEK_END) - _LAST_LINES, 0))
-            lines = trace.read().decode().splitlines()
-        return _changes(lines[1:] if skipped else lines)[-1][1]  # half a line is none
+            text = trace.read().decode()
+        lines = complete_lines(text)
+        return _changes(lines[1:] if skipped else lines)[-1][1]
 
     def went_to_0_v_after(self, t_ns: int) -> float:
         """Return the time from `t_ns` until the motor stayed at 0 V, in s."""
         wait_for(lambda: self.volts() == 0.0)
         changes = self.voltage_changes()
         return max(0, changes[-1][0] - t_ns) / 1e9
+
+
+def complete_lines(text: str) -> list[str]:
+    """Return the lines of a file that a process is still writing, without an unfinished last one."""
+    return text[: text.rfind("\n") + 1].splitlines()
 
 
 def _changes(lines: list[str]) -> list[tuple[int, float]]:

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from armrig_daemon.loop.link import Link
 
+from tests.integration.processes import complete_lines
 from tests.sampling import sampled
 
 pytestmark = pytest.mark.real_time
@@ -52,7 +53,7 @@ def rig(tmp_path: Path) -> Iterator[Path]:
 
 def trace(port: Path) -> list[str]:
     """Return the changes of the motor's voltage so far, a line each."""
-    return (port.parent / "trace").read_text().splitlines()
+    return complete_lines((port.parent / "trace").read_text())
 
 
 def last_volts(port: Path) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tests.integration.processes import complete_lines
 from tests.systemd.machine import Machine, wait_for
 
 _RUNNER = """
@@ -46,8 +47,8 @@ class Rig:
 
     def volts(self) -> list[float]:
         """Return the voltages at the motor's terminals, as the emulator's witness saw them."""
-        lines = self.machine.path(f"/run/rig{self.id}/trace.csv").read_text().splitlines()
-        fields = [line.split(",") for line in lines]
+        text = self.machine.path(f"/run/rig{self.id}/trace.csv").read_text()
+        fields = [line.split(",") for line in complete_lines(text)]
         return [float(volts) for t, volts, *_ in fields if t.isdigit()]
 
     def is_active(self) -> bool:
