@@ -16,6 +16,7 @@ from armrig.estimation.multivariable.data_checks import (
     poor_fits,
     require_informative,
 )
+from armrig.estimation.multivariable.error_process import error_process
 from armrig.estimation.multivariable.inference import pairwise_covariance, quality_of
 from armrig.estimation.multivariable.state_space_problem import (
     StateSpaceProblem,
@@ -89,11 +90,11 @@ def n4sid(
     horizon : int, optional
         Number of past and of future samples; by default at least 10 and twice the order.
     replicates : int, default 100
-        Number of simulated data sets for the covariance. Each is simulated from the model with
-        resampled residuals, and its model is estimated in the same way. With 0 the covariance is
-        NaN.
+        Number of simulated data sets for the covariance. Each is simulated from the model, and its
+        model is estimated in the same way. The errors are drawn from an autoregression of the
+        model's one-step errors. With 0 the covariance is NaN.
     seed : int, default 0
-        Seed of the resampling.
+        Seed of the drawn errors.
 
     Returns
     -------
@@ -108,7 +109,7 @@ def n4sid(
     References
     ----------
     .. [1] P. Van Overschee, B. De Moor, *Subspace Identification for Linear Systems*, 1996.
-    .. [2] B. Efron, R. Tibshirani, *An Introduction to the Bootstrap*, 1993, chapter 9.
+    .. [2] P. Bühlmann, "Sieve bootstrap for time series", Bernoulli 3 (1997) 123-148.
     """
     require_integers(order=(1 if order is None else order, 1), replicates=(replicates, 0))
     if weights not in get_args(Weights):
@@ -268,15 +269,13 @@ def _replicated(
     that gives the impulse responses of the replicate.
     """
     rng = np.random.default_rng(seed)
-    whole = np.vstack(residuals)
-    whole = whole[np.isfinite(whole).all(axis=1)]
-    whole = whole - whole.mean(axis=0)
+    process = error_process(residuals)
     samples = []
     length = 2 * horizon
     for _ in range(replicates):
         data = []
         for (u, y), x0 in zip(signals, model.x0, strict=True):
-            e = whole[rng.integers(0, whole.shape[0], u.shape[0])]
+            e = process.drawn(rng, u.shape[0])
             x = recursion(model.A, u @ model.B.T + e @ model.K.T, x0)[:-1]
             simulated = x @ model.C.T + u @ model.D.T + e
             data.append((u, np.where(np.isfinite(y), simulated, np.nan)))
