@@ -35,7 +35,7 @@ def page() -> str:
     ]
     text = [
         "# Faults and codes",
-        "After this page you can remedy a fault, and write a program that decides by codes. "
+        "After this page you can remedy a fault, and write a program that handles codes. "
         "`armrig status` shows the fault of a rig, and `armrig reset` clears it.",
         "## Faults",
         table(("Code", "Meaning", "Remedy"), *faults),

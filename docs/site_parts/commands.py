@@ -62,7 +62,7 @@ def page(name: str, command: Any) -> str:
 
 
 def _plain(text: str | None) -> str:
-    """Return the text with the characters escaped that Markdown would interpret."""
+    """Return the text, with a backslash before each character that Markdown would interpret."""
     lines = (text or "").replace("\b\n", "")
     return "".join(f"\\{c}" if c in "<>*_[]$" else c for c in lines)
 

@@ -1,4 +1,4 @@
-"""Count what a site lacks: working links, examples of public names, help of options."""
+"""Count the defects of a site: dead links, public names without example, options without help."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from site_parts.commands import commands, options
 
 
 class _Page(HTMLParser):
-    """The links of a page, and the places in it that a link can name."""
+    """Links of a page, and the ids of the places in the page that a link can point to."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -25,7 +25,7 @@ class _Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Note the links and the places of a tag."""
+        """Store the links and the ids of a tag."""
         for key, value in attrs:
             if key in ("href", "src") and value:
                 self.links.append(value)
@@ -34,7 +34,7 @@ class _Page(HTMLParser):
 
 
 def dead_links(site: Path) -> list[str]:
-    """Return the links inside a site whose file or place does not exist."""
+    """Return the links between pages of a site whose target file or id does not exist."""
     files = sorted(f for f in site.rglob("*.html") if "_static" not in f.relative_to(site).parts)
     pages = {path: _Page(path.read_text(encoding="utf-8")) for path in files}
     dead = []
@@ -87,7 +87,7 @@ def options_without_help() -> list[str]:
 
 
 def main() -> int:
-    """Print the counts of the site in the given folder; return 1 if one is not zero."""
+    """Print the defects of the site in the given folder; return 1 if there is a defect."""
     missing = {
         "dead links": dead_links(Path(sys.argv[1])),
         "public names without an example": names_without_example(),

@@ -1,4 +1,4 @@
-"""Docstrings: |G| is a magnitude, and no substitution of reStructuredText."""
+"""Docstrings with bars, as in |G|: a magnitude, not a substitution of reStructuredText."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def with_bars(lines: Iterable[str]) -> Iterator[str]:
-    """Yield the lines of a docstring, with the bars escaped that are not in literal text."""
+    """Yield the lines of a docstring, with a backslash before each bar outside literal text."""
     literal_below: int | None = None
     in_example = False
     for line in lines:

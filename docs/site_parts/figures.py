@@ -1,4 +1,4 @@
-"""Figures in dark mode: the site's SVG files have a second set of colours for it."""
+"""Figures in dark mode: a second set of colours in the SVG files of the site."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ DARK = {
     "#0072b2": "#4da8e0",
     "#009e73": "#3fc79e",
 }
-"""Colours of `armrig.plots` on a white page, and the colours in their place on a dark page."""
+"""Colours of `armrig.plots` on a white page, each with its replacement on a dark page."""
 
 
 def adapted(svg: str) -> str:
-    """Return an SVG file that takes the dark colours where the page around it is dark.
+    """Return an SVG file that uses the dark colours on a dark page.
 
     In an image, `prefers-color-scheme` follows the property `color-scheme` of the page.
     """
@@ -46,8 +46,7 @@ def _drawn_by_armrig(path: Path) -> bool:
 def mark(app: Any, document: nodes.document) -> None:
     """Mark armrig's figures, so that the theme gives them no white background in dark mode.
 
-    A picture NAME that has a second file, NAME-dark, is shown in light mode only, and the second
-    file in dark mode.
+    If a picture NAME has a second file NAME-dark, light mode shows NAME and dark mode NAME-dark.
     """
     for image in list(document.findall(nodes.image)):
         path = Path(app.srcdir, image["uri"])

@@ -1,4 +1,4 @@
-"""Gallery: each figure is made by the code next to it, and also shown in the reference."""
+"""Gallery: each figure with the code that draws it. The reference also shows the figures."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FOLDER = GENERATED / "gallery"
 
 
 def drawn(code: str) -> Figure:
-    """Run the code after `BEFORE` in an empty namespace and folder; return its figure."""
+    """Run `BEFORE` and then the code, in an empty namespace and folder; return the figure."""
     *statements, last = ast.parse(BEFORE + code).body
     if not isinstance(last, ast.Expr):
         raise TypeError(f"the last line is no figure: {ast.unparse(last)}")
@@ -54,7 +54,7 @@ def page() -> str:
     """Return the page of the gallery."""
     text = [
         "# Gallery",
-        "After this page you know the figures of armrig and the lines that draw them. "
+        "After this page you know the figures of armrig and the code that draws each figure. "
         "Run these lines first:",
         f"```python\n{BEFORE.strip()}\n```",
     ]

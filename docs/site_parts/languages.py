@@ -1,4 +1,4 @@
-"""Code blocks that the site cannot colour (nft), or shows as a table (mermaid's state diagrams)."""
+"""Code blocks that the site shows without colours (nft) or as a table (mermaid's diagrams)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _ARROW = re.compile(r"(\w+) --> (\w+): (.+)")
 
 
 def with_tables(text: str) -> str:
-    """Return a page whose state diagrams are tables of transitions, because mermaid is a script."""
+    """Return the page with tables in place of state diagrams: mermaid would need a script."""
 
     def transitions(diagram: re.Match[str]) -> str:
         rows = [(f"`{a}`", f"`{b}`", when) for a, b, when in _ARROW.findall(diagram[1])]
@@ -28,7 +28,7 @@ def _replace(app: Any, page: str, source: list[str]) -> None:
 
 
 def setup(app: Any) -> dict[str, bool]:
-    """Register the language, and replace the diagrams of each page that is read."""
+    """Register the language nft, and replace the diagrams when Sphinx reads a page."""
     app.add_lexer("nft", TextLexer)
     app.connect("source-read", _replace)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

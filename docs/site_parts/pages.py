@@ -1,4 +1,4 @@
-"""Generated pages: their folder, their tables, and how they are written."""
+"""Generated pages: their folder, their tables, and the function that writes them."""
 
 from __future__ import annotations
 
