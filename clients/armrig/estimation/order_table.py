@@ -198,7 +198,7 @@ class OrderTable:
         loss, best = self.values("validation"), _named(self.orders(lowest))
         yield f"lowest loss on the validation data: {best}, {loss[lowest]:.5g}"
         if i == lowest:
-            yield "chosen: the same, as no simpler structure is within one standard error"
+            yield "chosen: this structure, as no simpler structure is within one standard error"
         else:
             yield (
                 f"chosen: {_named(self.orders(i))}, {d[i]} parameters instead of {d[lowest]}; its "

@@ -31,7 +31,8 @@ PART_SAMPLES = 3000
 """Number of samples of the part on which searches start. Only data with more than twice this number
 of samples have such a part."""
 MAX_PULSE_SHARE = 0.01
-"""Limit of the number of pulses after gaps, divided by the number of errors. Above this limit the fit has a warning."""
+"""Limit of the number of pulses after gaps, divided by the number of errors. Above this limit the
+fit has a warning."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
