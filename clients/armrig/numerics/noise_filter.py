@@ -47,7 +47,7 @@ class NoiseFilter:
         return max(self.C.size, self.D.size) - 1
 
     def columns(self, M: Array) -> tuple[Array, Array, float]:
-        """Return the filtered columns of M (N, k), the responses to initial states, and a log scale.
+        """Return the filtered columns of M (N, k), the responses to the state, and a log scale.
 
         Returns
         -------
