@@ -1,4 +1,4 @@
-"""White noise, and two-level signals; two levels have the largest power in an interval."""
+"""White noise, and two-level signals with the largest possible power in an interval."""
 
 from __future__ import annotations
 

@@ -108,7 +108,7 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     computed for each half of u, and the lower order is returned. Therefore an input that moves only
     once, such as a step, has order 1. The computed order is limited by double precision. For sines
     in a narrow band (a chirp, a low multisine) the computed order is less than twice the number of
-    sines, because a few consecutive samples hardly distinguish the sines.
+    sines. The reason is that a few consecutive samples hardly distinguish the sines.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ def armax(
         Names of the outputs with one root of A at exactly 1, or True for all outputs. Inputs *and
         noise* of these outputs are integrated. Level and ramp of these outputs are estimated too.
         For noise that is not integrated, such as sensor noise, use `oe` or `bj` with an integrator.
-        No value of such an output may be missing.
+        No value of an output with an integrator may be missing.
     initial : {"estimate", "zero"}
         With "estimate" the state at the start of each experiment is estimated. With "zero" each
         experiment starts at rest.

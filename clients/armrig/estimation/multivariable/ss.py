@@ -94,10 +94,10 @@ def ss(
 ) -> MultivariableFit:
     """Estimate A, B, C, D and K of x(t+1) = A x + B u + K e, y = C x + D u + e.
 
-    The search minimises log det of the covariance of the prediction errors, or the sum of w_i e_i²
-    with given weights. Inputs and outputs are scaled internally, so that the result does not depend
-    on their units. The poles of the predictor, the eigenvalues of A - K C, are inside the unit
-    circle.
+    The search minimises log det of the covariance of the prediction errors, or, with given weights
+    w_i, the sum of w_i e_i². Inputs and outputs are scaled internally, so that the result does not
+    depend on their units. The poles of the predictor, the eigenvalues of A - K C, are inside the
+    unit circle.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ def _gain(A: Array, C: Array, covariance: Array) -> Array:
 
 
 def long_regression(signals: Signals, lags: int, *, direct: bool) -> Array:
-    """Return the least-squares coefficients (lags, ny, nu + ny) of past u and y in y."""
+    """Return the coefficients (lags, ny, nu + ny) of past u and y in a regression of y."""
     blocks, right = [], []
     for u, y in signals:
         s = np.hstack([u, y])

@@ -174,7 +174,7 @@ def _by_noise(model: ModelWithNoise, weight: Vector, width: int) -> Array:
 
 
 def _parameters(model: ModelWithNoise) -> tuple[tuple[str, ...], Vector, Array]:
-    """Return names, values, and d(values)/d(estimated parameters) of the parameters."""
+    """Return names and values of the parameters, and d(values)/d(estimated parameters)."""
     parts = {"a": model.A[1:], "b": model.B[model.nk :], "c": model.C[1:]}
     parts |= {"d": model.D[1:], "f": model.F[1:]}
     names = tuple(f"{letter}{k + 1}" for letter, p in parts.items() for k in range(p.size))
