@@ -30,11 +30,11 @@ _SEPARATOR_SAMPLES = 40  # NaN samples between experiments, at least the autoreg
 def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + v(t), v coloured, by instrumental variables.
 
-    The first stage is least squares. The second stage uses the simulated output of the first model
-    in the instruments. The third stage fits an autoregression L to the residuals. The fourth stage
-    filters instruments and regressors by L, so that the estimate is optimal for an autoregressive
-    v. The estimate is consistent in open loop. Rows with an unknown regressor are not used, and the
-    filter L starts again after a gap.
+    The first stage is least squares. The second stage uses instruments that contain the simulated
+    output of the first model. The third stage fits an autoregression L to the residuals. The fourth
+    stage filters instruments and regressors by L, so that the estimate is optimal for an
+    autoregressive v. The estimate is consistent in open loop. Rows with an unknown regressor are
+    not used, and the filter L starts again after a gap.
 
     Parameters
     ----------

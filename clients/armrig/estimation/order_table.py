@@ -119,7 +119,7 @@ class OrderTable:
         return without if self.validation_loss is None else ("validation", *without)
 
     def values(self, criterion: Criterion) -> Vector:
-        """Return a criterion of every structure, (n,), NaN if it is not determined.
+        """Return a criterion of every structure, (n,), NaN if the data do not determine it.
 
         Raises
         ------

@@ -2,8 +2,8 @@
 
 For given C, D and F the prediction errors are linear in B and in the unknown quantities. These
 quantities are the state of each 1/F, the state of each C/D, and the trend of an integrating output.
-The search is therefore over the coefficients of C, D and F only. This is variable projection, as in
-`armrig.estimation.prediction_error`.
+The search is therefore over the coefficients of C, D and F only. This method is variable
+projection, as in `armrig.estimation.prediction_error`.
 
 Several of these polynomials may be identical. In an ARMAX model, all F of a row equal the D of the
 row. With a shared denominator, all F of all rows are equal. The rows are then whitened by the

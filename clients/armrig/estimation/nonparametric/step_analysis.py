@@ -64,9 +64,9 @@ class StepAnalysis:
     tau_std: float
     """Standard deviation of `tau` due to noise, gaps on the rise, and a possible dead time."""
     equivalent_time: float
-    """Area above the response, divided by the final value, less the dead time, in s. For a rate the
-    equivalent time is the lag of the angle relative to its final ramp. A gap on the rise does not
-    affect this lag."""
+    """Area between the response and its final value, divided by the final value, in s. The dead
+    time is subtracted. For a rate the equivalent time is the lag of the angle relative to its final
+    ramp. A gap on the rise does not affect this lag."""
     equivalent_time_std: float
     """Standard deviation of `equivalent_time`, in s."""
     smooth_t: Vector
