@@ -285,7 +285,7 @@ class Bench:
 
 
 def complete_lines(text: str) -> list[str]:
-    """Return the lines of a file that a process is still writing, without an unfinished last one."""
+    """Return the lines of a file without the last line that a process is still writing."""
     return text[: text.rfind("\n") + 1].splitlines()
 
 

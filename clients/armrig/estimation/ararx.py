@@ -33,7 +33,7 @@ def ararx(
     Parameters
     ----------
     data : Dataset
-        N samples. After each gap in y the past of the noise is estimated again.
+        N samples. After each gap in y, the initial state of the noise model is estimated again.
     na, nb, nd : int
         Numbers of coefficients a, b and d: na >= 0, nb >= 1, nd >= 0. An integrator counts as one
         coefficient a.
@@ -57,7 +57,7 @@ def ararx(
 
     Examples
     --------
-    D whitens the noise. Without D the noise causes a bias of A.
+    D whitens the noise. Without D the noise biases A.
 
     >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")

@@ -32,12 +32,12 @@ def armax(
     Parameters
     ----------
     data : Dataset
-        N samples. After each gap in y the past of the noise is estimated again.
+        N samples. After each gap in y, the initial state of the noise model is estimated again.
     na, nb, nc : int
         Numbers of coefficients a, b and c: na >= 0, nb >= 1, nc >= 0. An integrator counts as one
         coefficient a.
     nk : int, default 1
-        Samples before u reaches y; 0 is a direct term.
+        Number of samples before u reaches y; 0 means a direct term.
     integrator : bool, default False
         Set A = (1 - q^-1) Ã, with one root at exactly 1, so that input *and noise* are integrated.
         The model then describes the differenced output, with an estimated input offset. For noise
@@ -46,17 +46,17 @@ def armax(
         Also estimate an input offset for each experiment. With an integrator the offset is always
         estimated.
     initial : {"estimate", "backcast", "zero", "auto"}
-        Treatment of the unknown past of each experiment. With "estimate" or "backcast" the past is
-        estimated by least squares. With "zero" the past is assumed zero. With "auto" the past is
-        estimated if an F-test finds it significant.
+        Treatment of the unknown past (the signals before the first sample) of each experiment. With
+        "estimate" or "backcast" the past is estimated by least squares. With "zero" the past is
+        assumed zero. With "auto" the past is estimated if an F-test finds it significant.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B again. A finding of the fit
-        reports the reflection.
+        Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
+        the fit reports the reflection.
     starts : {"many", "few"}, default "many"
         With "many" the search also starts from models in which one mode of the best model is moved.
-        With "few" only complex pairs of F are moved, and only if the first searches disagree or the
-        noise is strong. "few" needs a tenth to a half of the time of "many", but ends in a poorer
-        minimum more often.
+        With "few" only complex root pairs of an F are moved, and only if the first searches
+        disagree or the noise is strong. "few" needs a tenth to a half of the time of "many", but
+        ends in a poorer minimum more often.
 
     Returns
     -------

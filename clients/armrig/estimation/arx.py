@@ -23,8 +23,9 @@ from armrig.numerics.regressors import arx_rows
 def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) by least squares.
 
-    The method is a QR decomposition of the scaled regressors, not the normal equations. Rows with a
-    missing y or past y, and the first max(na, nb + nk - 1) rows of each experiment, are not used.
+    The method is a QR decomposition of the scaled regressors, not the normal equations. Rows that
+    contain a missing y are not used. The first max(na, nb + nk - 1) rows of each experiment are not
+    used either.
 
     Parameters
     ----------
@@ -35,10 +36,10 @@ def arx(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     nb : int
         Number of b's, >= 1.
     nk : int, default 1
-        Samples before u reaches y; 0 is a direct term.
+        Number of samples before u reaches y; 0 means a direct term.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B again. A finding of the fit
-        reports the reflection.
+        Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
+        the fit reports the reflection.
 
     Returns
     -------

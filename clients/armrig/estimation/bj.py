@@ -33,8 +33,8 @@ def bj(
     Parameters
     ----------
     data : Dataset
-        N samples. The output of B/F is simulated through a gap in y. After the gap the past of the
-        noise is estimated again.
+        N samples. The output of B/F is simulated through a gap in y. After the gap, the initial
+        state of the noise model is estimated again.
     nb, nc, nd, nf : int
         Numbers of coefficients: nb >= 1, nc >= 0, nd >= 0, nf >= 0. An integrator counts as one
         coefficient f.
@@ -44,8 +44,9 @@ def bj(
         Set F = (1 - q^-1) F̃, with one root at exactly 1. The noise is added to the integrated
         output. The level and the input offset of each experiment are estimated too.
     stable : bool, default False
-        Reflect poles of D outside the unit circle into it, and move poles of F on the circle into
-        it. B is then estimated again. The search itself moves no pole of F outside the circle.
+        Reflect poles of D outside the unit circle into the circle, and move poles of F on the
+        circle into the circle. B is then estimated again. The search itself moves no pole of F
+        outside the circle.
 
     Returns
     -------

@@ -51,7 +51,7 @@ def data_faults(
     residuals : sequence of ndarray (N_i,)
         Residuals of each experiment, NaN if they are not known.
     way_out : str
-        Remedy for an offset; "" if the estimate includes an offset.
+        Text of the remedy for an offset; "" if the model already has an offset.
     """
     yield from swapped(data)
     e = np.concatenate(residuals)
@@ -126,7 +126,7 @@ def level_without_input(data: Dataset, least: float = _MIN_LEVEL_SIGMAS) -> Esti
     """Return a finding with the level of y at u = 0, or None if the level is within `least` σ of 0.
 
     The model A(q) y(t) = B(q) u(t) + c + e(t) has a constant c. At u = 0 the level of y is c /
-    A(1). An initial state explains a level only for a short time.
+    A(1). An initial state without c explains a level only for a short time.
     """
     parts = [(part.u, part.y) for part in data[:_MAX_OFFSET_SAMPLES].experiments()]
     n = min(_MAX_OFFSET_ORDER, (data.N - data.missing) // 10)

@@ -42,7 +42,7 @@ def noise_start(v: Sequence[Array], *, nc: int, nd: int) -> tuple[Array, Array]:
 
 
 def armax_start(experiments: Sequence[Experiment], *, na: int, nb: int, nc: int, nk: int) -> Array:
-    """Return a stable C of A y = B u + C e."""
+    """Return a start value of C in A y = B u + C e, with stable C."""
     y = [np.where(_known(x), x.y, np.nan) for x in experiments]
     n = _long_order(y, na + nb + nc)
     long = _regressors(experiments, y, na=n, lags=range(nk, nk + n))

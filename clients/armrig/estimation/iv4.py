@@ -30,11 +30,11 @@ _SEPARATOR_SAMPLES = 40  # NaN samples between experiments, at least the autoreg
 def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -> Fit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + v(t), v coloured, by instrumental variables.
 
-    The first stage is least squares. The second stage uses the simulated output of the first model
-    in the instruments. The third stage fits an autoregression L to the residuals. The fourth stage
-    filters instruments and regressors by L, so that the estimate is optimal for an autoregressive
-    v. The estimate is consistent in open loop. Rows with an unknown regressor are not used, and the
-    filter L starts again after a gap.
+    The first stage is least squares. The second stage uses instruments that contain the simulated
+    output of the first model. The third stage fits an autoregression L to the residuals. The fourth
+    stage filters instruments and regressors by L, so that the estimate is optimal for an
+    autoregressive v. The estimate is consistent in open loop. Rows with an unknown regressor are
+    not used, and the filter L starts again after a gap.
 
     Parameters
     ----------
@@ -45,19 +45,19 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
     nb : int
         Number of b's, >= 1.
     nk : int, default 1
-        Samples before u reaches y; 0 is a direct term.
+        Number of samples before u reaches y; 0 means a direct term.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B again. A finding of the fit
-        reports the reflection.
+        Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
+        the fit reports the reflection.
 
     Returns
     -------
     Fit
         `loss` and `noise_variance` are computed from v = A y - B u, which may be coloured.
-        `whiteness` is the test of L v, because the classic standard deviations assume that L v is
-        white. `covariance` is var(L v) (Z^T Phi)^-1 Z^T Z (Phi^T Z)^-1, with the filtered
-        instruments Z. In `covariance_robust` the estimate of Newey and West replaces var(L v) Z^T
-        Z.
+        `whiteness` is the p value of the test of L v, because the classic standard deviations
+        assume that L v is white. `covariance` is var(L v) (Z^T Phi)^-1 Z^T Z (Phi^T Z)^-1, with the
+        filtered instruments Z. In `covariance_robust` the estimate of Newey and West replaces var(L
+        v) Z^T Z.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def iv4(data: Dataset, *, na: int, nb: int, nk: int = 1, stable: bool = False) -
 
     Examples
     --------
-    Noise on the output causes a bias of `arx`, but no bias of `iv4` and `oe`.
+    Noise on the output biases `arx`, but not `iv4` and `oe`.
 
     >>> import armrig
     >>> data = armrig.example_recording().dataset("alpha")
@@ -140,7 +140,7 @@ def _by_least_squares(parts: Sequence[ArxRows], orders: str) -> tuple[Array, Arr
 
 
 def _with_given_poles(A: Array, blocks: Sequence[Array]) -> tuple[Array, list[Array]]:
-    """Return theta and residuals for a given A; B needs no instruments, as u is free of noise."""
+    """Return theta and residuals for a given A; B by least squares, because u contains no noise."""
     na = A.size - 1
     known = np.vstack([block[complete(block)] for block in blocks])
     left = known[:, -1] - known[:, :na] @ A[1:]
@@ -179,7 +179,7 @@ def _filtered(L: Array, block: Array) -> Array:
 def _solved(
     Z: Sequence[Array], blocks: Sequence[Array], orders: str
 ) -> tuple[Array, Array, list[Array], list[Array]]:
-    """Return theta of Z^T (y - Phi theta) = 0 for blocks [Phi, y], NaN if unknown.
+    """Return the solution theta of Z^T (y - Phi theta) = 0; in the blocks [Phi, y] NaN is unknown.
 
     With Z = Q R the function also returns (Q^T Phi)^-1, the rows of Q in each experiment, and the
     residuals.

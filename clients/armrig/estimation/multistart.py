@@ -26,7 +26,7 @@ from armrig.numerics.levenberg_marquardt import Optimum
 from armrig.numerics.polynomial import Array, filtered, reduced, reflected, roots
 
 Ends = list[tuple[str, Optimum]]
-"""Name of each start value, and the minimum that the search from it reached."""
+"""Name of each start value, and the minimum reached by the search from this start value."""
 
 SAME_COST_TOLERANCE = 1e-6  # relative difference in cost up to which two searches agree
 ROUNDING_SHARE = 1e-18  # share of |y|² below which |e|² is rounding noise
@@ -53,13 +53,14 @@ def searched_minimum(
     *,
     thorough: bool = True,
 ) -> Ends:
-    """Return the minimum of each start, best first.
+    """Return the minimum reached from each start value, best first.
 
     If the minimum is in doubt, the search moves each mode of the best model and starts again, as
     long as the cost decreases. The minimum is always in doubt if the searches end in different
-    minima. In a thorough search without `part`, it is in doubt if the cost exceeds rounding. In any
-    other search, it is in doubt if the noise is strong. If C, D and F have more than 30
-    coefficients, no mode is moved, because single modes then mean little.
+    minima. In a thorough search without `part`, the minimum is in doubt if the cost exceeds
+    rounding errors. In any other search, the minimum is in doubt if the noise is strong. If C, D
+    and F have more than 30 coefficients, no mode is moved, because a single mode then has little
+    meaning.
 
     Parameters
     ----------
@@ -85,8 +86,8 @@ def searched_minimum(
 def _lowest_beside(problem: PredictionErrorProblem, best: Optimum, *, thorough: bool) -> Optimum:
     """Return the lowest minimum reached from a moved mode, or `best` if no minimum is lower.
 
-    After ten steps only the 16 searches of least cost continue. Searches that returned to `best`
-    end.
+    After ten steps only the 16 searches with the least cost continue. A search that returned to the
+    minimum `best` does not continue.
     """
     starts = list(moved_modes(problem, best.theta, all_kinds=thorough))
     for steps, kept in _STAGES:
@@ -187,7 +188,7 @@ def moved_modes(
 
 
 def _moved_together(problem: PredictionErrorProblem, theta: Array) -> Iterator[Array]:
-    """Yield start values with moved real roots of C and D that nearly cancel."""
+    """Yield start values in which one real root each of C and D is moved; the two nearly cancel."""
     C, D, F = problem.polynomials(theta)
     starts = []
     for z, w in product(_without_one_real(roots(C)), _without_one_real(roots(D))):
@@ -214,10 +215,10 @@ def _with_white_noise(problem: PredictionErrorProblem, theta: Array) -> Iterator
 
 
 def _through_a_higher_order(problem: PredictionErrorProblem, theta: Array) -> Iterator[Array]:
-    """Yield output-error start values: the minimum of a model of higher order, less one mode.
+    """Yield start values: the minimum of an output-error model of higher order, without one mode.
 
-    The larger model has one more b and f. In its search a mode can move past a frequency at which
-    the cost of the smaller model has a maximum.
+    The larger model has one more b and one more f. In its search a mode can move past a frequency
+    at which the cost of the smaller model has a maximum.
     """
     n = problem.structure
     if n.nf == 0 or n.na + n.nc + n.nd:
@@ -269,8 +270,9 @@ def _without_one_pair(z: Array) -> Iterator[Array]:
 def start_values(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]:
     """Yield named start values (c, d, f) with stable C and F.
 
-    F is estimated by output-error models, and then C and D from the residual noise. If the noise is
-    strong, a Box-Jenkins search from the output-error model alone ends in a poor minimum.
+    F is estimated by output-error models. C and D are then estimated from the residual noise. If
+    the noise is strong, a Box-Jenkins search from the output-error model alone ends in a poor
+    minimum.
     """
     n = problem.structure
     if n.nf == 0:
@@ -288,7 +290,7 @@ def start_values(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]
 
 
 def denominators(problem: PredictionErrorProblem) -> Iterator[tuple[str, Array]]:
-    """Yield named stable F of an output-error problem.
+    """Yield named start values of a stable F in an output-error problem.
 
     Missing y are interpolated here, but not in the search itself.
     """
@@ -319,7 +321,7 @@ def _without_denominator(problem: PredictionErrorProblem) -> Iterator[tuple[str,
 
 
 def _with_noise(problem: PredictionErrorProblem, F: Array) -> Array:
-    """Return (c, d, f) with C and D fitted to the residual noise of A and B/F."""
+    """Return (c, d, f) with C and D fitted to the residual noise of the model with A and B/F."""
     n = problem.structure
     f = F[1:]
     if n.nc + n.nd == 0:

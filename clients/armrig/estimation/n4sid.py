@@ -84,22 +84,21 @@ def n4sid(
         and y are projected out. With an integrator, the ramp due to an offset of u is projected out
         too.
     order : int, optional
-        Number of states, >= 1. The default is the order of least MDL, from the one-step errors of
-        the states.
+        Number of states, >= 1. By default MDL of the one-step errors selects the order.
     weights : {"cva", "moesp", "n4sid"}
         Weights of the projection: Larimore's canonical variates, Verhaegen's PO-MOESP, or N4SID
         of Van Overschee and De Moor.
     nk : int, default 1
-        Samples before u reaches y; 0 is a direct term D.
+        Number of samples before u reaches y; 0 means a direct term D.
     integrator : bool, default False
         Set the pole nearest 1 to exactly 1, and estimate the input offset too. The projection uses
-        y itself, because in the difference of y noise would hide the slow poles.
+        y itself, because noise in the difference of y would hide the slow poles.
     horizon : int, optional
         Number of past and of future samples, at least order + 2. With a shorter horizon the noise
-        model is wrong. The default is the larger of 2 (order + 1) and the order of an ARX model by
-        AIC, but at least 10 and at most 30. For short data the default is smaller. If a horizon of
-        order + 2 predicts the data better, order + 2 is the default. A long horizon suits white
-        output noise. A short horizon suits noise with the poles of A.
+        model would be wrong. The default is the larger of 2 (order + 1) and the order of an ARX
+        model by AIC, but at least 10 and at most 30. For short data the default is smaller. If a
+        horizon of order + 2 predicts the data better, order + 2 is the default. A long horizon
+        suits white output noise. A short horizon suits noise with the poles of A.
     focus : {"prediction", "simulation"}
         Purpose of A and B. With "simulation" a search from the poles of the subspace model
         minimises the simulation error. For each candidate of A, least squares give B and the
@@ -107,8 +106,8 @@ def n4sid(
         better if the system is not exactly linear or not exactly of this order. Its poles are
         always inside the unit circle.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B again. A finding of the fit
-        reports the reflection.
+        Reflect poles outside the unit circle into the circle, and estimate B again. A finding of
+        the fit reports the reflection.
 
     Returns
     -------
@@ -116,10 +115,10 @@ def n4sid(
         `covariance` is the bound lambda (Psi^T Psi)^-1 that a search attains for the same
         polynomials. The covariance of the subspace estimate is larger and not known. In 200
         simulations of an ARMAX system of order 2 (N = 2000), the true standard deviations were 0.92
-        to 1.06 times the bound. `whiteness` assumes minimal one-step errors, but the errors have a
-        bias that does not decrease with N. Therefore the test rejects too often for long data. For
-        a Box-Jenkins system of order 3 (N = 1000) the test at the level 5 % rejected whiteness in
-        10 of 100 simulations.
+        to 1.06 times the bound. The test of `whiteness` assumes minimal one-step errors. The errors
+        of a subspace estimate have a bias that does not decrease with N. Therefore the test rejects
+        too often for long data. For a Box-Jenkins system of order 3 (N = 1000) the test at the
+        level 5 % rejected whiteness in 10 of 100 simulations.
 
     Raises
     ------
@@ -182,7 +181,7 @@ def _focused(
     *,
     stable: bool,
 ) -> SubspaceFit:
-    """Return the model with the poles `free`, or with the poles of least simulation error."""
+    """Return the model with the poles `free`, or with poles that minimise the simulation error."""
     facts = {**facts, "horizon": free.horizon, "singular_values": free.singular_values}
     notes = [] if free.steady else [warning("no_gain", _NO_GAIN_TEXT)]
     if focus == "simulation":
@@ -318,13 +317,13 @@ def _pole_std(A: Array, z: complex, covariance: Array) -> float:
 def simulating(
     data: Dataset, n: Structure, A: Array, C: Array, *, orders: str
 ) -> tuple[Array, Array, Array]:
-    """Return A, B and C of the model of least simulation error, starting from a subspace model.
+    """Return A and B that minimise the simulation error, and C that then minimises the loss.
 
     For given A the simulation error y - (B u + x) / A is linear in B and the unknown state x. The
-    search is therefore only over A. It starts from the poles of the subspace model, reflected into
-    the unit circle. C is the candidate of least one-step loss for the estimated A and B. The three
-    candidates are C of the subspace model, C by Hannan and Rissanen's regressions on A y - B u, and
-    C = A, for white output noise.
+    search is therefore only over A. The search starts from the poles of the subspace model,
+    reflected into the unit circle. C is the candidate with the least one-step loss for the
+    estimated A and B. The three candidates are C of the subspace model, C by Hannan and Rissanen's
+    regressions on A y - B u, and C = A, which is true for white output noise.
 
     Raises
     ------
@@ -354,7 +353,7 @@ def simulating(
 def _of_what_is_left(
     experiments: Sequence[Experiment], solution: Solution, A: Array, nc: int
 ) -> Array:
-    """Return C of C e = A (y - simulated y)."""
+    """Return an estimate of C in C e = A (y - simulated y)."""
     v = []
     for x, part in zip(experiments, solution.parts, strict=True):
         left = x.y - part.driven

@@ -34,10 +34,10 @@ def oe(
         N samples. A missing y removes only the equation of its own sample. Each experiment has its
         own initial state.
     nb, nf : int
-        Numbers of coefficients: nb >= 1, and nf >= 0. With the integrator nf >= 1, because its root
-        counts.
+        Numbers of coefficients: nb >= 1, and nf >= 0. With an integrator nf >= 1, because the root
+        at 1 counts as one coefficient.
     nk : int, default 1
-        Samples before u reaches y; 0 is a direct term.
+        Number of samples before u reaches y; 0 means a direct term.
     integrator : bool, default False
         Set F = (1 - q^-1) F̃, with one root at exactly 1. The noise e is added to the integrated
         output. The level and the input offset u0 of each experiment are estimated too. The offset
@@ -51,13 +51,13 @@ def oe(
         = 0, without an input offset. With "auto" the state is estimated if an F-test finds it
         significant.
     stable : bool, default False
-        Move poles on the unit circle into it, and estimate B again. The search itself moves no pole
-        outside the circle.
+        Move poles on the unit circle into the circle, and estimate B again. The search itself moves
+        no pole outside the circle.
     starts : {"many", "few"}, default "many"
         With "many" the search also starts from models in which one mode of the best model is moved.
-        With "few" only complex pairs of F are moved, and only if the first searches disagree or the
-        noise is strong. "few" needs a tenth to a half of the time of "many", but ends in a poorer
-        minimum more often.
+        With "few" only complex root pairs of F are moved, and only if the first searches disagree
+        or the noise is strong. "few" needs a tenth to a half of the time of "many", but ends in a
+        poorer minimum more often.
 
     Returns
     -------

@@ -54,7 +54,7 @@ class ArxOrders:
     """Samples before u reaches y."""
 
     def keys(self) -> tuple[str, ...]:
-        """Return the names of the orders, as a mapping does."""
+        """Return the names of the orders, so that ``**orders`` is possible."""
         return ("na", "nb", "nk")
 
     def __getitem__(self, name: str) -> int:
@@ -84,7 +84,7 @@ class OrderTable:
     output_variance: float
     """Variance of y in the validation data; without validation data, in the estimation data."""
     N: int
-    """Number of errors in `loss`; they are the same samples for every structure."""
+    """Number of samples in `loss`; every structure uses the same samples."""
     inputs: int = 1
     """Number of inputs; each has nb coefficients."""
 
@@ -94,7 +94,7 @@ class OrderTable:
 
     @property
     def parameters(self) -> Integers:
-        """Number of parameters, na + nb for each input, (n,)."""
+        """Number of parameters: na, plus nb for each input, (n,)."""
         return np.asarray(self.na + self.inputs * self.nb)
 
     @property
@@ -119,12 +119,12 @@ class OrderTable:
         return without if self.validation_loss is None else ("validation", *without)
 
     def values(self, criterion: Criterion) -> Vector:
-        """Return a criterion of every structure, (n,), NaN if it is not determined.
+        """Return a criterion of every structure, (n,), NaN if the data do not determine it.
 
         Raises
         ------
         ValueError
-            There is no such criterion, or it needs validation data.
+            The criterion is unknown, or it needs validation data and there are none.
         """
         if criterion not in self.criteria:
             msg = f"criterion={criterion!r} must be one of {', '.join(self.criteria)}"
@@ -140,14 +140,15 @@ class OrderTable:
         The default criterion is "validation" if there are validation data, otherwise MDL.
 
         The lowest of many validation losses is also low by chance, and often belongs to a structure
-        that is too large. The rule therefore chooses the structure of fewest parameters whose loss
-        is close to the lowest loss. The difference of the two losses must be at most one standard
-        error of this difference [1]_. The other criteria contain a penalty for each parameter, so
-        the structure with the lowest value is chosen.
+        that is too large. The rule therefore chooses the structure with the fewest parameters among
+        those whose loss is close to the lowest loss. The difference of the two losses must be at
+        most one standard error of this difference [1]_. The other criteria contain a penalty for
+        each parameter, so the structure with the lowest value is chosen.
 
         In 200 runs with 600 structures (N = 1000 for estimation and for validation) this rule chose
-        the true orders na=2, nb=2, nk=1 in 73 % of the runs. The lowest validation loss chose them
-        in 18 %, MDL in 99 %, AIC and FPE in 49 %. No criterion chose too small a structure.
+        the true orders na=2, nb=2, nk=1 in 73 % of the runs. The lowest validation loss chose these
+        orders in 18 % of the runs, MDL in 99 %, AIC and FPE in 49 %. No criterion chose a structure
+        that is too small.
 
         References
         ----------
@@ -164,7 +165,7 @@ class OrderTable:
         return simplest_as_good(*self._excess(), self.parameters)
 
     def _excess(self) -> tuple[Vector, Vector]:
-        """Return each validation loss minus the lowest, and the standard error of this, (n,)."""
+        """Return each validation loss minus the lowest loss, and its standard error, (n,)."""
         lowest = self._lowest("validation")
         if self.validation_loss is None or self.batch_losses is None:
             return np.zeros(len(self)), np.zeros(len(self))
@@ -197,7 +198,7 @@ class OrderTable:
         loss, best = self.values("validation"), _named(self.orders(lowest))
         yield f"lowest loss on the validation data: {best}, {loss[lowest]:.5g}"
         if i == lowest:
-            yield "chosen: the same, as no simpler structure is within one standard error"
+            yield "chosen: this structure, as no simpler structure is within one standard error"
         else:
             yield (
                 f"chosen: {_named(self.orders(i))}, {d[i]} parameters instead of {d[lowest]}; its "
@@ -271,17 +272,18 @@ def select_orders(
 ) -> OrderTable:
     """Return the losses of all ARX structures with these orders.
 
-    One QR decomposition of the largest regressor and y reduces the data to a triangle R. Each pair
-    (na, nk) then needs only a small QR decomposition of columns of R. The leading triangles of its
-    result belong to the structures nb = 1, 2, …. The loss is the sum of squares of y below row na +
-    nb. Triangles R_v of batches of the validation data give the loss on these batches,
-    ``|R_v [-theta; 1]|²``. All structures are compared on the same samples: those at which the
-    largest regressor is known.
+    One QR decomposition of y and the regressors of the largest structure reduces the data to a
+    triangular matrix R. Each pair (na, nk) then needs only a small QR decomposition of columns of
+    R. The leading triangles of the result belong to the structures nb = 1, 2, …. The loss is the
+    sum of squares of y below row na + nb. Triangular factors R_v of batches of the validation data
+    give the loss on these batches, ``|R_v [-theta; 1]|²``. All structures are compared on the same
+    samples. At these samples all regressors of the largest structure are known.
 
     Parameters
     ----------
     data : Dataset
-        N samples. Rows that depend on a missing sample are not used. Experiments are separate.
+        N samples. Rows that depend on a missing sample are not used. No row depends on two
+        experiments.
     na, nb, nk : iterable of int
         Orders to try, na >= 0, nb >= 1, nk >= 0.
     validation : Dataset, optional
@@ -290,8 +292,8 @@ def select_orders(
     Returns
     -------
     OrderTable
-        Losses, AIC, MDL and FPE of every structure. `best()` returns the orders to use,
-        `explain()` the reasons.
+        Losses, AIC, MDL and FPE of every structure. `best()` returns the orders to use, and
+        `explain()` returns the reasons.
 
     Raises
     ------
@@ -403,7 +405,7 @@ def require_same_rate(Ts: float, validation_Ts: float) -> None:
 def _regressors(data: Sequence[Experiment], na: int, lags: range) -> tuple[list[Array], int, float]:
     """Return blocks of rows [-y lagged, u lagged, y], the number of rows, and the variance of y.
 
-    Of several inputs, all values at one lag precede the values at the next lag.
+    With several inputs, the values of all inputs at one lag precede the values at the next lag.
     """
     blocks, known = [], []
     for part in data:
@@ -425,7 +427,7 @@ def _rows(part: Experiment, na: int, lags: range) -> Array:
 
 
 def _batches(M: Array) -> tuple[Array, Integers]:
-    """Return the triangles of successive batches of rows, (batches, d, d), and their rows."""
+    """Return the triangular factor of each batch of rows, (batches, d, d), and its row count."""
     parts = np.array_split(M, min(BATCHES, M.shape[0]))
     triangles = np.stack([triangle([part], M.shape[1]) for part in parts])
     return triangles, np.array([part.shape[0] for part in parts], dtype=np.int_)
@@ -443,7 +445,8 @@ def _losses(
     """Yield the sums of squared errors for nb = 1, 2, ….
 
     Each pair contains the sum for the estimation data and the sums for the batches of the
-    validation data. The columns are scaled, so that the test of dependence is independent of units.
+    validation data. The columns are scaled, so that the test for linear dependence does not depend
+    on units.
     """
     M = R[:, chosen]
     scale = column_norms(M)

@@ -31,7 +31,7 @@ def pem(
     Parameters
     ----------
     data : Dataset
-        N samples. After each gap in y the past of the noise is estimated again.
+        N samples. After each gap in y, the initial state of the noise model is estimated again.
     nb, na, nc, nd, nf : int
         Numbers of coefficients: nb >= 1, and the others >= 0. Combine A with F, or A with D, only
         if input and noise are known to share some poles. Otherwise the data hardly distinguish A

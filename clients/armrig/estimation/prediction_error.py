@@ -45,19 +45,20 @@ class Solution:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PredictionErrorProblem:
-    """Problem min |(D/C) (A y - (B/F) u) - unknown past|² over all polynomials and experiments.
+    """Minimisation of |(D/C) (A y - (B/F) u) - effect of the unknown past|² over the polynomials.
 
-    The errors are linear in A, B and the unknown past. These three are therefore projected out. The
-    search is over the coefficients of C, D and F only. This method is variable projection with
-    Kaufman's Jacobian. The gradient from this Jacobian is exact.
+    The unknown past is the signals before the first sample of each experiment. The errors are
+    linear in A, B and the unknown past. These three are therefore projected out. The search is over
+    the coefficients of C, D and F only. This method is variable projection with Kaufman's Jacobian.
+    The gradient from this Jacobian is exact.
 
     After each gap, pulses with estimated heights represent the unknown past of the noise. The
     pulses also fit part of the noise itself, so that many gaps bias C. If 3 % of 2000 samples are
     missing, the bias is 0.7 standard deviations. Therefore the pulses are integrated out with a
     flat prior. The cost is then |e|² |Z^T Z|^(1/M). The columns of Z are the pulses, and M is the
-    number of errors minus the number of pulses. Z excludes the first stretch, so that data without
-    gaps are fitted by plain least squares. The factor |Z^T Z|^(1/M) corrects C but not D. With the
-    same missing samples, the bias of D remains 0.4 standard deviations.
+    number of errors minus the number of pulses. Z excludes the pulses before the first gap, so that
+    data without gaps are fitted by plain least squares. The factor |Z^T Z|^(1/M) corrects C but not
+    D. With the same missing samples, the bias of D remains 0.4 standard deviations.
 
     References
     ----------
@@ -83,7 +84,7 @@ class PredictionErrorProblem:
         return given, orthonormal(whole[:, :-1]), whole[:, :-1], whole[:, -1]
 
     def solve(self, theta: Array) -> Solution:
-        """Return A, B and the unknown past by least squares for theta = (c, d, f)."""
+        """Return the least-squares solution for A, B and the unknown past at theta = (c, d, f)."""
         given, basis, by_ab, y = self._linear(theta)
         ab = basis.coefficients(y)
         parts = [
@@ -143,7 +144,7 @@ class PredictionErrorProblem:
         return stable(C) and stable(F)
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Return theta with the roots of C and F outside the unit circle moved into it."""
+        """Return theta with each root of C and F outside the unit circle moved into the circle."""
         C, D, F = self.polynomials(theta)
         C_0, _, F_0 = self.polynomials(previous)
         return np.concatenate([drawn_to_edge(C, C_0)[1:], D[1:], drawn_to_edge(F, F_0)[1:]])

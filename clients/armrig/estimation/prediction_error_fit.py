@@ -31,8 +31,8 @@ PART_SAMPLES = 3000
 """Number of samples of the part on which searches start. Only data with more than twice this number
 of samples have such a part."""
 MAX_PULSE_SHARE = 0.01
-"""Number of pulses after gaps, divided by the number of errors; a fit with a larger ratio has a
-warning."""
+"""Limit of the number of pulses after gaps, divided by the number of errors. Above this limit the
+fit has a warning."""
 CURVED_TEXT = (
     "do not trust the standard deviations of the coefficients: the loss is far from parabolic "
     "within two standard deviations. A pole and a zero may nearly cancel. The standard deviations "
@@ -56,12 +56,12 @@ def searched(
     stable: bool = False,
     starts: Starts = "many",
 ) -> Fit:
-    """Return the model of the lowest minimum of the prediction error over all start values.
+    """Return the model at the lowest minimum of the prediction error over all start values.
 
     Parameters
     ----------
     structure : Structure
-        Orders without the root of the integrator; `initial` replaces its `at_rest`.
+        Orders without the root of the integrator. `initial` replaces `at_rest` of the structure.
     name : str
         Name of the structure, for the `Fit`.
     orders : str
@@ -71,9 +71,9 @@ def searched(
         estimate of the state for given polynomials. It equals "estimate", because the search
         projects the state out at every step.
     stable : bool, default False
-        Reflect poles outside the unit circle into it, and estimate B again.
+        Reflect poles outside the unit circle into the circle, and estimate B again.
     starts : {"many", "few"}
-        Number of additional starts.
+        Number of additional start values, as in `armax`.
 
     Raises
     ------

@@ -26,7 +26,7 @@ class RarxState:
 
     Examples
     --------
-    The samples are those of y(t) = 0.5 y(t-1) + 2 u(t-1).
+    The samples satisfy y(t) = 0.5 y(t-1) + 2 u(t-1).
 
     >>> import armrig
     >>> state = armrig.rarx_start(na=1, nb=1)
@@ -74,7 +74,7 @@ class RarxState:
         """Weighted sum of squared errors divided by its degrees of freedom; NaN if there are none.
 
         With the weights w = lambda^k the degrees of freedom are sum w - d (sum w²) / (sum w). This
-        is their expected value for white noise and a stationary input.
+        formula is the expected number of degrees of freedom for white noise and a stationary input.
         """
         degrees = self.weight - (self.na + self.nb) * self._share
         return float(self.R[-1, -1] ** 2 / degrees) if degrees > 0 else float("nan")
@@ -122,7 +122,7 @@ def rarx_start(*, na: int, nb: int, nk: int = 1, forgetting: float = 1.0) -> Rar
     na, nb : int
         Numbers of coefficients of A and of B, na >= 0 and nb >= 1.
     nk : int, default 1
-        Samples before u reaches y; 0 is a direct term.
+        Number of samples before u reaches y; 0 means a direct term.
     forgetting : float, default 1
         Factor lambda in (0, 1]; the memory is about 1/(1 - lambda) samples, and unlimited for
         lambda = 1.
@@ -166,9 +166,9 @@ def rarx_step(state: RarxState, u: float, y: float) -> RarxState:
     u is applied from t on, and y is measured at t. A missing value is NaN.
 
     The triangular factor R of earlier rows is multiplied by sqrt(lambda), and the row [phi y] is
-    rotated into it. After N steps the result equals, to rounding, the weighted least-squares
-    estimate from all samples. The method needs no covariance matrix, which could become indefinite.
-    A row that depends on a missing y changes neither R nor the weights.
+    added to the factor by rotations. After N steps the result equals, to rounding, the weighted
+    least-squares estimate from all samples. The method needs no covariance matrix, which could
+    become indefinite. A row that depends on a missing y changes neither R nor the weights.
 
     Examples
     --------
@@ -218,8 +218,8 @@ def rarx(
 ) -> RecursiveEstimate:
     """Return the parameters of an ARX model after each sample.
 
-    `rarx_start` documents the arguments. At the start of each experiment the past of u and y is
-    unknown. The parameters of the previous experiment are kept.
+    `rarx_start` documents the arguments. At the start of each experiment, earlier values of u and y
+    are unknown. The parameters from the previous experiment are kept.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Request for an estimate, a value that commands, batches, searches and the dashboard share.
+"""Request for an estimate, which commands, batches, searches and the dashboard share.
 
 A field with an `Option` is an option of `armrig identify` and `armrig batch identify`. The
 estimator has an argument of the same name. The option also appears in the command printed after

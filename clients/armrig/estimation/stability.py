@@ -1,4 +1,4 @@
-"""Reflection of poles outside the unit circle into it, and the warnings about such poles."""
+"""Reflection of unstable poles into the unit circle, and the warnings about unstable poles."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _CIRCLE_MARGIN = 1e-6  # least distance of a reflected pole from the circle
 
 
 def stabilised(p: Array) -> Array:
-    """Return p with each root z outside the unit circle reflected into it, to 1/z*.
+    """Return p with each root z outside the unit circle replaced by its reflection 1/z*.
 
     The reflection changes |p| by the same factor at all frequencies. A root on the circle is moved
     inside by 1e-6. If all roots are inside, the function returns p itself.
@@ -35,7 +35,7 @@ def stabilised(p: Array) -> Array:
 
 
 def reflection_warnings(before: Array, after: Array) -> Iterator[EstimateFinding]:
-    """Yield a warning with the number of roots that `stabilised` moved, unless that number is 0."""
+    """Yield a warning with the number of roots that `stabilised` moved, if there are any."""
     z = np.abs(roots(before))
     moved = z[z >= 1.0 - CIRCLE_ROUNDING]
     if after is not before and moved.size:
@@ -55,6 +55,7 @@ def with_stable_poles(
     """Return theta = (c, d, f), the solution with A, D and F reflected, and the warnings.
 
     C does not change. For given A, C, D and F the errors are linear in B and the unknown past.
+    Therefore least squares estimate B and the past again.
     """
     n = problem.structure
     free = problem.named(solution.ab, theta)
@@ -83,9 +84,9 @@ def with_stable_poles(
 
 
 def largest_unstable(model: Model) -> float:
-    """Return the largest |z| >= 1 of the poles of G and of the noise, or 0 if all are inside.
+    """Return the largest |z| of the poles on or outside the unit circle, or 0 if all are inside.
 
-    A pole that is 1 by construction does not count.
+    The poles of G and of the noise model count, except a pole that is 1 by construction.
     """
     polynomials = {letter: np.asarray(getattr(model, letter.upper())) for letter in "adf"}
     if model.integrating:
@@ -105,7 +106,7 @@ def with_stability_warning(fit: Fit) -> Fit:
 
 
 def unstable(farthest: float, way_out: str, asks: Asks) -> EstimateFinding:
-    """Return the warning of a pole of modulus `farthest`, with the remedy `way_out`."""
+    """Return the warning about an unstable pole of modulus `farthest`; the remedy is `way_out`."""
     text = f"a pole is unstable, |z| = {farthest:.4f}: {way_out}"
     return warning("unstable", text, asks, farthest=farthest)
 

@@ -7,7 +7,7 @@ with W_p = [U_p Y_p], has the triangular factor ::
     R =     R22 R23
                 R33
 
-The functions of this module need only R; a column of R represents a signal.
+The functions of this module need only R. Each column of R represents the same column of M.
 
 References
 ----------
@@ -40,7 +40,7 @@ _SINGULAR_VALUE_ROUNDING = 1e-10  # share of the largest singular value; a small
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Windows:
-    """Past and future of all instants with complete windows, reduced to a triangular factor."""
+    """Past and future samples of all complete windows, reduced to a triangular factor."""
 
     R: Array
     """Triangular factor of [1 U_f U_p Y_p Y_f], without the row and column of the constant."""
@@ -49,10 +49,10 @@ class Windows:
     future: int
     """Number of future samples, f."""
     N: int
-    """Number of instants."""
+    """Number of windows."""
 
     def columns(self, *names: str) -> Integers:
-        """Return the columns of "uf", "up", "yp" and "yf" in R, oldest samples first."""
+        """Return the indices in R of the columns "uf", "up", "yp" or "yf", oldest samples first."""
         f, p = self.future, self.past
         begins = {"uf": (0, f), "up": (f, p), "yp": (f + p, p), "yf": (f + 2 * p, f)}
         return np.concatenate([b + np.arange(n) for b, n in (begins[name] for name in names)])
@@ -66,9 +66,9 @@ def windows(
     The means of u and y are projected out, because the data may have offsets. Only the first `most`
     windows are used.
 
-    R is the Cholesky factor of the Gram matrix of the windows. `gram_of_windows` needs N times the
-    length of a window multiplications. If the squares lose too many digits, R is computed by a QR
-    decomposition of the windows.
+    R is the Cholesky factor of the Gram matrix of the windows. `gram_of_windows` needs N L
+    multiplications for windows of L samples. If the squares in the Gram matrix lose too many
+    digits, R is computed by a QR decomposition of the windows.
     """
     length = past + future
     parts = list(_whole_stretches(signals, length, most))
@@ -99,7 +99,7 @@ def _whole_stretches(
 
 
 def _by_decomposition(parts: list[tuple[Array, Array]], order: Integers, length: int) -> Array:
-    """Return the triangle of the windows of all parts, computed in blocks of rows."""
+    """Return the triangular factor of the windows of all parts, computed in blocks of rows."""
     return np.triu(triangle(_blocks(parts, order, length), 1 + 2 * length))[1:, 1:]
 
 
@@ -140,7 +140,7 @@ def autoregressive_order(w: Windows) -> int:
     """Return the order that AIC chooses for an ARX model.
 
     The model of order n predicts y(t) from u(t), n past samples of y and n past samples of u. With
-    the chosen n, the past samples cover the memory of the predictor, and therefore determine the
+    the chosen n, the n past samples cover the memory of the predictor. Therefore they determine the
     state.
     """
     up, yp = w.columns("up"), w.columns("yp")
@@ -159,7 +159,7 @@ class Projection:
     H: Array
     """Matrix H in Y_f = H W_p + L U_f + noise, (f, 2 p)."""
     U: Array
-    """Left singular vectors without the weights: the extended observability matrix, (f, f)."""
+    """Left singular vectors without weights, (f, f); n of them span the observability matrix."""
     singular_values: Array
     """Singular values (f,); with "cva" the canonical correlations of past and future."""
 
@@ -186,14 +186,14 @@ def projection(w: Windows, weights: Weights) -> Projection:
 
 
 def visible_states(w: Windows) -> int:
-    """Return the number of states in the data; without noise, at most the order of the system."""
+    """Return the number of states that the data show; without noise, at most the system's order."""
     f = w.future
     values = np.linalg.svd(w.R[f:-f, -f:], compute_uv=False)
     return int(np.count_nonzero(values > _SINGULAR_VALUE_ROUNDING * values[0]))
 
 
 def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
-    """Return the mean squared error of y(t) from 1 … `most` states and u(t), (most,).
+    """Return the mean squared errors of y(t), predicted from u(t) and 1 … `most` states, (most,).
 
     n states span the components of H W_p along the first n singular vectors. Therefore a single QR
     decomposition determines all losses.
@@ -205,18 +205,19 @@ def one_step_losses(w: Windows, found: Projection, most: int) -> Array:
 
 
 def suggested_order(w: Windows, found: Projection, most: int) -> int:
-    """Return the order of least MDL of the one-step loss, with 3 parameters per state (A, B, K).
+    """Return the order that minimises MDL of the one-step loss; a state has 3 parameters (A, B, K).
 
-    The criterion is more reliable than the singular values alone. The criteria were compared in 120
-    trials: four systems of order 2 or 3, N = 500 and N = 2000, CVA weights, 25 past and 25 future
-    samples. MDL chose the true order in 110 trials, and Bauer's criterion [3]_ in 62 trials.
+    MDL is more reliable than a criterion that uses only the singular values. The two criteria were
+    compared in 120 trials: four systems of order 2 or 3, N = 500 and N = 2000, CVA weights, 25 past
+    and 25 future samples. MDL chose the true order in 110 trials, and Bauer's criterion [3]_ in 62
+    trials.
     """
     n = np.arange(1, most + 1)
     return 1 + int(np.argmin(mdl(one_step_losses(w, found, most), 3 * n, w.N)))
 
 
 def _states(w: Windows, found: Projection, n: int) -> Array:
-    """Return estimates of n states from the past, each as a column with the rows of R."""
+    """Return n states estimated from the past; a state is a combination of the columns of R."""
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
     from_past = np.linalg.lstsq(Gamma, found.H, rcond=None)[0].T
     return np.asarray(w.R[:, w.columns("up", "yp")] @ from_past)
@@ -237,11 +238,12 @@ class Realisation:
 def realised(w: Windows, found: Projection, n: int) -> Realisation:
     """Return A and the eigenvalues of A - K C for n states.
 
-    A follows from the shift of the observability matrix, and A - K C from the residuals of the
-    states.
+    A follows from the shift of the observability matrix, and A - K C follows from the residuals of
+    the states.
 
-    The states at t and t + 1 are computed by two projections. The Riccati equation with the
-    covariance of the residuals of these projections determines K.
+    The states at t and t + 1 are computed by two projections. A regression on the states at t and
+    the inputs leaves residuals of the states at t + 1 and of y(t). The Riccati equation with the
+    covariance of these residuals determines K.
     """
     f = w.future
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
@@ -266,8 +268,8 @@ def realised(w: Windows, found: Projection, n: int) -> Realisation:
 def _steady_filter(A: Array, C: Array, covariance: Array) -> Array | None:
     """Return the eigenvalues of A - K C of the steady Kalman filter, or None if there is none.
 
-    With F = A - S C / r, the Riccati equation has the pencil below. The eigenvalues of A - K C are
-    the eigenvalues of the pencil that are inside the unit circle ::
+    Q, S and r are the blocks of the covariance. With F = A - S C / r, the Riccati equation has the
+    pencil below. The eigenvalues of A - K C are the n smallest eigenvalues of the pencil ::
 
         | F^T               0 |       | I  C C^T / r |
         | (S S^T / r - Q)   I | - z * | 0  F         |

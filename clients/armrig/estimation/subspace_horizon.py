@@ -1,4 +1,4 @@
-"""Choice of the horizon, the number of past and future samples, of a subspace estimate."""
+"""Choice of the horizon of a subspace estimate: its number of past and of future samples."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from armrig.numerics.polynomial import (
 from armrig.numerics.stretches import stretches
 
 MIN_HORIZON, MAX_HORIZON = 10, 30
-"""Range of the horizon by AIC, in samples."""
+"""Limits of the horizon that AIC chooses, in samples."""
 _MAX_WINDOWS = 4000  # for the choice of the longest horizon
 _MAX_COMPARED_SAMPLES = 2000  # for the comparison of models
 _MIN_LOSS_SHARE = 1e-10  # share of |y|²; normal equations lose all digits of a smaller loss
@@ -70,7 +70,7 @@ def usable_windows(
 def longest_horizon(signals: Signals, samples: int, order: int | None) -> int:
     """Return the largest of three numbers: 10, 2 (order + 1), and the order of an ARX model.
 
-    AIC chooses the order of the ARX model, at most 30. The horizon of short data is at most a
+    AIC chooses the order of the ARX model, at most 30. For short data the horizon is at most a
     twelfth of the number of samples, but at least order + 2.
     """
     least = 2 if order is None else order + 2
@@ -168,14 +168,15 @@ def best_poles(
     integrator: bool,
     direct: bool,
 ) -> Poles:
-    """Return the poles for the horizon of `w` or for order + 2, by the lower one-step loss.
+    """Return the poles for the horizon of `w` or order + 2, whichever has the lower one-step loss.
 
     For white noise on the output, the memory of the predictor is long, and the past must be long.
-    If the noise has the poles of A, a long past is of no use, and it reduces the accuracy if the
-    data are short. An example is an ARMAX system of order 4 at N = 300. Its loss exceeded the least
-    possible loss by 29 % with a horizon of 10, and by 5 % with a horizon of 6. For white noise on
-    the output, the loss was 6 % too large with a horizon of 10, and 10 % with a horizon of 6. The
-    losses can be compared because both models have the same number of parameters.
+    If the noise has the poles of A, a long past is not necessary, and with short data a long past
+    reduces the accuracy. An example is an ARMAX system of order 4 at N = 300. Its loss exceeded the
+    least possible loss by 29 % with a horizon of 10, and by 5 % with a horizon of 6. For white
+    noise on the output, the loss was 6 % above the least possible loss with a horizon of 10, and 10
+    % above with a horizon of 6. The losses can be compared because both models have the same number
+    of parameters.
     """
     long = poles_at(w, found, order, integrator=integrator)
     if order + 2 >= w.future:

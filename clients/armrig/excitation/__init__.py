@@ -1,7 +1,7 @@
 """Input signals for the rig, in volts, with one module for each family of signals.
 
-Each signal is an array float64 (N,) with values inside the requested part of 0 to 5 V. The same
-seed leads to the same signal.
+Each signal is an array float64 (N,) with values inside the requested interval, which must be inside
+0 to 5 V. The same seed leads to the same signal.
 """
 
 from armrig.excitation.binary import prbs, telegraph, white_noise

@@ -1,4 +1,4 @@
-"""White noise, and signals of two levels, which have the largest possible power in an interval."""
+"""White noise, and two-level signals with the largest possible power in an interval."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ def prbs(
     seed : int or numpy.random.Generator, default 1
         Seed of the random position in the period at which the signal begins.
     register : int, optional
-        Number of bits, 2 to 24. The default is the smallest number without a repetition in N
-        samples.
+        Number of bits, 2 to 24. The default is the smallest number of bits for which the signal
+        does not repeat within N samples.
 
     Returns
     -------
@@ -165,7 +165,7 @@ def white_noise(
         The same seed, an integer >= 0, gives the same signal.
     distribution : {"uniform", "normal"}
         "uniform" (MATLAB's rand) has the variance (high - low)²/12. "normal" (randn) has a standard
-        deviation of a sixth of the interval before its tails are cut off at the levels. Normal
+        deviation of a sixth of the interval before the tails are cut off at the levels. Normal
         noise is white too, but has less than a third of the power of uniform noise.
 
     Raises

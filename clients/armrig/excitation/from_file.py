@@ -23,7 +23,7 @@ MAX_TIME_ERROR = 0.01  # share of Ts; the rounding of times in a text file is sm
 def from_csv(
     path: str | Path, Ts: float, *, low: float = LOWEST_V, high: float = HIGHEST_V
 ) -> Vector:
-    """Return the input (N,) from a text file, after a check of its times against Ts.
+    """Return the input (N,) from a text file, and check the times in the file against Ts.
 
     A row contains u in V, or t in s and u in V. The first row may contain the names t and u. The
     columns may then have any order. Columns are separated by comma, semicolon or white space. A
@@ -36,7 +36,8 @@ def from_csv(
     Ts : float
         Sampling time of the run, in s. According to section 3.2 of the handout, the time vector
         "must agree with the chosen step size". The expected time of sample k is the time of the
-        first sample plus k Ts. The time in the file may differ from it by a hundredth of Ts.
+        first sample plus k Ts. The time in the file may differ from the expected time by at most a
+        hundredth of Ts.
     low, high : float
         Allowed interval of u in V, 0 <= low < high <= 5.
 

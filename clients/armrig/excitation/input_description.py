@@ -50,14 +50,14 @@ class InputDescription:
     """Least eigenvalue of the covariance matrix of `order` samples, divided by the variance.
 
     The ratio is 1 for white noise. For a parameter in the direction of this eigenvalue, the
-    variance of the estimate is 1/weakest times the variance with white noise.
+    variance of the estimate is 1/weakest times the variance with white noise of the same power.
     """
     omega: Vector
     """Frequencies of `spectrum`, in rad/s; empty if u is shorter than 16 samples."""
     spectrum: Vector
     """One-sided power density, in V² per rad/s."""
     levels: Vector
-    """Values of u, in V, or the centres of ten bins if there are more than 20 values."""
+    """Values of u, in V, or the centres of ten bins if u has more than 20 values."""
     shares: Vector
     """Share of the time at each level, or in each bin; the sum is 1."""
     binned: bool
@@ -108,7 +108,7 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     computed for each half of u, and the lower order is returned. Therefore an input that moves only
     once, such as a step, has order 1. The computed order is limited by double precision. For sines
     in a narrow band (a chirp, a low multisine) the computed order is less than twice the number of
-    sines, because a few consecutive samples hardly distinguish them.
+    sines. The reason is that a few consecutive samples hardly distinguish the sines.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def describe_input(u: ArrayLike, Ts: float) -> InputDescription:
     Raises
     ------
     ValueError
-        u is not (N,) or not finite, or Ts is not > 0.
+        u does not have the shape (N,), u is not finite, or Ts is not > 0.
 
     References
     ----------

@@ -33,7 +33,7 @@ def named_signal(
         Sampling time, in s.
     a : float
         Probability of a switch of the telegraph at each sample. A prbs holds each value for 1/(2 a)
-        samples, so that it switches at the same mean rate.
+        samples, so that both signals have the same mean switching rate.
     low, high : float
         Interval in V, 0 <= low < high <= 5.
     seed : int
@@ -75,7 +75,7 @@ def clock_of(a: float) -> int:
 
 
 def step_at(N: int, Ts: float, *, low: float, high: float, at: float) -> Vector:
-    """Return the input (N,) that steps from low to high, in V, at a time in s."""
+    """Return the input (N,) that steps from low to high (in V) at the time `at` (in s)."""
     # A time just before the end may be rounded to N. The input would then contain no step.
     return step(N, low=low, high=high, at=min(round(at / Ts), N - 1))
 

@@ -1,4 +1,4 @@
-"""Checks of the arguments of a caller, before they are converted to arrays."""
+"""Checks of a caller's arguments, before the arguments are converted to arrays."""
 
 from __future__ import annotations
 

@@ -1,18 +1,19 @@
 """95 % regions of model properties: linearised, or by draws if the linearisation is poor.
 
-In first order (Gauss's approximation) a property f(theta) is normal with the variance f'^T P f'.
-This approximation is checked by draws of theta. A range is checked by its two edges. The
-approximation is poor if an edge by draws differs from the linearised edge by more than a quarter of
-the half-width. For a region in the plane, the approximation is poor if more than 10 % or less than
-2.5 % of the draws are outside. If the approximation is poor, the region is computed from the draws.
-With fewer than 100 valid draws the region is unknown.
+To first order (Gauss's approximation) a property f(theta) is normal with the variance f'^T P f',
+where P is the covariance of theta. This approximation is checked by draws of theta. A range is
+checked by its two edges. The approximation is poor if an edge computed from the draws differs from
+the linearised edge by more than a quarter of the half-width. For a region in the plane, the
+approximation is poor if more than 10 % or less than 2.5 % of the draws are outside. If the
+approximation is poor, the region is computed from the draws. With fewer than 100 valid draws the
+region is unknown.
 
 Two roots that may be a conjugate pair or two real roots are no smooth functions of the parameters.
-Their mean and the square of half their difference are smooth. For a pair x ± iy these are x and
--y². Therefore the region of the pairs is computed in the plane of (x, -y²), in which the region
-does not fold at the real axis. For the draws with real roots there is a separate interval. The
-region contains 95 % of the pairs, and the interval contains 95 % of the real roots. The coverage is
-therefore 95 % whether the true root is real or one of a pair.
+Their mean and the square of half their difference are smooth. For a pair x ± iy these two values
+are x and -y². Therefore the region of the pairs is computed in the plane of (x, -y²), in which the
+region does not fold at the real axis. For the draws with real roots there is a separate interval.
+The region contains 95 % of the pairs, and the interval contains 95 % of the real roots. The
+coverage is therefore 95 % whether the true root is real or one of a pair.
 
 References
 ----------
@@ -40,8 +41,8 @@ LEVEL = 0.95
 HALF_WIDTH = 1.959964  # two-sided 95 % quantile of the normal distribution
 RADIUS = float(np.sqrt(-2 * np.log(1 - LEVEL)))  # of the 95 % ellipse, in standard deviations
 MAX_EDGE_SHIFT = 0.25
-"""Largest distance between an edge by draws and the linearised edge, in linearised half-widths, at
-which the linearisation is used."""
+"""Largest distance between an edge from draws and the linearised edge at which the linearised
+range is used, in linearised half-widths."""
 OUTSIDE_RANGE = (0.025, 0.10)
 """Least and largest share of draws outside a linearised ellipse at which the ellipse is used."""
 MIN_DRAWS = 100  # fewer draws do not determine a 2.5 % quantile
@@ -82,7 +83,7 @@ class Region:
     """Draws of the root, if the method is "sampled"."""
 
     def contains(self, z: complex) -> bool:
-        """Return whether z is inside; for a real z the interval, if there is one, decides."""
+        """Return whether z is inside; for a real z the interval decides, if it is known."""
         if abs(z.imag) < REAL_TOLERANCE and self.interval is not None:
             return self.interval[0] <= z.real <= self.interval[1]
         if self.densest is not None:
@@ -119,10 +120,10 @@ def sampled_band(samples: Matrix) -> Band:
 def band(
     value: ArrayLike, std: ArrayLike, samples: Matrix | None, *, least: float = -np.inf
 ) -> Band:
-    """Return the 95 % range of each value (n,): linearised, or by draws.
+    """Return the 95 % range of each value (n,), linearised or computed from draws.
 
-    The linearisation is poor if, for any value, an edge by draws differs from the linearised edge
-    by more than a quarter of 1.96 std. All ranges are then computed by draws.
+    The linearisation is poor if, for any value, an edge computed from draws differs from the
+    linearised edge by more than a quarter of 1.96 std. All ranges are then computed from draws.
 
     Parameters
     ----------
@@ -175,8 +176,8 @@ def linearised_region(z: complex, P: Matrix) -> Region:
 def sampled_region(z: complex, P: Matrix, draws: RootDraws) -> Region:
     """Return the region of the densest 95 % of the pairs, and the interval of the real draws.
 
-    If less than 0.5 % of the draws are pairs, there is no region. The interval is omitted in the
-    same way.
+    If less than 0.5 % of the draws are pairs, there is no region. If less than 0.5 % of the draws
+    are real, there is no interval.
     """
     least = MIN_KIND_SHARE * draws.upper.size
     interval = None
@@ -251,7 +252,7 @@ class RootDraws:
     pairs: Complex
     """Draws in which the root is one of a pair, mirrored into the upper half plane, (n,)."""
     reals: Vector
-    """Draws in which the root is real, (m,), with both roots of a pair that became real."""
+    """Draws in which the root is real, (m,), including both roots of a pair that became real."""
 
     @property
     def upper(self) -> Complex:
@@ -264,7 +265,7 @@ class HighestDensityRegion:
     """Region of the densest 95 % of the draws of a root of a complex pair.
 
     The density at a point is measured by the distance to the k-th nearest draw, with k = sqrt(n).
-    The limit is the 95 % quantile of the distances from each draw to the other draws.
+    The limit is the 95 % quantile of the distance from a draw to the k-th nearest other draw.
     """
 
     points: Complex

@@ -1,4 +1,4 @@
-"""Covariance of the score, for the sandwich form, which is valid for coloured residuals too.
+"""Covariance of the score for the sandwich form, which is also valid for coloured residuals.
 
 The covariance of an estimate is W W^T M W W^T. Here W W^T = (Psi^T Psi)^-1, and M is the
 covariance of the score Psi^T e. For white residuals the sandwich tends to the classic
@@ -22,7 +22,7 @@ def exogenous_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Arra
     """Return M = Psi^T R Psi for a Psi that does not depend on the noise (output error).
 
     R is the covariance matrix of an autoregression fitted to the residuals (Yule-Walker, order by
-    AIC). With R = s² H H^T, M is s² (H^T Psi)^T (H^T Psi). H^T Psi is computed by a filter
+    AIC). With R = s² H H^T, M is s² (H^T Psi)^T (H^T Psi). H^T Psi is computed by filtering Psi
     backwards in time. For white residuals the order is 0, and the sandwich has the classic form.
 
     Parameters
@@ -68,11 +68,11 @@ def _backwards(N: int) -> Iterator[tuple[int, int]]:
 
 
 def correlated_score(blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
-    """Return M for scores psi(t) e(t) that may depend on the noise (ARX): Newey-West.
+    """Return M by Newey and West for scores psi(t) e(t) whose psi may depend on the noise (ARX).
 
     The Bartlett weights are 1 - k/(L + 1) up to the lag L = floor(4 (N/100)^(2/9)). The estimate is
-    computed from all sums of L + 1 successive scores. With s such a sum, M is the total of s s^T,
-    divided by L + 1. The incomplete sums at both ends are included.
+    computed from all sums of L + 1 successive scores. M is the total of s s^T over all these sums
+    s, divided by L + 1. The incomplete sums at both ends of the data are included.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ def standard_error(means: Array) -> Array:
     """Return the standard error of the mean of batch means (..., K), along the last axis.
 
     If neighbouring samples are correlated, the standard error of the mean exceeds s / sqrt(N). The
-    means of batches that are longer than the memory are nearly independent. For one batch the
+    means of batches that are longer than this correlation are nearly independent. For one batch the
     result is 0.
     """
     K = means.shape[-1]
@@ -67,8 +67,8 @@ def simplest_as_good(excess: Array, std: Array, parameters: ArrayLike) -> int:
     """Return the index of the model with fewest parameters among the models as good as the best.
 
     A model is as good as the best if its excess over the least loss is at most the standard error
-    of the excess. Of several models with equally few parameters, the model of least excess is
-    chosen.
+    of the excess. If several of these models have the fewest parameters, the model with the least
+    excess is chosen.
 
     Parameters
     ----------

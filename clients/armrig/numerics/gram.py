@@ -57,9 +57,9 @@ def gram_of_windows(parts: Sequence[Sequence[Array]], length: int) -> Array:
 
 
 def _ends(x: Array, length: int) -> Array:
-    """Return, for each shift of the window, the sum of its samples near both ends of the signal.
+    """Return the sum of x(i) … x(n + i - 1) for each i, without the samples in the middle.
 
-    The samples in the middle of the signal, which every shift contains, are left out.
+    The samples in the middle of the signal, which all these sums contain, are left out.
     """
     before = np.cumsum(x[:, : length - 1][:, ::-1], axis=1)[:, ::-1]
     after = np.cumsum(x[:, x.shape[1] - length + 1 :], axis=1)

@@ -63,13 +63,13 @@ class Inference:
     """Basis of the columns of Psi, all experiments stacked."""
 
     def quality(self) -> dict[str, Any]:
-        """Return covariances, loss and whiteness test by the names of the fields of a `Fit`."""
+        """Return covariances, loss and whiteness test by the field names of a `Fit`."""
         names = ("covariance", "covariance_robust", "noise_variance", "loss", "N", "fit_percent")
         white = {"whiteness": self.white.p_value, "whiteness_test": self.white.test}
         return {name: getattr(self, name) for name in names} | white
 
     def transformed(self, J: Array) -> Inference:
-        """Return the inference for J times the parameters, with a given matrix J."""
+        """Return the inference for the parameters J theta, with a given matrix J."""
         return replace(
             self,
             covariance=J @ self.covariance @ J.T,
@@ -106,7 +106,7 @@ def infer(
         Orthonormal basis of the responses of the nuisance parameters in each experiment; zero in
         the rows without a residual.
     nuisance : int, default 0
-        Number of projected parameters that `spans` do not contain.
+        Number of parameters that are projected out but are not contained in `spans`.
     y : ndarray (sum of N_i,), optional
         Measured output, for `fit_percent`.
     basis : Basis, optional

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on the QR factor of the scaled Jacobian."""
+"""Levenberg-Marquardt search with the QR factor of the scaled Jacobian."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def _normals(walls: Walls | None, theta: Array, scale: Array) -> Array:
 
 
 def _along(normals: Array, s: Array, Vt: Array, z: Array, damping: float) -> _Linear:
-    """Return s, V^T and z of the problem with steps restricted to the walls they would cross."""
+    """Return s, V^T and z for steps along the walls that an unrestricted step would cross."""
     S, V, Z = s, Vt, z
     crossed = np.zeros(normals.shape[0], dtype=np.bool_)
     while True:

@@ -29,9 +29,9 @@ _COMPLEX_STEP = 1e-20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseFilter:
-    """Filter from v to the scaled innovations e(t) / sqrt(s(t)); s(t) is their relative variance.
+    """Filter from v to the scaled innovations e(t) / sqrt(s(t)), with relative variance s(t) of e.
 
-    The state before the first sample is known to be a linear combination of the columns `past`.
+    The state before the first sample is unknown. `columns` returns the responses to this state.
     """
 
     C: Array
@@ -47,7 +47,7 @@ class NoiseFilter:
         return max(self.C.size, self.D.size) - 1
 
     def columns(self, M: Array) -> tuple[Array, Array, float]:
-        """Return the filtered columns of M (N, k), the responses of the states, and a log scale.
+        """Return the filtered columns of M (N, k), the responses to the state, and a log scale.
 
         Returns
         -------

@@ -1,7 +1,8 @@
 """Polynomials in q^-1, and derivatives of a filtered signal with respect to the coefficients.
 
 Coefficient k belongs to q^-k, so [1, -0.5] is 1 - 0.5 q^-1. With y = B/P u the derivatives are
-filtered signals. One filter is enough for each polynomial, since the other derivatives are shifts::
+filtered signals. Each polynomial needs only one filter, since its derivatives are shifts of one
+signal::
 
     dy/db_k = q^-k u / P,    dy/dp_k = -q^-k y / P
 
@@ -40,7 +41,7 @@ def impulse(denominator: ArrayLike, N: int) -> Array:
 
 
 def lagged(x: Array, lags: Sequence[int]) -> Array:
-    """Return (N, len(lags)): column j is q^-lags[j] x, zero before the first sample."""
+    """Return an array (N, len(lags)) with q^-lags[j] x in column j, 0 before the first sample."""
     columns = np.zeros((x.size, len(lags)), dtype=x.dtype, order="F")
     for j, lag in enumerate(lags):
         if lag < x.size:
@@ -73,7 +74,7 @@ def stable(p: ArrayLike) -> bool:
     """Return whether all roots are strictly inside the unit circle.
 
     The method is the step-down recursion of Schur and Cohn. The recursion takes a fifth of the time
-    that the roots would take, which matters at each step of a search.
+    that the roots would take. Each step of a search calls this function.
     """
     a = np.atleast_1d(p).tolist()
     while len(a) > 1:
@@ -104,7 +105,7 @@ def with_roots_inside(z: Array, radius: float = 0.999) -> Array:
 
 
 def reduced(p: ArrayLike) -> Iterator[Array]:
-    """Yield the monic polynomials of one order less that are nearest to p in their modes.
+    """Yield the monic polynomials of order n - 1 whose modes are nearest to the modes of p.
 
     Each polynomial either omits one real root of p, or has one real root in place of a complex
     pair. The modulus of this real root is the modulus of the pair.
@@ -123,7 +124,7 @@ def reduced(p: ArrayLike) -> Iterator[Array]:
 
 
 EDGE_MODULUS = 1 - 1e-7
-"""Largest modulus of a root in a search; the computed value of a double root is off by 1e-7."""
+"""Largest modulus of a root in a search; a computed double root has an error of 1e-7."""
 _EDGE_TOLERANCE = 1e-9
 _MIN_LEFT_SHARE = 0.1  # share of the distance to the circle that remains after a step
 _PAIR_ANGLE = 1e-3  # angle, in rad, of the pair that replaces two real roots at the edge

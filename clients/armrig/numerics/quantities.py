@@ -1,4 +1,4 @@
-"""Texts of numbers with units, and of lists of names."""
+"""Text for numbers with units, and for lists of names."""
 
 from __future__ import annotations
 

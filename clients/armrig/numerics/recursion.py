@@ -65,8 +65,8 @@ def recursion(Phi: Array, w: Array, x0: Array) -> Array:
 def free_responses(Phi: Array, C: Array, N: int) -> Array:
     """Return C Phi^t e_k, t = 0 … N - 1, for each unit vector e_k as initial state, (n, ny, N).
 
-    The powers up to about sqrt(N) and the powers of the last of them are computed one by one, and
-    all others as their products.
+    Let L be about sqrt(N). The powers Phi^0 … Phi^L and the powers of Phi^L are computed one by
+    one. All other powers are products of these powers.
     """
     n = Phi.shape[0]
     length = isqrt(N) + 1

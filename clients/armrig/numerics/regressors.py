@@ -32,7 +32,7 @@ class ArxRows:
 
 
 def past(x: Array, lags: Sequence[int]) -> Array:
-    """Return (N, len(lags)): column j is x(t - lags[j]), NaN before the first sample."""
+    """Return an array (N, len(lags)) with x(t - lags[j]) in column j, NaN if t < lags[j]."""
     columns = lagged(np.asarray(x, dtype=np.float64), lags)
     for j, lag in enumerate(lags):
         columns[:lag, j] = np.nan

@@ -73,8 +73,8 @@ def ramp_lag(t: Vector, y: Vector) -> float:
 def mean_lag(B: Vector, F: Vector) -> float:
     """Return sum k g(k) / sum g(k) of the impulse response g of B(q)/F(q), in samples.
 
-    The result equals the sum of 1 - y(k) over all k >= 0, with the step response y divided by the
-    gain.
+    The result equals the sum of 1 - y(k) over all k >= 0, where y is the step response divided by
+    the gain.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         first, second = (np.arange(p.size) @ p / np.sum(p) for p in (B, F))

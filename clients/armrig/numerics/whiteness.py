@@ -19,7 +19,7 @@ from armrig.numerics.quantities import p_relation
 Vector = NDArray[np.float64]
 
 WHITE_LEVEL = 0.01
-"""p value below which any test of residuals in the package rejects whiteness."""
+"""p value below which every test of residuals in the package rejects whiteness."""
 PORTMANTEAU = "portmanteau test"
 LJUNG_BOX = "Ljung-Box test"
 _MIN_EIGENVALUE = 0.1  # least eigenvalue of V^-1/2 M V^-1/2 for the weights M^-1
@@ -124,7 +124,7 @@ def autoregression(
 
 
 def default_lags(N: int) -> int:
-    """Return the number of lags of a residual test: 25 as in SITB, fewer for short data."""
+    """Return the number of lags of a residual test: 25 as in MATLAB, fewer for short data."""
     return max(min(25, N // 4), 1)
 
 
@@ -148,8 +148,8 @@ def portmanteau(
 
     Q spans the free responses and, on estimation data, also Psi. V = R(0)² N/(N + 2) diag(pairs at
     each lag) is the variance for a known model, as in the test of Ljung and Box. The Lagrange
-    multiplier test has R(0) Z^T Z instead of V. At N = 500 the Lagrange multiplier test rejects 3.5
-    % instead of 5 % of white residuals.
+    multiplier test has R(0) Z^T Z instead of V. At N = 500 and the level 5 %, the Lagrange
+    multiplier test rejects only 3.5 % of white residuals.
 
     M is derived for white residuals. For coloured residuals Z^T Z is far from R(0) N I, and the
     subtracted term may exceed V. M is then indefinite in the directions that show the colour. If
@@ -214,7 +214,7 @@ def portmanteau(
 
 
 def decided(s: Vector, M: Array, V: Vector, N: int) -> Whiteness:
-    """Return the test of the sums s with covariance M, or diag(V) if M is nearly indefinite."""
+    """Return the test of the sums s with weights M^-1, or 1/V if M is nearly indefinite."""
     used = V > 0
     z = s[used] / np.sqrt(V[used])
     value, vector = np.linalg.eigh(M[np.ix_(used, used)] / np.sqrt(np.outer(V[used], V[used])))
@@ -289,7 +289,8 @@ def joint_p_value(s: Array, M: Array, least: float = 1e-8, N: float | None = Non
 
     Directions with less than the share `least` of the largest variance do not count. If N is given,
     the noise variance in M was estimated from N free residuals. Then s^T M^+ s / N has the beta
-    distribution with k/2 and (N - k)/2, k the rank, which chi-squared exceeds for large k.
+    distribution with the parameters k/2 and (N - k)/2, where k is the rank. For large k a
+    chi-squared test would reject too rarely.
     """
     from scipy.special import betainc, chdtrc
 

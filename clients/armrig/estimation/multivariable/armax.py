@@ -41,21 +41,22 @@ def armax(
     nb, nk : int, array_like (ny, nu) or mapping
         As for `arx`.
     integrator : bool, str or sequence of str, default False
-        Outputs with one root of A at exactly 1, so that inputs *and noise* are integrated; True for
-        all outputs. Level and ramp of these outputs are estimated too. For noise that is not
-        integrated, such as sensor noise, use `oe` or `bj` with an integrator. No value of such an
-        output may be missing.
+        Names of the outputs with one root of A at exactly 1, or True for all outputs. Inputs *and
+        noise* of these outputs are integrated. Level and ramp of these outputs are estimated too.
+        For noise that is not integrated, such as sensor noise, use `oe` or `bj` with an integrator.
+        No value of an output with an integrator may be missing.
     initial : {"estimate", "zero"}
-        State at the start of each experiment: estimated, or at rest.
+        With "estimate" the state at the start of each experiment is estimated. With "zero" each
+        experiment starts at rest.
     shared : {"", "denominator"}
-        With "denominator" all outputs have one A, and the outputs are weighted by the covariance
-        of e. For an output with an integrator, A is multiplied by 1 - q^-1; this root does not
-        count in na.
+        With "denominator" all outputs have the same A, and the outputs are weighted by the inverse
+        of the covariance of e. For an output with an integrator, A is multiplied by 1 - q^-1; this
+        root does not count in na.
 
     Returns
     -------
     MultivariableFit
-        Without a shared denominator each output is estimated alone.
+        Without a shared denominator each output is estimated separately.
 
     Raises
     ------

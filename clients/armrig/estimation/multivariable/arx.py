@@ -30,9 +30,10 @@ _SAME_TOLERANCE = 1e-8  # relative change of Lambda at which the iteration ends
 def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> MultivariableFit:
     """Estimate A and B in A(q) y(t) = B(q) u(t) + e(t) with full matrices of polynomials.
 
-    The rows are seemingly unrelated regressions: they are weighted by the covariance Lambda of e,
-    which is estimated from the residuals, and both are iterated. If all rows have the same
-    regressors, the weights do not matter. Rows with a missing y or past y are not used.
+    The equations of the outputs are seemingly unrelated regressions. They are weighted by the
+    inverse of Lambda, the covariance of e. Lambda is estimated from the residuals, and parameters
+    and Lambda are iterated. If all outputs have the same regressors, the weights have no effect.
+    Rows that contain a missing y are not used.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ def arx(data: Signals, *, na: Any, nb: Any, nk: Any = 1) -> MultivariableFit:
     nb : int, array_like (ny, nu) or mapping
         Number of b's for each output and input, >= 0; 0 if the input does not affect the output.
     nk : int, array_like (ny, nu) or mapping, default 1
-        Samples before each input reaches each output; 0 is a direct term.
+        Number of samples before each input reaches each output; 0 means a direct term.
 
     Returns
     -------

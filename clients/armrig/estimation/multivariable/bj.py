@@ -36,16 +36,18 @@ def bj(
     nc, nd : int, array_like (ny,) or mapping
         Numbers of coefficients of C and D of each output.
     integrator : bool, str or sequence of str, default False
-        Outputs with one root of F at exactly 1. The noise is added to the integrated output.
+        Names of the outputs with one root of F at exactly 1, or True for all outputs. The noise is
+        added to the integrated output.
     initial : {"estimate", "zero"}
-        State at the start of each experiment: estimated, or at rest.
+        With "estimate" the state at the start of each experiment is estimated. With "zero" each
+        experiment starts at rest.
     shared : {"", "denominator"}
-        With "denominator" all outputs and inputs have one F, of order `nf`, as for `oe`.
+        With "denominator" all outputs and inputs have the same F, of order `nf`, as for `oe`.
 
     Returns
     -------
     MultivariableFit
-        Without a shared denominator each output is estimated alone.
+        Without a shared denominator each output is estimated separately.
 
     Raises
     ------

@@ -17,7 +17,7 @@ _CIRCLE_TOLERANCE = 1e-6
 
 
 def origin(data: Signals) -> dict[str, Any]:
-    """Return names, units, sampling time and history by the names of the fields of a fit."""
+    """Return names, units, sampling time and history of the data, by the field names of a fit."""
     return {
         "inputs": data.inputs,
         "outputs": data.outputs,
@@ -55,7 +55,7 @@ def poor_fits(data: Signals, quality: Sequence[OutputQuality]) -> Iterator[Estim
 
 
 def require_informative(data: Signals) -> None:
-    """Refuse an output that never moves, and inputs that are combinations of each other."""
+    """Refuse constant signals, and inputs that are linear combinations of other inputs."""
     data.equidistant()
     for i, name in enumerate(data.outputs):
         y = data.y[data.valid[:, i], i]

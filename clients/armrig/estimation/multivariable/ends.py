@@ -1,4 +1,4 @@
-"""Order of the ends of searches from several start values."""
+"""Order of the results of searches from several start values."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ End = TypeVar("End")
 
 
 def ranked(ends: Iterable[End], criterion: Callable[[End], float]) -> list[End]:
-    """Return the ends, best first; ends at the same minimum keep their order.
+    """Return the results of searches, best first; results at the same minimum keep their order.
 
-    Rounding errors decide which of two searches ends lower at the same minimum, and they differ
-    from processor to processor.
+    If two searches reach the same minimum, rounding errors decide which cost is lower. Rounding
+    errors differ from processor to processor.
 
     Parameters
     ----------
     criterion : callable
-        Logarithm of the cost of an end.
+        Function that returns the logarithm of the cost of a result.
     """
     found = list(ends)
     values = np.array([criterion(end) for end in found])

@@ -1,9 +1,9 @@
 """Covariance and whiteness of a model with several outputs.
 
-The error of an estimate is the sum of H_i(t) e_i(t) over time t and outputs i, with the influence
-H_i (N, d). If e is white with covariance Lambda, the covariance of the estimate is the sum of
-Lambda_ij H_i^T H_j. The sandwich form replaces Lambda by the covariance of the residuals over time,
-or estimates the covariance of the sums from the scores H_i(t) e_i(t).
+The error of an estimate is the sum of H_i(t) e_i(t) over time t and outputs i. H_i (N, d) is the
+influence of e_i on the estimate. If e is white with covariance Lambda, the covariance of the
+estimate is the sum of Lambda_ij H_i^T H_j. The sandwich form replaces Lambda by the autocovariance
+of the residuals, or it estimates the covariance of the sum directly from the scores H_i(t) e_i(t).
 
 References
 ----------
@@ -49,7 +49,7 @@ class OutputResiduals:
     y: Array
     """Measured output (N,)."""
     H: Array
-    """Influence (N, d); 0 in rows without a residual."""
+    """Influence of e on the parameters (N, d); 0 in rows without a residual."""
     Psi: Array
     """Derivatives of the prediction with respect to the parameters of this output, (N, d_i); 0 in
     rows without a residual."""
@@ -71,7 +71,7 @@ class Inference:
     """Loss, fit and whiteness of each output."""
 
     def fields(self) -> dict[str, Any]:
-        """Return the values by the names of the fields of a fit."""
+        """Return the fields of this result that a `MultivariableFit` also has, by name."""
         names = ("covariance", "covariance_robust", "noise_covariance", "quality")
         return {name: getattr(self, name) for name in names}
 
@@ -86,7 +86,8 @@ def inferred(
     experiments : sequence of sequence of OutputResiduals
         Residuals of each experiment and output.
     parameters : sequence of float
-        Number of parameters that were fitted to each output; a shared parameter counts in parts.
+        Number of parameters that were fitted to each output; a parameter shared by k outputs counts
+        1/k for each output.
     score : {"exogenous", "correlated"}
         "exogenous" assumes that the influence is independent of the noise.
     """
@@ -116,13 +117,13 @@ def inferred(
 
 
 def covariance_of(experiments: Sequence[Sequence[OutputResiduals]], inflation: Array) -> Array:
-    """Return the covariance of the residuals, from the instants with both outputs measured."""
+    """Return the covariance of the residuals, for each pair from instants with both measured."""
     e = np.vstack([np.column_stack([r.e for r in of]) for of in experiments])
     return np.asarray(pairwise_covariance(e) * np.sqrt(np.outer(inflation, inflation)))
 
 
 def pairwise_covariance(e: Array) -> Array:
-    """Return the covariance of e (N, ny) about 0, positive definite; NaN is missing."""
+    """Return the positive definite covariance of e (N, ny) about 0; a missing value is NaN."""
     known = np.isfinite(e)
     x, mark = np.where(known, e, 0.0), known.astype(np.float64)
     pairs = np.maximum(mark.T @ mark, 1.0)
@@ -171,13 +172,13 @@ def _filtered(C: Array, e: Array) -> Array:
 
 
 def _correlated(experiments: Sequence[Sequence[OutputResiduals]]) -> Array:
-    """Return the sandwich from the sums of successive scores, by Newey and West."""
+    """Return the sandwich form by Newey and West's method, from sums of successive scores."""
     scores = [np.sum([r.H * np.nan_to_num(r.e)[:, None] for r in of], axis=0) for of in experiments]
     return correlated_score(scores, [np.ones(s.shape[0]) for s in scores])
 
 
 def _quality(parts: Sequence[OutputResiduals], N: int) -> OutputQuality:
-    """Return the quality for one output."""
+    """Return loss, fit and whiteness of one output."""
     e = np.concatenate([r.e for r in parts])
     y = np.concatenate([r.y for r in parts])
     known = np.isfinite(e)
@@ -196,7 +197,7 @@ def _quality(parts: Sequence[OutputResiduals], N: int) -> OutputQuality:
 
 
 def quality_of(residuals: Sequence[Array], y: Sequence[Array], parameters: float) -> OutputQuality:
-    """Return the quality for one output from its residuals alone, with a test of Ljung and Box.
+    """Return loss, fit and whiteness (Ljung-Box test) of one output, from its residuals alone.
 
     Parameters
     ----------

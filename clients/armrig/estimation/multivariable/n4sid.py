@@ -1,4 +1,4 @@
-"""Subspace estimates with several inputs and outputs, and their deviations by a bootstrap."""
+"""Subspace estimates with several inputs and outputs, and their covariance by a bootstrap."""
 
 from __future__ import annotations
 
@@ -82,24 +82,28 @@ def n4sid(
     data : Signals
         N samples of nu inputs and ny outputs. Windows with a missing output are not used.
     order : int, optional
-        Number of states, >= 1. The default is the order of least MDL of the one-step errors.
+        Number of states, >= 1. By default MDL of the one-step errors selects the order.
     weights : {"cva", "moesp", "n4sid"}
         Weights of the projection, as for one input and output.
     nk : int or sequence of int, default 1
-        Samples before each input reaches the outputs; 0 for all inputs is a direct term D.
+        Number of samples before each input reaches the outputs. With 0 for all inputs the model has
+        a direct term D.
     horizon : int, optional
-        Number of past and of future samples; by default at least 10 and twice the order.
+        Number of past and of future samples; by default the larger of 10 and twice the order, or
+        less for short data.
     replicates : int, default 100
-        Number of simulated data sets for the covariance. Each is simulated from the model, and its
-        model is estimated in the same way. The errors are drawn from an autoregression of the
-        model's one-step errors. With 0 the covariance is NaN.
+        Number of simulated data sets for the covariance. Each data set is simulated from
+        the model, and a model is estimated from it in the same way. The errors of the simulation
+        are drawn from an autoregression of the model's one-step errors. With 0 the covariance is
+        NaN.
     seed : int, default 0
         Seed of the drawn errors.
 
     Returns
     -------
     MultivariableFit
-        The covariance is that of the replicates' impulse responses, as changes of the matrices.
+        The covariance describes the scatter of the replicates' impulse responses, converted to
+        changes of the matrices.
 
     Raises
     ------
@@ -165,7 +169,7 @@ def _horizon(data: Signals, order: int | None) -> int:
 
 
 def _suggested_order(found: Projected) -> int:
-    """Return the order of least MDL of the one-step errors of the states."""
+    """Return the order that minimises MDL of the one-step errors."""
     w = found
     most = min(_MAX_SUGGESTED_ORDER, (w.horizon - 1) * w.ny)
     y = w.R[:, w.columns("yf")[: w.ny]]
@@ -185,9 +189,9 @@ def _estimated(
 ) -> tuple[_Model, list[Array]]:
     """Return the model with given A, C and K, and its one-step errors, NaN where y is missing.
 
-    Where an output is missing, the predictor uses its own prediction. The first predictions are
-    simulated outputs plus the error of the simulation, interpolated over the gap. Predictions
-    replace them as long as the one-step errors decrease.
+    Where an output is missing, the predictor uses its own prediction. The first values are
+    simulated outputs plus the simulation error, interpolated over the gap. Predictions then replace
+    these values as long as the one-step errors decrease.
     """
     outputs = [y for _, y in signals]
     known = outputs
@@ -231,7 +235,7 @@ def _completed(
 ) -> tuple[_Model, list[Array]]:
     """Return the B, D and initial states that minimise the one-step errors, and the predictions.
 
-    The predictor uses the outputs `known`; the errors are those of the outputs of the signals.
+    The predictor uses the outputs `known`; the errors are computed from the outputs in `signals`.
     """
     Abar = reflected_matrix(A - K @ C)
     feedback = [y @ K.T if K.any() else np.zeros((y.shape[0], A.shape[0])) for y in known]
@@ -264,7 +268,7 @@ def _replicated(
 ) -> Array:
     """Return the covariance of the matrices over the replicates, in the model's coordinates.
 
-    The state of each replicate has coordinates of its own, but impulse responses do not depend on
+    The state of each replicate has its own coordinates, but impulse responses do not depend on
     coordinates. The replicate is therefore replaced by the smallest change of the model's matrices
     that gives the impulse responses of the replicate.
     """
@@ -312,7 +316,7 @@ def _by_matrices(model: _Model, length: int) -> Array:
 
 
 def _of(theta: Array, like: _Model) -> _Model:
-    """Return the model with the entries theta."""
+    """Return the model whose matrices have the entries theta."""
     shapes = [M.shape for M in (like.A, like.B, like.C, like.D, like.K)]
     parts = np.split(theta, np.cumsum([a * b for a, b in shapes])[:-1])
     A, B, C, D, K = (p.reshape(shape) for p, shape in zip(parts, shapes, strict=True))

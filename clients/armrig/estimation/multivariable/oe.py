@@ -27,26 +27,28 @@ def oe(
     Parameters
     ----------
     data : Signals
-        N samples of nu inputs and ny outputs. A missing y removes only its own equation.
+        N samples of nu inputs and ny outputs. A missing y removes only the equation of its own
+        sample.
     nb, nf : int, array_like (ny, nu) or mapping
         Numbers of coefficients for each output and input. nb is 0 if the input does not affect the
         output. The root of an integrator counts in nf, except with a shared denominator.
     nk : int, array_like (ny, nu) or mapping, default 1
-        Samples before each input reaches each output; 0 is a direct term.
+        Number of samples before each input reaches each output; 0 means a direct term.
     integrator : bool, str or sequence of str, default False
-        Outputs with one root of F at exactly 1; True for all outputs. Level and ramp of these
-        outputs are estimated too.
+        Names of the outputs with one root of F at exactly 1, or True for all outputs. Level and
+        ramp of these outputs are estimated too.
     initial : {"estimate", "zero"}
-        State at the start of each experiment: estimated, or at rest.
+        With "estimate" the state at the start of each experiment is estimated. With "zero" each
+        experiment starts at rest.
     shared : {"", "denominator"}
-        With "denominator" all outputs and inputs have one F, of order `nf`, and the outputs are
-        weighted by the covariance of e. For an output with an integrator, F is multiplied by
-        1 - q^-1; this root does not count in nf.
+        With "denominator" all outputs and inputs have the same F, of order `nf`, and the outputs
+        are weighted by the inverse of the covariance of e. For an output with an integrator, F is
+        multiplied by 1 - q^-1; this root does not count in nf.
 
     Returns
     -------
     MultivariableFit
-        Without a shared denominator each output is estimated alone.
+        Without a shared denominator each output is estimated separately.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Orders of ARX models of several signals, a table for each output."""
+"""Orders of ARX models of several signals, with a table for each output."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class OrderTables:
     """A table of ARX structures for each output: `tables["alpha"]`."""
 
     tables: Mapping[str, OrderTable]
-    """Table for each output; with given delays, its nk is the least delay of the output."""
+    """Table for each output; with given delays, nk in the table is the output's least delay."""
     delays: Mapping[str, tuple[int, ...]]
-    """Given delay of each input, for each output; empty if nk was compared."""
+    """Given delay of each input, for each output; empty if several delays were compared."""
 
     def __post_init__(self) -> None:
         """Make the mappings read-only."""
@@ -44,9 +44,10 @@ class OrderTables:
         return len(self.tables)
 
     def best(self, criterion: Criterion | None = None) -> dict[str, Any]:
-        """Return the orders of `arx` that a criterion chooses: na, nb and nk with a row each.
+        """Return the orders na, nb and nk of `arx` that a criterion chooses, a row for each output.
 
-        A row of na contains the chosen number for each output.
+        In the row of an output, na is the chosen number for this output and 0 for the other
+        outputs.
         """
         best = {name: table.best(criterion) for name, table in self.tables.items()}
         chosen = [*best.values()]
@@ -72,7 +73,7 @@ class _Row:
     """Inputs and one output of an experiment."""
 
     u: Array
-    """Inputs (N, nu), NaN before the delayed ones begin."""
+    """Delayed inputs (N, nu), NaN before the first known value."""
     y: Array
     """Output (N,), NaN where it is missing."""
 
@@ -86,9 +87,9 @@ def select_orders(
 ) -> OrderTables:
     """Return the losses of ARX structures for each output, with all inputs.
 
-    All inputs of an output have the same nb, and the past of the other outputs is left out. The
-    number of combinations would grow with the power of the number of channels otherwise. For the
-    same reason, all inputs of an output have the same nk, unless the delays are given.
+    All inputs of an output have the same nb, and past values of the other outputs are left out.
+    Otherwise the number of combinations would grow exponentially with the number of channels. For
+    the same reason, all inputs of an output have the same nk, unless the delays are given.
 
     Parameters
     ----------
@@ -105,7 +106,7 @@ def select_orders(
     Returns
     -------
     OrderTables
-        `OrderTable` of each output; `armrig.arx(data, **tables.best())` estimates the choice.
+        `OrderTable` of each output; `armrig.arx(data, **tables.best())` estimates the chosen model.
     """
     if validation is not None:
         require_same_rate(data.equidistant(), validation.equidistant())

@@ -1,6 +1,7 @@
-"""Orders of a model with several inputs and outputs: one for each channel or output.
+"""Orders of a model with several inputs and outputs: one order for each channel or output.
 
-An order is an integer for all, an array with a row for each output, or a mapping by names.
+An order is given as an integer for all channels, as an array with a row for each output, or as a
+mapping by names.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def _matrix(name: str, value: Any, keys: list[list[Any]], least: int, what: str)
 
 
 def _named(name: str, value: Mapping[Any, Any], keys: list[Any], least: int) -> Integers:
-    """Return the orders of all keys; nk of a channel that is not named is 1."""
+    """Return the orders of all keys; a channel that `value` does not name has nk = 1."""
     unknown = [key for key in value if key not in keys]
     missing = [key for key in keys if key not in value] if name != "nk" else []
     if unknown or missing:
@@ -79,7 +80,7 @@ def _checked(name: str, values: Any, least: int) -> Integers:
 
 
 def as_text(**orders: Integers) -> str:
-    """Return orders as text; an order that is the same everywhere is one number."""
+    """Return orders as text; if all channels have the same order, the text has one number."""
     return ", ".join(f"{name}={_short(value)}" for name, value in orders.items())
 
 

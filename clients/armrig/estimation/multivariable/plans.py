@@ -22,7 +22,7 @@ def integrating_outputs(integrator: bool | str | Sequence[str], data: Signals) -
     Raises
     ------
     ValueError
-        There is no such output.
+        `integrator` names an unknown output.
     """
     if isinstance(integrator, bool):
         return (integrator,) * data.ny
@@ -44,7 +44,7 @@ def plans_of(
     shared: Shared,
     equation_error: bool = False,
 ) -> list[Plan]:
-    """Return one plan for each output, or one for all outputs with a shared denominator.
+    """Return one plan for each output, or one plan for all outputs with a shared denominator.
 
     Parameters
     ----------

@@ -1,16 +1,16 @@
 """Prediction-error problem of y_i = sum of B_ij/F_ij u_j + C_i/D_i e_i, for one output or several.
 
-For given C, D and F the prediction errors are linear in B and in all unknown quantities. These are
-the state of each 1/F, the state of each C/D, and the trend of an integrating output. The search is
-therefore over the coefficients of C, D and F only. This is variable projection, as in
-`armrig.estimation.prediction_error`.
+For given C, D and F the prediction errors are linear in B and in the unknown quantities. These
+quantities are the state of each 1/F, the state of each C/D, and the trend of an integrating output.
+The search is therefore over the coefficients of C, D and F only. This method is variable
+projection, as in `armrig.estimation.prediction_error`.
 
-Several of these polynomials may be the same polynomial. In an ARMAX model, all F of a row equal the
-D of the row. With a shared denominator, all F of all rows are equal. The rows are then whitened by
-the covariance of their noise.
+Several of these polynomials may be identical. In an ARMAX model, all F of a row equal the D of the
+row. With a shared denominator, all F of all rows are equal. The rows are then whitened by the
+covariance of their noise.
 
 After a missing sample the prediction error has a larger variance, s(t) times the variance of e; see
-`NoiseFilter`. The cost is the sum of e(t)²/s(t), times the geometric mean of s(t). This is the
+`NoiseFilter`. The cost is the sum of e(t)²/s(t), times the geometric mean of s(t). This cost is the
 likelihood, concentrated with respect to the variance of e.
 
 References
@@ -52,7 +52,7 @@ class Row:
     """Orders of the equation of one output; polynomials are given by their index."""
 
     nb: tuple[int, ...]
-    """Coefficients of B for each input; 0 if the input does not affect the output."""
+    """Number of coefficients of B for each input; 0 if the input does not affect the output."""
     nk: tuple[int, ...]
     """Samples before each input reaches the output."""
     f: tuple[int, ...]
@@ -73,7 +73,7 @@ class Row:
         return range(self.nk[j], self.nk[j] + self.nb[j])
 
     def groups(self) -> dict[int, tuple[int, ...]]:
-        """Return the inputs of each polynomial F, by its index."""
+        """Return the inputs that use each polynomial F, by the index of F."""
         used = dict.fromkeys(f for f, n in zip(self.f, self.nb, strict=True) if n)
         return {g: tuple(j for j, n in enumerate(self.nb) if n and self.f[j] == g) for g in used}
 
@@ -155,18 +155,18 @@ class Solution:
     """Least-squares solution for given C, D and F."""
 
     b: tuple[Array, ...]
-    """Coefficients of B of each row, all inputs, (sum of nb,)."""
+    """Coefficients of B of all inputs, for each row, (sum of nb,)."""
     rank: int
     """Number of b's that the data determine."""
     experiments: tuple[tuple[RowSolution, ...], ...]
     """Solution of each experiment and row."""
     states: tuple[Basis, ...]
-    """Basis of the whitened unknown state of each experiment."""
+    """Basis of the whitened responses to the unknown state, for each experiment."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PolynomialProblem:
-    """Problem min sum of e^T inv(Lambda) e over all rows, experiments and polynomials."""
+    """Minimisation of the sum of e^T inv(Lambda) e over time and experiments."""
 
     rows: tuple[Row, ...]
     """Equation of each output."""
@@ -209,7 +209,7 @@ class PolynomialProblem:
         return float(e @ e)
 
     def linearise(self, theta: Array) -> tuple[Array, Array]:
-        """Return the scaled errors e and their negative derivatives J, with |e|² the cost."""
+        """Return the scaled errors e and their negative derivatives J; |e|² is the cost."""
         equations = self._equations(theta)
         scales = self._scales(equations)
         states, X, y = self._without_states(equations, scales)
@@ -246,7 +246,7 @@ class PolynomialProblem:
         return all(stable(p) for p, bounded in pairs if bounded)
 
     def inside(self, theta: Array, previous: Array) -> Array:
-        """Return theta with the roots of C and F outside the unit circle moved into it."""
+        """Return theta with each root of C and F outside the unit circle moved into the circle."""
         triples = zip(
             self.polynomials(theta), self.polynomials(previous), self.bounded, strict=True
         )
@@ -398,7 +398,7 @@ def integrated(M: Array) -> Array:
 
 
 def _padded(responses: Array, counts: dict[int, int], k: int, N: int) -> Array:
-    """Return the pulses of group k as a signal (N,)."""
+    """Return the pulses for the k-th polynomial F as a signal (N,)."""
     begins = np.cumsum([0, *counts.values()])
     x = np.zeros(N)
     own = responses[begins[k] : begins[k + 1]][:N]

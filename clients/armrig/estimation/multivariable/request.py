@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from armrig.models.multivariable.fit import MultivariableFit
 
 _COUNTS_INTEGRATOR = ("na", "nb", "nf")
-"""Orders that are one less for an output that does not integrate."""
+"""Orders that are lower by one for an output that does not integrate."""
 _DENOMINATORS = ("na", "nf")
 """Orders of the denominators."""
 
@@ -28,8 +28,8 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
     """A structure with its orders, which all outputs and inputs have in common.
 
     The orders also count the root at 1 of an integrating output. The orders na, nb and nf of the
-    other outputs are then one less, as for the rig. Its transfer function to alpha has one pole and
-    one coefficient of B less than that to theta_1.
+    other outputs are then lower by one. The rig is an example. Its transfer function to alpha has
+    one pole and one coefficient of B less than its transfer function to theta_1.
     """
 
     structure: CommandName
@@ -38,7 +38,7 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
     nk: int = 1
     weights: Weights | None = None
     noise: bool = True
-    """True if a state space also has the gain K of the innovations."""
+    """True if a state-space model also has the gain K of the innovations."""
     integrating: tuple[str, ...] = ()
     """Outputs with a pole at exactly 1."""
     shared: bool = False
@@ -68,7 +68,7 @@ class SignalsRequest(msgspec.Struct, frozen=True, kw_only=True):
         return orders | {"nk": self.nk} | {name: x for name, x in options.items() if name in takes}
 
     def _without_root(self, name: str, n: int, data: Signals) -> Any:
-        """Return an order of each channel, one less without an integrator."""
+        """Return an order of each channel, lower by one for an output without an integrator."""
         if name in _DENOMINATORS and self.shared:
             return n - 1
         others = [output for output in data.outputs if output not in self.integrating]

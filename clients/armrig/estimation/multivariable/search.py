@@ -39,12 +39,12 @@ from armrig.numerics.polynomial import Array
 
 _MAX_ROUNDS = 10
 _SAME_TOLERANCE = 1e-6  # relative change of Lambda at which the iteration from a start ends
-_END_TOLERANCE = 1e-10  # relative change of Lambda at which the iteration from the best end ends
+_END_TOLERANCE = 1e-10  # relative change of Lambda at which the last iteration ends
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """Rows that are estimated together, with their polynomials."""
+    """Rows (equations of outputs) that are estimated together, with their polynomials."""
 
     outputs: tuple[int, ...]
     """Index of the output of each row."""
@@ -76,7 +76,7 @@ def estimated(
     shared: bool = False,
     equation_error: bool = False,
 ) -> MultivariableFit:
-    """Return the model of the lowest minimum of each plan.
+    """Return the model at the lowest minimum of each plan.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def estimated(
     orders : str
         Orders as text.
     equation_error : bool
-        True if F and D of each row are its A, as in an ARMAX model.
+        True if F and D of each row are both the A of this row, as in an ARMAX model.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def estimated(
 
 
 def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
-    """Return the estimate of the rows of one plan; Lambda is iterated for several rows."""
+    """Return the estimate of the rows of one plan; with several rows, Lambda is iterated."""
     parts = list(data.experiments())
     experiments = tuple(
         tuple(
@@ -159,10 +159,11 @@ def _estimated(data: Signals, plan: Plan, orders: str) -> _Estimated:
 def _reweighted(
     problem: PolynomialProblem, masks: Sequence[Array], ends: Sequence[tuple[str, Optimum]]
 ) -> tuple[PolynomialProblem, list[tuple[str, Optimum]]]:
-    """Return the ends with Lambda iterated from each of them, and the problem of the best one.
+    """Return the problem of the best minimum, and the minima after Lambda is iterated.
 
-    The best end has the least det Lambda. With the first Lambda, the variances of the outputs, it
-    need not be the first one: an output that integrates then has little weight.
+    Lambda is iterated from each of the minima `ends`. The best minimum has the least det Lambda. It
+    need not be the first of `ends`, which were found with the variances of the outputs as Lambda.
+    With this Lambda, an output that integrates has little weight.
     """
     found = [(name, *_iterated(problem, masks, end, _SAME_TOLERANCE)) for name, end in ends]
     found = ranked(found, lambda one: one[1])
@@ -174,7 +175,7 @@ def _reweighted(
 def _iterated(
     problem: PolynomialProblem, masks: Sequence[Array], end: Optimum, tolerance: float
 ) -> tuple[float, PolynomialProblem, Optimum]:
-    """Return log det Lambda, the problem and its minimum, with Lambda iterated from an end."""
+    """Return log det Lambda, the problem and its minimum, after Lambda is iterated from `end`."""
     Lambda = _covariance(problem, masks, end.theta)
     for _ in range(_MAX_ROUNDS):
         problem = replace(problem, weights=tuple(whitening(Lambda, m) for m in masks))
@@ -250,7 +251,7 @@ def _inference(data: Signals, found: Sequence[_Estimated]) -> Inference:
 
 
 def _parameters(data: Signals, found: Sequence[_Estimated]) -> list[float]:
-    """Return the number of parameters of each output; a shared one counts in parts."""
+    """Return the number of parameters of each output; a shared parameter counts in parts."""
     counts = [0.0] * data.ny
     for one in found:
         users = [
@@ -266,7 +267,7 @@ def _parameters(data: Signals, found: Sequence[_Estimated]) -> list[float]:
 def _form(
     data: Signals, found: Sequence[_Estimated], *, equation_error: bool
 ) -> tuple[Array, Polynomials]:
-    """Return the derivatives of the model's theta by the parameters of all plans, and the model."""
+    """Return the derivatives of theta with respect to all plans' parameters, and the model."""
     ny, nu = data.ny, data.nu
     rows: dict[int, dict[str, Any]] = {}
     blocks: dict[int, list[Array]] = {}

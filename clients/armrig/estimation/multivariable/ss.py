@@ -72,7 +72,7 @@ class _End:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Criterion:
-    """Criterion of the search: log det Lambda, or the mean of e^T inv(Lambda) e of a given one."""
+    """Criterion of the search: log det Lambda, or mean e^T inv(Lambda) e for a given Lambda."""
 
     given: Array | None
 
@@ -99,19 +99,21 @@ def ss(
 ) -> MultivariableFit:
     """Estimate A, B, C, D and K of x(t+1) = A x + B u + K e, y = C x + D u + e.
 
-    The search minimises log det of the covariance of the prediction errors, or the sum of w_i e_i²
-    with given weights. Inputs and outputs are scaled inside, so that units do not matter. The poles
-    of the predictor, the eigenvalues of A - K C, are inside the unit circle.
+    The search minimises log det of the covariance of the prediction errors, or, with given weights
+    w_i, the sum of w_i e_i². Inputs and outputs are scaled internally, so that the result does not
+    depend on their units. The poles of the predictor, the eigenvalues of A - K C, are inside the
+    unit circle.
 
     Parameters
     ----------
     data : Signals
-        N samples of nu inputs and ny outputs. After a missing y, a Kalman filter predicts; the
-        search then takes about ten times as long.
+        N samples of nu inputs and ny outputs. After a missing y, a Kalman filter computes the
+        predictions. The search then takes about ten times as long.
     order : int, optional
         Number of states, >= 1; by default the order that `n4sid` chooses.
     nk : int or sequence of int, default 1
-        Samples before each input reaches the outputs; 0 for all inputs is a direct term D.
+        Number of samples before each input reaches the outputs. With 0 for all inputs the model has
+        a direct term D.
     noise : bool, default True
         Estimate K. With False the model is an output-error model, K = 0.
     output_weights : sequence of float, optional
@@ -227,7 +229,7 @@ def ss(
 
 
 def _filled(data: Signals, order: int, nk: int | Sequence[int]) -> Signals:
-    """Return the data with each missing output replaced by that of an output-error model."""
+    """Return the data with missing outputs replaced by the output of an output-error model."""
     simulated = ss(data, order=order, nk=nk, noise=False).predict(data, horizon=None)
     y = np.where(data.valid, data.y, simulated)
     return data.replaced(step=None, y=y, valid=np.isfinite(y))
@@ -258,10 +260,11 @@ def _weighted(problem: StateSpaceProblem, Lambda: Array) -> StateSpaceProblem:
 def _searched(
     problem: StateSpaceProblem, signals: Sequence[tuple[Array, Array]], criterion: _Criterion
 ) -> list[_End]:
-    """Return the ends of the searches from all starts, best first.
+    """Return the results of the searches from all start values, best first.
 
-    All starts are searched for some rounds, and the best ones to the end. For long data the first
-    rounds use a part of the data. A mode of the best end is moved as long as that improves it.
+    Every search runs for some rounds, and the best searches continue until they converge. For long
+    data the first rounds use a part of the data. A mode of the best model is moved as long as the
+    criterion decreases.
     """
     part = _part(problem)
     ends = _tried(part, _begun(part, starts(problem, signals), criterion), criterion)
@@ -291,7 +294,7 @@ def _begun(
 
 
 def _tried(problem: StateSpaceProblem, ends: list[_End], criterion: _Criterion) -> list[_End]:
-    """Return the distinct ends after some rounds, best first."""
+    """Return the distinct searches after some rounds, best first."""
     for _ in range(_TRIED_ROUNDS):
         ends = _different(
             [_round(problem, end, criterion, _TRIED_STEPS, _TRIED_TOLERANCE) for end in ends]
@@ -312,7 +315,7 @@ def _part(problem: StateSpaceProblem) -> StateSpaceProblem:
 
 
 def _different(ends: list[_End]) -> list[_End]:
-    """Return the ends, best first, without those that reached the criterion of a better one."""
+    """Return the searches with distinct criteria, best first."""
     kept: list[_End] = []
     for end in sorted(ends, key=lambda end: end.criterion):
         if not kept or end.criterion > kept[-1].criterion + _DISTINCT:
@@ -393,7 +396,7 @@ def _form(
 
 
 def _influence(problem: StateSpaceProblem, best: _End, linear: Linear) -> Array:
-    """Return the derivatives of the whitened predictions, without the states at the start."""
+    """Return the derivatives of the whitened predictions; initial states are projected out."""
     V = tangent(best.Abar, best.C)
     by = problem.derivatives(best.Abar, best.C, linear, V)
     along = [

@@ -1,4 +1,4 @@
-"""Start values of a search: denominators from the contribution of each input, then the noise.
+"""Start values of a search: denominators from the contribution of each input, then noise models.
 
 An ARX model of high order gives the contribution of each input to each output, without most of the
 noise. Steiglitz and McBride's iteration then fits B/F to each contribution; channels with the same
@@ -54,7 +54,7 @@ def start_values(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
 
 
 def _denominators(problem: PolynomialProblem) -> Iterator[tuple[str, Array]]:
-    """Yield named start values with denominators only."""
+    """Yield named start values in which only the denominators are set."""
     groups = [g for g in dict.fromkeys(f for row in problem.rows for f in row.f) if g != ONE]
     if not groups:
         return
@@ -78,9 +78,9 @@ _Paths = dict[int, list[_Path]]
 def _paths(problem: PolynomialProblem) -> tuple[_Paths, _Paths, _Paths]:
     """Return the equations of each denominator, in three forms.
 
-    In the first form the output is the contribution of one input. In the second form it is y minus
-    the contributions of all other inputs. In the third form it is y with all inputs; only a row
-    whose inputs have one denominator has this form.
+    In the first form the output is the contribution of one input. In the second form the output is
+    y minus the contributions of all other inputs. In the third form the output is y, and the
+    equation has all inputs. Only a row whose inputs share one denominator has this form.
     """
     alone: _Paths = {}
     rest: _Paths = {}
@@ -102,7 +102,7 @@ def _paths(problem: PolynomialProblem) -> tuple[_Paths, _Paths, _Paths]:
 
 
 def _differenced(x: RowData) -> RowData:
-    """Return the signals of the equation of the rate of an integrating output."""
+    """Return the signals for the equation of an integrating output's rate."""
     y = np.diff(_filled(x), prepend=_filled(x)[:1])
     return RowData(u=np.diff(x.u, axis=0, prepend=0.0), y=y, rows=np.ones_like(x.rows))
 

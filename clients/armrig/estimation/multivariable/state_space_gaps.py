@@ -1,8 +1,8 @@
-"""Prediction-error problem of a state-space model with K, when outputs are missing.
+"""Prediction-error problem of a state-space model with a gain K, for data with missing outputs.
 
 The predictor of complete data has the constant gain K. After a missing output the state is not
 known exactly, and the predictor is a Kalman filter. P(t) is the covariance of the state, given the
-outputs measured before t; o marks the outputs measured at t ::
+outputs measured before t. The index o marks the outputs measured at t ::
 
     nu(t) = y_o(t) - C_o x(t) - D_o u(t),    S(t) = C_o P(t) C_o^T + Lambda_oo
     G(t) = (A P(t) C_o^T + K Lambda_o) inv(S(t))
@@ -45,7 +45,7 @@ _LIKELIHOOD_TOLERANCE = 1e-3  # change of -2 log likelihood at which the search 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapProblem:
-    """Problem of all parameters of a predictor, with outputs missing."""
+    """Minimisation over all parameters of a predictor, with missing outputs."""
 
     parts: tuple[Part, ...]
     """Signals of each experiment, whitened by `Lambda`."""
@@ -57,8 +57,8 @@ class GapProblem:
     def errors(self, predictors: Sequence[Predictor]) -> tuple[Array, Array]:
         """Return the whitened errors and the mean of log det(S inv(Lambda_oo)) of each predictor.
 
-        The errors (m, N ny) are output after output within each experiment, and 0 where an output
-        is missing. The mean is over all measured values, (m,).
+        The errors (m, N ny) are ordered by experiment and then by output. An error is 0 where the
+        output is missing. The mean is over all measured values, (m,).
         """
         found, logs, count = [], np.zeros(len(predictors)), 0
         for i, part in enumerate(self.parts):
@@ -118,8 +118,8 @@ class GapProblem:
     def moved(self, at: Predictor, V: Array, t: Array) -> Predictor:
         """Return a predictor for coordinates t.
 
-        The coordinates are along the tangent space V of (Abar, C), then Bbar and K signal by
-        signal, then D row by row, then the states at the start.
+        The first coordinates move (Abar, C) along the tangent space V. The other coordinates are
+        changes of Bbar and K signal by signal, of D row by row, and of the initial states.
         """
         n, ny = at.K.shape
         nu = at.Bbar.shape[1]
@@ -137,7 +137,7 @@ class GapProblem:
         )
 
     def linearise(self, at: Predictor, V: Array, t: Array) -> tuple[Array, Array, Array, Array]:
-        """Return errors and mean of the logarithms, each with its derivatives, negative for errors.
+        """Return errors, their negative derivatives, mean of the logarithms, and its derivatives.
 
         The derivatives are numerical.
         """
@@ -146,7 +146,7 @@ class GapProblem:
         return z[0], -(z[1:] - z[0]).T / _STEP, logs[0], (logs[1:] - logs[0]) / _STEP
 
     def minimise(self, at: Predictor, *, most: int) -> tuple[Predictor, Optimum]:
-        """Return the predictor after at most `most` steps."""
+        """Return the predictor after at most `most` steps, and the result of the search."""
         at = at.balanced()
         V = tangent(at.Abar, at.C)
 
@@ -165,7 +165,7 @@ class GapProblem:
         return self.moved(at, V, found.theta), found
 
     def residuals(self, at: Predictor) -> list[Array]:
-        """Return the errors (N, ny) of each experiment, scaled to the covariance of e; NaN is none.
+        """Return the errors (N, ny) of each experiment, scaled to the covariance of e; NaN if none.
 
         An error is scaled by the root of Lambda_oo inv(S), so that its covariance is Lambda_oo.
         """
@@ -184,7 +184,7 @@ class GapProblem:
         return found
 
     def influence(self, at: Predictor) -> Array:
-        """Return the derivatives of the whitened predictions, without the states at the start.
+        """Return the derivatives of the whitened predictions; initial states are projected out.
 
         The columns are the coordinates of `moved`, (ny N, d). The covariance S is held constant.
         """
@@ -197,22 +197,22 @@ class GapProblem:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GapSearch:
-    """End of a search with missing outputs."""
+    """Result of a search with missing outputs."""
 
     problem: GapProblem
-    """Problem with the Lambda of the end."""
+    """Problem with the last estimate of Lambda."""
     predictor: Predictor
-    """Predictor of the end."""
+    """Predictor after the last step."""
     iterations: int
-    """Steps of the search."""
+    """Number of steps of the search."""
     converged: bool
-    """True if the likelihood no longer changed."""
+    """True if the likelihood no longer changed at the end of the search."""
 
 
 def searched(
     signals: Sequence[tuple[Array, Array]], at: Predictor, Lambda: Array, *, direct: bool
 ) -> GapSearch:
-    """Return the minimum that a search from `at` reaches; Lambda is estimated between its steps."""
+    """Return the result of a search from `at`; Lambda is estimated again after every few steps."""
     last, iterations = np.inf, 0
     for _ in range(_MAX_ROUNDS):
         problem = GapProblem(parts=parts_of(signals, Lambda), Lambda=Lambda, direct=direct)

@@ -4,9 +4,10 @@ The predictor is, with Abar = A - K C and Bbar = B - K D ::
 
     x(t+1) = Abar x(t) + Bbar u(t) + K y(t),    yhat(t) = C x(t) + D u(t)
 
-For given Abar and C it is linear in Bbar, K, D and x(0). The search is therefore over Abar and C
-only (variable projection). A change of the state's coordinates does not change the model. The
-search uses the n ny directions orthogonal to these changes, the tangent space of the models.
+For given Abar and C the predictor is linear in Bbar, K, D and x(0). The search is therefore over
+Abar and C only (variable projection). A change of the state's coordinates does not change the
+model. The search uses the n ny directions orthogonal to these changes, the tangent space of the
+models.
 
 References
 ----------
@@ -44,7 +45,7 @@ class Part:
     u: Array
     """Inputs (N, nu)."""
     y: Array
-    """Outputs (N, ny), 0 where one is missing."""
+    """Outputs (N, ny), 0 where an output is missing."""
     rows: Array
     """Mask (N, ny), False where an output is missing."""
     weights: Array
@@ -64,7 +65,7 @@ class Predictor:
     D: Array
     """Direct term (ny, nu)."""
     K: Array
-    """Gain of complete data (n, ny)."""
+    """Gain K for complete data (n, ny)."""
     x0: tuple[Array, ...]
     """State at the start of each experiment, (n,)."""
 
@@ -90,7 +91,7 @@ class Linear:
     K: Array
     """Gain (n, ny); 0 for an output-error model."""
     D: Array
-    """Direct term (ny, nu); 0 without one."""
+    """Direct term (ny, nu); 0 if it is not estimated."""
     x0: tuple[Array, ...]
     """State at the start of each experiment, (n,)."""
     rank: int
@@ -107,7 +108,7 @@ class Linear:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StateSpaceProblem:
-    """Problem min sum of e^T inv(Lambda) e over Abar, C and all linear parameters."""
+    """Minimisation of the sum of e^T inv(Lambda) e over Abar, C and all linear parameters."""
 
     parts: tuple[Part, ...]
     """Signals of each experiment."""
@@ -236,7 +237,7 @@ class StateSpaceProblem:
 
 
 def whitened(part: Part, columns: Array) -> Array:
-    """Return columns (k, ny, N) whitened, with the rows output after output, (ny N, k)."""
+    """Return the whitened columns (k, ny, N) with rows ordered by output, (ny N, k)."""
     k, ny, N = columns.shape
     if part.rows.all():
         white = part.weights[0] @ columns
@@ -261,7 +262,7 @@ def stable_matrix(A: Array) -> bool:
 
 
 def reflected_matrix(A: Array, largest: float = 0.995) -> Array:
-    """Return A with the eigenvalues outside the circle moved into it, for a start value."""
+    """Return A with each eigenvalue outside the circle moved into the circle, for a start value."""
     z, V = np.linalg.eig(A)
     size = np.abs(z)
     if not size.size or size.max() < largest:

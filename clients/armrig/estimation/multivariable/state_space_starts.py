@@ -34,7 +34,7 @@ def starts(
     Raises
     ------
     ValueError
-        The data give no start value.
+        No start value was found.
     """
     n = problem.order
     ny = signals[0][1].shape[1]
@@ -78,8 +78,8 @@ def moved_modes(
 ) -> dict[str, tuple[Array, Array]]:
     """Return Abar and C with one of the weakest modes moved into the widest gap of frequencies.
 
-    A mode is a complex pair of eigenvalues, or two real ones. Each start has another frequency
-    in place of one mode, so that the search can leave a local minimum.
+    A mode is a complex pair of eigenvalues, or two real ones. In each start value one mode has
+    another frequency, so that the search can leave a local minimum.
     """
     z, V = np.linalg.eig(Abar)
     linear = problem.linear(Abar, C)
@@ -121,7 +121,7 @@ def _filled(y: Array) -> Array:
 
 
 def _simulated_impulses(psi: Array, nu: int, length: int) -> Array:
-    """Return the impulse responses (length, ny, nu) from u of a predictor's impulse responses."""
+    """Return the impulse responses (length, ny, nu) from u to y for a predictor's responses psi."""
     lags, ny, _ = psi.shape
     g = np.zeros((length, ny, nu))
     for k in range(length):

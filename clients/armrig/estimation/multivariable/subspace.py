@@ -59,10 +59,10 @@ class Projected:
     ny: int
     """Number of outputs."""
     N: int
-    """Number of instants."""
+    """Number of windows."""
 
     def columns(self, *names: str) -> Array:
-        """Return the columns of "uf", "up", "yp" and "yf" in R, instant after instant."""
+        """Return the indices of the columns "uf", "up", "yp" or "yf" in R, ordered by instant."""
         i, nu, ny = self.horizon, self.nu, self.ny
         widths = {"uf": i * nu, "up": i * nu, "yp": i * ny, "yf": i * ny}
         begins = dict(zip(widths, np.cumsum([0, *widths.values()]).tolist(), strict=False))
@@ -125,7 +125,7 @@ def _windows(signals: Signals, i: int) -> list[Array]:
 
 
 def realised(found: Projected, order: int) -> tuple[Array, Array, Array]:
-    """Return A, C and K for a number of states; K is 0 if there is no steady Kalman filter."""
+    """Return A, C and K for `order` states; K is 0 if there is no steady Kalman filter."""
     n, ny, w = order, found.ny, found
     Gamma = found.U[:, :n] * np.sqrt(found.singular_values[:n])
     shift = np.linalg.pinv(Gamma[:-ny])
@@ -154,7 +154,7 @@ def _gain(A: Array, C: Array, covariance: Array) -> Array:
 
 
 def long_regression(signals: Signals, lags: int, *, direct: bool) -> Array:
-    """Return the coefficients (lags, ny, nu + ny) of yhat on past u and y, by least squares."""
+    """Return the coefficients (lags, ny, nu + ny) of past u and y in a regression of y."""
     blocks, right = [], []
     for u, y in signals:
         s = np.hstack([u, y])
@@ -176,7 +176,8 @@ def from_impulses(impulses: Array, order: int, weights: Array | None = None) -> 
     Parameters
     ----------
     weights : ndarray (m,), optional
-        Effective value of each input, so that the Hankel matrix has the unit of the output.
+        Effective value of each input. With these weights the Hankel matrix has the unit of the
+        output.
     """
     k, ny, m = impulses.shape
     w = np.ones(m) if weights is None else weights

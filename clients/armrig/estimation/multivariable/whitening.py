@@ -29,7 +29,7 @@ def whitening(noise_covariance: Array, rows: Array) -> Array:
 
 
 def spread(G: Array, blocks: Sequence[Array]) -> Array:
-    """Return the whitened sum of columns: blocks (N, k) of all rows to (ny N, k)."""
+    """Return the whitened sum (ny N, k) of the blocks (N, k) of all outputs."""
     ny = len(blocks)
     return np.vstack(
         [np.sum([G[:, i, j, None] * blocks[j] for j in range(ny)], axis=0) for i in range(ny)]
@@ -37,7 +37,7 @@ def spread(G: Array, blocks: Sequence[Array]) -> Array:
 
 
 def spread_apart(G: Array, blocks: Sequence[Array]) -> Array:
-    """Return whitened columns side by side: blocks (N, k_i) to (ny N, sum of k_i)."""
+    """Return the whitened blocks (N, k_i) of all outputs side by side, (ny N, sum of k_i)."""
     ny = len(blocks)
     return np.vstack(
         [np.hstack([G[:, i, j, None] * blocks[j] for j in range(ny)]) for i in range(ny)]
@@ -45,7 +45,7 @@ def spread_apart(G: Array, blocks: Sequence[Array]) -> Array:
 
 
 def unspread(G: Array, M: Array) -> list[Array]:
-    """Return, for each row, the columns (N, k) whose whitened sum has the products G^T M."""
+    """Return the product G^T M as one block (N, k) for each output; M is (ny N, k)."""
     ny = G.shape[1]
     parts = np.split(M, ny)
     return [

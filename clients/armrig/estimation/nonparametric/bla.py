@@ -32,8 +32,7 @@ def bla(
 ) -> SpectralEstimate:
     """Estimate the best linear approximation from random-phase multisines by the robust method.
 
-    Each of R realisations has P whole periods, not counting the `transient` periods at the
-    beginning ::
+    Each of the R realisations has P whole periods after the first `transient` periods ::
 
         G_r = mean over p of Y_rp / U_r,    s²_r = var over p of Y_rp / (P |U_r|²)
 
@@ -45,16 +44,16 @@ def bla(
     not remove this distortion. The standard deviations `std_*` of the mean over realisations
     include noise and distortion. With one realisation they include only the noise.
 
-    A missing y, such as in the dead band of theta_1, is replaced by the mean of the other periods
-    at the same instant. The replacement does not bias G. With n_k known values at instant k of the
-    P periods, s²_r is multiplied by (P - 1) / (mean of n_k - 1) and by the mean of P/n_k. The
-    factors assume white noise.
+    A missing y (for example in the dead band of theta_1) is replaced by the mean over the other
+    periods at the same instant of the period. The replacement does not bias G. Let n_k be the
+    number of known values at instant k in the P periods. Then s²_r is multiplied by (P - 1) / (mean
+    of n_k - 1) and by the mean of P/n_k. The two factors assume white noise.
 
     Parameters
     ----------
     data : Dataset or sequence of Dataset
-        One experiment for each realisation, with the same period and different phases. A period
-        with less than half of its samples known is not used.
+        One experiment for each realisation, with the same period and different phases. A period is
+        used only if at least half of its samples are known.
     period_length : int, optional
         Length of the period in samples. By default the period is detected in u.
     transient : int, default 1
@@ -65,13 +64,14 @@ def bla(
     Returns
     -------
     SpectralEstimate
-        Estimate at the lines that are excited in all realisations. `nonlinear_std` is s_nl, for one
-        realisation.
+        Estimate at the lines that are excited in all realisations. `nonlinear_std` is s_nl, the
+        standard deviation of G_r due to nonlinear distortion.
 
     Raises
     ------
     ValueError
-        An input is not periodic, the periods differ, or an instant of the period is never measured.
+        An input is not periodic, the periods differ, or y is missing at the same instant of every
+        period.
 
     References
     ----------
@@ -197,7 +197,7 @@ def _noise_variance(pairs: Sequence[Transforms], at: NDArray[np.int_]) -> Vector
 
 
 def _share_of_mean(n_k: NDArray[np.intp], periods: int) -> float:
-    """Return the variance of the mean over the variance between periods.
+    """Return the variance of the mean over periods, divided by the variance between periods.
 
     For complete y the ratio is 1/periods. For incomplete y the ratio is larger, because values
     that replace missing samples do not scatter.

@@ -16,7 +16,7 @@ from armrig.numerics.polynomial import filtered
 Vector = NDArray[np.float64]
 
 FINE_LAG_RATIO = 4
-"""Length of the longer lag window, for noise and check, divided by that of the window of G."""
+"""Ratio of the longer lag window (for noise and check) to the lag window of G."""
 MIN_POWER_SHARE = 1e-8
 """Share of the largest value of Phi_u; G is not known at frequencies with a smaller Phi_u."""
 _MIN_BLUNTED_RATIO = 1.1  # least ratio of |G| by the longer window to |G| for a note
@@ -45,7 +45,7 @@ def blackman_tukey(data: Dataset, gamma: NDArray[np.int_], omega: Vector, N: int
 
 
 def finer(data: Dataset, gamma: int) -> int:
-    """Return the length of the longer lag window, for a comparison with the length gamma."""
+    """Return the length of the longer lag window that is compared with the length gamma."""
     return min(FINE_LAG_RATIO * gamma, max(data.N // 5, gamma))
 
 
@@ -88,8 +88,8 @@ def _hann(k: NDArray[np.int_], gamma: NDArray[np.int_] | int) -> Vector:
 def _noise_covariance(data: Dataset, L: int, fine: int, N: int) -> Vector:
     """Return R_v(k), |k| <= L, from Phi_y - |Phi_yu|²/Phi_u with the longer lag window `fine`.
 
-    With the shorter window of G, the variation of G within the window would count as noise. Bands
-    near a resonance would then be far too wide, with a coverage of 100 %.
+    With the shorter window of G, the variation of G within the resolution of this window would
+    count as noise. Bands near a resonance would then be far too wide, with a coverage of 100 %.
     """
     R = covariances(data, fine)
     k = np.arange(-fine, fine + 1)
@@ -150,10 +150,10 @@ def _sums(x: list[Vector], z: list[Vector], L: int) -> Vector:
 def filled(data: Dataset, *, integrator: bool) -> Dataset:
     """Return the data with each missing y replaced by the part that the input explains.
 
-    This part is the output of a regularised impulse response plus the level of the experiment, and
-    with an integrator also its ramp. It is not an interpolation. If missing samples were left out,
-    all of y would count as noise in a correlation. A filled sample adds no information, so only the
-    valid samples are counted.
+    This part is the output of a regularised impulse response plus the level of the experiment. With
+    an integrator, the ramp of the experiment is added too. The method does not interpolate y. If a
+    correlation left out the missing samples instead, its error would depend on all of y, not only
+    on the noise. A filled sample adds no information, so only the valid samples are counted.
     """
     if data.missing == 0:
         return data

@@ -36,7 +36,7 @@ class Correlation:
     std: float
     """Standard deviation of g at each lag under the hypothesis that y and u are not related."""
     autocorrelation: Vector
-    """Autocorrelation of the whitened input at `lags`: 1 at 0, small elsewhere if u is white."""
+    """Autocorrelation of the whitened input at `lags`: 1 at lag 0, small at the other lags."""
     whitener: Vector
     """Coefficients in q^-1 of the filter L(q) that whitens u, beginning with 1."""
     rate: bool
@@ -61,7 +61,7 @@ class Correlation:
         return two_sided(level) * self.std
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
-        """Return a figure of g and its band, as `armrig.plots.plot_correlation` draws it."""
+        """Return the figure drawn by `armrig.plots.plot_correlation`: g and its band."""
         from armrig.estimation.nonparametric.figures import plot_correlation
         from armrig.plots.layout import figure_of
 
@@ -96,8 +96,8 @@ def correlation(
         g(k) = R_yu(k) / R_u(0)
 
     If y and u are not related, the standard deviation of g is sqrt(sum over j of R_y(j) R_u(j) / N)
-    / R_u(0). For a white u this is sqrt(R_y(0)/(N R_u(0))). The band shows only whether there is a
-    relation. The confidence band of g itself is computed by `impulse_response`.
+    / R_u(0). For a white u the standard deviation is sqrt(R_y(0)/(N R_u(0))). The band shows only
+    whether y and u are related. The confidence band of g itself is computed by `impulse_response`.
 
     Parameters
     ----------
@@ -106,9 +106,10 @@ def correlation(
     lags : int, default 20
         Largest lag L, >= 1.
     order : int, optional
-        Order of the autoregression, by default chosen by AIC. With 0 the signals are not filtered.
+        Order of the autoregression, by default chosen by AIC. With order 0 the signals are not
+        filtered.
     integrator : bool, optional
-        As in `etfe`. If y integrates, the result is for the rate of y.
+        As in `etfe`. If y integrates, the rate of y is analysed.
 
     Returns
     -------
@@ -186,7 +187,7 @@ def _whitener(u: list[Vector], order: int | None) -> Vector:
 
 
 def _whitened(x: Vector, L: Vector) -> Vector:
-    """Return x, less its mean, filtered by L(q); NaN if the past is not known."""
+    """Return x minus its mean, filtered by L(q); NaN where an earlier sample is not known."""
     y = filtered(L, [1.0], x - np.nanmean(x))
     y[: L.size - 1] = np.nan
     return y

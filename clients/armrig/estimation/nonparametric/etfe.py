@@ -159,7 +159,7 @@ def _periodic(data: Dataset, P: int, *, integrates: bool) -> Lines:
 
 
 def period(u: Vector, tolerance: float = 1e-9) -> int | None:
-    """Return the least P with u(t + P) = u(t) for all t and at least two periods, or None.
+    """Return the least P <= N/2 with u(t + P) = u(t) for all t, or None if there is none.
 
     A constant has no period.
     """

@@ -45,7 +45,7 @@ Vector = NDArray[np.float64]
 MAX_PLAIN_LAGS, MAX_REGULARISED_LAGS = 70, 100
 """Largest default number of lags, without and with a kernel."""
 MAX_LAST_VARIANCE_SHARE = 0.05
-"""Largest prior variance, relative to its scale, at the last lag of a long enough response."""
+"""Ratio of prior variance at the last lag to its scale below which a response is long enough."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -59,7 +59,7 @@ class ImpulseResponse:
     covariance: Matrix
     """Covariance of g."""
     rate: Vector | None
-    """Response of the rate (y(t) - y(t-1))/Ts if y integrates; g is Ts times its running sum."""
+    """Response of the rate (y(t) - y(t-1))/Ts if y integrates; g is Ts times the sum of `rate`."""
     rate_covariance: Matrix | None
     """Covariance of `rate`."""
     kernel: str | None
@@ -177,7 +177,7 @@ class ImpulseResponse:
             )
 
     def plot(self, *, level: float = 0.99, ax: Axes | None = None) -> Figure:
-        """Return a figure of g and its band about 0, as `armrig.plots.plot_impulse` draws it."""
+        """Return the figure drawn by `armrig.plots.plot_impulse`: g and its band about 0."""
         from armrig.estimation.nonparametric.figures import plot_impulse
         from armrig.plots.layout import figure_of
 
@@ -226,14 +226,15 @@ def impulse_response(
 
     With kernel=None the method is least squares by QR, with a confidence band. The covariance of g
     is P M P, with P = (Phi^T Phi)^-1 and M = Phi^T R Phi. R is the covariance of an autoregression
-    fitted to the residuals, with the order by AIC. For order 0 the covariance has the classic form.
-    If u does not depend on v, the band is valid for coloured output noise too.
+    fitted to the residuals, whose order AIC selects. For order 0 the covariance of g has the
+    classic form sigma² P. If u does not depend on v, the band is valid for coloured output noise
+    too.
 
-    With a kernel g(0), g(1), … have the Gaussian prior N(0, s P(lambda)). The hyperparameters and
-    sigma² maximise the marginal likelihood, and g is the posterior mean. The band is then Bayesian
-    (credible). For white v its coverage is correct on average over systems drawn from the prior,
-    but not for each system. Negative lags have no prior, because a prior would shrink these
-    coefficients and hide feedback.
+    With a kernel, the coefficients g(0), g(1), … have the Gaussian prior N(0, s P(lambda)) with the
+    scale s. The hyperparameters and sigma² maximise the marginal likelihood, and g is the posterior
+    mean. The band is then Bayesian (credible). For white v its coverage is correct on average over
+    systems drawn from the prior, but not for each system. Negative lags have no prior, because a
+    prior would shrink these coefficients and hide feedback.
 
     If y integrates, g does not decay. Then the response of the rate is estimated, with the running
     sums of u as regressors and the measured y as output. Each experiment has a level and a ramp. g
@@ -245,11 +246,11 @@ def impulse_response(
         N samples; missing samples and several experiments are allowed.
     n : int, optional
         Number of lags 0 … n - 1. The default is a fifth of the samples, at most 100. With
-        kernel=None it is a tenth of the samples, at most 70.
+        kernel=None the default is a tenth of the samples, at most 70.
     kernel : {"tc", "dc", "ss", None}
         Kernel: tuned/correlated, diagonal/correlated or stable spline; None for least squares.
     negative_lags : int, default 0
-        Number m of negative lags. Coefficients at negative lags outside their band indicate
+        Number m of negative lags. A coefficient outside its band at a negative lag indicates
         feedback.
     integrator : bool, optional
         As in `etfe`.
@@ -257,7 +258,7 @@ def impulse_response(
     Returns
     -------
     ImpulseResponse
-        `lags`, `g` and `std`, (m + n,), with g in units of y per unit of u and sample.
+        `lags`, `g` and `std`, (m + n,), with g in units of y per unit of u.
 
     Raises
     ------
@@ -322,7 +323,7 @@ def _response(
     *,
     integrates: bool,
 ) -> ImpulseResponse:
-    """Return the estimate with a whiteness test; the response of a rate is also integrated."""
+    """Return the response with a whiteness test; a response of the rate is also integrated."""
     g, covariance, variance, hyperparameters = estimate
     p = ljung_box(joined(rows.residuals(g), 40), default_lags(rows.N))
     white = Whiteness(p_value=p, test=LJUNG_BOX)
@@ -349,7 +350,7 @@ def _response(
 
 
 def long_enough(data: Dataset, lags: tuple[int, ...], *, integrator: bool) -> ImpulseResponse:
-    """Return the regularised response with the first of `lags` for which the prior decays.
+    """Return the regularised response with the first number in `lags` at which the prior decays.
 
     If no number of lags is enough, the result is the response whose prior has decayed most. The
     spectrum of a truncated response has ripples with the period 2 pi/(n Ts) rad/s. The standard
@@ -374,7 +375,7 @@ Estimate = tuple[Vector, Matrix, float, dict[str, float]]
 
 
 def died_out(g: Vector, covariance: Matrix) -> bool:
-    """Return whether the mean of the last tenth is 0 within 4 std or within 2 % of max |g|."""
+    """Return True if |mean of the last tenth of g| is at most 4 std or at most 2 % of max |g|."""
     tail = max(1, g.size // 10)
     mean = np.full(tail, 1 / tail)
     std = float(np.sqrt(max(mean @ covariance[-tail:, -tail:] @ mean, 0.0)))
@@ -395,7 +396,7 @@ def _plain(rows: FirRegression) -> Estimate:
 
 
 def _regularised(rows: FirRegression, kernel: Kernel, m: int) -> Estimate:
-    """Return the posterior of all lags; the m negative lags, which are first, have a flat prior."""
+    """Return the posterior of all lags; the first m lags are negative and have a flat prior."""
     R = rows.triangle()
     d = R.shape[0] - 1
     _require_rank(orthonormal(R[:, :m]), m, "negative lags")

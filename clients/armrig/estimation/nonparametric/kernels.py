@@ -1,7 +1,7 @@
 """Priors for a decaying impulse response, and marginal likelihood of the data.
 
-A kernel is the covariance P(lambda, rho) of g(0) … g(n-1), except for a scale. Its factor L
-satisfies L L^T = P.
+A kernel is the covariance P(lambda, rho) of g(0) … g(n-1) up to a scale factor. The factor L of a
+kernel satisfies L L^T = P.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _BLOCK_ROWS = 4096  # rows computed at once, which fit into the cache
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Posterior:
-    """Posterior of g for the hyperparameters of maximum likelihood."""
+    """Posterior of g at the hyperparameters that maximise the marginal likelihood."""
 
     g: Vector
     """Posterior mean, (n,)."""
@@ -80,8 +80,8 @@ class Evidence:
 
         -2 log p(y) = M log(sigma²) + 2 log|det T| + (d² + s²)/sigma²
 
-    The minimum is at sigma² = (d² + s²)/M. Only the first QR decomposition needs all samples. The
-    decomposition in each trial has 2 n rows.
+    The minimum over sigma² is at sigma² = (d² + s²)/M. Only the first QR decomposition needs all
+    samples. The second QR decomposition, for each kappa, lambda and rho, has only 2 n rows.
 
     References
     ----------
@@ -93,18 +93,18 @@ class Evidence:
     R: Matrix
     """Triangular factor R of Phi, (n, n)."""
     r: Vector
-    """Part r of Q^T y, (n,)."""
+    """First n elements r of Q^T y, (n,)."""
     rest: float
-    """Part s² of |y|² that is not explained by any g."""
+    """Part s² of |y|² that no g explains."""
     M: int
     """Number of samples less the number of nuisance parameters."""
 
     def posterior(self) -> Posterior:
-        """Return the posterior for the hyperparameters of maximum likelihood."""
+        """Return the posterior at the hyperparameters that maximise the marginal likelihood."""
         return self._given(self.likeliest())
 
     def likeliest(self) -> Vector:
-        """Return log kappa, logit lambda and, for "dc", logit rho, of maximum likelihood."""
+        """Return log kappa, logit lambda and (for "dc") logit rho that maximise the likelihood."""
         from scipy.optimize import minimize
 
         starts = sorted(self._starts(), key=self._cost)[:1]
@@ -244,8 +244,9 @@ def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression
     """Return the regression of y(t) on u(t - k) for k in `lags`; 0 must be in `lags`.
 
     For an integrating output the regressors are the running sums Ts (u(0) + … + u(t - k)). The
-    coefficients are then the response of the rate, but the noise is still the noise of the measured
-    y. Each experiment has a level and a ramp. The ramp is the effect of an input offset.
+    coefficients g(k) are then the impulse response of the rate, but the noise is still the noise of
+    the measured y. Each experiment has a level and a ramp. The ramp is the effect of an input
+    offset.
     """
     mean = float(np.mean(data.u))
     experiments = []
@@ -258,7 +259,7 @@ def regression(data: Dataset, lags: range, *, integrator: bool) -> FirRegression
 
 
 def _experiment(part: Dataset, x: Vector, lags: range, *, columns: int) -> FirExperiment:
-    """Return the regression of one experiment, less level (1 column) or level and ramp (2)."""
+    """Return one experiment's regression without its level (1 column) or level and ramp (2)."""
     first, last = lags[-1], -lags[0]
     padded = np.concatenate([np.zeros(first), x, np.zeros(last)])
     windows = sliding_window_view(padded, len(lags))[:, ::-1]

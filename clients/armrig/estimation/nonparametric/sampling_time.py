@@ -56,9 +56,9 @@ class SamplingTime:
     omega_first: float
     """Lowest frequency at which |G| falls below 1/sqrt(2) of its low-frequency value, in rad/s."""
     omega_spectrum: float
-    """Bandwidth omega_B of the spectrum: highest frequency at which |G| is above the same value."""
+    """Highest frequency with |G| above 1/sqrt(2) of its low-frequency value, in rad/s (omega_B)."""
     settling: float
-    """Length of the transient, after which the step response stays within 5 %, in s."""
+    """Length of the transient in s, until the step response stays within 5 % of its final value."""
     settling_std: float
     """Standard deviation of `settling`; NaN if the response was not measured with steps."""
     Ts_step: float
@@ -68,11 +68,11 @@ class SamplingTime:
     Ts_transient: tuple[float, float]
     """Sampling times settling/10 and settling/7, in s."""
     near_nyquist: float
-    """Share of the power of y (of its rate if y integrates) above 0.8 of the data's Nyquist."""
+    """Share of the power of y (or its rate if y integrates) above 0.8 of the Nyquist frequency."""
     beyond: float
-    """Share of the power above pi/Ts of the recommendation; NaN if the data do not reach pi/Ts."""
+    """Share of the power above the Nyquist frequency of `Ts`; NaN if `Ts` < `recorded_at`."""
     from_step: bool
-    """True if the response was measured with steps, False if by a regularised impulse response."""
+    """True if steps measure the response, False if a regularised impulse response estimates it."""
     recorded_at: float
     """Sampling time of the data, in s."""
     output: str
@@ -95,7 +95,7 @@ class SamplingTime:
     """Notes about the reliability of the recommendation."""
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of step response and spectrum, by `armrig.plots.plot_sampling_time`."""
+        """Return the figure of step response and spectrum (`armrig.plots.plot_sampling_time`)."""
         from armrig.estimation.nonparametric.figures import plot_sampling_time
         from armrig.plots.layout import figure_of
 
@@ -151,22 +151,23 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
 
     By the rule omega_s = 20 omega_B, Ts is 2 pi/(20 omega_B). The bandwidth omega_B is 1/tau of the
     step response, or is read from the spectrum. By the rule of 7 to 10 samples in the transient, Ts
-    is settling/10 to settling/7. For a first-order system the first rule leads to 0.31 tau, and the
-    second rule to 0.3 to 0.43 tau. The recommendation is the shortest of the sampling times,
-    rounded to 1, 2 or 5 times a power of ten. If a response is fast first and then slow, a longer
-    sampling time would lose the fast part. The only cost of a short sampling time for an
-    output-error model is computation.
+    is settling/10 to settling/7. For a first-order system the first rule leads to Ts = 0.31 tau,
+    and the second rule to Ts between 0.3 tau and 0.43 tau. The recommendation is the shortest of
+    three sampling times: settling/7, and 2 pi/(20 omega_B) for each omega_B. This time is rounded
+    to 1, 2 or 5 times a power of ten. If a response is fast first and then slow, a longer sampling
+    time would lose the fast part. For an output-error model, the only cost of a short sampling time
+    is computation.
 
     omega_B of the spectrum is the highest frequency at which ``|G|`` is above 1/sqrt(2) of its
     low-frequency value. A notch below this frequency, such as the notch of the arm, does not end
-    the band. If y integrates, the rate of y is analysed, because the rate has a gain and a time
-    constant.
+    the band. If y integrates, the rate of y is analysed, because only the rate has a gain and a
+    time constant.
 
     Parameters
     ----------
     data : Dataset
-        Steps, or any exciting input (telegraph), sampled faster than the time constants. Missing
-        samples and several experiments are allowed.
+        Data with steps or another exciting input (telegraph), sampled faster than the time
+        constants. Missing samples and several experiments are allowed.
     integrator : bool, optional
         As in `etfe`.
 
@@ -247,14 +248,14 @@ def sampling_time(data: Dataset, *, integrator: bool | None = None) -> SamplingT
 
 
 def nearest_125(x: float) -> float:
-    """Return the number nearest by ratio among 1, 2 and 5 times a power of ten."""
+    """Return x rounded, on a logarithmic scale, to 1, 2 or 5 times a power of ten."""
     decade = int(np.floor(np.log10(x)))
     candidates = [m * 10.0**d for d in (decade, decade + 1) for m in (1, 2, 5)]
     return float(f"{min(candidates, key=lambda c: abs(np.log(c / x))):.1g}")
 
 
 def _settled_steps(data: Dataset, *, integrates: bool) -> StepAnalysis | None:
-    """Return the step analysis if the input is a few long holds in which y settles, otherwise None.
+    """Return the step analysis if u consists of a few long holds in which y settles, else None.
 
     The longest hold of a telegraph signal looks like a step. However, the signal switches again
     before the transient has ended, so that the response is a sum of several transients.
@@ -301,7 +302,7 @@ def _from_impulse(data: Dataset, integrates: bool) -> tuple[Vector, Vector, floa
 
 
 def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tuple[float, float]]:
-    """Return L of s (t - L)^p, p = 1 or 2, fitted to the rise up to 50 %, and the interval of L."""
+    """Return the dead time L and its interval: s (t - L)^p, p = 1 or 2, fits the rise to 50 %."""
     rise = (t <= half + Ts) & np.isfinite(y)
     t, y = t[rise], y[rise]
     delays = np.linspace(0.0, half, 201)
@@ -322,9 +323,9 @@ def _dead_time(t: Vector, y: Vector, half: float, Ts: float) -> tuple[float, tup
 def _spectrum(data: Dataset, transient: float | None, *, integrates: bool) -> SpectralEstimate:
     """Return the frequency response (of the rate, if y integrates).
 
-    The method is spectral analysis, but not for steps, because their low-frequency power leaks
-    through any lag window. For steps, `transient` is the length of the transient in s; for other
-    data it is None.
+    The method is spectral analysis, except for steps. The low-frequency power of steps leaks
+    through any lag window, so the impulse response is estimated and transformed. For steps,
+    `transient` is the length of the transient in s; for other data `transient` is None.
     """
     if transient is None:
         estimate = spa(data, "log", integrator=integrates)
@@ -348,7 +349,7 @@ def _low(estimate: SpectralEstimate) -> float:
 
 
 def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
-    """Return the first frequency with |G| below -3 dB, and the last with |G| surely above."""
+    """Return the first frequency with |G| below -3 dB, and the last frequency with |G| above."""
     known = np.isfinite(estimate.G)
     omega, magnitude = estimate.omega[known], estimate.magnitude[known]
     # Some frequencies that contain only noise are above the level by chance. Two standard
@@ -361,7 +362,7 @@ def _bandwidth(estimate: SpectralEstimate, gain: float) -> tuple[float, float]:
     below, above = np.flatnonzero(magnitude < level), np.flatnonzero(sure > level)
 
     def fall(j: int) -> float:
-        """Return the frequency before point j at which |G| reaches the level, interpolated."""
+        """Return the interpolated frequency before point j at which |G| falls to the level."""
         if j == 0 or not magnitude[j] < level <= magnitude[j - 1]:
             return float(omega[j])
         share = (magnitude[j - 1] - level) / (magnitude[j - 1] - magnitude[j])

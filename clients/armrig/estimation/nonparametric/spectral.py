@@ -51,17 +51,18 @@ def spa(
         Phi_yu(omega) = Ts sum of w(k) R_yu(k) exp(-i omega k Ts),   Phi_u, Phi_y likewise
         G = Phi_yu / Phi_u,     E|dG|² = Phi_v / (nu Phi_u),    nu = N / sum of w(k)²
 
-    Phi_v is ``(Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1)`` with a lag window four times as long (at most
-    N/5), smoothed to the resolution of gamma. With this longer window, the variation of G within
-    the window does not count as noise. Missing outputs are replaced by the part that the input
-    explains, and are not counted in N.
+    Phi_v is ``(Phi_y - |Phi_yu|²/Phi_u) nu/(nu - 1)`` , computed with a lag window four times as
+    long (at most N/5). Phi_v is then smoothed to the resolution of gamma. With this longer window,
+    the variation of G within the resolution of gamma does not count as noise. Missing outputs are
+    replaced by the part that the input explains, and are not counted in N.
 
-    The standard deviations describe the scatter about the smoothed response, which is the expected
-    value for this window. The window blunts resonances that are narrower than about 2 pi/(gamma Ts)
+    The standard deviations describe the scatter about the smoothed response, the expected value of
+    G for this window. The window blunts resonances that are narrower than about 2 pi/(gamma Ts)
     rad/s. A note reports a blunted resonance if the gain is clearly higher with the longer window:
-    by more than 10 % and by more than four standard deviations. Half of the variance of G is the
-    variance of the magnitude, and half is due to the phase, except near 0 and pi/Ts, at which G is
-    real. A standard deviation of the phase above 0.3 rad is too small.
+    by more than 10 % and by more than four standard deviations. Half of the variance of G is due to
+    the magnitude, and half is due to the phase. Near 0 and pi/Ts the share of the phase is smaller,
+    because G is real at these frequencies. If the reported standard deviation of the phase is above
+    0.3 rad, the true standard deviation is larger.
 
     If y integrates, the response of the rate of y is estimated and then divided by 1 - q^-1.
 
@@ -76,13 +77,13 @@ def spa(
         least 4, so that the resolution is half of omega.
     omega : array_like (n,), optional
         Frequencies in rad/s, 0 to pi/Ts. By default there are 128 equally spaced frequencies up to
-        pi/Ts, or 100 frequencies on a logarithmic scale with window="log".
+        pi/Ts. With window="log" there are 100 frequencies on a logarithmic scale.
     method : {"blackman-tukey", "welch"}
         "welch" averages the periodograms of Hann-tapered segments that overlap by half.
     delay : int, default 0
-        Known delay in samples. For the estimate y is advanced by the delay, and the phase of G is
-        corrected afterwards. If a delay is not short compared with the window and is not given, the
-        gain and the coherence are too low.
+        Known delay in samples. Before the estimation y is advanced by the delay, and afterwards the
+        phase of G is corrected. If this parameter is not given, a delay that is not short compared
+        with the window makes the gain and the coherence too low.
     integrator : bool, optional
         As in `etfe`.
 
@@ -148,7 +149,7 @@ def _by_segments(
 def _by_lags(
     data: Dataset, window: int | str | None, omega: Vector, N: int, *, integrates: bool
 ) -> tuple[Spectra, str, list[str]]:
-    """Return Blackman and Tukey's spectra, the name of the method, and any note on blunting."""
+    """Return Blackman and Tukey's spectra, the method's name, and any note on a blunted peak."""
     gamma = _gamma(window, omega, data.Ts, N)
     whole = filled(data, integrator=integrates)
     whole = _rate(whole) if integrates else whole
@@ -180,7 +181,7 @@ def _advanced(data: Dataset, delay: int) -> Dataset:
 
 
 def _rate(data: Dataset) -> Dataset:
-    """Return the rate of y, without the first sample of each experiment, at which it is unknown."""
+    """Return the rate of y without each experiment's first sample, at which the rate is unknown."""
     return merged_datasets([difference(part)[1:] for part in data.experiments() if part.N > 1])
 
 
@@ -280,9 +281,9 @@ def spectral_reference(data: Dataset) -> SpectralEstimate:
     """Return a spectral analysis of data, for comparison with a model in a figure.
 
     The lag window is N/10, at most 300 samples. This limit is ten times the limit in `spa`. With a
-    short window a blunted resonance would seem to contradict the model. With a long window the bars
-    are wide, but they do not contradict the model. The 40 frequencies are equally spaced on a
-    logarithmic scale from the lowest resolved frequency, 2 pi/(window Ts).
+    short window a blunted resonance would seem to contradict a correct model. With a long window
+    the error bars are wide, but they do not contradict a correct model. The 40 frequencies are
+    equally spaced on a logarithmic scale from the lowest resolved frequency, 2 pi/(window Ts).
 
     Raises
     ------

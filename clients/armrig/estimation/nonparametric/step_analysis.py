@@ -56,7 +56,7 @@ class StepAnalysis:
     gain_std: float
     """Standard deviation of `gain`, from scatter in the last third and motion before the step."""
     dead_time: float
-    """Dead time in s; 0.0 unless the probability of no dead time is below 1 %."""
+    """Dead time in s; 0.0 if the probability of no dead time is 1 % or more."""
     dead_time_interval: tuple[float, float]
     """95 % interval of the dead time in s, which is estimated even if `dead_time` is 0."""
     tau: float
@@ -64,9 +64,9 @@ class StepAnalysis:
     tau_std: float
     """Standard deviation of `tau` due to noise, gaps on the rise, and a possible dead time."""
     equivalent_time: float
-    """Area above the response, divided by the final value, less the dead time, in s. For a rate the
-    equivalent time is the lag of the angle relative to its final ramp. A gap on the rise does not
-    affect this lag."""
+    """Area between the response and its final value, divided by the final value, in s. The dead
+    time is subtracted. For a rate the equivalent time is the lag of the angle relative to its final
+    ramp. A gap on the rise does not affect this lag."""
     equivalent_time_std: float
     """Standard deviation of `equivalent_time`, in s."""
     smooth_t: Vector
@@ -76,13 +76,13 @@ class StepAnalysis:
     smooth_std: Vector
     """Standard deviation of the posterior curves, which grows in a gap."""
     hidden: tuple[float, float] | None
-    """Begin and end of a gap of y on the rise, in s; None if there is no gap."""
+    """Begin and end of a gap of y during the rise, in s from the step; None if there is no gap."""
     settling: float
-    """Time from which the response stays within 5 % of its final value, in s."""
+    """Time after which the response stays within 5 % of its final value, in s."""
     settling_std: float
     """Standard deviation of `settling`, in s."""
     overshoot: float
-    """Largest value over the final value, less 1; 0 without overshoot, NaN if noise hides it."""
+    """Largest value divided by the final value, minus 1; 0 if negative, NaN if noise hides it."""
     overshoot_std: float
     """Standard deviation of `overshoot`."""
     rate: bool
@@ -108,7 +108,7 @@ class StepAnalysis:
         return 1 / self.tau
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of the step response, by `armrig.plots.plot_step_analysis`."""
+        """Return the figure of the step response, drawn by `armrig.plots.plot_step_analysis`."""
         from armrig.estimation.nonparametric.figures import plot_step_analysis
         from armrig.plots.layout import figure_of
 
@@ -148,9 +148,9 @@ class StepAnalysis:
 def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnalysis:
     """Return the 63 % time, the dead time and the gain of the response to a step.
 
-    All changes of u with long holds before and after are used as steps. The level before each step
-    is subtracted, and each response is weighted by the size of its step. If y integrates, the rate
-    is analysed. The sample (y(t) - y(t-1))/Ts of the rate is at the middle of the interval.
+    All changes of u between two long holds are used as steps. The level before each step is
+    subtracted, and each response is weighted by the size of its step. If y integrates, the rate is
+    analysed. The sample (y(t) - y(t-1))/Ts of the rate is at the middle of the interval.
 
     The 63 % time, settling, overshoot and dead time are computed from curves. The curves are drawn
     from the posterior of a Gaussian process, given all samples. Each curve is divided by its own
@@ -163,7 +163,8 @@ def step_analysis(data: Dataset, *, integrator: bool | None = None) -> StepAnaly
     ----------
     data : Dataset
         At least one step up or down after 8 samples of rest. Missing samples and several
-        experiments are allowed. A step with fewer than 2 samples just before it is left out.
+        experiments are allowed. A step is left out if fewer than 2 samples of y just before the
+        step are known.
     integrator : bool, optional
         As in `etfe`.
 
@@ -255,7 +256,7 @@ class _Steps(NamedTuple):
     """Steps to average."""
 
     at: list[tuple[int, int]]
-    """Index of the experiment, and its first sample with the new input."""
+    """For each step, the index of the experiment and its first sample with the new input."""
     pre: int
     """Number of samples before each step."""
     post: int
@@ -300,8 +301,8 @@ def _averaged(
     """Return sample numbers relative to the step, the mean response to a unit step, and weights.
 
     The numbers are negative before the step. The noise variance of a sample of the mean is
-    inversely proportional to its weight. The level before each step is subtracted, or with `slope`
-    the straight line before the step.
+    inversely proportional to its weight. With `slope`, the straight line before each step is
+    subtracted; otherwise the level before each step is subtracted.
     """
     k = np.arange(-steps.pre, steps.post)
     total, weight = np.zeros(k.size), np.zeros(k.size)
@@ -322,9 +323,9 @@ def _averaged(
 
 
 def _left_to_settle(y: Vector, k: NDArray[np.int_], steps: _Steps, crossing: float) -> float:
-    """Return the motion of y before the step, as an error of the response; 0 if y was at rest.
+    """Return the error of the response due to motion of y before the step; 0 if y was at rest.
 
-    The motion is the slope before the step times the 63 % time in samples, `crossing`.
+    The error is the slope before the step times the 63 % time in samples, `crossing`.
     """
     near = (k < 0) & (k >= -(steps.pre // 2) - 1) & np.isfinite(y)
     if np.count_nonzero(near) <= 2:
@@ -393,7 +394,7 @@ def _lag(
 
 
 def _alone(known: Mask) -> Mask:
-    """Return a mask of single samples between gaps; they occur at the end of the track."""
+    """Return a mask of single samples between gaps; such samples occur at the end of the track."""
     alone = np.zeros_like(known)
     gaps = [g for g in stretches(~known) if g.stop - g.start >= MIN_GAP_SAMPLES]
     for before, after in pairwise(gaps):

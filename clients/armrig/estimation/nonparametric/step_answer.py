@@ -1,16 +1,16 @@
 """Step response with its uncertainty, from curves drawn from a Gaussian process.
 
-The impulse response g is 0 up to the dead time L. At L it jumps by any amount, and then it is a
+The impulse response g is 0 up to the dead time L. At L, g jumps by any amount. After L, g is a
 random walk with decaying increments::
 
     var dg = c exp(-(t - L)/T) / (t - L)^2 dt
 
-This prior allows for a fast rise followed by a slow end. The noise of the samples is white. For
-each L, c and T the posterior is a Gaussian process whose mean is a smoothing spline. Each
-combination of L, c and T is weighted by its restricted likelihood. The level before the step, and
-for an angle the speed before the step, are also estimated. The standard deviation of a time, such
-as the 63 % time, is computed from its scatter among the drawn curves. This scatter includes the
-effects of noise, missing samples and the dead time.
+This prior allows for a fast rise followed by a slow approach to the final value. The noise of the
+samples is white. For each L, c and T the posterior is a Gaussian process whose mean is a smoothing
+spline. Each combination of L, c and T is weighted by its restricted likelihood. The level before
+the step, and for an angle the speed before the step, are also estimated. The standard deviation of
+a time, such as the 63 % time, is computed from its scatter among the drawn curves. This scatter
+includes the effects of noise, missing samples and the dead time.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _MAX_CURVE_VALUES = 4_000_000  # number of values in memory at once
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Answer:
-    """Step response divided by its final value; times and peaks of curves sampled at random."""
+    """Step response divided by its final value, with times and peaks of randomly drawn curves."""
 
     t: Vector
     """Times after the step, in s, (n,)."""
@@ -143,7 +143,7 @@ def step_answer(
         Response divided by its final value; NaN if not known. For an integrating output, the angle
         divided by the final value of the rate.
     weight : ndarray, shape (N,)
-        Divisor of the noise variance of each sample.
+        Weight of each sample; the noise variance of the sample is inversely proportional to it.
     Ts : float
         Sampling time, in s.
     integrates : bool
@@ -208,13 +208,13 @@ class _Spline:
     """Posterior of the curves for one setting of L, c and T: mean and covariance."""
 
     delay: int
-    """Number of cells up to the onset."""
+    """Number of cells of the time grid from the step to the onset of the response."""
     z: Vector
-    """Mean of z from the onset on, (M - delay,)."""
+    """Mean of z (the response, or the integral of a rate) from the onset on, (M - delay,)."""
     factor: Vector
     """Banded Cholesky factor of the precision times the noise variance."""
     lines: Vector
-    """Change of z per unit of the level before the step, and per unit of the speed."""
+    """Decrease of z per unit of the level before the step, and per unit of the speed before it."""
     lines_cov: Vector
     """Covariance of level and speed, divided by the noise variance."""
     variance: float
@@ -311,9 +311,10 @@ class _Record:
 
 
 def _penalty(cost: Vector, d: int) -> Vector:
-    """Return sum_j cost_j (D^d z)_j² as a banded matrix (d + 1, M), for z = 0 up to the onset.
+    """Return the banded matrix P (d + 1, M) with z' P z = sum_j cost_j (D^d z)_j².
 
-    For d = 3 there is one more row: the rate is 0 at the onset, and z begins as a parabola.
+    Up to the onset z is 0. For d = 3 the sum has one more term, because the rate is 0 at the onset
+    and z begins as a parabola.
     """
     row = np.array([-1.0, 3.0, -3.0, 1.0]) if d == 3 else np.array([1.0, -2.0, 1.0])
     banded = np.zeros((d + 1, cost.size))
@@ -373,7 +374,7 @@ class _Search:
         return at
 
     def spread(self) -> None:
-        """Compute the neighbours of all likely settings."""
+        """Compute the posteriors of the neighbours of all likely settings."""
         limit = self.criterion(self.best) + _MAX_DEVIANCE
         tried = [at for at in self.found if self.criterion(at) < limit]
         while tried:
@@ -431,7 +432,7 @@ def _rng(setting: Setting) -> np.random.Generator:
     """Return the random generator for the curves of a setting.
 
     Each setting has its own generator, so that its curves do not depend on the number of curves of
-    other settings. Rounding, which differs from one processor to another, can change that number by
-    one.
+    other settings. Rounding differs from one processor to another and can change a number of curves
+    by one.
     """
     return np.random.default_rng((1, *setting))

@@ -1,4 +1,4 @@
-"""Spectra by averages of the periodograms of segments (Welch)."""
+"""Spectra by Welch's method: averages of the periodograms of segments."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ class Spectra:
     averages: Vector
     """Number nu of independent averages, (n,), with two degrees of freedom each."""
     reality: Vector
-    """Ratio E(dG²)/E|dG|², dG relative to the phase of G, (n,): 1 at 0 and pi/Ts, 0 between."""
+    """Ratio E(dG²)/E|dG|², (n,), of an error dG that is turned by the phase of G.
+
+    The ratio is 1 at the frequencies 0 and pi/Ts, and about 0 between them.
+    """
     noise: Vector
     """Noise spectrum Phi_v, (n,)."""
 

@@ -35,15 +35,15 @@ def predicted_std(
 ) -> PredictedStd:
     """Predict the standard deviations of the parameters of a model for a planned input.
 
-    The standard deviations are computed from the inverse of the Fisher information M. With Gaussian
-    white e of variance lambda in A y = (B/F) u + (C/D) e ::
+    The standard deviations are computed from the inverse of the Fisher information M. For Gaussian
+    white e of variance lambda in A y = (B/F) u + (C/D) e, the information is ::
 
         M = (1/lambda) sum psi_u psi_u^T + sum psi_e psi_e^T
 
     The gradient of the prediction has a part psi_u from u and a part psi_e from e. The part psi_u
     is simulated. The initial states, and the level and ramp of an integrator, are estimated too.
-    Therefore the projection of psi_u on them is subtracted. The variance of psi_e is computed from
-    impulse responses.
+    Therefore the projection of psi_u on the responses to these quantities is subtracted. The
+    variance of psi_e is computed from impulse responses.
 
     Parameters
     ----------
@@ -55,8 +55,8 @@ def predicted_std(
     noise_variance : float, optional
         Variance of e, in the squared unit of y. The default is the variance in the model.
     initial : {"estimate", "zero"}
-        Assumption on the initial states: estimated from the data, or zero. In a model with A the
-        first samples are the past of the model.
+        Assumption on the initial states: estimated from the data, or zero. In a model with A, the
+        first samples are the initial values and are not predicted.
 
     Returns
     -------
@@ -174,7 +174,7 @@ def _by_noise(model: ModelWithNoise, weight: Vector, width: int) -> Array:
 
 
 def _parameters(model: ModelWithNoise) -> tuple[tuple[str, ...], Vector, Array]:
-    """Return names and values, and the derivatives of the values by the estimated parameters."""
+    """Return names and values of the parameters, and d(values)/d(estimated parameters)."""
     parts = {"a": model.A[1:], "b": model.B[model.nk :], "c": model.C[1:]}
     parts |= {"d": model.D[1:], "f": model.F[1:]}
     names = tuple(f"{letter}{k + 1}" for letter, p in parts.items() for k in range(p.size))
@@ -247,7 +247,7 @@ class PlannedModel:
     """Coefficients in q^-1, beginning with 1."""
 
     def __post_init__(self) -> None:
-        """Refuse polynomials of an impossible model."""
+        """Refuse polynomials that do not define a valid model."""
         for name in "ABCDF":
             p = column(name, getattr(self, name))
             object.__setattr__(self, name, p)

@@ -36,15 +36,15 @@ def predicted_parameter_std(
 ) -> PredictedStd:
     """Predict the standard deviations of physical parameters for a planned input.
 
-    The method is the method of `predicted_std`. The physical model is sampled exactly for an input
-    held between samples, and the noise on the output is white. Derivatives are central differences
-    with respect to the logarithms of the parameters.
+    The function uses the method of `predicted_std`. The physical model is sampled exactly for an
+    input held between samples, and the noise on the output is white. Derivatives are central
+    differences with respect to the logarithms of the parameters.
 
     Parameters
     ----------
     model : callable
-        Function that returns a continuous-time state space for given ArmParameters: `armrig.arm` or
-        `armrig.chassis`.
+        Function that returns a continuous-time state-space model for given ArmParameters:
+        `armrig.arm` or `armrig.chassis`.
     u : array_like, shape (N,), or Dataset
         Planned input, in V.
     Ts : float
@@ -128,7 +128,7 @@ def _free_part(system: Any, part: Dataset, output: str) -> Array:
 
 
 def _transfer(system: Any, Ts: float, output: str) -> tuple[Vector, Vector]:
-    """Return B and F of one output of a state space, sampled under a held input."""
+    """Return B and F of one output of a state-space model, sampled for a held input."""
     labels = list(system.output_labels)
     if output not in labels:
         raise InputError(f"output={output!r} is not among the outputs {', '.join(labels)}")

@@ -21,7 +21,7 @@ class PredictedStd:
     names: tuple[str, ...]
     """Names of the parameters, in the order of a fit."""
     theta: Vector
-    """Parameter values of the prediction, (d,)."""
+    """Parameter values for which the standard deviations are predicted, (d,)."""
     covariance: NDArray[np.float64]
     """Inverse of the Fisher information, (d, d)."""
     N: int
@@ -35,15 +35,15 @@ class PredictedStd:
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     def seconds_for(self, **wanted: float) -> float:
-        """Return the length, in s, of a similar input for which all wanted std are reached.
+        """Return the length, in s, of a similar input that reaches all wanted standard deviations.
 
-        The information is assumed to grow with the length. This is inaccurate for an experiment
-        that is short compared with the slowest mode.
+        The information is assumed to grow with the length. This assumption is inaccurate for an
+        experiment that is short compared with the slowest mode.
         """
         return self.seconds * max(self._times_longer(name, std) for name, std in wanted.items())
 
     def explain(self, **wanted: float) -> str:
-        """Return a text: whether the experiment is long enough for the wanted standard deviations.
+        """Return a text that states whether the experiment is long enough for the wanted std.
 
         An example is ``predicted.explain(f1=0.001)``. Without arguments the text contains all
         predicted standard deviations.
@@ -103,7 +103,7 @@ def planned_data(u: ArrayLike | Dataset, Ts: float) -> Dataset:
 def inverted(
     Psi: Array, variance: float, names: tuple[str, ...], theta: Vector, planned: Dataset, to: Array
 ) -> PredictedStd:
-    """Return the Cramér-Rao bound from rows Psi, with Psi^T Psi = variance times information.
+    """Return the Cramér-Rao bound from Psi; Psi^T Psi is `variance` times the information.
 
     `to` contains the derivatives of the reported parameters with respect to the parameters of Psi.
     """
