@@ -23,7 +23,7 @@ from armrig.rig.session import (
 )
 
 MOST_RIGS = 500
-"""Largest number of listed rigs; the router of a lab has fewer rigs."""
+"""Largest number of listed rigs; a lab's router serves fewer rigs."""
 _LOOK_TIMEOUT_S = 2.0
 _STATUS_TIMEOUT_S = 2.0
 
@@ -42,7 +42,7 @@ class LiveRig:
 
 
 def live_rigs(connect: str | None) -> tuple[str, list[LiveRig]]:
-    """Return where rigs were searched, and the rigs that were found, sorted by id.
+    """Return the searched endpoint, or "this machine", and the rigs found there, sorted by id.
 
     Parameters
     ----------

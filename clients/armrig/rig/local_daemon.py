@@ -1,4 +1,4 @@
-"""A daemon of this machine as a child process, which always ends with its `with` block."""
+"""Start a daemon on this machine as a child process, and end it after a `with` block."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _POLL_INTERVAL_S = 0.1
 def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run `armrigd run` until the block ends; the end of the block sets the motor to 0 V.
 
-    The daemon also sets the motor to 0 V and ends if this process is killed or the calling thread
-    ends. In this case the kernel sends the daemon a signal.
+    If this process is killed or the calling thread ends, the kernel sends a signal to the daemon.
+    After this signal the daemon also sets the motor to 0 V and ends.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def _wait_until_it_answers(daemon: subprocess.Popen[bytes], rig: str, log: Path)
         except NoReplyError:
             time.sleep(_POLL_INTERVAL_S)  # not yet
         else:
-            require_running(daemon, log)  # another daemon may have answered, so that this one ended
+            require_running(daemon, log)  # if another daemon has answered, the new daemon has ended
             return
     msg = f"the daemon did not answer within {_START_TIMEOUT_S:g} s; last line: {_last_line(log)}; "
     raise RigError(f"{msg}if this host is busy, close other programs and try again ({log})")
