@@ -1,4 +1,4 @@
-"""Viewers of a door, each with a bounded queue.
+"""Viewers of a door (a socket with its own token), each with a bounded queue.
 
 A viewer that does not receive its messages is dropped.
 """
@@ -12,7 +12,7 @@ from armrig_core.errors import OperationError
 
 MOST_VIEWERS = 64
 """Largest number of viewers at one door."""
-_MAX_WAITING = 250  # messages: the past, and five seconds at 30 Hz
+_MAX_WAITING = 250  # messages: the history, and five seconds at 30 Hz
 
 
 class TooManyViewersError(OperationError):

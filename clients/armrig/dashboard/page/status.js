@@ -62,7 +62,7 @@ export function showLive(live) {
   setText("age", age === null ? "none yet" : `${seconds(age)} old`);
 }
 
-// How much later than the quickest one a message came, in s: it waited in a slow network.
+// The delay of a message in a slow network, in s, compared with the quickest message.
 function delay(at, since) {
   const late = arrived / 1000 - at;
   leastLate = Math.min(leastLate + CLOCK_DRIFT * since, late);
@@ -116,8 +116,8 @@ export function showTiming(timing) {
     }),
   );
   const missing = [`missing: ${timing.missing} samples since this dashboard was started`];
-  if (timing.last_gap) missing.push(`the last: ${timing.last_gap}`);
-  if (timing.unheard) missing.push(`${timing.unheard} did not reach this page's server; recordings have them`);
+  if (timing.last_gap) missing.push(`reason of the last gap: ${timing.last_gap}`);
+  if (timing.unheard) missing.push(`${timing.unheard} samples did not reach the dashboard's server, but are in recordings`);
   setText("missing", missing.join("; "));
   showModel(timing.model);
   byId("missing").className = timing.missing ? "warn-text" : "";
