@@ -98,7 +98,7 @@ def demo(
 
 
 def _record(plan: list[Experiment], config: Path, console: Console, done: list[Path]) -> str:
-    """Append recordings made in real time to `done`; return why some are missing, "" if none is."""
+    """Append real-time recordings to `done`; return the reason for missing ones, "" if complete."""
     if sys.platform != "linux":
         return "an emulated rig in real time is for Linux"
     from armrig_core.errors import InputError
@@ -185,7 +185,7 @@ def _row(model: Assessed) -> dict[str, Any]:
 
 
 def from_here(path: Path) -> Path:
-    """Return the shortest path from the current folder."""
+    """Return the path relative to the current folder if it is inside, otherwise the same path."""
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path
 
@@ -210,7 +210,7 @@ def record_in_virtual_time(
     firmware : bool, default False
         If True, the device is the Uno's firmware in simavr.
     meanwhile : callable
-        Function to call while another processor plays.
+        Function to call while another process plays the experiments.
 
     Raises
     ------

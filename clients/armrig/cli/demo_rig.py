@@ -1,4 +1,4 @@
-"""The demonstration in real time: daemon and emulator are processes of their own.
+"""The demonstration in real time: daemon and emulator run as separate processes.
 
 This module needs zenoh; the demonstration in virtual time does not.
 """

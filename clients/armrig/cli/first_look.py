@@ -182,10 +182,10 @@ def hints(
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Find which model structure the data suggest (handout 3.2).
+    """Suggest a model structure for the data (handout 3.2).
 
-    Integrator, order and nk follow from the impulse response, the spectra and the Hankel matrix,
-    which assume no structure.
+    The command finds an integrator, the order and nk from the impulse response, the spectra and the
+    Hankel matrix. These three assume no structure.
     """
     from armrig.cli.spinner import spinner
     from armrig.validation.structure_hints import structure_hints

@@ -97,7 +97,7 @@ def conformance(
     The test takes a minute and prints a line for each rule. The exit code is 0 only if no rule is
     broken.
 
-    The device ends at 0 V.
+    At the end, the device is at 0 V.
     """
     program = [sys.executable, "-m", "armrig_daemon", "conformance", "--device", device]
     program += ["--baud", str(baud), *["--motor-unplugged"] * motor_unplugged, *["--json"] * json]

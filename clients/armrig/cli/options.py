@@ -135,14 +135,14 @@ SAME_DATA = OWN_DATA
 
 
 def tell(message: str) -> None:
-    """Print a line for the person, on standard error."""
+    """Print a line for the user on standard error."""
     with suppress(OSError):  # the terminal may be closed
         line = _for_terminal(f"armrig: {brief(' '.join(message.split()))}")
         print(folded(line, _columns(sys.stderr)), file=sys.stderr)
 
 
 def tell_error(message: str) -> None:
-    """Print an error as `tell` does; in the journal of systemd it has the priority of an error."""
+    """Print an error as `tell` does; systemd's journal gives the line the priority of an error."""
     with suppress(OSError):
         print(log_prefix("error") or "", end="", file=sys.stderr)
     tell(message)
@@ -174,12 +174,12 @@ def question(text: str) -> str:
 
 
 def agree(text: str, *, yes: bool) -> None:
-    """Ask a person for agreement, unless `yes`.
+    """Ask the user for agreement, unless `yes` is True.
 
     Raises
     ------
     RuntimeError
-        The person does not agree, or there is no terminal.
+        The user does not agree, or there is no terminal.
     """
     if yes:
         return
@@ -249,7 +249,7 @@ def _as_text(value: Any) -> Any:
 
 
 def print_table(*rows: tuple[str, str]) -> None:
-    """Print a line for each value, with its name in front."""
+    """Print each value in a line of its own, after the name of the value."""
     width = max(len(name) for name, _ in rows)
     columns = _columns(sys.stdout)
     for name, value in rows:
