@@ -180,8 +180,8 @@ def take_into_use(
         tell(f"not in use: no daemon of rig {rig} answers")
     if is_used:
         tell(
-            f"rig {rig} uses the calibration from the next sample on, until `armrig lab` or armrigd "
-            "ends"
+            f"rig {rig} uses the calibration from the next sample on, until `armrig lab` or "
+            "armrigd ends"
         )
     _say_how_it_stays(path, named)
     return is_used

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MISSING = "#BBBBBB"
 _LETTER_LABEL = "_letter"
 MIN_WIDE_RATIO = 2.0
-"""Ratio of width to height from which two panels are drawn side by side."""
+"""Ratio of width to height above which two panels are drawn side by side."""
 # M. Okabe, K. Ito, "Color Universal Design", 2008; the yellow is left out, because it is too pale
 # on paper.
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -139,7 +139,7 @@ def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes,
 def rows(ax: Axes | None, n: int) -> list[Axes]:
     """Shorten `ax`, add panels below it, and return n panels of equal height with a common x axis.
 
-    The left edges are aligned, whatever the width of the labels, since the panels share a grid.
+    The panels share a grid, so their left edges are aligned for labels of any width.
     """
     ax = axes(ax)
     grid = _place(ax).subgridspec(n, 1, hspace=0.02 if ax.figure.get_layout_engine() else 0.08)
@@ -255,7 +255,7 @@ def decibels(x: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def decibel_ticks(ax: Axes) -> None:
-    """Set at most six intervals between the ticks in dB, of 1, 2 or 4 times a power of ten."""
+    """Set ticks in dB: at most six intervals, each 1, 2 or 4 times a power of ten."""
     from matplotlib.ticker import MaxNLocator
 
     ax.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 4, 10]))
