@@ -141,7 +141,7 @@ def verify(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Check each recording against its run. The exit code is 1 if a check fails."""
+    """Check the integrity of each recording. The exit code is 1 if a check fails."""
     from armrig.report.batch.tasks import Verify
 
     _do(Verify(), folder, output, rig, kind, workers, scheduler, force=force, json=json)
@@ -259,7 +259,7 @@ def _failed(row: dict[str, Any]) -> str:
 
 
 def _list(found: dict[str, str], columns: str) -> None:
-    """Print the first findings about recordings, and which columns contain all findings."""
+    """Print the first findings about recordings, and the columns that contain all findings."""
     for name, text in [*found.items()][:_MAX_NAMES]:
         echo(f"  {name}: {text}")
     if len(found) > _MAX_NAMES:

@@ -167,7 +167,7 @@ class _Wanted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Measured:
-    """The recordings and readings that a calibration is estimated from."""
+    """The recordings and readings from which a calibration is estimated."""
 
     rest: Recording
     turns: Recording | None

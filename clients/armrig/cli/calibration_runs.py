@@ -149,7 +149,7 @@ def take_into_use(
     Parameters
     ----------
     wanted : bool, optional
-        True to load the calibration, False to leave it. None to ask the user, if a daemon runs.
+        True to load the calibration, False not to load it. None asks the user if a daemon runs.
     asks : bool
         True if the user may be asked; if False, the answer is yes.
 

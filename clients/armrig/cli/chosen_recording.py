@@ -118,11 +118,11 @@ def matching(text: str, paths: Sequence[Path]) -> Sequence[RecordingSummary]:
 
 
 Answering = Callable[[str], Sequence["RecordingSummary"]]
-"""Function of `@NAME` or `@NAME/validation` that returns the recordings it may mean."""
+"""Function of `@NAME` or `@NAME/validation` that returns the recordings that the name may mean."""
 
 
 def answering_among(known: Iterable[RecordingSummary]) -> Answering:
-    """Return a function that returns the recordings that a name may mean; it uses an index."""
+    """Return a function that looks up a name in an index and returns the possible recordings."""
     by_name: dict[str, list[RecordingSummary]] = {}
     for summary in known:
         for validation, behind in ((False, ""), (True, VALIDATION)):

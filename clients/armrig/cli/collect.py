@@ -77,7 +77,7 @@ DeadMan = Annotated[
 ]
 DEFAULT_PERIOD_S = 5.0
 DEAD_MAN_S = 1.0
-"""Default dead-man, in s: a closed terminal or a lost connection stops the motor."""
+"""Default dead-man time, in s: a closed terminal or a lost connection stops the motor."""
 
 
 @app.command(epilog="Example: armrig collect blackbox --seconds 30 --validation")
@@ -218,7 +218,9 @@ def staircase(
 def bla(
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", help="Length of each recording, in s, in place of --period."),
+        typer.Option(
+            "--seconds", help="Length of each recording, in s; use it instead of --period."
+        ),
     ] = None,
     period: Annotated[
         float | None,

@@ -190,7 +190,7 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
 
 
 def _say_next(kind: str, first: Path, rig: str) -> None:
-    """Print the next command; repeat a step whose rise the dead band hides."""
+    """Print the next command, which repeats a step if the dead band hid its rise."""
     from armrig.recordings.loading import load
 
     again = ""

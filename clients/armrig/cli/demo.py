@@ -1,4 +1,4 @@
-"""The demonstration: three experiments on an emulated rig, models of it, and a report."""
+"""The demonstration: three experiments on an emulated rig, models of the rig, and a report."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def demo(
     firmware: bool = False,
     console: Console | None = None,
 ) -> dict[str, Any]:
-    """Record an emulated rig, identify and validate it, and write a report into `directory`.
+    """Record an emulated rig, identify and validate models, and write a report to `directory`.
 
     Returns the results and the paths of the files, by name.
 
@@ -174,7 +174,7 @@ def _print_results(
 
 
 def _row(model: Assessed) -> dict[str, Any]:
-    """Return the errors and fits of a model on the validation recording, for a program."""
+    """Return the errors and fits of a model on the validation recording as JSON fields."""
     row = model.comparison
     return {
         "model": row.name,
@@ -185,7 +185,7 @@ def _row(model: Assessed) -> dict[str, Any]:
 
 
 def from_here(path: Path) -> Path:
-    """Return the path relative to the current folder if it is inside, otherwise the same path."""
+    """Return the path relative to the current folder, if the file is in this folder."""
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path
 

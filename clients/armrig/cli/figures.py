@@ -44,7 +44,7 @@ def name_runs(*recordings: Recording) -> None:
 
 
 def _runs() -> dict[str, str]:
-    """Return the run ids that figures name, by the hash of the recording."""
+    """Return the run ids that figures show, by the hash of the recording."""
     from hashlib import file_digest
 
     runs = dict(_RUNS)

@@ -160,7 +160,7 @@ def _sampling_facts(choice: SamplingTime) -> dict[str, Any]:
 
 
 def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
-    """Return the analysis of the steps for a program; empty without an analysis."""
+    """Return the analysis of the steps as JSON fields; empty without an analysis."""
     if steps is None:
         return {}
     of = ("gain", "tau", "equivalent_time", "settling", "overshoot")
@@ -185,7 +185,7 @@ def hints(
     """Suggest a model structure for the data (handout 3.2).
 
     The command finds an integrator, the order and nk from the impulse response, the spectra and the
-    Hankel matrix. These three assume no structure.
+    Hankel matrix. These three estimates assume no structure.
     """
     from armrig.cli.spinner import spinner
     from armrig.validation.structure_hints import structure_hints

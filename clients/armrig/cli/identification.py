@@ -314,7 +314,7 @@ def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None
 
 
 def _print_short(found: _Found) -> None:
-    """Print the search if there is one, the model in short, and the findings to act on."""
+    """Print the results of a search, the model in short, and the findings to act on."""
     from armrig.cli import model_output
 
     searched = found.search is not None

@@ -159,7 +159,7 @@ def _check_step(h: float, problem: Sinusoid) -> None:
 
 
 def _plot_solutions(solved: _Solved, plot: Path | None) -> None:
-    """Write the solutions of each row of the table, one figure for each step given."""
+    """Write the solutions of all rows of the table, with a figure for each given step."""
     if plot is None:
         return
     from armrig.physics.integrators.figures import plot_solution

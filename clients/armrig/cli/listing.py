@@ -58,7 +58,7 @@ def ls(
 ) -> None:
     """List the recordings, newest first; with --live, list the rigs that are alive.
 
-    Other commands accept the listed names, and @last, in place of a file. For a FOLDER of your own,
+    Other commands accept the listed names, and @last, in place of a file. If you give a FOLDER,
     the list contains file names instead. With --connect, --live lists the rigs of that router or
     daemon; without --connect, it lists the rigs of this machine.
     """

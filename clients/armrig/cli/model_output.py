@@ -120,7 +120,7 @@ def model_lines(fit: Fit) -> list[str]:
 
 
 def doubted(fit: Fit, doubts: Sequence[Finding]) -> bool:
-    """Return True if a test of the data or of the estimate doubts the data."""
+    """Return True if a test of the data or of the estimate makes the data doubtful."""
     return bool(doubts) or any(f.about in _OF_DATA for f in fit.findings)
 
 

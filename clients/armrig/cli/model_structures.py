@@ -111,7 +111,7 @@ def _order(name: str, *, several: bool) -> Any:
 
 
 def _option(name: str, what: str, default: str = "", others: Sequence[str] = ()) -> Any:
-    """Return an option; its help names its structures, unless all structures have the option."""
+    """Return an option; its help names the structures that have the option, unless all have it."""
     titles = dict.fromkeys([*(OFFERED[user].title for user in users(name)), *others])
     which = "" if len(users(name)) == len(OFFERED_NAMES) else f" ({', '.join(titles)})"
     return typer.Option(flag(name), help=f"{what}{which}.", show_default=default or True)

@@ -86,7 +86,7 @@ _CHECKED = {"feedback", "delay", "unstable"}
 
 
 def say_next(after: str, **values: str | float) -> None:
-    """Print the next line of a command, on standard error."""
+    """Print the line `next: …` after a command, on standard error."""
     say_to_copy(next_line(after, **values))
 
 
@@ -97,7 +97,7 @@ def say_to_copy(text: str) -> None:
 
 
 def next_line(after: str, **values: str | float) -> str:
-    """Return the next line of a command."""
+    """Return the line `next: …` after a command."""
     return f"next: {printable(_goes_on(AFTER[after].format(**values)))}"
 
 

@@ -59,7 +59,7 @@ Signal = Annotated[
     typer.Option(
         "--signal",
         metavar="NAME",
-        help="Output: theta_1, alpha or velocity; in other data a column's name or number.",
+        help="Output: theta_1, alpha or velocity; for other data, name or number of a column.",
         show_default="theta_1; y of other data",
     ),
 ]
@@ -68,7 +68,7 @@ Signals = Annotated[
     typer.Option(
         "--signal",
         metavar="NAMES",
-        help="Output: theta_1, alpha or velocity; in other data a column's name or number. "
+        help="Output: theta_1, alpha or velocity; for other data, name or number of a column. "
         "Several outputs have commas between their names.",
         show_default="theta_1; y of other data",
     ),
@@ -237,7 +237,7 @@ def print_json(value: Any) -> None:
 
 
 def _as_text(value: Any) -> Any:
-    """Return a value whose invalid text is escaped."""
+    """Return the value with invalid text escaped."""
     match value:
         case str():
             return value.encode("utf-8", "backslashreplace").decode()

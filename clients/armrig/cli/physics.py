@@ -144,7 +144,9 @@ def split(
     file: File,
     parts: Annotated[
         str,
-        typer.Option("--parts", metavar="K,…", help="Numbers of parts to cut the recording into."),
+        typer.Option(
+            "--parts", metavar="K,…", help="Numbers of parts into which the recording is cut."
+        ),
     ] = "1,2,4",
     model: Rig = None,
     free: Free = None,

@@ -42,7 +42,7 @@ def play(
     listen: Listen = None,
     json: Json = False,
 ) -> None:
-    """Publish the messages of a recording again, until the recording ends or Ctrl-C.
+    """Publish the messages of a recording again, until its end or Ctrl-C.
 
     The messages have keys such as rig/played-1/sample for a recording of rig 1. No rig has such an
     id, and commands get no answer.

@@ -85,7 +85,7 @@ class SignalChoice:
     detrend: bool = False
     """Subtract the mean of each signal of each file."""
     offset: bool | None = None
-    """True if a level of y is estimated, too; None if the command cannot estimate it."""
+    """True if a level of y is also estimated; None if the command cannot estimate it."""
     hampel: bool = False
     """Mark single outliers of the output as missing, before the means are subtracted."""
     calibration: Path | None = None

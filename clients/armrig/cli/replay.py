@@ -1,4 +1,4 @@
-"""Replay of a recorded run: the daemon's core repeats its decisions, which are compared."""
+"""Replay of a recorded run: the daemon's core repeats the decisions of the run."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class _Compared:
     """Comparison of replayed and recorded samples, in parts to limit the memory."""
 
     def __init__(self, theirs: NDArray[np.void], manifest: Manifest) -> None:
-        """Take the samples of the file, (n,) of `SAMPLE_DTYPE`."""
+        """Store the samples of the file, an array (n,) of `SAMPLE_DTYPE`."""
         self.theirs = theirs
         self.ours = 0
         """Number of replayed samples of the run."""

@@ -160,7 +160,7 @@ def _watch(samples: Any) -> None:
 
 
 def _watch_in_lines(samples: Any) -> None:
-    """Print a line for each sample, for a program."""
+    """Print a line for each sample, so that a program can read the samples."""
     echo(_WATCH_HEADING)
     for sample in samples:
         echo(_sample_line(sample))

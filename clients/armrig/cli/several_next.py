@@ -64,7 +64,7 @@ def _fits(fit: MultivariableFit) -> bool:
 
 
 def _at_operating_point(data: Signals) -> bool:
-    """Return True if data that are no recording have means far from 0: --detrend subtracts them."""
+    """Return True if data that do not come from a rig have means far from 0."""
     if from_recording(data):
         return False
     outputs = [y[known] for y, known in zip(data.y.T, data.valid.T, strict=True)]

@@ -1,4 +1,4 @@
-"""identify, validate and compare for models of several signals."""
+"""The commands identify, validate and compare, for models of several signals."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import OFFERED_NAMES
 
 _ACTING = frozenset({"demo", "stop", "reset", "calibrate", "collect", "lab", "flash"})
-"""Commands that act on a rig, which are never offered for a typing error."""
+"""Commands that act on a rig; they are never offered as the correction of a typing error."""
 _ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",
     "version": "`armrig --version` shows it",

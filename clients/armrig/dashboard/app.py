@@ -93,10 +93,10 @@ class _Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RigRoutes:
-    """Routes of the live rig for one door (a socket with its own token)."""
+    """Routes of the live rig for one listening socket, which has its own token."""
 
     def __init__(self, feed: Feed, driver: Driver, stream: Stream) -> None:
-        """Prepare routes with the feed, the driver and the stream of the door."""
+        """Prepare routes with the feed, the driver and the stream of the socket."""
         self._feed, self._driver, self._stream = feed, driver, stream
         # A stop has its own threads, so that it waits for no other request.
         self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")

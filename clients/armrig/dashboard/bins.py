@@ -24,7 +24,7 @@ _MAX_ROWS_BEFORE = 1000  # rows for a rate; a rig at 1 kHz has 200
 
 
 def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
-    """Return k, t in s, u in V, theta_1 and alpha in °, (n, 5); NaN for an unknown angle."""
+    """Return an array (n, 5): k, t in s, u in V, theta_1 and alpha in °; NaN if unknown."""
     found = np.array(
         [(s.k, s.t_sched_ns / 1e9, s.u_applied_v, s.theta_1_rad, s.alpha_rad) for s in samples],
         np.float64,
@@ -47,7 +47,7 @@ def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.fl
         Samples before `now`, from `signals`: see `needed_before`.
     now : ndarray, shape (N, 5)
         Samples from `signals`. The rate is NaN for a sample without an angle. It is also NaN if the
-        older angle is more than 2 `RATE_S` older, unless it belongs to the previous sample.
+        older angle is more than 2 `RATE_S` older, unless that angle is in the previous sample.
     """
     every = np.concatenate([before, now])
     known = every[np.isfinite(every[:, 3])]

@@ -31,7 +31,11 @@ class Connections:
         self._open: dict[Address, BoundedProtocol] = {}
 
     def add(self, address: Address, protocol: BoundedProtocol) -> None:
-        """Add a connection; above the limit, close an idle, an unread, or otherwise the new one."""
+        """Add a connection; above the limit, close one connection.
+
+        The closed connection is the oldest without a request, otherwise the oldest whose client
+        does not read, otherwise the new connection.
+        """
         self._open[address] = protocol
         if len(self._open) > MOST:
             others = [(a, p) for a, p in self._open.items() if a != address]

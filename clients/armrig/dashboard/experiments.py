@@ -204,6 +204,7 @@ def _cautions(status: StatusReport, plan: Plan) -> list[str]:
     cautions = []
     if plan.without_arm and not status.arm_removed:
         cautions.append(
-            "this experiment needs the chassis alone, but the rig has its arm: it will be refused"
+            "this experiment needs the chassis alone, but the rig has its arm: the experiment will "
+            "be refused"
         )
     return cautions

@@ -27,7 +27,7 @@ HEADERS = (
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"cache-control", b"no-store"),
 )
-"""Headers of each answer: only the page's own scripts run, and no other page can embed it."""
+"""Headers of each answer: only the page's own scripts run, and no other page can embed the page."""
 
 
 class Refusal(Exception):  # noqa: N818  # an answer, not a fault

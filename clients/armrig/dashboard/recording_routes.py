@@ -170,6 +170,8 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
     Raises
     ------
     OSError, DamageError
+        The file cannot be read, is a link, or is not a regular file.
+    FileError
         The file is not a recording.
     """
     file = regular_file(path, may_be_link=False)

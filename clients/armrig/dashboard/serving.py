@@ -230,7 +230,7 @@ class Server(uvicorn.Server):
 
 
 class ServerThread:
-    """Thread of one door's server; many requests at one door do not delay the other door."""
+    """Thread of one socket's server; many requests at one socket do not delay the other socket."""
 
     def __init__(self, server: Server, stream: Stream) -> None:
         self._server, self._stream = server, stream

@@ -29,15 +29,15 @@ _STALE_S = 0.3
 
 
 class Stream:
-    """Stream of the feed's and the driver's state to all viewers of one door."""
+    """Stream of the feed's and the driver's state to all viewers of one listening socket."""
 
     def __init__(
         self, feed: Feed, driver: Driver, audience: list[Viewers], *, may_command: bool
     ) -> None:
-        """Begin without viewers; add this door's viewers to `audience`, a list for all doors."""
+        """Begin without viewers; add this socket's viewers to `audience`, a common list."""
         self._feed, self._driver, self._audience = feed, driver, audience
         self.may_command = may_command
-        """True if the viewers of this door may command."""
+        """True if the viewers of this socket may command."""
         self._history = History(feed.history)
         self.viewers = Viewers()
         audience.append(self.viewers)

@@ -73,7 +73,7 @@ def preemption(root: Path) -> str:
         if found := re.search(pattern, text(root / where)):
             return found[1]
     if "PREEMPT_DYNAMIC" in version:
-        return "unknown (PREEMPT_DYNAMIC, chosen when it starts)"
+        return "unknown (PREEMPT_DYNAMIC, chosen when the kernel starts)"
     return "full" if "PREEMPT" in version else "unknown"
 
 

@@ -177,7 +177,7 @@ def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
 
 
 def installing(root: Path, parts: Collection[Part] = _RIG_PARTS) -> Plan:
-    """Return the plan that installs these parts and updates installed parts.
+    """Return the plan that installs these parts and updates the parts already installed.
 
     The plan does not change files that are up to date.
     """

@@ -2,8 +2,8 @@
 
 Keys are on P-256, and signatures are ECDSA with SHA-256. All TLS 1.3 implementations support both.
 A certificate contains its purpose. A client therefore refuses a server that presents an operator's
-certificate. No issued certificate can sign others. With its certificate, a rig may connect to a
-router, but it may neither send commands nor read streams.
+certificate. An issued certificate cannot sign other certificates. With its certificate, a rig may
+connect to a router, but it may neither send commands nor read streams.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
 def save(figure: Figure, path: Path, **options: Any) -> None:
     """Write a figure to a file, with letters at its panels.
 
-    The file contains no date and no random ids, so that equal figures are equal files.
+    The file contains no date and no random ids, so that equal figures give identical files.
     """
     import matplotlib as mpl
 
@@ -204,7 +204,7 @@ def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) 
 
 
 def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
-    """Draw values over lags, each as a stem from zero."""
+    """Draw each value as a stem from zero at its lag."""
     ax.vlines(x, 0, y, color=colour, lw=1.0)
     ax.plot(x, y, "o", color=colour, ms=2.6)
     ax.axhline(0, color=INK, lw=0.6)
@@ -213,7 +213,7 @@ def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
 def pens(curves: int) -> list[dict[str, Any]]:
     """Return the colour, dashes and width of each curve.
 
-    The first curve is the widest, so that all curves are visible where they agree.
+    The first curve is the widest, so that all curves are visible where they coincide.
     """
     if curves == 1:
         return [{"color": BLUE, "ls": "-", "lw": 1.4}]

@@ -199,8 +199,8 @@ class Rig:
     ) -> Path:
         """Play `u`, wait until the run is recorded, and return the recording's path.
 
-        Every exception during the wait, also Ctrl-C, stops the rig. The lease ends with the run:
-        call `arm` again before the next run.
+        Every exception during the wait, including Ctrl-C, stops the rig. The lease ends with the
+        run: call `arm` again before the next run.
 
         Parameters
         ----------
@@ -402,7 +402,8 @@ class Rig:
         Raises
         ------
         RefusedError
-            The daemon is too old for notes. After too many notes, the exception is a `BusyError`.
+            The daemon is too old for notes. If there are too many notes, the exception is a
+            `BusyError`.
         NoReplyError
             The daemon does not answer.
         ValueError

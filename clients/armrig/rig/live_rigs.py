@@ -1,4 +1,4 @@
-"""Rigs whose daemons run now: their ids from liveliness tokens, and their status."""
+"""Rigs whose daemons run now: their ids, found by liveliness tokens, and their status."""
 
 from __future__ import annotations
 

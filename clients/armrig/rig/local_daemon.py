@@ -64,7 +64,7 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
 
 
 def _require_none(rig: str) -> None:
-    """Raise RigError if another daemon of the rig answers, so that the two are not confused."""
+    """Raise RigError if another daemon of the rig answers, so that they are not confused."""
     try:
         with Rig(rig) as opened:
             opened.status()

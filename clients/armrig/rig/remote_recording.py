@@ -198,7 +198,7 @@ class RemoteRecording:
         now_s = time.monotonic()
         if len(self._begun) == _MAX_FILES and now_s - self._begun[0] < _MAX_FILES_PERIOD_S:
             msg = f"rig {self.rig}: {_MAX_FILES} files in a minute, because the index of its "
-            msg += "samples begins again, or their rate changes, again and again; "
+            msg += "samples restarts, or their rate changes, again and again; "
             raise RigError(msg + "the sender is not an armrigd")
         self._begun.append(now_s)
         path = self._free_path()

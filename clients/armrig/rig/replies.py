@@ -22,7 +22,7 @@ _MAX_ERROR_CHARACTERS = 1000
 _R = TypeVar("_R")
 
 Progress = Callable[[int, int], None]
-"""Callback with two numbers: the samples taken so far, and the samples of the run."""
+"""Callback with two arguments: number of samples taken so far, and number of all samples."""
 
 
 def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:

@@ -128,7 +128,7 @@ def configured_connect() -> str:
 
 
 def local_rigs() -> list[str]:
-    """Return the ids of all rigs with a socket of this user's daemon, or of a service, here."""
+    """Return the ids of the rigs that have a socket of this user's daemon or of a service."""
     places = [Path(_socket_directory()), *Path(SERVICES).glob("*")]
     names = {path.stem for place in places for path in place.glob("*.sock")}
     return sorted(name for name in names if is_rig_id(name) and not name.startswith(PLAYED))

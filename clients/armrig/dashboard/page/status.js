@@ -77,7 +77,7 @@ export function showLost(silence, why) {
 
 // This browser was too late to show what came.
 export function showBusy(late) {
-  notice(`this browser was too busy to draw for ${seconds(late / 1000)}: close other programs or tabs; the rig goes on`);
+  notice(`this browser was too busy to draw for ${seconds(late / 1000)}: close other programs or tabs; the rig continues`);
 }
 
 const seconds = (s) => (s < 10 ? `${s.toFixed(2)} s` : `${Math.round(s)} s`);
@@ -100,8 +100,8 @@ export function showTiming(timing) {
   const report = timing.report;
   const parts = [];
   if (report.late_p99_us !== undefined) {
-    parts.push(`the host woke late by p50 ${micros(report.late_p50_us)}, p99 ${micros(report.late_p99_us)}, at most ${micros(report.late_max_us)}`);
-    parts.push(`the device's period was off by p99 ${micros(report.device_p99_us)}; round trip p99 ${micros(report.link_p99_us)}`);
+    parts.push(`host's lateness: p50 ${micros(report.late_p50_us)}, p99 ${micros(report.late_p99_us)}, max ${micros(report.late_max_us)}`);
+    parts.push(`error of the device's period: p99 ${micros(report.device_p99_us)}; round trip: p99 ${micros(report.link_p99_us)}`);
   }
   setText("timing-text", parts.join("; ") || "no report yet");
   const most = Math.max(1, ...timing.late);

@@ -36,7 +36,7 @@ BROWN_OUT = {4: "4.3 V", 5: "2.7 V", 6: "1.8 V", 7: "none"}
 """Brown-out voltage for each value of the extended fuse's last 3 bits (data sheet, table 28-5)."""
 WANTED_FUSE = 0xFC
 """Extended fuse for 4.3 V; a clock of 16 MHz needs at least 3.8 V (data sheet, figure 29-1)."""
-INSTALL = "avrdude writes the firmware, and is not installed: apt install avrdude"
+INSTALL = "avrdude, which writes the firmware, is not installed: apt install avrdude"
 _TIMEOUT_S = 90.0  # three attempts to connect take 17 s, a full Uno 10 s
 _BLOCKS = 50  # of avrdude's full progress bar
 _BAR = re.compile(r"(Reading|Writing|Verifying) +\| (#*)")
@@ -163,7 +163,7 @@ def write(call: Sequence[str], moved: Moved) -> None:
 
 
 def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
-    """Run avrdude; return its output and messages. `after`: text on the board after a failure."""
+    """Run avrdude; return its output and messages. `after` is the end of an error's message."""
     with TemporaryFile() as printed:
         avrdude = subprocess.Popen(
             call, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE
@@ -263,7 +263,7 @@ def chosen(port: str | None, boards: Sequence[Board]) -> Board:
     Raises
     ------
     OperationError
-        The given port does not exist; or no port is given, and not exactly one Uno is plugged in.
+        The given port does not exist; or no port is given, and the number of Unos is not 1.
     """
     if port is not None:
         return _at(port, boards)
