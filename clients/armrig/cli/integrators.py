@@ -108,7 +108,7 @@ def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
 def _solved(
     problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
 ) -> _Solved:
-    """Solve with the methods, or with all methods, at the given or at recommended steps."""
+    """Solve with these methods, or all methods, at these steps or at recommended steps."""
     from armrig.cli.spinner import spinner
     from armrig.physics.integrators.accuracy import all_methods
     from armrig.physics.integrators.stability import stability_limit

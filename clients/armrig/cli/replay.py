@@ -60,7 +60,7 @@ class Replay:
     difference: str
     """First difference from the recording; empty without a difference."""
     until: str
-    """Damage of the file at which the replay ends; empty for a complete file."""
+    """Damage of the file, which ends the replay; empty for a complete file."""
     said: tuple[CoreMessage, ...]
     """Warnings and errors of the core during the replay, including safety trips."""
 

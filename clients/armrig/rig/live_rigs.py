@@ -47,8 +47,8 @@ def live_rigs(connect: str | None) -> tuple[str, list[LiveRig]]:
     Parameters
     ----------
     connect : str, optional
-        Endpoint of a router or a daemon; by default the endpoint in `[client]`. If neither is
-        given, all daemons of this machine are queried.
+        Endpoint of a router or a daemon; by default the endpoint in `[client]`. If there is no
+        endpoint, all daemons of this machine are queried.
 
     Raises
     ------

@@ -41,8 +41,8 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
     Raises
     ------
     RigError
-        Another daemon answers for this rig, or the new daemon ended or does not answer. The message
-        contains the last line of the daemon's log.
+        Another daemon answers for this rig; or the new daemon has ended, or does not answer. The
+        message contains the last line of the daemon's log.
     """
     _require_none(rig)
     program = [sys.executable, "-m", "armrig_daemon", "run", "--parent", str(os.getpid())]

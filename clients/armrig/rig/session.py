@@ -167,7 +167,7 @@ def open_connection(
     Parameters
     ----------
     connect : str, optional
-        Endpoint; by default the endpoint in `[client]`. If neither is given, the sockets of this
+        Endpoint; by default the endpoint in `[client]`. If there is no endpoint, the sockets of this
         user's daemon and of this machine's service are tried. The directories of the sockets must
         be writable for their owners only.
     certificate : str or Path, optional
