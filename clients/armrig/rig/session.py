@@ -168,8 +168,8 @@ def open_connection(
     ----------
     connect : str, optional
         Endpoint; by default the endpoint in `[client]`. If there is no endpoint, the sockets of
-        this user's daemon and of this machine's service are tried. The directories of the sockets must
-        be writable for their owners only.
+        this user's daemon and of this machine's service are tried. The directories of the sockets
+        must be writable for their owners only.
     certificate : str or Path, optional
         Credential of the client, for an endpoint tls/HOST:PORT; by default the credential in
         `[client]`.
