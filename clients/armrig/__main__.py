@@ -1,4 +1,4 @@
-"""The command `armrig`, also `python -m armrig`; Ctrl-C ends it with one line of output."""
+"""The command `armrig`, also `python -m armrig`; after Ctrl-C it prints one line and ends."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ _ORDER: list[str] = []
 
 
 class _InOrder(typer.core.TyperGroup):
-    """Group that lists its commands in the order of `_ORDER`, groups of commands included."""
+    """Group that lists its commands and its groups of commands in the order of `_ORDER`."""
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names of the commands."""
@@ -201,7 +201,7 @@ def _signals() -> Iterator[list[signal.Signals]]:
 
 @cache
 def _command_line() -> Any:
-    """Return all commands with their options; making them takes 25 ms."""
+    """Return all commands with their options; their creation takes 25 ms."""
     return typer.main.get_command(app)
 
 
@@ -273,7 +273,7 @@ def _failed(message: str, code: int) -> int:
 
 
 def _of_file(err: OSError) -> str:
-    """Return a message with the file, the error of the system and what to do."""
+    """Return a message with the file, the system's error and the remedy."""
     if not (err.filename and err.strerror):
         return str(err)
     name = Path(os.fsdecode(err.filename))

@@ -1,4 +1,4 @@
-"""The command `armrig batch`: one task for all recordings of a folder, and its table."""
+"""The command `armrig batch`, which runs a task on all recordings of a folder."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _example(given: str) -> str:
 
 
 app = typer.Typer(
-    help="Process all recordings of a folder; write a table (Parquet) with a row for each.",
+    help="Process all recordings of a folder; write a table (Parquet) with a row for each run.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -52,7 +52,7 @@ Scheduler = Annotated[
     typer.Option(
         "--scheduler",
         metavar="ADDRESS",
-        help="Address of a Dask scheduler whose workers do the work.",
+        help="Address of a Dask scheduler whose workers process the recordings.",
     ),
 ]
 Rigs = Annotated[
@@ -89,7 +89,10 @@ def identify(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Estimate a model from each recording: parameters, standard deviations, fit and model."""
+    """Estimate a model from each recording.
+
+    The table contains the parameters, their standard deviations, the fit and the model.
+    """
     from armrig.report.batch.tasks import Identify
 
     task = Identify(**asdict(requested(given)), signal=signal, detrend=detrend)
@@ -115,7 +118,10 @@ def validate(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Validate one model on each recording: its simulation and the tests of its residuals."""
+    """Validate one model on each recording.
+
+    The table contains the results of the simulation and of the tests of the residuals.
+    """
     from armrig.models.model_file import load_fit
     from armrig.models.model_writing import model_text
     from armrig.report.batch.tasks import Validate
@@ -135,7 +141,7 @@ def verify(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Check each recording against its run. The exit code is 1 if a check fails."""
+    """Check the integrity of each recording. The exit code is 1 if a check fails."""
     from armrig.report.batch.tasks import Verify
 
     _do(Verify(), folder, output, rig, kind, workers, scheduler, force=force, json=json)
@@ -253,7 +259,7 @@ def _failed(row: dict[str, Any]) -> str:
 
 
 def _list(found: dict[str, str], columns: str) -> None:
-    """Print the first findings about recordings, and which columns contain all findings."""
+    """Print the first findings about recordings, and the columns that contain all findings."""
     for name, text in [*found.items()][:_MAX_NAMES]:
         echo(f"  {name}: {text}")
     if len(found) > _MAX_NAMES:

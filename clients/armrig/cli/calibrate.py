@@ -1,4 +1,4 @@
-"""The command that calibrates a rig from a rest, slow turns and readings of a meter."""
+"""The command that calibrates a rig from a recording at rest, slow turns and a voltmeter."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ Meter = Annotated[
     typer.Option(
         "--meter",
         metavar="CODE=VOLTS",
-        help="Voltmeter's reading at the motor for a code of 1 to 65535; repeatable.",
+        help="Voltmeter's reading at the motor for a PWM code, 1 to 65535; repeatable.",
     ),
 ]
 MeterStd = Annotated[
@@ -62,7 +62,8 @@ MeterStd = Annotated[
 ByHand = Annotated[
     bool,
     typer.Option(
-        "--by-hand", help="Leave the motor off; find the arm's sign from a deflection by hand."
+        "--by-hand",
+        help="Leave the motor off; deflect the arm by hand to find the sign of its angle.",
     ),
 ]
 RestFile = Annotated[
@@ -153,20 +154,20 @@ class _Wanted:
     """Measurements to make, and earlier measurements."""
 
     readings: list[tuple[int, float]]
-    """Codes, each with the reading of a meter in V."""
+    """PWM codes, each with the voltmeter's reading in V."""
     levels: list[float]
     """Voltages of the turns, in V."""
     level_seconds: float
     rest_seconds: float
     by_hand: bool
-    """True if a person deflects the arm and the motor stays off."""
+    """True if the user deflects the arm by hand and the motor stays off."""
     rest_file: Path | None
     turns_file: Path | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Measured:
-    """The recordings and readings that a calibration is estimated from."""
+    """The recordings and readings from which a calibration is estimated."""
 
     rest: Recording
     turns: Recording | None
@@ -180,7 +181,7 @@ class _Measured:
 
 
 def _measured(wanted: _Wanted, ask: Dialogue, play: Player) -> _Measured:
-    """Guide the person and the rig through the missing measurements."""
+    """Guide the user and the rig through the missing measurements."""
     rest, turns = _loaded(wanted.rest_file), _loaded(wanted.turns_file)
     deflected, readings = None, wanted.readings
     if rest is None:
@@ -268,7 +269,7 @@ def _check_terminal(wanted: _Wanted, *, yes: bool) -> None:
 
 
 def _applied(code: int, rest: Recording) -> float:
-    """Return the voltage that the device makes of a code, with the resolution of its PWM."""
+    """Return the voltage that the device applies for a code, at the resolution of its PWM."""
     from armrig_core.volts import applied_code, volts_of
 
     bits = rest.manifest.device.get("pwm_bits")

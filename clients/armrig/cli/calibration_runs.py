@@ -1,4 +1,4 @@
-"""The steps of a calibration: questions to the person, a rest of the rig, and slow turns."""
+"""The steps of a calibration: questions to the user, a recording at rest, and slow turns."""
 
 from __future__ import annotations
 
@@ -29,25 +29,25 @@ _QUESTION = "Load the calibration into the running daemon now?"
 
 
 class Dialogue:
-    """Questions to the person at the terminal, or none."""
+    """Questions to the user at the terminal; with `yes`, nothing is asked."""
 
     def __init__(self, *, yes: bool) -> None:
         self._quiet = yes
 
     def ready(self, text: str) -> None:
-        """Print an instruction, and wait until the person confirms it."""
+        """Print an instruction, and wait until the user confirms it."""
         if not self._quiet:
             typer.prompt(
                 question(f"{text} Then press Enter"), default="", show_default=False, err=True
             )
 
     def has_meter(self) -> bool:
-        """Ask, before the motor turns, whether a meter is at its terminals."""
+        """Ask, before the motor turns, whether a voltmeter is connected to the motor."""
         text = "Is a voltmeter at the motor's terminals? Then note its reading at each voltage"
         return not self._quiet and typer.confirm(question(text), default=False, err=True)
 
     def meter(self, levels: Sequence[float]) -> list[tuple[int, float]]:
-        """Ask for the meter's reading at each level; return the PWM code of each with it."""
+        """Ask for the meter's reading at each level; return pairs of PWM code and reading."""
         from armrig_core.volts import code_of
 
         readings: list[tuple[int, float]] = []
@@ -72,7 +72,7 @@ class Player:
         return self._played(experiment, seconds, {}, lambda N, _: np.zeros(N))
 
     def turns(self, levels: Sequence[float], level_seconds: float) -> Recording:
-        """Record the rig turning at one voltage after the other."""
+        """Record the rig while it turns at each voltage, one after another."""
         import numpy as np
 
         seconds = _START_S + level_seconds * len(levels)
@@ -125,7 +125,7 @@ def check_turns(levels: Sequence[float], level_seconds: float) -> None:
 
 
 def meter_reading(text: str) -> tuple[int, float]:
-    """Return the code and the reading of CODE=VOLTS."""
+    """Return the code and the reading from a text CODE=VOLTS."""
     from armrig_protocol.messages import CODE_FULL_SCALE
 
     code, _, volts = text.partition("=")
@@ -149,9 +149,9 @@ def take_into_use(
     Parameters
     ----------
     wanted : bool, optional
-        True loads the calibration. None asks the person, if a daemon runs.
+        True to load the calibration, False not to load it. None asks the user if a daemon runs.
     asks : bool
-        True if the person may be asked; otherwise the answer is yes.
+        True if the user may be asked; if False, the answer is yes.
 
     Raises
     ------
@@ -179,15 +179,18 @@ def take_into_use(
         is_used = False
         tell(f"not in use: no daemon of rig {rig} answers")
     if is_used:
-        tell(f"rig {rig} uses it from the next sample on, until `armrig lab` or armrigd ends")
+        tell(
+            f"rig {rig} uses the calibration from the next sample on, until `armrig lab` or "
+            "armrigd ends"
+        )
     _say_how_it_stays(path, named)
     return is_used
 
 
 def _is_wanted(wanted: bool | None, *, asks: bool) -> bool:
-    """Return True if the daemon must load the calibration; print if it is not in use."""
+    """Return True if the daemon must load the calibration; otherwise print a message."""
     if wanted is None and asks and not sys.stdin.isatty():
-        tell("not in use: --use loads it into the running daemon")
+        tell("not in use: --use loads the calibration into the running daemon")
         return False
     if wanted is None:
         wanted = not asks or typer.confirm(_QUESTION, default=True, err=True)
@@ -197,7 +200,7 @@ def _is_wanted(wanted: bool | None, *, asks: bool) -> bool:
 
 
 def _say_how_it_stays(path: Path, named: str) -> None:
-    """Print how a daemon uses a calibration from its next start on.
+    """Print how to make a daemon use the calibration from its next start on.
 
     `named` is the calibration file in the configuration of the running daemon.
     """

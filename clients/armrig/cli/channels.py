@@ -1,4 +1,4 @@
-"""Names of the signals that commands read: those of the options, and those of a saved model."""
+"""Names of the signals that commands read: names in options, and names in a saved model."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def recorded_outputs(chosen: Sequence[str]) -> list[OutputName]:
 
 
 def modelled_outputs(model: MultivariableFit, chosen: Sequence[str]) -> list[OutputName]:
-    """Return the model's outputs in its order; refuse a recording that has other signals."""
+    """Return the model's outputs in the model's order; refuse a model of other signals."""
     known: dict[str, OutputName] = {name: name for name in get_args(OutputName)}
     if not set(model.outputs) <= known.keys() or model.inputs != _INPUTS:
         raise InputError(
@@ -57,7 +57,7 @@ def modelled_outputs(model: MultivariableFit, chosen: Sequence[str]) -> list[Out
 
 
 def require_as_many(model: MultivariableFit, outputs: Sequence[str], inputs: Sequence[str]) -> None:
-    """Refuse names of columns whose numbers differ from those of the model's signals."""
+    """Refuse column names if their number differs from the number of the model's signals."""
     for option, what, chosen, own in (
         ("--signal", "output", outputs, model.outputs),
         ("--input", "input", inputs, model.inputs),
@@ -72,8 +72,8 @@ def require_as_many(model: MultivariableFit, outputs: Sequence[str], inputs: Seq
 def as_modelled(file: Path, signals: Signals, model: MultivariableFit) -> Signals:
     """Return the signals with the model's names, in the model's order.
 
-    By naming other columns, the person states that these columns are the model's signals. A
-    message names the columns.
+    If the user names other columns, these columns are used as the model's signals. A message lists
+    the columns.
     """
     for own, found in ((model.outputs, signals.outputs), (model.inputs, signals.inputs)):
         if set(own) != set(found):

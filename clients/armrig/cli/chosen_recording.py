@@ -26,7 +26,7 @@ _MAX_LISTED = 4
 
 
 class NoSuchRecordingError(OperationError):
-    """A name means no recording, or several; the message lists the several recordings."""
+    """A name means no recording, or several recordings, which the message then lists."""
 
 
 _NAMES = "@last or @NAME"
@@ -70,7 +70,7 @@ def _check_bare_name(path: Path) -> None:
 
 
 def chosen(text: str, folder: Path) -> RecordingSummary:
-    """Return the finished recording in a folder that `@last`, `@NAME` or `@NAME/validation` means.
+    """Return the finished recording that a name means: `@last`, `@NAME` or `@NAME/validation`.
 
     The function reads the names of all files, and the metadata of matching files only.
 
@@ -101,14 +101,14 @@ def chosen(text: str, folder: Path) -> RecordingSummary:
 def preferred(found: Sequence[RecordingSummary]) -> Sequence[RecordingSummary]:
     """Return the complete recordings of one name, or all if none is complete.
 
-    A run that ended early is usually repeated by the same command, and so with the same name.
+    If a run ended early, it is usually repeated with the same command and thus the same name.
     """
     complete = [s for s in found if s.is_complete]
     return complete or found
 
 
 def matching(text: str, paths: Sequence[Path]) -> Sequence[RecordingSummary]:
-    """Return the finished recordings among files that `@NAME` or `@NAME/validation` may mean."""
+    """Return the finished recordings among `paths` that `@NAME` or `@NAME/validation` may mean."""
     from armrig.recordings.catalogue import may_answer_to, summaries
 
     validation = text.endswith(VALIDATION)
@@ -118,11 +118,11 @@ def matching(text: str, paths: Sequence[Path]) -> Sequence[RecordingSummary]:
 
 
 Answering = Callable[[str], Sequence["RecordingSummary"]]
-"""Function of `@NAME` or `@NAME/validation` that returns the recordings it may mean."""
+"""Function of `@NAME` or `@NAME/validation` that returns the recordings that the name may mean."""
 
 
 def answering_among(known: Iterable[RecordingSummary]) -> Answering:
-    """Return a function that looks up in an index the recordings that a name may mean."""
+    """Return a function that looks up a name in an index and returns the possible recordings."""
     by_name: dict[str, list[RecordingSummary]] = {}
     for summary in known:
         for validation, behind in ((False, ""), (True, VALIDATION)):
@@ -147,7 +147,7 @@ def short_name(summary: RecordingSummary, answering: Answering) -> str:
 
 
 def described(summary: RecordingSummary) -> str:
-    """Return id, kind, length and start of a recording, for a person."""
+    """Return id, kind, length and start of a recording as text."""
     name = f" {summary.name}" if summary.name else ""
     what = f"{summary.kind}{name}{' (validation)' if summary.is_validation else ''}"
     when = summary.started[:19].replace("T", " ")
@@ -171,9 +171,9 @@ def _none(text: str, folder: Path) -> str:
     unfinished = sum(1 for _ in folder.glob("*.mcap.active"))
     going = f" ({unfinished} still being written)" if unfinished else ""
     if text == f"@{LAST}":
-        why = f"there is no whole recording in {folder}{going}; make one with `armrig collect`"
+        why = f"there is no finished recording in {folder}{going}; make one with `armrig collect`"
     else:
-        why = f"no whole recording in {folder} has that name{going}; `armrig ls` lists them"
+        why = f"no finished recording in {folder} has that name{going}; `armrig ls` lists them"
         why += _near(text, folder)
     return f"{text}: {why}"
 

@@ -15,7 +15,7 @@ from armrig.cli.options import Connect, Json, RigId
 app = typer.Typer(
     help="Play an input and record the response of the rig.\n\n"
     "The command prints the path of the recording and whether its data can be used. "
-    "The exit code is 0 if they can.",
+    "The exit code is 0 if the data can be used.",
     rich_markup_mode=None,
 )
 
@@ -71,14 +71,13 @@ DeadMan = Annotated[
     typer.Option(
         "--dead-man",
         metavar="SECONDS",
-        help="Time in s after which the daemon stops the run if this program is "
-        "killed, frozen or disconnected; with 0 the run is played to its "
-        "end.",
+        help="If this program is killed, frozen or disconnected, the daemon stops the run after "
+        "this time, in s; 0 plays the run to its end.",
     ),
 ]
 DEFAULT_PERIOD_S = 5.0
 DEAD_MAN_S = 1.0
-"""Default dead-man, in s: a closed terminal or a lost connection stops the motor."""
+"""Default dead-man time, in s: a closed terminal or a lost connection stops the motor."""
 
 
 @app.command(epilog="Example: armrig collect blackbox --seconds 30 --validation")
@@ -173,7 +172,7 @@ def step(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play a step: time constant, delay, gain.
+    """Play a step, to measure time constant, delay and gain.
 
     The input steps from the lower to the upper level.
     """
@@ -202,7 +201,7 @@ def staircase(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """Play levels up and down: static gain and friction."""
+    """Play levels up and down, to measure static gain and friction."""
     from armrig.excitation.named_signals import step_at, up_and_down
 
     step_at(1, 1.0, low=low, high=high, at=0.0)
@@ -219,7 +218,9 @@ def staircase(
 def bla(
     seconds: Annotated[
         float | None,
-        typer.Option("--seconds", help="Length of each recording, in s, in place of --period."),
+        typer.Option(
+            "--seconds", help="Length of each recording, in s; use it instead of --period."
+        ),
     ] = None,
     period: Annotated[
         float | None,
@@ -230,7 +231,9 @@ def bla(
     ] = 5,
     count: Annotated[
         int,
-        typer.Option("--realisations", min=1, help="Number of recordings, each with other phases."),
+        typer.Option(
+            "--realisations", min=1, help="Number of recordings, each with different phases."
+        ),
     ] = 4,
     low: Low = 0.5,
     high: High = 4.5,
@@ -246,7 +249,7 @@ def bla(
 ) -> None:
     """Play multisines for `armrig.bla`, the best linear approximation.
 
-    Each recording has other random phases.
+    Each recording has different random phases.
     """
     from armrig.excitation.named_signals import realisations
 

@@ -36,7 +36,7 @@ class Played(NamedTuple):
 
     experiment: str
     make: Callable[[int, float], Any]
-    """N and Ts in s -> u in V."""
+    """Function of N and Ts, in s, that returns u, in V."""
     details: dict[str, Any]
     seconds: float | None
     is_validation: bool = False
@@ -113,7 +113,7 @@ def _experiment_name(experiment: str, name: str) -> str:
 
 
 def _check_name_is_free(name: str) -> None:
-    """Refuse the name of a complete recording, because a name of two recordings is ambiguous."""
+    """Refuse the name of a complete recording, because two recordings would have this name."""
     from armrig.cli.chosen_recording import (
         NoSuchRecordingError,
         matching,
@@ -140,7 +140,7 @@ def _check_name_is_free(name: str) -> None:
 def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bool = False) -> None:
     """Record each run and print its result; stop if the data cannot be used.
 
-    `without_arm` is True for an experiment with the chassis alone; a rig with its arm is refused.
+    If `without_arm` is True, the experiment needs the chassis alone: a rig with its arm is refused.
     """
     from dataclasses import replace
 
@@ -190,7 +190,7 @@ def collect_each(played: Iterable[Played], run: CollectedRun, *, without_arm: bo
 
 
 def _say_next(kind: str, first: Path, rig: str) -> None:
-    """Print the next command; repeat a step whose rise the dead band hides."""
+    """Print the next command, which repeats a step if the dead band hid its rise."""
     from armrig.recordings.loading import load
 
     again = ""

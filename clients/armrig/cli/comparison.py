@@ -83,9 +83,9 @@ def compare(
 ) -> None:
     """Compare models on a recording that they were not estimated from.
 
-    With F2 the command estimates ARX and OE from F; it compares them, the physical model and the
-    models of --model on F2. Without F2 it compares the models of --model on F. --set adds a
-    physical model with the parameters given.
+    With F2, the command estimates an ARX and an OE model from F. On F2, it compares these two
+    models, the physical model and the models of --model. Without F2, it compares the models of
+    --model on F. --set adds a physical model with the given parameters.
     """
     changed = physics_beside(given) if given else {}
     if other is None and not model:
@@ -138,7 +138,7 @@ class _Compared:
     """Models with their names; names may repeat."""
     data: Dataset
     where: str
-    """Name of the data, for a person."""
+    """Name of the data in messages."""
 
     @property
     def names(self) -> list[str]:
@@ -154,7 +154,7 @@ class _Compared:
 def _saved_models(
     files: Sequence[Path],
 ) -> tuple[list[tuple[str, Model]], list[tuple[str, MultivariableFit]]]:
-    """Return the models of one output and input, and those of several signals."""
+    """Return the models of one output and one input, and the models of several signals."""
     from armrig.models.multivariable.fit import MultivariableFit
     from armrig.models.multivariable.model_file import load_fit
 
@@ -178,7 +178,7 @@ def _studied(
     nf: int,
     nk: int,
 ) -> _Compared:
-    """Estimate ARX and OE; return them, the physical model and the saved models, with the data."""
+    """Estimate ARX and OE models; return all models to compare, and the validation data."""
     from armrig.cli.spinner import estimating
     from armrig.report.study import Orders, study
 

@@ -1,4 +1,4 @@
-"""The command that serves one page over a live rig: dashboard."""
+"""The command dashboard, which serves a page that shows and drives a live rig."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The demonstration: three experiments on an emulated rig, models of it, and a report."""
+"""The demonstration: three experiments on an emulated rig, models of the rig, and a report."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def demo(
     firmware: bool = False,
     console: Console | None = None,
 ) -> dict[str, Any]:
-    """Record an emulated rig, identify and validate it, and write a report into `directory`.
+    """Record an emulated rig, identify and validate models, and write a report to `directory`.
 
     Returns the results and the paths of the files, by name.
 
@@ -98,7 +98,7 @@ def demo(
 
 
 def _record(plan: list[Experiment], config: Path, console: Console, done: list[Path]) -> str:
-    """Append recordings made in real time to `done`; return why some are missing, "" if none is."""
+    """Append real-time recordings to `done`; return the reason for missing ones, "" if complete."""
     if sys.platform != "linux":
         return "an emulated rig in real time is for Linux"
     from armrig_core.errors import InputError
@@ -174,7 +174,7 @@ def _print_results(
 
 
 def _row(model: Assessed) -> dict[str, Any]:
-    """Return the errors and fits of a model on the validation recording, for a program."""
+    """Return the errors and fits of a model on the validation recording as JSON fields."""
     row = model.comparison
     return {
         "model": row.name,
@@ -185,7 +185,7 @@ def _row(model: Assessed) -> dict[str, Any]:
 
 
 def from_here(path: Path) -> Path:
-    """Return the shortest path from the current folder."""
+    """Return the path relative to the current folder, if the file is in this folder."""
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path
 
@@ -210,7 +210,7 @@ def record_in_virtual_time(
     firmware : bool, default False
         If True, the device is the Uno's firmware in simavr.
     meanwhile : callable
-        Function to call while another processor plays.
+        Function to call while another process plays the experiments.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The demonstration in real time: daemon and emulator are processes of their own.
+"""The demonstration in real time: daemon and emulator run as separate processes.
 
 This module needs zenoh; the demonstration in virtual time does not.
 """
@@ -90,7 +90,7 @@ def record_in_real_time(
 
 
 def recorded(rig: Rig, experiment: Experiment, console: Console, patience: Patience) -> Path:
-    """Arm and run an experiment; if a stall of the emulator ends the run, print this and repeat."""
+    """Arm and run an experiment; if a stall of the emulator ends the run, print why and repeat."""
     while True:
         wait_until_safe(rig)
         try:

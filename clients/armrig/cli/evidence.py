@@ -40,7 +40,7 @@ OutputOfMat = Annotated[
 
 
 def verify(file: File, json: Json = False) -> None:
-    """Check a recording against its run.
+    """Check the integrity of a recording.
 
     The checks cover samples and gap records, voltages, input, times, hashes and clocks. The exit
     code is 1 if a check fails; the readable data can still be loaded and exported.

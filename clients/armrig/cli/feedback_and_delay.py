@@ -122,7 +122,7 @@ def _say_next(file: Path, signals: SignalChoice, *, of_rig: bool) -> None:
 
 
 def _tested(test: Callable[[Dataset], T], data: Dataset) -> T | str:
-    """Return the result of a test, or the reason why it has none."""
+    """Return the result of a test, or the reason for a missing result."""
     try:
         return test(data)
     except ValueError as err:

@@ -32,7 +32,7 @@ _MCAP = b"\x89MCAP0\r\n"
 
 
 def name_runs(*recordings: Recording) -> None:
-    """Note the run ids of recordings; figures of the command name them, as `armrig ls` does.
+    """Store the run ids of recordings; figures of the command show these ids, as `armrig ls` does.
 
     The estimation run of a validation recording is included if its file is in the same folder.
     """
@@ -44,7 +44,7 @@ def name_runs(*recordings: Recording) -> None:
 
 
 def _runs() -> dict[str, str]:
-    """Return the run ids that figures name, by the hash of the recording."""
+    """Return the run ids that figures show, by the hash of the recording."""
     from hashlib import file_digest
 
     runs = dict(_RUNS)
@@ -55,7 +55,7 @@ def _runs() -> dict[str, str]:
 
 
 def figure_path(text: str | Path) -> Path:
-    """Return the path of a figure: for a folder, or a text that ends with "/", FOLDER/*.png."""
+    """Return the path of a figure: FOLDER/*.png for a folder or a text that ends with "/"."""
     path = Path(text)
     return path / f"{_EACH}.png" if str(text).endswith("/") or path.is_dir() else path
 
@@ -112,7 +112,7 @@ def write_plot(
     height : float
         Height of the axes of one subject, in inches.
     **draw
-        Subject -> function that draws the subject into `ax`.
+        Function for each subject, by its name; it draws the subject into `ax`.
     """
     if path is None:
         return []

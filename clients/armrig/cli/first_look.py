@@ -160,7 +160,7 @@ def _sampling_facts(choice: SamplingTime) -> dict[str, Any]:
 
 
 def _step_facts(steps: StepAnalysis | None) -> dict[str, Any]:
-    """Return the analysis of the steps for a program; empty without an analysis."""
+    """Return the analysis of the steps as JSON fields; empty without an analysis."""
     if steps is None:
         return {}
     of = ("gain", "tau", "equivalent_time", "settling", "overshoot")
@@ -182,10 +182,10 @@ def hints(
     plot: Plot = None,
     json: Json = False,
 ) -> None:
-    """Find which model structure the data suggest (handout 3.2).
+    """Suggest a model structure for the data (handout 3.2).
 
-    Integrator, order and nk follow from the impulse response, the spectra and the Hankel matrix,
-    which assume no structure.
+    The command finds an integrator, the order and nk from the impulse response, the spectra and the
+    Hankel matrix. These three estimates assume no structure.
     """
     from armrig.cli.spinner import spinner
     from armrig.validation.structure_hints import structure_hints

@@ -33,7 +33,8 @@ Image = Annotated[
     ),
 ]
 Baud = Annotated[
-    int, typer.Option("--baud", help="Speed of the firmware's line, in bit/s ([device] baud).")
+    int,
+    typer.Option("--baud", help="Speed of the firmware's serial line, in bit/s ([device] baud)."),
 ]
 DryRun = Annotated[
     bool, typer.Option("--dry-run", help="Show the plan only, without opening the port.")
@@ -46,7 +47,7 @@ Fuse = Annotated[
     typer.Option(
         "--fuse",
         metavar="PROGRAMMER",
-        help="Only read the brown-out fuse, by this ISP programmer, such as usbasp.",
+        help="Read only the brown-out fuse, with this ISP programmer, such as usbasp.",
     ),
 ]
 BROWN_OUT = (
@@ -71,10 +72,10 @@ def flash(
     fuse: Fuse = None,
     json: Json = False,
 ) -> None:
-    """Write the firmware to an Uno, and check which firmware it runs.
+    """Write the firmware to an Uno, and check which firmware the board runs.
 
-    The command uses avrdude and the board's boot loader, Optiboot, and reads back what it wrote. It
-    refuses a port that a daemon uses, and a board with another boot loader.
+    The command uses avrdude and the board's boot loader, Optiboot, and verifies the written
+    firmware. It refuses a port that a daemon uses, and a board with another boot loader.
     """
     from armrig_core.firmware_image import read_image, shipped_image
 

@@ -30,7 +30,7 @@ def record_many(
     *,
     json: bool,
 ) -> None:
-    """Record rigs at an endpoint into files in the folder `out`; None records all rigs."""
+    """Record rigs at an endpoint into files in the folder `out`; `rigs` is None for all rigs."""
     from armrig.lab.fleet_recorder import FleetRecorder
     from armrig.rig.session import configured_connect, open_endpoint
 

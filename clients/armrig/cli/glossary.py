@@ -47,7 +47,7 @@ def _page() -> Path:
 
 
 def _found(term: str, terms: dict[str, str]) -> str:
-    """Return the name of a term, written in any case, with blanks, hyphens or underscores."""
+    """Return the term that a text means; case, blanks, hyphens and underscores do not matter."""
     from difflib import get_close_matches
 
     names = {_plain(name): name for name in terms}

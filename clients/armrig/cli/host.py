@@ -64,8 +64,8 @@ def demo(
 def doctor(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Show what degrades the timing on this host, and how to correct it.
 
-    If a daemon answers on this machine, the checks apply to the daemon, otherwise to the user of
-    the command. The exit code is 1 if a check fails.
+    If a daemon answers on this machine, the command checks the rights of the daemon, otherwise the
+    rights of this user. The exit code is 1 if a check fails.
 
     A note is a fact that cannot be checked or corrected here; it does not change the exit code.
     """
@@ -97,7 +97,7 @@ def conformance(
     The test takes a minute and prints a line for each rule. The exit code is 0 only if no rule is
     broken.
 
-    The device ends at 0 V.
+    At the end, the device is at 0 V.
     """
     program = [sys.executable, "-m", "armrig_daemon", "conformance", "--device", device]
     program += ["--baud", str(baud), *["--motor-unplugged"] * motor_unplugged, *["--json"] * json]

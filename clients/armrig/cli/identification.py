@@ -59,7 +59,8 @@ if TYPE_CHECKING:
 Search = Annotated[
     bool,
     typer.Option(
-        "--search", help="Search several structures, or the given one, with several orders."
+        "--search",
+        help="Search several structures, or the given structure, with several orders.",
     ),
 ]
 MaxOrder = Annotated[
@@ -105,7 +106,7 @@ def identify(
     json: Json = False,
     verbose: Verbose = False,
 ) -> None:
-    """Estimate a model from a recording or other data, or search for one.
+    """Estimate a model from a recording or other data, or search for a model.
 
     Each parameter is printed with its standard deviation. --signal theta_1,alpha gives one model of
     both outputs.
@@ -171,7 +172,7 @@ def _identify_several(
     jobs: int,
     shared: bool,
 ) -> None:
-    """Estimate a model of several signals, or search one of at most `most` poles."""
+    """Estimate a model of several signals, or search for a model of at most `most` poles."""
     if not signals.several:
         raise typer.BadParameter("--shared is for several outputs: name them, --signal A,B")
     if jobs > 1:
@@ -196,7 +197,7 @@ class _Search:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Validation:
-    """Results of the model on other data."""
+    """Results of the model on the validation data."""
 
     data: Dataset
     table: ComparisonTable
@@ -205,7 +206,7 @@ class _Validation:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Found:
-    """Model, and its estimation or search."""
+    """Model, and the results of its estimation or search."""
 
     fit: Fit
     request: Request
@@ -217,7 +218,7 @@ class _Found:
 
 
 def _warn_of_integrator(data: Dataset) -> None:
-    """Warn if the rig has no root at 1 for this output; other data are not judged."""
+    """Warn if the rig has no root at 1 for this output; other data than recordings are ignored."""
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 
     if from_recording(data) and data.output not in INTEGRATING_OUTPUTS:
@@ -238,7 +239,7 @@ def _check_files(
 
 
 def _found(wanted: _Search | Request, data: Dataset, other: Dataset | None) -> _Found:
-    """Estimate or search the model, and validate it if there are other data."""
+    """Estimate a model or search for it; validate the model if there are validation data."""
     searched = None
     if isinstance(wanted, _Search):
         searched = _searched(wanted, data, other)
@@ -313,7 +314,7 @@ def _print_lines(found: _Found, validate: Path | None, *, verbose: bool) -> None
 
 
 def _print_short(found: _Found) -> None:
-    """Print the search if there is one, the model in short, and the findings to act on."""
+    """Print the results of a search, the model in short, and the findings to act on."""
     from armrig.cli import model_output
 
     searched = found.search is not None
@@ -358,7 +359,7 @@ def _print_json(found: _Found, data: Dataset) -> None:
 def _say_next(
     found: _Found, file: Path, validate: Path | None, save: Path | None, signals: SignalChoice
 ) -> None:
-    """Print the next command: act on the findings, save the model, or validate it."""
+    """Print the next command, which acts on the findings, saves the model or validates it."""
     from armrig.cli import model_output
     from armrig.cli.next_step import CHECK, options_after, options_of
 

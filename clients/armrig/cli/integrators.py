@@ -57,7 +57,7 @@ def integrate(
     json: Json = False,
     plot: Plot = None,
 ) -> None:
-    """Solve the arm's equations for a sinusoid by each method (handout 4).
+    """Solve the arm's equations for a sinusoidal input with each method (handout 4).
 
     The input is u = A sin(ωt). Each solution is compared with the exact solution.
     """
@@ -93,7 +93,7 @@ class _Solved:
     problem: Sinusoid
     rows: list[_Row]
     advice: Recommendation | None
-    """Recommendation of the steps; None for given steps."""
+    """Recommendation of the steps; None if the user gave the steps."""
 
 
 def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
@@ -108,7 +108,7 @@ def _problem(*, amplitude: float, omega: float, span: float | None) -> Sinusoid:
 def _solved(
     problem: Sinusoid, methods: Sequence[str], steps: Sequence[float], tolerance: float
 ) -> _Solved:
-    """Solve by the methods (all if none is given) at the steps, or at a recommended step."""
+    """Solve with these methods, or all methods, at these steps or at recommended steps."""
     from armrig.cli.spinner import spinner
     from armrig.physics.integrators.accuracy import all_methods
     from armrig.physics.integrators.stability import stability_limit
@@ -159,7 +159,7 @@ def _check_step(h: float, problem: Sinusoid) -> None:
 
 
 def _plot_solutions(solved: _Solved, plot: Path | None) -> None:
-    """Write the solutions of each row of the table, one figure for each step given."""
+    """Write the solutions of all rows of the table, with a figure for each given step."""
     if plot is None:
         return
     from armrig.physics.integrators.figures import plot_solution

@@ -51,7 +51,7 @@ class _Lab(NamedTuple):
     rig: str
     """Port of the rig, or "an emulated rig"."""
     url: str
-    """URL of the dashboard; "" without one."""
+    """URL of the dashboard; "" without a dashboard."""
 
 
 def lab(
@@ -105,7 +105,7 @@ def _page(rig: str) -> Iterator[str]:
 
 
 def _show(rig: Rig, daemon: subprocess.Popen[bytes], log: Path, lab: _Lab, *, json: bool) -> None:
-    """Print when the rig is ready, and show its newest sample; a terminal shows one at a time."""
+    """Print a message when the rig is ready; on a terminal, show the newest sample live."""
     from armrig.rig.local_daemon import require_running
 
     shown = told = ""

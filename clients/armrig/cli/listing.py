@@ -56,10 +56,10 @@ def ls(
     connect: Connect = None,
     json: Json = False,
 ) -> None:
-    """List the recordings, newest first, or with --live the rigs that are alive.
+    """List the recordings, newest first; with --live, list the rigs that are alive.
 
-    The names, such as @last, can be given to other commands as files. For a FOLDER of your own, the
-    list contains file names instead. With --connect, --live lists the rigs of that router or
+    Other commands accept the listed names, and @last, in place of a file. If you give a FOLDER,
+    the list contains file names instead. With --connect, --live lists the rigs of that router or
     daemon; without --connect, it lists the rigs of this machine.
     """
     if live and (where is not None or every):
@@ -158,7 +158,7 @@ def _clipped(text: str) -> str:
 
 
 def _validated_by(summary: RecordingSummary, name_of: Naming, answering: Answering) -> str:
-    """Return the name of the estimation recording; "" if the validation's name shows it."""
+    """Return the name of the estimation recording; "" if the validation's own name contains it."""
     if not summary.is_validation or short_name(summary, answering).endswith(VALIDATION):
         return ""
     estimations = answering(f"@{summary.validation_of}") if summary.validation_of else []

@@ -37,9 +37,9 @@ _MAX_REASONS = 3  # reasons without --verbose; the table shows the first
 def answer(
     fit: Fit, validation: ComparisonTable | None, tests: ResidualTest | None, *, doubted: bool
 ) -> str:
-    """Return the fit and the residuals of a model in a sentence or two.
+    """Return one or two sentences on the fit and the residuals of a model.
 
-    If the data are doubtful, the sentence advises to correct the data before the orders.
+    If the data are doubtful, the text advises the user to correct the data before the orders.
     """
     said = (
         f"{fit.heading} fits {fit.output} to {fit.fit_percent:.2f} % one step ahead; "
@@ -62,7 +62,7 @@ def simulated_to(row: Comparison, unit: str) -> str:
 
 
 def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
-    """Return equation, signals, the coefficients of each polynomial, poles and zeros.
+    """Return lines with equation, signals, coefficients of each polynomial, poles and zeros.
 
     Each number has a standard deviation: σ robust if `fit.trusts_robust`, otherwise σ.
     """
@@ -78,7 +78,7 @@ def short_model_lines(fit: Fit, *, roots: bool) -> list[str]:
 
 
 def _roots(found: Roots) -> str:
-    """Return roots with their deviations; a pair is one text with both deviations in brackets."""
+    """Return the roots and their standard deviations as text; a complex pair is one text."""
     with np.errstate(invalid="ignore"):  # rounding may make a variance negative
         stds = np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
     texts = []
@@ -120,12 +120,12 @@ def model_lines(fit: Fit) -> list[str]:
 
 
 def doubted(fit: Fit, doubts: Sequence[Finding]) -> bool:
-    """Return True if a test of the data or of the estimate doubts the data."""
+    """Return True if a test of the data or of the estimate makes the data doubtful."""
     return bool(doubts) or any(f.about in _OF_DATA for f in fit.findings)
 
 
 def advice_lines(fit: Fit, doubts: Sequence[Finding]) -> list[str]:
-    """Return the lines to act on: doubts about the data, warnings of the estimation, advice."""
+    """Return lines with doubts about the data, warnings of the estimation, and advice."""
     about = {f.about for f in doubts}
     # The first sentence of the output has already reported the residuals.
     advised = [f for f in advice(fit).findings if f.level != "good"]
@@ -148,12 +148,12 @@ def to_act_on(fit: Fit, doubts: Sequence[Finding]) -> set[str]:
 
 
 def short_search_lines(found: SearchResult) -> list[str]:
-    """Return the best five models of a search and the reasons of the choice."""
+    """Return the best five models of a search and the reasons for the choice."""
     return [found.table(_MAX_SHOWN_MODELS), *(f"- {r}" for r in found.reasons[1:_MAX_REASONS])]
 
 
 def search_lines(found: SearchResult) -> list[str]:
-    """Return the table and the reasons of a search, without the warnings of the model chosen."""
+    """Return the table and the reasons of a search, without the chosen model's warnings."""
     lines = repr(found).splitlines()
     return [line for line in lines if line.removeprefix("- ") not in found.fit.warnings]
 
@@ -167,7 +167,7 @@ _SAID_BY = {
     "poorer_minimum": {"search"},
     "not_converged": {"search"},
 }
-"""Findings of the advice that repeat a finding of an estimate, by the name of the latter."""
+"""For each finding of an estimate: names of the findings of the advice that repeat it."""
 _NOISE = "look at the noise model or the orders"
 _DYNAMICS = "look at the orders or the delay"
 _FEEDBACK = "look at the experiment, or the delay is too large"
@@ -258,7 +258,7 @@ def residual_lines(tests: ResidualTest) -> list[str]:
 
 
 def lags_outside(tests: ResidualTest) -> str:
-    """Return why lags may be outside their bands although the joint test accepts; "" if none is."""
+    """Return a note on lags outside their bands if the joint test accepts; "" without such lags."""
     beyond = np.abs(tests.cross_correlation) > BAND_99_PERCENT * tests.cross_std
     lags = [
         outside

@@ -36,7 +36,7 @@ _WAY_OUT = {
     "offset": "subtract the means with --detrend",
     **dict.fromkeys(COUNTED, "{model} has {orders}"),
 }
-"""Advice if a structure does not have an option, by option."""
+"""Advice for each option that a structure may lack, by the name of the option."""
 
 
 def estimation_options(
@@ -49,7 +49,7 @@ def estimation_options(
     structure, nk : optional
         Defaults of the options.
     without_nk : str
-        Default of nk, for the help.
+        Text for the default of nk in the help, if `nk` is None.
     """
     options = _options(structure, nk, without_nk)
 
@@ -101,7 +101,7 @@ def _parameter(name: str, kind: Any, option: Any, default: Any = None) -> inspec
 
 
 def _order(name: str, *, several: bool) -> Any:
-    """Return the option of an order; `several` adds the structures for several signals only."""
+    """Return the option of an order; `several` adds structures of several signals to its help."""
     default = {OFFERED[user].title: OFFERED[user].orders[name] for user in users(name)}
     shown = {"by the data" if n is None else str(n) for n in default.values()}
     if len(shown) > 1:
@@ -111,14 +111,14 @@ def _order(name: str, *, several: bool) -> Any:
 
 
 def _option(name: str, what: str, default: str = "", others: Sequence[str] = ()) -> Any:
-    """Return an option whose help names its structures, unless all structures have it."""
+    """Return an option; its help names the structures that have the option, unless all have it."""
     titles = dict.fromkeys([*(OFFERED[user].title for user in users(name)), *others])
     which = "" if len(users(name)) == len(OFFERED_NAMES) else f" ({', '.join(titles)})"
     return typer.Option(flag(name), help=f"{what}{which}.", show_default=default or True)
 
 
 def requested(given: Given) -> Request:
-    """Return the request of the options; refuse options that the structure does not have."""
+    """Return the request that the options make; refuse options that the structure lacks."""
     structure: CommandName | None = given["structure"]
     if structure is None:
         raise typer.BadParameter(
@@ -139,16 +139,16 @@ def requested(given: Given) -> Request:
 def requested_of_several(
     given: Given, *, integrating: Sequence[str], shared: bool, noise: bool
 ) -> SignalsRequest:
-    """Return the request of the options for several signals.
+    """Return the request that the options make for several signals.
 
     Parameters
     ----------
     integrating : sequence of str
         Outputs that integrate if the options ask for an integrator.
     shared : bool
-        Give all outputs one denominator if the structure allows it.
+        True to give all outputs one denominator; the structure must allow this.
     noise : bool
-        Estimate the gain K of a state space.
+        True to estimate the gain K of a state-space model.
     """
     structure: CommandName | None = given["structure"]
     if structure is None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 _MAX_NAME_LENGTH = 28
-"""Number of letters of a name that are kept before `_AGAIN`."""
+"""Largest number of letters of a name before the suffix `_AGAIN`; further letters are cut off."""
 _AGAIN = "-again"
 """Suffix of the name of a repeated step."""
 _MAX_SEARCHED = 100
@@ -80,13 +80,13 @@ AFTER: Mapping[str, str] = {
 }
 """Next command after each command; names in braces are replaced by values."""
 CHECK = ""
-"""Value in place of options if `armrig check` must test the data first."""
+"""Value that replaces the options if `armrig check` must test the data first."""
 _LOWER = {"order", "poles"}
 _CHECKED = {"feedback", "delay", "unstable"}
 
 
 def say_next(after: str, **values: str | float) -> None:
-    """Print the next line of a command, on standard error."""
+    """Print the line `next: …` after a command, on standard error."""
     say_to_copy(next_line(after, **values))
 
 
@@ -97,12 +97,12 @@ def say_to_copy(text: str) -> None:
 
 
 def next_line(after: str, **values: str | float) -> str:
-    """Return the next line of a command."""
+    """Return the line `next: …` after a command."""
     return f"next: {printable(_goes_on(AFTER[after].format(**values)))}"
 
 
 def _goes_on(line: str) -> str:
-    """Return the line, or the line that follows it if a complete recording has its --name.
+    """Return the line; if a complete recording has its --name already, return the line after it.
 
     A second recording of the same name would make the name ambiguous.
     """
@@ -129,10 +129,10 @@ def _goes_on(line: str) -> str:
 
 
 def step_again(recording: Recording) -> str:
-    """Return the options that repeat a step whose rise a dead band hid; "" if nothing to repeat.
+    """Return the options that repeat a step whose rise the dead band hid; "" for no repetition.
 
-    If the chassis rests before the step, no other time of the step shows the rise. Then the result
-    is "", because a person must turn the chassis by hand.
+    If the chassis rests before the step, a step at another time does not show the rise either. The
+    result is then "", because the user must turn the chassis by hand.
     """
     from armrig.recordings.findings import hidden_step
 
@@ -192,7 +192,7 @@ def estimation_of(path: Path) -> str:
 
 
 def _named(text: str) -> str:
-    """Return the short name of the recording with an id, or the id if no recording has it."""
+    """Return the short name of the recording with this id; if there is none, return the id."""
     from armrig.cli.chosen_recording import NoSuchRecordingError, chosen, recording_folder
 
     try:
@@ -223,8 +223,9 @@ def for_the_report() -> str:
     """Return the names of the recordings for the handout's report: step, pair and chassis.
 
     All recordings are complete and have the same calibration: the calibration for which most of the
-    four recordings exist. Each recording is the newest recording of its kind that has a name, or
-    the newest of its kind. A blank precedes each name; the result is "" if there is no recording.
+    four recordings exist. Each recording is the newest recording of its kind that has a name. If no
+    recording of the kind has a name, it is the newest recording of its kind. A blank precedes each
+    name in the result; the result is "" if there is no recording.
     """
     from armrig.cli.chosen_recording import NoSuchRecordingError, recording_folder
     from armrig.recordings.catalogue import newest_first
@@ -350,8 +351,8 @@ def options_after(
     Returns
     -------
     str
-        The options of the next estimation. If there is nothing to act on, they are `options_of` the
-        request. If the data must be tested first, the result is `CHECK`.
+        The options of the next estimation. If there is nothing to act on, they are the options of
+        the request. If the data must be tested first, the result is `CHECK`.
     """
     kind = STRUCTURES[fit.structure]
     orders = fit.orders
@@ -380,7 +381,7 @@ def options_after(
 
 
 def _lower(fit: Fit, *, integrator: bool) -> dict[str, int]:
-    """Return the orders less the cancelling poles and zeros; the noise model keeps its orders."""
+    """Return the orders minus the number of cancelling pairs; the noise model keeps its orders."""
     from armrig.validation.advice.model_advice import cancelling
 
     many = sum(2 if pole.imag else 1 for pole, _, _ in cancelling(fit)) or 1

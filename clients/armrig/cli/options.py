@@ -59,7 +59,7 @@ Signal = Annotated[
     typer.Option(
         "--signal",
         metavar="NAME",
-        help="Output: theta_1, alpha or velocity; in other data a column's name or number.",
+        help="Output: theta_1, alpha or velocity; for other data, name or number of a column.",
         show_default="theta_1; y of other data",
     ),
 ]
@@ -68,7 +68,7 @@ Signals = Annotated[
     typer.Option(
         "--signal",
         metavar="NAMES",
-        help="Output: theta_1, alpha or velocity; in other data a column's name or number. "
+        help="Output: theta_1, alpha or velocity; for other data, name or number of a column. "
         "Several outputs have commas between their names.",
         show_default="theta_1; y of other data",
     ),
@@ -135,14 +135,14 @@ SAME_DATA = OWN_DATA
 
 
 def tell(message: str) -> None:
-    """Print a line for the person, on standard error."""
+    """Print a line for the user on standard error."""
     with suppress(OSError):  # the terminal may be closed
         line = _for_terminal(f"armrig: {brief(' '.join(message.split()))}")
         print(folded(line, _columns(sys.stderr)), file=sys.stderr)
 
 
 def tell_error(message: str) -> None:
-    """Print an error as `tell` does; in the journal of systemd it has the priority of an error."""
+    """Print an error as `tell` does; systemd's journal gives the line the priority of an error."""
     with suppress(OSError):
         print(log_prefix("error") or "", end="", file=sys.stderr)
     tell(message)
@@ -174,12 +174,12 @@ def question(text: str) -> str:
 
 
 def agree(text: str, *, yes: bool) -> None:
-    """Ask a person for agreement, unless `yes`.
+    """Ask the user for agreement, unless `yes` is True.
 
     Raises
     ------
     RuntimeError
-        The person does not agree, or there is no terminal.
+        The user does not agree, or there is no terminal.
     """
     if yes:
         return
@@ -237,7 +237,7 @@ def print_json(value: Any) -> None:
 
 
 def _as_text(value: Any) -> Any:
-    """Return a value whose invalid text is escaped."""
+    """Return the value with invalid text escaped."""
     match value:
         case str():
             return value.encode("utf-8", "backslashreplace").decode()
@@ -249,7 +249,7 @@ def _as_text(value: Any) -> Any:
 
 
 def print_table(*rows: tuple[str, str]) -> None:
-    """Print a line for each value, with its name in front."""
+    """Print each value in a line of its own, after the name of the value."""
     width = max(len(name) for name, _ in rows)
     columns = _columns(sys.stdout)
     for name, value in rows:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def _doubted(given: list[str] | None) -> list[str] | None:
-    """Return the parameters as given; print any that are probably not in SI units."""
+    """Return the parameters as given; print the parameters that are probably not in SI units."""
     from armrig_core.arm import ArmParameters
 
     for name, value in _values(given).items():
@@ -59,7 +59,7 @@ Amplitude = Annotated[
 Omega = Annotated[float, typer.Option("--omega", help="Frequency of the sinusoid, in rad/s.")]
 _WITH_UNIT = re.compile(r"[-+]?[\d.]+(e[-+]?\d+)? ?[^\d,.\s]")
 _MAX_RATIO = 100.0
-"""Largest ratio of a parameter to the handout's value, or the inverse, without a note."""
+"""Largest factor, up or down, between a parameter and the handout's value without a note."""
 
 
 def parameters(given: list[str] | None) -> ArmParameters:

@@ -25,7 +25,7 @@ _SLOPE_S = 1e-8  # the slope does not change in the shown digits
 _STATES = (THETA_1, ALPHA, f"{THETA_1}'", f"{ALPHA}'")
 _PRIME = "'"
 _TOGETHER = {"both": "both changes", "all": "all changes"}
-"""Headings of the column of several changes at once."""
+"""Headings of the column in which several parameters are changed at once."""
 _TIMES = {
     "rise_time": "63 % time [s]",
     "equivalent_time": "equivalent [s]",
@@ -41,8 +41,8 @@ def model(
 ) -> None:
     """Show what the physical model predicts (handout 2.1 to 2.3).
 
-    The command prints A, B, poles, zeros, steady speed and initial slope. With --set it compares
-    the parameters of the handout, each change alone, and all changes together.
+    The command prints A, B, poles, zeros, steady speed and initial slope. With --set, it compares
+    three cases: the handout's parameters, each change alone, and all changes together.
     """
     check_plot(plot)
     found = {name: _answer(p) for name, p in cases(given).items()}
@@ -66,7 +66,7 @@ def model(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Answer:
-    """Predictions of a set of parameters, and its simulated step."""
+    """Predictions for a set of parameters, and results of the simulated step."""
 
     predicted: Characteristics
     slope: float
@@ -90,7 +90,7 @@ def _answer(p: ArmParameters) -> _Answer:
 
 
 def _say_later_rises(found: dict[str, _Answer], given: list[str] | None) -> None:
-    """Print the models whose speed crosses 63 % in a later rise than the first."""
+    """Print the models whose speed crosses 63 % only after its first rise."""
     import numpy as np
 
     from armrig.physics.step_response import step_response

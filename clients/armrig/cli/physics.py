@@ -57,7 +57,9 @@ Rig = Annotated[
 ]
 Friction = Annotated[
     Literal["viscous", "coulomb", "both"] | None,
-    typer.Option("--friction", help="Friction to estimate, too; the handout neglects friction."),
+    typer.Option(
+        "--friction", help="Friction to estimate in addition; the handout neglects friction."
+    ),
 ]
 
 
@@ -78,7 +80,7 @@ def greybox(
 ) -> None:
     """Estimate physical parameters: the moment of inertia J_1, or more (handout 3.5).
 
-    `armrig collect greybox` records the data for J_1, after the rotating part was removed.
+    To record the data for J_1, remove the rotating part and run `armrig collect greybox`.
     """
     from armrig.cli.spinner import spinner
     from armrig.physics.grey_box.estimate import greybox as estimate
@@ -142,7 +144,9 @@ def split(
     file: File,
     parts: Annotated[
         str,
-        typer.Option("--parts", metavar="K,…", help="Numbers of parts to cut the recording into."),
+        typer.Option(
+            "--parts", metavar="K,…", help="Numbers of parts into which the recording is cut."
+        ),
     ] = "1,2,4",
     model: Rig = None,
     free: Free = None,
@@ -158,7 +162,8 @@ def split(
 ) -> None:
     """Estimate a parameter from parts of a recording (handout 3.6).
 
-    The command compares the estimates from halves and quarters with their standard deviations.
+    The command shows whether the estimates from halves and quarters agree within their standard
+    deviations.
     """
     from armrig.cli.spinner import spinner
     from armrig.physics.grey_box.estimate import greybox
@@ -211,7 +216,9 @@ def simulate(
     ] = None,
     model: Annotated[
         list[Path] | None,
-        typer.Option("--model", metavar="JSON", help="Model file to simulate, too; repeatable."),
+        typer.Option(
+            "--model", metavar="JSON", help="Additional model file to simulate; repeatable."
+        ),
     ] = None,
     given: Given = None,
     calibration: CalibrationFile = None,
@@ -285,7 +292,7 @@ def _step(compared: dict[str, ArmParameters], *, json: bool, plot: Path | None) 
 def _rig(
     recording: Recording, model: Literal["chassis", "arm"] | None
 ) -> Literal["chassis", "arm"]:
-    """Return "arm" or "chassis", by the recorded alpha; refuse a --model that contradicts it."""
+    """Return "arm" or "chassis" according to the recorded alpha; refuse another --model."""
     from armrig.recordings.findings import alpha_moves
 
     seen: Literal["chassis", "arm"] = "arm" if alpha_moves(recording) else "chassis"

@@ -25,7 +25,8 @@ Directory = Annotated[
 Days = Annotated[int, typer.Option("--days", min=1, max=36500, help="Validity, in days.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
 Name = Annotated[
-    str, typer.Argument(help="Name of a person: a-z, 0-9 and -; the rig shows it as the owner.")
+    str,
+    typer.Argument(help="Name of a person: a-z, 0-9 and -; the rig shows this name as the owner."),
 ]
 _PKI = Path("pki")
 

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     from armrig.recordings.published import PublishedRun
 
 Speed = Annotated[
-    float, typer.Option("--speed", metavar="X", help="Factor on the speed of the recording.")
+    float,
+    typer.Option("--speed", metavar="X", help="Speed of the playback, relative to the recording."),
 ]
 Loop = Annotated[bool, typer.Option("--loop", help="Repeat the recording until Ctrl-C.")]
 Wait = Annotated[bool, typer.Option("--wait", help="Begin when the first listener connects.")]
@@ -41,7 +42,7 @@ def play(
     listen: Listen = None,
     json: Json = False,
 ) -> None:
-    """Publish a recording again, as its daemon published it, until its end or Ctrl-C.
+    """Publish the messages of a recording again, until its end or Ctrl-C.
 
     The messages have keys such as rig/played-1/sample for a recording of rig 1. No rig has such an
     id, and commands get no answer.

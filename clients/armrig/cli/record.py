@@ -33,7 +33,7 @@ Out = Annotated[
     typer.Option(
         "-o",
         metavar="FILE",
-        help="File to write; for several rigs the folder.",
+        help="File to write; for several rigs, folder for the files.",
         show_default="RIG-remote-TIME.mcap, here",
     ),
 ]
@@ -64,10 +64,10 @@ def record(
     With --all or several --rig the command records many rigs, each into its own files. Rigs that
     start later are included. A failure of one rig does not affect the other rigs.
 
-    The recording begins with the samples that the daemon keeps, the last 24 s at 1 kHz. A shorter
-    interruption of the connection loses no sample; a longer one leaves a gap in the file. A new
-    file begins if the daemon restarts, if the sampling time changes, or if more than 200 000
-    samples of the current file are missing.
+    The recording begins with the samples that the daemon keeps: at 1 kHz, the last 24 s. If the
+    connection is interrupted for less than this time, no sample is lost. A longer interruption
+    leaves a gap in the file. A new file begins if the daemon restarts, if the sampling time
+    changes, or if more than 200 000 samples of the current file are missing.
     """
     from armrig_core.topics import check_own_id
 

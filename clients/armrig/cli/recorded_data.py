@@ -54,7 +54,7 @@ def loaded(
     *,
     one_plant: bool = True,
 ) -> list[Recording]:
-    """Return the recordings, and print their damage and reasons against their common use."""
+    """Return the recordings; print their damage, and reasons not to use them together."""
     from armrig.cli.spinner import spinner
     from armrig.recordings.loading import load
     from armrig.recordings.usability import all_doubts, early_ends
@@ -75,9 +75,9 @@ class SignalChoice:
     """Signals to read from files: recordings, or other data."""
 
     signal: str | None
-    """Output, or several with commas; None means theta_1 of a recording, and y of other data."""
+    """Output, or several outputs with commas; None: theta_1 of a recording, y of other data."""
     input: str | None = None
-    """Column of u in other data, or several with commas; None means u."""
+    """Column of the input in other data, or several columns with commas; None means u."""
     time: str | None = None
     """Column of the times in other data."""
     Ts: float | None = None
@@ -85,7 +85,7 @@ class SignalChoice:
     detrend: bool = False
     """Subtract the mean of each signal of each file."""
     offset: bool | None = None
-    """True if a level of y is estimated, too; None if the command cannot estimate it."""
+    """True if a level of y is also estimated; None if the command cannot estimate it."""
     hampel: bool = False
     """Mark single outliers of the output as missing, before the means are subtracted."""
     calibration: Path | None = None
@@ -293,7 +293,7 @@ def from_recording(data: Dataset | Signals) -> bool:
 
 
 def source_facts(data: Dataset | Signals) -> dict[str, str]:
-    """Return the hash of the source file of data, for a program."""
+    """Return the hash of the data's source file as a JSON field."""
     kind, _, digest = data.source.rpartition(":")
     return {kind or "recording": digest}
 
@@ -315,7 +315,7 @@ def warn_of_estimation_data(table: ComparisonTable | SignalsComparisonTable) -> 
 
 
 def spectral_beside(data: Dataset) -> list[SpectralEstimate]:
-    """Return the frequency response of the data without a model; empty after a failure."""
+    """Return the frequency response by spectral analysis; an empty list after a failure."""
     from armrig.cli.spinner import spinner
     from armrig.estimation.nonparametric.spectral import spectral_reference
 

@@ -206,7 +206,7 @@ def _plot_timing(recording: Any, path: Path | None) -> None:
 def replay(file: File, json: Json = False) -> None:
     """Repeat the decisions of the daemon's core for a recorded run.
 
-    The exit code is 1 if a decision differs.
+    The exit code is 1 if a decision differs from the recording.
     """
     from armrig.cli.replay import replay as decided_again
 

@@ -1,4 +1,4 @@
-"""Replay of a recorded run: the core of the daemon decides the run again."""
+"""Replay of a recorded run: the daemon's core repeats the decisions of the run."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class CoreMessage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
-    """Decisions of a recorded run, made again and compared."""
+    """Result of a replay: the repeated decisions, compared with the recorded decisions."""
 
     steps: int
     """Number of calls of the core."""
@@ -60,13 +60,13 @@ class Replay:
     difference: str
     """First difference from the recording; empty without a difference."""
     until: str
-    """Damage of the file at which the replay ends; empty for a complete file."""
+    """Damage of the file, which ends the replay; empty for a complete file."""
     said: tuple[CoreMessage, ...]
-    """Warnings and errors of the core during the replay, trips among them."""
+    """Warnings and errors of the core during the replay, including safety trips."""
 
 
 def replay(path: str | Path) -> Replay:
-    """Run the core through a recorded run and compare its decisions with the recorded ones.
+    """Repeat the core's decisions for a recorded run, and compare them with the recording.
 
     `path` is a file. To replay all parts of a run, give the name of the run. The replay compares
     all frames to the device and all samples in the file.
@@ -110,7 +110,7 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
     manifest = manifest_of(content.metadata[RUN])
     codes = _codes(paths[0], content, manifest)
     state = trace.restored(begin.state, codes, _version(begin))
-    # Samples read together with the answer to START belong to the step before the first.
+    # Samples read together with the answer to START precede the first step.
     k = content.samples["k"]
     compared = _Compared(content.samples[k > state.last_reported_k], manifest)
     chunks = _Chunks(_chunks_of(paths))
@@ -150,10 +150,10 @@ def _replayed(paths: Sequence[Path], content: Content, begin: Any) -> Replay:
 
 
 class _Compared:
-    """Comparison of replayed and recorded samples, in parts, because an hour has 3.6 million."""
+    """Comparison of replayed and recorded samples, in parts to limit the memory."""
 
     def __init__(self, theirs: NDArray[np.void], manifest: Manifest) -> None:
-        """Take the samples of the file, (n,) of `SAMPLE_DTYPE`."""
+        """Store the samples of the file, an array (n,) of `SAMPLE_DTYPE`."""
         self.theirs = theirs
         self.ours = 0
         """Number of replayed samples of the run."""

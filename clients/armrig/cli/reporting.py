@@ -40,7 +40,7 @@ Source = Annotated[
     typer.Option(
         "--source",
         metavar="FOLDER",
-        help="New folder for the Typst source and its figures; --from typesets it.",
+        help="New folder for the Typst source and its figures; --from typesets this source.",
     ),
 ]
 Edited = Annotated[
@@ -62,7 +62,7 @@ Outputs = Annotated[
         "--signal",
         metavar="NAMES",
         help="Output of the models: theta_1, alpha, or theta_1,alpha for models of both outputs. "
-        "The orders are those of theta_1; the models of alpha have one coefficient less of each.",
+        "The orders apply to theta_1; each order of a model of alpha is one less.",
         show_default="theta_1",
     ),
 ]
@@ -115,8 +115,9 @@ def report(
 ) -> None:
     """Typeset a report as a PDF.
 
-    The first recording that is not a step is used for estimation, the next one for validation. A
-    report covers whole runs: --from is not a start time, it names a folder that --source wrote.
+    The first recording that is not a step is used for estimation, the next recording for
+    validation. A report covers complete runs. Here --from is not a start time: it names a folder
+    that --source wrote.
     """
     files = files or []
     if questions is not None:

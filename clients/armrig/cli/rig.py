@@ -15,7 +15,9 @@ from armrig.cli.options import Connect, Json, RigId, echo, print_json, print_tab
 By = Annotated[
     str,
     typer.Option(
-        "--owner", help="Name that the recording shows for the stop.", show_default="this user"
+        "--owner",
+        help="Name of the person who stops the rig, for the recording.",
+        show_default="this user",
     ),
 ]
 
@@ -65,7 +67,7 @@ def watch(
 
 
 def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = False) -> None:
-    """Stop the rig at 0 V, with any owner.
+    """Stop the rig at 0 V, even if another person is the owner.
 
     With --json the command prints {"rig": "1", "stopped": true}. If no daemon answers, the exit
     code is 1; `armrigd estop` then stops the device without a daemon.
@@ -82,7 +84,7 @@ def stop(rig: RigId = "1", connect: Connect = None, by: By = "", json: Json = Fa
 def reset(rig: RigId = "1", connect: Connect = None, json: Json = False) -> None:
     """Clear a latched fault; the rig is then at 0 V and has no owner.
 
-    The fault remains if its cause remains; `armrig status` shows both.
+    The fault remains if its cause remains; `armrig status` shows fault and cause.
 
     With --json the command prints {"rig": "1", "was_latched": true}, or false if no fault was
     latched.
@@ -114,7 +116,9 @@ def note(
     ] = "",
     json: Json = False,
 ) -> None:
-    """Write a note into the current recording; info, report and page show the note.
+    """Write a note into the current recording.
+
+    `armrig info`, the report and the dashboard show the note.
 
     With --json the command prints {"rig": "1", "recorded": true}, or false if no run is being
     recorded.
@@ -156,7 +160,7 @@ def _watch(samples: Any) -> None:
 
 
 def _watch_in_lines(samples: Any) -> None:
-    """Print a line for each sample, for a program."""
+    """Print a line for each sample, so that a program can read the samples."""
     echo(_WATCH_HEADING)
     for sample in samples:
         echo(_sample_line(sample))

@@ -15,9 +15,9 @@ Listen = Annotated[
 ]
 Certificate = Annotated[
     Path,
-    typer.Option("--certificate", help="Certificate file of the router, by `armrig pki router`."),
+    typer.Option("--certificate", help="Certificate file of the router, from `armrig pki router`."),
 ]
-Names = Annotated[Path, typer.Option("--names", help="Access list, by `armrig pki`.")]
+Names = Annotated[Path, typer.Option("--names", help="Access list, from `armrig pki`.")]
 
 
 def router(

@@ -114,7 +114,7 @@ def status(root: Root = _SYSTEM, json: Json = False) -> None:
 
 
 def _carry_out(plan: Plan, root: Path, *, dry_run: bool, yes: bool) -> bool:
-    """Show a plan and carry it out if the person agrees; return True if it was carried out."""
+    """Show a plan, and carry it out if the user agrees; return True if it was carried out."""
     from armrig.lab.installation import run_command
 
     echo("\n".join(plan.lines()))

@@ -33,9 +33,9 @@ def after_identify(
     save: Path | None,
     searched: bool,
 ) -> None:
-    """Print the next command: a better structure, or save the model, or validate it.
+    """Print the next command, which tries a better structure, saves the model or validates it.
 
-    `tests` are those of other data.
+    `tests` are the tests of the residuals on validation data.
     """
     validation = typed(validate) if validate else ""
     if not validation and signals.read:
@@ -64,7 +64,7 @@ def _fits(fit: MultivariableFit) -> bool:
 
 
 def _at_operating_point(data: Signals) -> bool:
-    """Return True if data from elsewhere have means far from 0, which --detrend subtracts."""
+    """Return True if data that do not come from a rig have means far from 0."""
     if from_recording(data):
         return False
     outputs = [y[known] for y, known in zip(data.y.T, data.valid.T, strict=True)]
@@ -72,9 +72,10 @@ def _at_operating_point(data: Signals) -> bool:
 
 
 def better_options(request: SignalsRequest, data: Signals) -> str:
-    """Return the options of `identify` if the residuals are coloured.
+    """Return the options of `identify` for the next estimation after coloured residuals.
 
-    The options ask for the rig's own structure if the data come from the rig, or for a search.
+    If an angle of the rig integrates but the request has no integrator, the options request the
+    rig's own structure. Otherwise they request a search.
     """
     from armrig.data.treatment import INTEGRATING_OUTPUTS
 

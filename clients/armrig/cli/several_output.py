@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def answer(fit: MultivariableFit) -> str:
-    """Return the fit of each output and its residuals in a sentence or two."""
+    """Return a sentence on the fit and the residuals of each output."""
     fits = [
         f"{name} to {q.fit_percent:.2f} %" for name, q in zip(fit.outputs, fit.quality, strict=True)
     ]
@@ -39,7 +39,7 @@ def answer(fit: MultivariableFit) -> str:
 
 
 def simulated(row: SignalsComparison, data: Signals) -> str:
-    """Return the fit of each output: theta_1 to 99.9 % (rms 0.0035 rad) and alpha to ….
+    """Return the fit of each output, such as: theta_1 to 99.9 % (rms 0.0035 rad) and alpha to ….
 
     The text is the end of a sentence whose subject is the model.
     """
@@ -53,7 +53,7 @@ def simulated(row: SignalsComparison, data: Signals) -> str:
 def validated(
     table: SignalsComparisonTable, tests: SignalsResidualTest, file: Path, *, verbose: bool
 ) -> Iterator[str]:
-    """Yield a sentence with the simulation and the tests of other data, and the rejected pairs."""
+    """Yield a sentence on simulation and tests with validation data, then the rejected pairs."""
     row = table[0]
     yield (
         f"Simulated on {file}, {row.name} fits {simulated(row, table.data)}; "
@@ -63,7 +63,7 @@ def validated(
 
 
 def closest(table: SignalsComparisonTable) -> str:
-    """Return the model with the least error of each output, or the fits of the only model."""
+    """Return a sentence on each output's best model, or on the fits of the only model."""
     how = "Simulated" if table.horizon is None else f"Predicted {table.horizon} ahead"
     if len(table) == 1:
         return f"{how}, {table[0].name} fits {simulated(table[0], table.data)}."
@@ -104,7 +104,7 @@ def validation_lines(
 
 
 def _pair_lines(tests: SignalsResidualTest, *, verbose: bool) -> Iterator[str]:
-    """Yield the tests of each pair; Bonferroni's level allows for their number.
+    """Yield the tests of each pair, with Bonferroni's correction for the number of pairs.
 
     If dynamics are missing, the test of feedback is not valid.
     """
@@ -122,7 +122,7 @@ def _pair_lines(tests: SignalsResidualTest, *, verbose: bool) -> Iterator[str]:
 
 
 def lines(fit: MultivariableFit, *, verbose: bool) -> Iterator[str]:
-    """Yield the model in short, or each channel with its coefficients."""
+    """Yield the model in short; with `verbose`, also each channel with its coefficients."""
     yield repr(fit)
     if verbose:
         for i, j, channel in fit.channels():

@@ -1,4 +1,4 @@
-"""identify, validate and compare for models of several signals."""
+"""The commands identify, validate and compare, for models of several signals."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outputs:
-    """Files and form of what `identify` writes and prints."""
+    """Files that `identify` reads and writes, and the form of its output."""
 
     validate: Path | None
     save: Path | None
@@ -42,7 +42,7 @@ class Outputs:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ValidationOutputs:
-    """Files and form of what `validate` reads, writes and prints."""
+    """Files that `validate` reads and writes, and the form of its output."""
 
     model: Path
     figure: Path | None
@@ -59,7 +59,7 @@ def identify(
     most: int | None,
     shared: bool,
 ) -> None:
-    """Estimate a model of several signals, or search one of at most `most` poles, and print it."""
+    """Estimate or search a model of several signals, of at most `most` poles, and print it."""
     from armrig.cli import several_output
     from armrig.cli.spinner import estimating
     from armrig.recordings.usability import doubts_of_estimation
@@ -165,7 +165,7 @@ def _request(given: Given, data: Signals, *, shared: bool) -> SignalsRequest:
     if given["structure"] == "ss" and not noise:
         tell(
             f"{data.missing} values are missing, so the state space has no model of the noise (K = "
-            "0); bj has one"
+            "0); a bj model has a noise model"
         )
     return requested_of_several(given, integrating=integrating, shared=shared, noise=noise)
 

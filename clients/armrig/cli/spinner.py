@@ -1,4 +1,4 @@
-"""Spinner for a wait, and a bar if the remaining work is known."""
+"""Spinner during a wait, and a progress bar if the remaining work is known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Messages for wrong command lines: the value, what is allowed, and the way out."""
+"""Messages for wrong command lines, with the value, the allowed values and a remedy."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from armrig.data.files.suffixes import DATA, RECORDING
 from armrig.models.structure_table import OFFERED_NAMES
 
 _ACTING = frozenset({"demo", "stop", "reset", "calibrate", "collect", "lab", "flash"})
-"""Commands that act on a rig, which are never offered for a typing error."""
+"""Commands that act on a rig; they are never offered as the correction of a typing error."""
 _ELSEWHERE: dict[str, str] = {
     "help": "`armrig --help` lists the commands, `armrig COMMAND --help` explains one",
     "version": "`armrig --version` shows it",
     **{name: f"`armrig identify F --structure {name}` estimates one" for name in OFFERED_NAMES},
 }
-"""Ways out for words that are not commands."""
+"""Remedies for words that are not commands."""
 _TO_WRITE = frozenset(
     f"--{name}" for name in ("out", "output", "outfile", "figure", "fig", "image", "png", "save")
 )
 """Options for an output file in other programs."""
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "µ": 1e-6, "k": 1e3}
 _MIN_SIMILARITY = 0.6
-"""Smallest similarity of an option to the given name, 0 to 1, for an offer."""
+"""Smallest similarity, 0 to 1, between a wrong name and an option that is offered."""
 _FILES = (RECORDING, ".active", *DATA, ".json", ".pdf")
 
 
 def usage_error(err: Any, given: Sequence[str]) -> str:
-    """Return a message with the error in the given arguments and the command of the help."""
+    """Return a message with the error in the arguments and the command that shows the help."""
     where = err.ctx.command_path if err.ctx else " ".join(["armrig", *given[:1]])
     kind = type(err).__name__
     if kind == "MissingParameter" and err.param is not None:

@@ -125,7 +125,7 @@ def validate(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Validated:
-    """Results of one model on a recording."""
+    """Results of one model on the validation data."""
 
     fit: Fit
     data: Dataset

@@ -32,7 +32,7 @@ _VISITOR = (
 )
 Answer = Callable[[Request], Awaitable[Response]]
 _LABELS = {"seconds": "length", "at": "step at", "Ts": "sampling time"}
-"""Labels of an experiment's parameters in the form of the page, if they differ from the names."""
+"""Labels in the page's form, for the parameters whose label differs from their name."""
 _TYPES = {
     "html": "text/html; charset=utf-8",
     "css": "text/css; charset=utf-8",
@@ -93,10 +93,10 @@ class _Model(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class RigRoutes:
-    """Routes of the live rig for one door (a socket with its own token)."""
+    """Routes of the live rig for one listening socket, which has its own token."""
 
     def __init__(self, feed: Feed, driver: Driver, stream: Stream) -> None:
-        """Prepare routes with the feed, the driver and the stream of the door."""
+        """Prepare routes with the feed, the driver and the stream of the socket."""
         self._feed, self._driver, self._stream = feed, driver, stream
         # A stop has its own threads, so that it waits for no other request.
         self._stopping = ThreadPoolExecutor(4, thread_name_prefix="stop")
@@ -180,7 +180,7 @@ class RigRoutes:
         return {"wanted": asked.wanted}
 
     async def _run(self, request: Request) -> Response:
-        asked_s = time.monotonic()  # now, since it may wait for a thread; a stop does not
+        asked_s = time.monotonic()  # now: the start may wait for a thread; a stop does not wait
 
         def start(body: bytes) -> Any:
             asked = msgspec.json.decode(body, type=_Wanted)
@@ -191,7 +191,7 @@ class RigRoutes:
 
 
 def application(routes: list[Route]) -> Starlette:
-    """Return the application with these routes; it answers an error with a line of JSON."""
+    """Return the application with these routes; after an error it sends one line of JSON."""
 
     async def unknown(_: Request, err: Exception) -> Response:
         status = err.status_code if isinstance(err, HTTPException) else 404
@@ -205,7 +205,7 @@ def application(routes: list[Route]) -> Starlette:
 
 
 def answered(does: Callable[[bytes], Any]) -> Answer:
-    """Return an endpoint that calls `does` with the body in a thread, and answers with JSON."""
+    """Return an endpoint that calls `does` in a thread with the request's body, and sends JSON."""
 
     async def answer(request: Request) -> Response:
         body = await request.body()

@@ -1,4 +1,4 @@
-"""Samples in bins of time; each bin contains the least and the largest value of each signal."""
+"""Bins of samples in time; each bin contains the least and the largest value of each signal."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ WIDTH_S = 0.01
 sample has its own bin.
 """
 RATE_S = 0.1
-"""Interval of the rate's difference, in s; one step of the converter changes it by 3.5 °/s."""
+"""Time in s between the two angles of a rate; a converter step changes the rate by 3.5 °/s."""
 _TURN = 360.0
-_CLOCK_S = 1e-6  # to which times are known
+_CLOCK_S = 1e-6  # resolution of the times, in s
 _MAX_ROWS_BEFORE = 1000  # rows for a rate; a rig at 1 kHz has 200
 
 
 def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
-    """Return k, t in s, u in V, theta_1 and alpha in °, (n, 5); NaN for an unknown angle."""
+    """Return an array (n, 5): k, t in s, u in V, theta_1 and alpha in °; NaN if unknown."""
     found = np.array(
         [(s.k, s.t_sched_ns / 1e9, s.u_applied_v, s.theta_1_rad, s.alpha_rad) for s in samples],
         np.float64,
@@ -36,9 +36,10 @@ def signals(samples: Sequence[Sample]) -> NDArray[np.float64]:
 def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the rate of theta_1 at each row of `now`, (N,) in °/s.
 
-    The rate is the slope from an older angle: the newest known angle that is at least `RATE_S`
-    older. Therefore the rate is also known after a missing sample or the dead band. The two angles
-    are assumed to differ by less than half a turn.
+    The rate is the difference from an older angle, divided by the time between the two angles. The
+    older angle is the newest known angle that is at least `RATE_S` older. The rate is therefore
+    also known after a missing sample or the dead band. The two angles are assumed to differ by less
+    than half a turn.
 
     Parameters
     ----------
@@ -46,7 +47,7 @@ def rate(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.fl
         Samples before `now`, from `signals`: see `needed_before`.
     now : ndarray, shape (N, 5)
         Samples from `signals`. The rate is NaN for a sample without an angle. It is also NaN if the
-        older angle is more than 2 `RATE_S` older, unless this angle is in the previous sample.
+        older angle is more than 2 `RATE_S` older, unless that angle is in the previous sample.
     """
     every = np.concatenate([before, now])
     known = every[np.isfinite(every[:, 3])]
@@ -99,7 +100,7 @@ def coarser(rows: Rows, width_s: float) -> Rows:
 
 
 def _wraps(theta_1: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return a mask (n,), True if an angle is more than half a turn from the last known one."""
+    """Return a mask (n,), True if an angle is more than half a turn from the last known angle."""
     n = np.arange(theta_1.size)
     # The potentiometer wraps inside its dead band, whose unknown angles are skipped.
     known = np.maximum.accumulate(np.where(np.isnan(theta_1), 0, n))

@@ -2,9 +2,9 @@
 
 uvicorn closes a connection that is idle after an answer. It does not close a connection that never
 sends a request. A client with a thousand connections would therefore block a stop. Above the limit,
-the server closes the oldest connection without a request. If there is none, it closes the oldest
-connection whose client does not read its answer. A client needs no token to bring a connection into
-these two states.
+the server closes the oldest connection without a request. If every connection has a request, the
+server closes the oldest connection whose client does not read its answer. Clients without a token
+can open both kinds of connections.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-_UNSENT = 16_384  # B, of ours and again of the kernel's
+_UNSENT = 16_384  # B; limit of our own buffer, and also of the kernel's buffer
 MOST = 200
 """Largest number of connections at the same time."""
 
@@ -31,7 +31,11 @@ class Connections:
         self._open: dict[Address, BoundedProtocol] = {}
 
     def add(self, address: Address, protocol: BoundedProtocol) -> None:
-        """Add a connection; above the limit, close an idle, an unread, or else the new one."""
+        """Add a connection; above the limit, close one connection.
+
+        The closed connection is the oldest without a request, otherwise the oldest whose client
+        does not read, otherwise the new connection.
+        """
         self._open[address] = protocol
         if len(self._open) > MOST:
             others = [(a, p) for a, p in self._open.items() if a != address]
@@ -55,7 +59,7 @@ class Connections:
             self.abort(address)
 
     def protocol(self) -> type[BoundedProtocol]:
-        """Return the protocol class of which uvicorn makes an instance for each connection."""
+        """Return the protocol class; uvicorn creates one instance for each connection."""
         return type("_Bounded", (BoundedProtocol,), {"all_open": self})
 
 

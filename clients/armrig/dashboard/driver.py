@@ -1,4 +1,4 @@
-"""Commands of the page to the rig, with the same client as the command line."""
+"""Commands of the page to the rig, sent by the same client as those of the command line."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class BusyDriverError(OperationError):
 
 
 class Driver:
-    """Commands in sequence: arm, run, release; a stop does not wait for them."""
+    """Sender of the page's commands, one at a time: arm, run, release. A stop does not wait."""
 
     def __init__(self, *, rig: str, connect: str | None) -> None:
         """Prepare commands to a rig; id and endpoint are as for `armrig.Rig`."""
@@ -106,7 +106,7 @@ class Driver:
             raise BusyDriverError(_ENDS) from err
 
     def stop(self, by: str) -> None:
-        """Stop the rig at 0 V, with any owner, and do not wait for other commands of the page.
+        """Stop the rig at 0 V, even if another client is the owner; do not wait for other commands.
 
         Raises
         ------
@@ -128,7 +128,7 @@ class Driver:
                     return
 
     def be_ready_to_stop(self) -> None:
-        """Open a connection to the rig, if the rig answers, so that a stop need not open one."""
+        """Open a connection for later stops, if the rig answers, so that a stop is sent at once."""
         opened = Rig(self._rig, connect=self._connect)
         try:
             opened.__enter__()
@@ -139,7 +139,7 @@ class Driver:
             self._stopper = opened
 
     def reset(self) -> bool:
-        """Clear a latched fault; return True if there was one."""
+        """Clear a latched fault; return True if there was a fault."""
         with Rig(self._rig, connect=self._connect) as rig:
             return rig.reset()
 
@@ -150,7 +150,7 @@ class Driver:
 
     def end(self) -> None:
         """Stop the current run, accept no other run, and release the rig."""
-        self._runner.shutdown(wait=False)  # first: a later run would continue
+        self._runner.shutdown(wait=False)  # first: otherwise a run could begin after the stop
         if self.run.is_going:
             with suppress(RigError):  # then its dead-man stops it
                 self.stop("the dashboard, which ends")

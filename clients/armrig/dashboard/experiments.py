@@ -29,18 +29,18 @@ from armrig.numerics.quantities import number
 from armrig.physics.systems import arm, chassis
 from armrig.rig.collection import Plan, planned_input
 
-_SECONDS = {"step": 5.0}  # length by default of those that have one of their own
+_SECONDS = {"step": 5.0}  # default lengths of experiments that do not have `_DEFAULT_S`
 _DEFAULT_S = 30.0
-_DEAD_MAN_S = 1.0  # the end of the dashboard must stop the motor, as of `armrig collect`
+_DEAD_MAN_S = 1.0  # if the dashboard ends, the motor must stop, as with `armrig collect`
 
 _Name = Annotated[str, Meta(pattern=r"^[a-z0-9-]{0,20}\Z", description="a-z, 0-9 and -")]
 _MAX_POINTS = 1200  # of the drawing
-_MAX_DESIGN_SAMPLES = 20_000  # samples from which deviations are predicted: a second's work
+_MAX_DESIGN_SAMPLES = 20_000  # most samples for predicted deviations: a second of computing
 _NOISE_RAD = 2 * np.pi / 1024 / 12**0.5  # one step of a converter of 10 bit
 
 
 class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Request of an experiment; the fields are the options of `armrig collect`."""
+    """Request for an experiment; the fields are the options of `armrig collect`."""
 
     kind: Literal["step", "blackbox", "greybox", "staircase", "csv"]
     seconds: Annotated[float, Meta(gt=0, le=86_400)] | None = None
@@ -54,7 +54,7 @@ class Experiment(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     seed: Annotated[int, Meta(ge=0, le=2**53)] = 1
     name: _Name = ""
     file: Annotated[str, Meta(max_length=200)] = ""
-    """Name of the CSV file of the person."""
+    """Name of the user's CSV file."""
     text: str = ""
     """Contents of the CSV file."""
 
@@ -170,7 +170,7 @@ def previewed(experiment: Experiment, status: StatusReport) -> Preview:
 
 
 def _drawn(u: NDArray[np.float64], Ts: float) -> tuple[list[float], list[float]]:
-    """Return times and values of the input's points; if there are many, extremes of intervals."""
+    """Return times and values to draw the input; a long input is drawn by its extremes."""
     changes = np.flatnonzero(np.diff(u, prepend=np.nan) != 0)
     if changes.size <= _MAX_POINTS:
         at, values = [*changes.tolist(), u.size], [*u[changes].tolist(), float(u[-1])]
@@ -204,6 +204,7 @@ def _cautions(status: StatusReport, plan: Plan) -> list[str]:
     cautions = []
     if plan.without_arm and not status.arm_removed:
         cautions.append(
-            "this experiment needs the chassis alone, but the rig has its arm: it will be refused"
+            "this experiment needs the chassis alone, but the rig has its arm: the experiment will "
+            "be refused"
         )
     return cautions

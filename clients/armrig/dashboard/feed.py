@@ -1,4 +1,4 @@
-"""State of the rig for the dashboard: the last five minutes, its status and its timing."""
+"""Data of the rig for the dashboard: samples of the last five minutes, status and timing."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from armrig.recordings.daemon_reports import is_note
 from armrig.rig.live_gaps import MOST_TOLD, gaps_between
 
 HISTORY_S = 300.0
-"""Length of the history for a new viewer, in s."""
+"""Length of the history that a new viewer receives, in s."""
 FINE_S = 30.0
 """Length in s of the newest part of the history; older rows are sent in wider bins."""
 COARSE_S = 0.05
-_MOST_ROWS = 40_000  # five minutes of bins, and as many wraps as there are
+_MOST_ROWS = 40_000  # five minutes of bins, and the additional rows at wraps
 LATE_US = (50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 """Upper edges of the histogram of lateness, in µs; a last bin contains all later samples."""
 _TS = 0.01  # before the daemon has reported its sampling time
 _MOST_STATES, _MOST_NOTES = 200, 100
 _BACK_NS = 1_000_000_000
-_LATE_S = 60  # seconds that the histogram is of
+_LATE_S = 60  # length of the histogram, in s
 _NA, _NB = 3, 4  # of the arm without its integrator; the sampled rate has as many zeros as poles
 _REMEMBERED_S = 20.0
 _TURN = 360.0
@@ -47,7 +47,7 @@ class News:
     rows: Rows
     """New bins."""
     at_s: float
-    """Time at which the news were read, in s of the server's monotonic clock."""
+    """Time of the call of `Feed.news`, in s of the server's monotonic clock."""
     age_s: float
     """Age of the newest sample, in s; inf before the first sample."""
     newest: Sample | None
@@ -89,7 +89,7 @@ class Feed:
         self._timing = Timing()
         self._phase = ""  # of the newest state heard
         self._states: deque[tuple[int, str]] = deque(maxlen=_MOST_STATES)  # in ns, and phase
-        self._notes: deque[int] = deque(maxlen=_MOST_NOTES)  # in ns; they push out no start
+        self._notes: deque[int] = deque(maxlen=_MOST_NOTES)  # in ns
         self.status: StatusReport | None = None
         """Newest status of the daemon."""
         self._model: LiveModel | None = None
@@ -97,7 +97,7 @@ class Feed:
         """Reason why no daemon is connected; "" if a daemon is connected."""
 
     def add_samples(self, samples: Sequence[Sample], *, live: bool = True) -> None:
-        """Add samples in order; `live` is False for samples that the daemon has kept."""
+        """Add samples in order; `live` is False for earlier samples, which the daemon has kept."""
         with self._lock:
             if live and samples and self._is_of_another_clock(samples[0]):
                 self._rows.clear()
@@ -149,7 +149,7 @@ class Feed:
                     self._notes.append(t_ns)
 
     def marks(self) -> list[tuple[float, str]]:
-        """Return the recent marks, time in s and kind: start, end, trip, note."""
+        """Return the time in s and the kind of each recent mark: start, end, trip or note."""
         with self._lock:
             oldest_s = self._newest.t_host_ns / 1e9 - HISTORY_S if self._newest else -np.inf
             states = sorted(self._states, key=itemgetter(0))
@@ -187,7 +187,7 @@ class Feed:
             return None if self._model is None else self._model.lines()
 
     def history(self) -> Rows:
-        """Return the last five minutes; rows older than `FINE_S` are in wider bins."""
+        """Return the rows of the last five minutes; rows older than `FINE_S` are in wider bins."""
         with self._lock:
             pieces = [*self._rows]
         if not pieces:
@@ -199,7 +199,7 @@ class Feed:
         return np.concatenate([coarser(rows[:fine], COARSE_S), rows[fine:]])
 
     def news(self, after: int = 0) -> News:
-        """Return the changes since the last news, whose `pieces` is `after`."""
+        """Return the changes since the previous news; `after` is the `pieces` of these news."""
         with self._lock:
             fresh = [*islice(reversed(self._rows), self._pieces - after)][::-1]
             rows = np.concatenate(fresh) if fresh else np.zeros((0, COLUMNS))

@@ -1,4 +1,4 @@
-"""Streams of the rig for Foxglove and similar programs, which cannot command."""
+"""Streams of the rig for Foxglove and similar programs, which cannot send commands."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from armrig.rig.session import RigError
 HOST = "127.0.0.1"
 PORT = 8765
 LAYOUTS = Path(__file__).parent / "layouts"
-"""Folder of the layouts for Foxglove and PlotJuggler; they show the topics of rig 1."""
+"""Folder of the layouts for Foxglove and PlotJuggler; the layouts show the topics of rig 1."""
 _FRAMES = "transforms"
 _PERIOD_S = 0.02
-"""Period of the messages, in s (50 Hz); of several samples in a period, the newest is sent."""
+"""Period of the messages, in s (50 Hz); only the newest sample of each period is sent."""
 _SILENT_S = 3.0
 _AGAIN_S = 0.5
-_MOST_WAITING = 100  # waiting messages of a slow stream; above it, the oldest is dropped
+_MOST_WAITING = 100  # waiting messages of a slow stream; above this limit, the oldest is dropped
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Access by Host, Origin and token; each answer has headers that restrict the browser."""
+"""Access control by Host, Origin and a token; answers have headers that restrict the browser."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HEADERS = (
     (b"cross-origin-resource-policy", b"same-origin"),
     (b"cache-control", b"no-store"),
 )
-"""Headers of each answer: only the page's own scripts run, and no other page can embed it."""
+"""Headers of each answer: only the page's own scripts run, and no other page can embed the page."""
 
 
 class Refusal(Exception):  # noqa: N818  # an answer, not a fault
@@ -39,10 +39,10 @@ class Refusal(Exception):  # noqa: N818  # an answer, not a fault
 
 
 class Pass:
-    """A code that gives access to one path once.
+    """A one-time code that gives access to one path.
 
-    Other users can read the command line that starts a browser. It therefore contains this code and
-    not the token. The page exchanges the code for the token.
+    Other users can read the command line that starts a browser. The command line therefore contains
+    this code and not the token. The page exchanges the code for the token.
     """
 
     PATH = "/api/token"
@@ -52,7 +52,7 @@ class Pass:
         self._code, self._until_s = code.encode(), until_s
 
     def opens(self, given: bytes) -> bool:
-        """Return True for the right code, and make the code invalid."""
+        """Return True if the code is right and not expired; the code is then used up."""
         is_it = hmac.compare_digest(given, self._code) and time.monotonic() < self._until_s
         if is_it:
             self._until_s = 0.0
@@ -60,7 +60,7 @@ class Pass:
 
 
 class Guard:
-    """Filter that passes only the requests of the dashboard's own page on to an application."""
+    """Filter that forwards only the requests of the dashboard's own page to an application."""
 
     def __init__(
         self, app: ASGIApp, *, origins: Collection[str], token: str, once: Pass | None = None
@@ -70,8 +70,9 @@ class Guard:
         Parameters
         ----------
         origins : collection of str
-            Addresses of the page, such as http://127.0.0.1:8807. Other Hosts are refused, because
-            otherwise a foreign page could use a name of this machine (DNS rebinding).
+            Addresses of the page, such as http://127.0.0.1:8807. A request with another Host is
+            refused. Otherwise a foreign page could use its own name for this machine (DNS
+            rebinding).
         token : str
             Token that each request below /api/ must contain in `Authorization: Bearer`.
         once : Pass, optional
@@ -176,7 +177,7 @@ async def _body(scope: Scope, receive: Receive) -> bytes:
 
 
 def _replayed(body: bytes, receive: Receive) -> Receive:
-    """Return a receiver that returns the body that was read, then further messages."""
+    """Return a receiver that first returns the given body, then receives other messages."""
     waiting: list[Any] = [{"type": "http.request", "body": body, "more_body": False}]
 
     async def next_message() -> Message:

@@ -47,7 +47,7 @@ class RecordingRoutes:
     """Routes for recordings; slow requests run one after another in a separate process."""
 
     def __init__(self, feed: Feed, rig: str) -> None:
-        """Use the folder of the rig's daemon if it is readable, otherwise this user's folder."""
+        """Prepare routes for the daemon's folder; if it is not readable, for this user's folder."""
         self._feed, self._rig = feed, rig
         self._worker: ProcessPoolExecutor | None = None
 
@@ -69,7 +69,7 @@ class RecordingRoutes:
         ]
 
     def end(self) -> None:
-        """End the process at once."""
+        """End the separate process at once."""
         if self._worker is not None:
             children = multiprocessing.active_children()
             self._worker.shutdown(wait=False, cancel_futures=True)
@@ -140,7 +140,7 @@ class RecordingRoutes:
         return directory_to_look_in(installed(self._rig), os.environ)
 
     def _path(self, file: str) -> Path:
-        """Return the path of a recording in the list by its name; refuse any other file."""
+        """Return the path of the recording with this file name; refuse any other file."""
         path = self._folder() / file
         is_name = Path(file).name == file and file.endswith(".mcap")
         if not is_name or path.is_symlink() or not path.is_file():
@@ -170,6 +170,8 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
     Raises
     ------
     OSError, DamageError
+        The file cannot be read, is a link, or is not a regular file.
+    FileError
         The file is not a recording.
     """
     file = regular_file(path, may_be_link=False)
@@ -181,7 +183,7 @@ def whole_file(path: Path) -> tuple[int, Iterator[bytes]]:
     def pieces() -> Iterator[bytes]:
         with file:
             file.seek(0)
-            left = size  # of a growing file, only the reported size is sent
+            left = size  # if the file grows, only the reported size is sent
             while piece := file.read(min(left, _PIECE)):
                 left -= len(piece)
                 yield piece

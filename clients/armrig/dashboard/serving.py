@@ -44,7 +44,7 @@ _START_S = 20.0
 _ENDS_S = 2
 QUIET: dict[str, Any] = {
     "log_config": None,
-    "log_level": "error",  # of what is not HTTP anybody could have it warn
+    "log_level": "error",  # anybody could cause warnings by sending something else than HTTP
     "access_log": False,
     "lifespan": "off",
     "ws": "none",
@@ -58,7 +58,7 @@ QUIET: dict[str, Any] = {
 """Settings of uvicorn: no output, no server header, and a short wait at the end."""
 _LOOK_S = 0.025
 _STATUS_S = 0.5
-_SILENT_S = 2.0  # and Ts: then the connection is made anew, whatever the daemon answers
+_SILENT_S = 2.0  # plus 2 Ts; then the listener connects again
 _RETRY_S = 0.3
 _MAX_PIECES = 100
 
@@ -164,7 +164,7 @@ class _Door:
         return f"{self._origins[0]}/#once={self._code}"
 
     def served(self, more: list[Route], live: RigRoutes, stream: Stream) -> ServerThread:
-        """Return the thread of a server for the routes to watch and stop, and for `more` routes."""
+        """Return a server's thread, with the routes that watch and stop, and the routes `more`."""
         connections = Connections()
         routes = [*live.watching(connections), *more]
         once = None
@@ -191,7 +191,7 @@ def _allow_many_files() -> None:
 
 
 def _listening(host: str, usual: int, port: int | None) -> socket.socket:
-    """Return a socket that listens on `port`, or if it is None on the usual or any free port."""
+    """Return a socket that listens on `port`; if `port` is None, on the usual or a free port."""
     for tried in (usual, 0) if port is None else (port,):
         listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -222,7 +222,7 @@ class Server(uvicorn.Server):
         yield
 
     async def run_here(self) -> None:
-        """Serve until `should_exit`."""
+        """Serve until `should_exit` is True."""
         await self.serve([self._listening])
         # A client that does not read its last messages would keep its connection open.
         self._connections.end()
@@ -230,7 +230,7 @@ class Server(uvicorn.Server):
 
 
 class ServerThread:
-    """Thread of one door's server; many requests at one door do not delay the other door."""
+    """Thread of one socket's server; many requests at one socket do not delay the other socket."""
 
     def __init__(self, server: Server, stream: Stream) -> None:
         self._server, self._stream = server, stream
@@ -280,7 +280,7 @@ class Listener:
     def __init__(
         self, feed: Feed, *, rig: str, connect: str | None, found: Callable[[], None]
     ) -> None:
-        """Prepare to listen to a rig; `found` is called after each connection to it."""
+        """Prepare to listen to a rig; `found` is called after each connection to the rig."""
         self._found = found
         self._feed = feed
         self._rig = rig
@@ -307,7 +307,7 @@ class Listener:
             self._ends.wait(_RETRY_S)
 
     def _listen(self, rig: Rig) -> None:
-        """Listen until the end, or until no samples arrive for `_SILENT_S`."""
+        """Listen until `end` is called, or until no sample arrives for `_SILENT_S` plus 2 Ts."""
         feed = self._feed
         with (
             rig.arrivals("sample") as samples,

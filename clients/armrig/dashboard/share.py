@@ -1,4 +1,4 @@
-"""Access for phones and visitors: a separate port with TLS, and a token to watch and stop."""
+"""Access for phones and visitors: a TLS port with a token that permits only watch and stop."""
 
 from __future__ import annotations
 

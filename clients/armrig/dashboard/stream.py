@@ -22,22 +22,22 @@ from armrig.rig.status_rows import status_rows
 PERIOD_S = 1 / 30
 _TIMING_S = 1.0
 PAUSE_S = 0.25
-"""Shortest time in s between two encodings of the past, even if clients connect often."""
+"""Shortest time in s between two encodings of the history, even if clients connect often."""
 _PIECE = 500  # rows in a message
 _STALE_S = 0.3
 """Data are stale if no sample arrives for this time, in s, plus two sampling times."""
 
 
 class Stream:
-    """Stream of the feed's and the driver's state to all viewers of one door."""
+    """Stream of the feed's and the driver's state to all viewers of one listening socket."""
 
     def __init__(
         self, feed: Feed, driver: Driver, audience: list[Viewers], *, may_command: bool
     ) -> None:
-        """Begin without viewers; add them to `audience`, which has the viewers of all doors."""
+        """Begin without viewers; add this socket's viewers to `audience`, a common list."""
         self._feed, self._driver, self._audience = feed, driver, audience
         self.may_command = may_command
-        """True if the viewers of this door may command."""
+        """True if the viewers of this socket may command."""
         self._history = History(feed.history)
         self.viewers = Viewers()
         audience.append(self.viewers)
@@ -59,7 +59,7 @@ class Stream:
                 timing_due = due + _TIMING_S
 
     async def messages(self, viewer: Viewer) -> AsyncIterator[bytes]:
-        """Yield the messages for one viewer: the current state, news, and the encoded past.
+        """Yield the messages for one viewer: the current state, the news, and the history.
 
         Raises
         ------
@@ -105,21 +105,21 @@ class Stream:
 
 
 class History:
-    """Encoding of the past; viewers that connect before an encoding begins share it."""
+    """Encoder of the history; viewers that connect before an encoding begins share its result."""
 
     def __init__(self, rows: Callable[[], Rows]) -> None:
-        """Store the function that returns the rows of the past."""
+        """Store the function that returns the rows of the history."""
         self._rows = rows
         self._next: asyncio.Task[list[bytes]] | None = None
         self._began_s = -PAUSE_S
 
     async def messages(self) -> list[bytes]:
-        """Return the encoded past, from rows that are read after this call."""
+        """Return the encoded history; its rows are read after this call."""
         if self._next is None:
             self._next = asyncio.create_task(self._encoded())
         return await asyncio.shield(
             self._next
-        )  # a viewer that leaves does not cancel it for the others
+        )  # a viewer that leaves does not cancel the task for the other viewers
 
     async def _encoded(self) -> list[bytes]:
         await asyncio.sleep(self._began_s + PAUSE_S - time.monotonic())

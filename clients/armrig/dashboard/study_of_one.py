@@ -1,4 +1,4 @@
-"""Results from one recording, computed in a separate process because they take long."""
+"""Results from one recording; a separate process computes them, because this takes long."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ def facts(path: Path) -> dict[str, Any]:
 def curves(path: Path, start: float | None, stop: float | None) -> dict[str, Any]:
     """Return points of u, theta_1 (turns counted) and alpha between two times in s.
 
-    If there is no sample between the two times, the next or the last sample is returned.
+    If there is no sample between the two times, the next sample is returned. After the end of the
+    recording, this is the last sample.
     """
     t, *signals = _part(path, start, stop)
     return {name: _drawn(t, y) for name, y in zip(("u", THETA_1, ALPHA), signals, strict=True)}
@@ -87,7 +88,7 @@ def _part(path: Path, start: float | None, stop: float | None) -> list[NDArray[n
 
 
 def identified(path: Path, validation: Path | None, output: ChannelName) -> dict[str, Any]:
-    """Estimate an OE model with the orders that the data suggest, and validate it.
+    """Estimate an OE model with the orders that the data suggest, and validate the model.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Viewers of a door, each with a bounded queue.
+"""Viewers of one listening socket, each with a bounded queue.
 
 A viewer that does not receive its messages is dropped.
 """
@@ -11,8 +11,8 @@ from collections.abc import AsyncIterator, Callable
 from armrig_core.errors import OperationError
 
 MOST_VIEWERS = 64
-"""Largest number of viewers at one door."""
-_MAX_WAITING = 250  # messages: the past, and five seconds at 30 Hz
+"""Largest number of viewers of one listening socket."""
+_MAX_WAITING = 250  # messages: the history, and five seconds at 30 Hz
 
 
 class TooManyViewersError(OperationError):
@@ -50,7 +50,7 @@ class Viewer:
 
 
 class Viewers:
-    """All viewers at one door."""
+    """All viewers of one listening socket."""
 
     def __init__(self) -> None:
         """Begin without viewers."""

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 
 MAX_IDLE_WAKE_US = 20
-"""Wake-up time of an idle state, in µs, above which it affects the lateness."""
+"""Longest wake-up time of an idle state, in µs, without an effect on the lateness."""
 MAX_STEAL_SHARE = 0.01
-"""Largest share of the time that a hypervisor may use."""
+"""Largest acceptable share of the time that the physical host uses (steal time)."""
 MIN_FREE_BYTES = 1 << 30
 """Least free space for recordings, in B; a recording at 2 kHz needs about 15 MB per minute."""
 _PRIORITY_FIELD = 15
@@ -48,7 +48,7 @@ _LIMITS = "/etc/security/limits.d/armrig.conf, then log in again"
 
 
 def doctor(rig: str = "1", connect: str | None = None) -> list[HostCheck]:
-    """Examine this host, and the daemon of a rig if it answers.
+    """Examine this host, and the rig's daemon if the daemon answers.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def _daemon(host: Host) -> list[HostCheck]:
 
 
 def _refused(daemon: StatusReport, what: str) -> str:
-    """Return the remedy for a right that a daemon's loop was refused; "" if it was granted.
+    """Return the remedy for a right that the daemon's loop lacks; "" if the right was granted.
 
     The daemon reports a refusal as the right, followed by the remedy in brackets.
     """

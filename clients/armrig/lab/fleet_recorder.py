@@ -1,6 +1,6 @@
 """Recorder for many rigs, with a separate thread and separate files for each rig.
 
-If the recording of one rig fails, the others continue.
+If the recording of one rig fails, the recordings of the other rigs continue.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from armrig.rig.remote_recording import (
 _LOOK_INTERVAL_S = 1.0
 _BEGIN_INTERVAL_S = 0.2
 _DISK_PAUSE_S = 60.0
-"""Least pause, in s, before the next recording of a rig whose recording ended on a full disk."""
+"""Least pause, in s, before a rig is recorded again after a full disk ended its recording."""
 _MIN_FREE_BYTES = 64 << 20
-"""Least free space, in B, for a new recording of a rig whose recording ended on a full disk."""
+"""Least free space, in B, to record a rig again after a full disk ended its recording."""
 
 
 @dataclass(slots=True)
@@ -43,11 +43,11 @@ class RigRecorded:
     why: str = ""
     """Reason for an early end; "" if the recording did not end early."""
     again_s: float = float("inf")
-    """Earliest time of the rig's next recording, on the monotonic clock; inf if none follows."""
+    """Earliest start of the rig's next recording, in s of the monotonic clock; inf for none."""
 
 
 class FleetRecorder:
-    """Recorder of the rigs of a session; it records each rig as soon as the rig appears."""
+    """Recorder of all rigs in a session; a rig is recorded as soon as it appears."""
 
     def __init__(
         self,
@@ -62,7 +62,7 @@ class FleetRecorder:
         Parameters
         ----------
         endpoint : str
-            Endpoint of the router, which the files contain.
+            Endpoint of the router; each recording contains this endpoint.
         path_of : callable
             Function that returns the path of a rig's first file.
         tell, tell_error : callable
@@ -115,8 +115,8 @@ class FleetRecorder:
     def _may_begin(self, rig: str) -> bool:
         """Return True if a recording of a rig may begin.
 
-        A first recording may always begin. A further recording may begin only if the last recording
-        ended on a full disk and the disk has space again.
+        A rig's first recording may always begin. A further recording may begin only if a full disk
+        ended the last recording, and the disk has space again.
         """
         if rig not in self._threads:
             return True

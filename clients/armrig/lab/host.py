@@ -1,7 +1,8 @@
 """Properties of this host, from the kernel's files, and rights that the kernel grants.
 
-The kernel grants or refuses SCHED_FIFO and mlockall only on request. As a program, with a priority
-as its argument, this module requests both rights and prints the results, such as `1 0`.
+The kernel grants or refuses SCHED_FIFO and mlockall only on request. Run as a program with a
+priority as its argument, this module requests both rights. It prints 1 for each granted right and 0
+for each refused right, such as `1 0`.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ _MCL_CURRENT_AND_FUTURE = 3  # <sys/mman.h>
 
 
 def granted() -> tuple[bool, bool]:
-    """Return whether SCHED_FIFO and mlockall are granted, from a trial in another process."""
+    """Return whether SCHED_FIFO and mlockall are granted; another process requests them."""
     program = [sys.executable, "-m", "armrig.lab.host", str(PRIORITY)]
     printed = subprocess.run(program, capture_output=True, check=True, text=True).stdout.split()
     return printed[0] == "1", printed[1] == "1"
@@ -53,7 +54,7 @@ def lock_memory() -> bool:
 
 
 def text(path: Path) -> str:
-    """Return the text of a file of the kernel without outer spaces; "" if it cannot be read."""
+    """Return a kernel file's text without spaces at its ends; "" if the file cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
@@ -72,7 +73,7 @@ def preemption(root: Path) -> str:
         if found := re.search(pattern, text(root / where)):
             return found[1]
     if "PREEMPT_DYNAMIC" in version:
-        return "unknown (PREEMPT_DYNAMIC, chosen when it starts)"
+        return "unknown (PREEMPT_DYNAMIC, chosen when the kernel starts)"
     return "full" if "PREEMPT" in version else "unknown"
 
 
@@ -121,7 +122,7 @@ class Granted:
 
 
 def probe(recordings: Path | None = None) -> Granted:
-    """Determine the rights by a trial; by default the folder is taken from the configuration."""
+    """Determine this user's rights by a trial; `recordings` is by default the configured folder."""
     fifo, memory_lock = granted()
     user = Path(platformdirs.user_config_dir("armrig"))
     directory = recordings or recordings_directory(Path("/"), user)
@@ -143,7 +144,7 @@ def probe(recordings: Path | None = None) -> Granted:
 
 
 def recordings_directory(root: Path, user: Path) -> Path:
-    """Return the folder of recordings, from the installed configuration, otherwise the default."""
+    """Return the configured folder of recordings; without a configuration, the default folder."""
     chosen = ""
     for path in (root / "etc/armrig/armrig.toml", user / "armrig.toml"):
         with suppress(OSError, ValueError, AttributeError):  # the daemon reports the error
@@ -182,4 +183,4 @@ class Host:
     daemon: StatusReport | None = None
     """Status of this machine's daemon, whose rights are examined instead of the caller's rights."""
     silent: str = ""
-    """Reason why this machine's service does not answer; the caller will not start a daemon."""
+    """Reason why this machine's service does not answer; rights are then not examined."""

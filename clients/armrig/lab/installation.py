@@ -33,7 +33,7 @@ _UDEV = Path("/run/udev/control")  # exists if udev runs; some containers have n
 
 FileState = Literal["installed", "differs", "missing"]
 Part = Literal["rig", "router", "recorder"]
-"""Parts of a machine's service: daemons of its rigs, router of a lab, recorder of all rigs."""
+"""Parts of a machine's service: the rigs' daemons, a lab's router, the recorder of all rigs."""
 UNITS: dict[Part, str] = {
     "rig": "armrigd@.service",
     "router": "armrig-router.service",
@@ -46,7 +46,7 @@ _PART_OF: dict[str, Part] = {
     "armrig-router.conf": "router",
     "armrig-recorder.conf": "recorder",
 }
-"""Part of each file that belongs to a single part; the other files belong to all parts."""
+"""Part that needs a file, by the file's name; every part needs the files that are not listed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +79,7 @@ class File:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plan:
-    """Steps of an installation, in this order."""
+    """Steps of an installation, carried out in the order of the fields."""
 
     first: tuple[tuple[str, ...], ...] = ()
     """Commands before the changes of files."""
@@ -119,7 +119,7 @@ class Plan:
             new = file.path.with_name(f".{file.path.name}.new")
             new.write_text(file.text, encoding="utf-8")
             new.chmod(0o644)
-            new.replace(file.path)  # a link, such as that of a masked unit, is not followed
+            new.replace(file.path)  # a link, such as the link of a masked unit, is not followed
         for file in self.removed:
             file.path.unlink(missing_ok=True)
         for command in self.last:
@@ -147,7 +147,7 @@ class Unit:
 
     @property
     def title(self) -> str:
-        """Name of the service in texts: rig and id, router or recorder."""
+        """Name of the service in printed texts, such as `rig 1`, `router` or `recorder`."""
         return f"rig {self.rig}" if self.rig else self.part
 
 
@@ -162,7 +162,7 @@ def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
     Raises
     ------
     ValueError
-        `root` is this machine, and its units could not start the program of this installation.
+        `root` is /, and the service could not start the `armrigd` of this installation.
     """
     shipped = SHIPPED.removesuffix("d")
     program = _program().removesuffix("d") if root == _SYSTEM else shipped
@@ -177,9 +177,9 @@ def files(root: Path, parts: Collection[Part] = UNITS.keys()) -> list[File]:
 
 
 def installing(root: Path, parts: Collection[Part] = _RIG_PARTS) -> Plan:
-    """Return the plan that installs these parts and updates installed parts.
+    """Return the plan that installs these parts and updates the parts already installed.
 
-    The plan leaves files that are up to date as they are.
+    The plan does not change files that are up to date.
     """
     at = _at(root)
     last = [("systemd-sysusers", *at), ("systemd-tmpfiles", *at, "--create", "armrig.conf")]
@@ -204,7 +204,7 @@ def uninstalling(root: Path) -> Plan:
 
 
 def units_of(root: Path) -> list[Unit]:
-    """Return the services that are enabled or, on this machine, loaded."""
+    """Return the enabled services; if `root` is /, also the services that systemd has loaded."""
     folder = root / _FOLDERS["systemd"]
     patterns = [name.replace("@", "@*") for name in UNITS.values()]
     wanted = [path.name for path in folder.glob("*.wants/*")]
@@ -231,7 +231,7 @@ def _unit(name: str, enabled: bool, root: Path) -> Unit:
 
 
 def run_command(command: Sequence[str]) -> None:
-    """Run a command; its output is shown.
+    """Run a command, and show its output.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Small certificate authority: keys and certificates for rigs and their users.
 
 Keys are on P-256, and signatures are ECDSA with SHA-256. All TLS 1.3 implementations support both.
-A certificate contains its purpose. A client therefore refuses an operator's certificate in place of
-a rig's or a router's certificate. No issued certificate can sign others. A rig's certificate
-permits a connection to a router, but no command and no reading of streams.
+A certificate contains its purpose. A client therefore refuses a server that presents an operator's
+certificate. An issued certificate cannot sign other certificates. With its certificate, a rig may
+connect to a router, but it may neither send commands nor read streams.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from armrig_core.topics import check_rig_id
 Role = Literal["operators", "observers"]
 RIG_DAYS = 365
 AUTHORITY_DAYS = 3650
-_CLOCK_TOLERANCE = timedelta(hours=1)  # of another machine's clock that is late
+_CLOCK_TOLERANCE = timedelta(hours=1)  # for another machine, whose clock may be late
 _KEY, _CERTIFICATE, ACCESS_LIST = "authority.key", "authority.pem", "access.toml"
 _HOST = re.compile(r"(?!-)[A-Za-z0-9-]{1,63}(?<!-)(\.(?!-)[A-Za-z0-9-]{1,63}(?<!-))*")
 
@@ -46,7 +46,7 @@ def make_authority(directory: Path, *, days: int = AUTHORITY_DAYS, force: bool =
     Raises
     ------
     InputError
-        An authority exists, and all its certificates would become invalid.
+        An authority exists already: a new authority would make all its certificates invalid.
     """
     x509, ec, _, hashes = _library()
     if not force and (directory / _KEY).exists():
@@ -81,8 +81,8 @@ def issue_to_rig(
     Raises
     ------
     InputError
-        There is no authority; the rig was revoked or has a credential already; or a host is not a
-        name.
+        There is no authority; the rig was revoked or has a credential already; or a host is
+        neither a name nor an address.
     """
     name = check_name(rig_name(check_rig_id(rig)))
     _refuse_revoked(directory, name)
@@ -94,12 +94,12 @@ def issue_to_rig(
 def issue_to_router(
     directory: Path, hosts: Sequence[str], *, days: int = RIG_DAYS, force: bool = False
 ) -> Issued:
-    """Create the credential of a router; rigs and people connect to it by the names in `hosts`.
+    """Create a router's credential; rigs and people connect to the router by the names in `hosts`.
 
     Raises
     ------
     InputError
-        There is no authority, or there is a credential already; or a host is not a name.
+        There is no authority; a credential exists already; or a host is not a name or address.
     """
     if not hosts:
         raise InputError("name the hosts of the router for its clients, such as --host lab.local")
@@ -125,7 +125,7 @@ def issue_to_person(
 
 
 def renew(directory: Path, name: str, *, days: int = RIG_DAYS) -> Issued:
-    """Create a new key and certificate for a name, with the old certificate's hosts and role.
+    """Create a new key and certificate for a name; its hosts and its role remain.
 
     Raises
     ------
@@ -320,7 +320,7 @@ def _read_certificates(path: Path) -> list[Any]:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """Write a file atomically; the file has its mode from the beginning."""
+    """Write a file atomically; the file has the mode `mode` as soon as it exists."""
     made = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with open(made, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:

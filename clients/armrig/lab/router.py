@@ -32,7 +32,7 @@ MOST_LINKS = 500
 
 
 def router_config(endpoint: str, credential: Credential, people: AccessList) -> dict[str, Any]:
-    """Return zenoh's configuration of a router that does not answer discovery.
+    """Return zenoh's configuration of a router; the router does not answer discovery messages.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def router_config(endpoint: str, credential: Credential, people: AccessList) -> 
 
 
 def open_router(endpoint: str, certificate: Path, names: Path) -> tuple[zenoh.Session, AccessList]:
-    """Open a router's session, which the caller must close; return it with the access list.
+    """Open a router, and return its session and access list; the caller must close the session.
 
     Parameters
     ----------

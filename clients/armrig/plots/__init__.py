@@ -1,13 +1,13 @@
-"""Figures. A plot function draws into `ax` or new axes, returns the axes, and names the recording.
+"""Figures. A plot function draws into `ax` or into new axes, names the data, and returns the axes.
 
-The method `.plot()` of a result draws the same and returns the figure, which can be saved:
-`armrig.delay(data).plot().savefig("delay.svg")`. The panels are `.axes` of the figure. To draw
-several results in one figure, give each its own axes, `.plot(ax=ax)`, and mark all panels with
-`letter(figure)`.
+The method `.plot()` of a result draws the same panels and returns the figure, which can be saved:
+`armrig.delay(data).plot().savefig("delay.svg")`. The attribute `.axes` of the figure contains the
+panels. To draw several results in one figure, give each result its own axes, `.plot(ax=ax)`, and
+mark all panels with `letter(figure)`.
 
-Colour-blind readers can distinguish the colours, a palette by Okabe and Ito; line styles
-distinguish curves in black and white. A second panel occupies the lower part of `ax`, which is
-shortened.
+Colour-blind readers can distinguish the colours, which are a palette by Okabe and Ito. In black and
+white, line styles distinguish the curves. A second panel occupies the lower part of `ax`; the first
+panel is shortened.
 """
 
 from __future__ import annotations

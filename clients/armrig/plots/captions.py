@@ -29,7 +29,7 @@ _RUN_OF_HASH: ContextVar[Mapping[str, str]] = ContextVar(
 
 @contextmanager
 def named_by_run(runs: Mapping[str, str]) -> Iterator[None]:
-    """Sign figures in this context with the run's id, such as `@0000000b`, instead of the hash.
+    """Name recordings in figures by the run's id, such as `@0000000b`, instead of the hash.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def named_by_run(runs: Mapping[str, str]) -> Iterator[None]:
 
 
 def signature(*sources: str, runs: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Return the kinds of files and their shortened hashes: `recordings 0123…, 4567…`.
+    """Return the kinds of files and their shortened hashes, such as `recordings 0123…, 4567…`.
 
     For a recording whose hash is in `runs`, the id of the run replaces the hash.
     """
@@ -145,7 +145,7 @@ def _fits(widths: list[float], columns: int, room: float, size: float) -> bool:
 
 
 def in_mathtext(text: str) -> str:
-    """Return a text with its powers of ten, such as 10⁻³, in mathtext, since few fonts have ⁻³."""
+    """Return a text with powers of ten in mathtext: few fonts have superscripts as in 10⁻³."""
 
     def power(found: re.Match[str]) -> str:
         return f"$10^{{{found[1].translate(_RAISED_DIGITS)}}}$"

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MISSING = "#BBBBBB"
 _LETTER_LABEL = "_letter"
 MIN_WIDE_RATIO = 2.0
-"""Ratio of width to height from which two panels are drawn side by side."""
+"""Ratio of width to height above which two panels are drawn side by side."""
 # M. Okabe, K. Ito, "Color Universal Design", 2008; the yellow is left out, because it is too pale
 # on paper.
 BLUE, VERMILION, GREEN = "#0072B2", "#D55E00", "#009E73"
@@ -139,7 +139,7 @@ def panels(ax: Axes | None, share: float, *, sharex: bool = True) -> tuple[Axes,
 def rows(ax: Axes | None, n: int) -> list[Axes]:
     """Shorten `ax`, add panels below it, and return n panels of equal height with a common x axis.
 
-    The left edges are aligned, whatever the width of the labels, since the panels share a grid.
+    The panels share a grid, so their left edges are aligned for labels of any width.
     """
     ax = axes(ax)
     grid = _place(ax).subgridspec(n, 1, hspace=0.02 if ax.figure.get_layout_engine() else 0.08)
@@ -174,7 +174,7 @@ def finish(*panels: Axes, xlim: tuple[float, float] | None = None) -> None:
 def save(figure: Figure, path: Path, **options: Any) -> None:
     """Write a figure to a file, with letters at its panels.
 
-    The file contains no date and no random ids, so that equal figures are equal files.
+    The file contains no date and no random ids, so that equal figures give identical files.
     """
     import matplotlib as mpl
 
@@ -204,7 +204,7 @@ def shade(ax: Axes, valid: NDArray[np.bool_], Ts: float, *, first: float = 0.0) 
 
 
 def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
-    """Draw values over lags, each as a stem from zero."""
+    """Draw each value as a stem from zero at its lag."""
     ax.vlines(x, 0, y, color=colour, lw=1.0)
     ax.plot(x, y, "o", color=colour, ms=2.6)
     ax.axhline(0, color=INK, lw=0.6)
@@ -213,7 +213,7 @@ def stems(ax: Axes, x: NDArray[Any], y: NDArray[Any], colour: str) -> None:
 def pens(curves: int) -> list[dict[str, Any]]:
     """Return the colour, dashes and width of each curve.
 
-    The first curve is the widest, so that all curves are visible where they agree.
+    The first curve is the widest, so that all curves are visible where they coincide.
     """
     if curves == 1:
         return [{"color": BLUE, "ls": "-", "lw": 1.4}]
@@ -255,7 +255,7 @@ def decibels(x: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def decibel_ticks(ax: Axes) -> None:
-    """Set at most six intervals between the ticks in dB, of 1, 2 or 4 times a power of ten."""
+    """Set ticks in dB: at most six intervals, each 1, 2 or 4 times a power of ten."""
     from matplotlib.ticker import MaxNLocator
 
     ax.yaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 4, 10]))

@@ -68,10 +68,10 @@ class Rig:
     Raises
     ------
     NoReplyError
-        At the start of the block: there is no daemon at the endpoint, or it refuses the client.
+        At the start of the block: no daemon answers, or the daemon refuses the client.
     RigError
-        At the start of the block: another user may own the socket's directory, or the credential
-        cannot be used.
+        At the start of the block: the socket's directory may belong to another user, or the
+        credential cannot be used.
     ValueError
         The id is not valid.
 
@@ -123,7 +123,7 @@ class Rig:
             return
         try:
             if self._lease:
-                # If the lease or the daemon is gone, there is no rig to return.
+                # If the lease or the daemon is gone, there is nothing to release.
                 with suppress(RigError):
                     self.disarm()
         finally:
@@ -131,7 +131,7 @@ class Rig:
             self._session = None
 
     def status(self) -> commands.StatusReport:
-        """Return the daemon's status; repeat the query for up to 2.5 s if the daemon is busy.
+        """Return the daemon's status; if the daemon is busy, repeat the query for up to 2.5 s.
 
         Examples
         --------
@@ -147,7 +147,9 @@ class Rig:
         return self._ask_again(commands.Status(), commands.StatusReport)
 
     def arm(self, owner: str, Ts: float | None = None) -> commands.LeaseGranted:
-        """Take the lease of the rig, at 0 V; repeat a temporarily refused command for up to 2.5 s.
+        """Take the lease of the rig; the motor stays at 0 V.
+
+        If the daemon refuses the command temporarily, the client repeats it for up to 2.5 s.
 
         Parameters
         ----------
@@ -197,8 +199,8 @@ class Rig:
     ) -> Path:
         """Play `u`, wait until the run is recorded, and return the recording's path.
 
-        Every exception during the wait, also Ctrl-C, stops the rig. The lease ends with the run:
-        call `arm` again before the next run.
+        Every exception during the wait, including Ctrl-C, stops the rig. The lease ends with the
+        run: call `arm` again before the next run.
 
         Parameters
         ----------
@@ -206,34 +208,34 @@ class Rig:
             Motor voltage at each sample, in V, inside the limits of `arm`. N is at least 1 and at
             most 4 000 000.
         pacing : {"scheduled", "exchange"}
-            Source of the sampling: the device's timer, or the host at each tick. If the host paces
-            the samples, its jitter is in the data.
+            Clock that triggers each sample: the device's timer ("scheduled"), or the host
+            ("exchange"). With "exchange", the data contain the jitter of the host.
         experiment : str, default "run"
             Kind of experiment, of a-z, 0-9 and -; part of the recording's name.
         details : mapping, optional
             Settings of the experiment, such as its seed; the recording contains them.
         dead_man : float, optional
-            The daemon stops the run if this process sends no sign of life for this time, in s, 0.5
-            to 60. The process may be killed, frozen or disconnected. By default the run continues
-            without this process. A sign of life is sent after each call of `progress`. A call that
-            takes longer than `dead_man` therefore ends the run.
+            Time in s, 0.5 to 60. If this process sends no sign of life for this time, the daemon
+            stops the run: the process may be killed, frozen or disconnected. By default the run
+            continues without this process. A sign of life is sent after each call of `progress`. A
+            call that takes longer than `dead_man` therefore ends the run.
         accepted : callable, optional
             Called once with the daemon's answer when the run begins; its `rehearsal` contains the
             prediction of the rig's model.
         progress : callable, optional
-            Called about ten times a second with two numbers: the samples taken so far, and the
-            samples of the run.
+            Called about ten times a second with two arguments: the number of samples taken so far,
+            and the number of samples of the run.
 
         Returns
         -------
         Path
-            The recording, complete on the daemon's disk and synchronised, so that it survives a
-            loss of power. `last_run` contains the number of samples.
+            Path of the recording. Its file is complete and synchronised on the daemon's disk, and
+            therefore survives a loss of power. `last_run` contains the number of samples.
 
         Raises
         ------
         RunEndedError
-            The run ended before its last sample; the recording contains the samples up to this end.
+            The run ended before its last sample; the recording contains the samples until then.
         RefusedError
             The rig is not armed, a value is not allowed, or the rehearsal exceeds the limits.
         ValueError
@@ -304,13 +306,13 @@ class Rig:
                 if last.finished and status.phase != "active":
                     return last
             if request.dead_man is not None:
-                # The sign comes from this loop: a thread would continue in a client that hangs.
+                # This loop sends the sign: a thread would send it even if the client hangs.
                 with suppress(RefusedError):  # the run has just ended
                     self._ask(commands.Renew(**self._stamp()), commands.Done)
             time.sleep(wait_s)
 
     def set(self, u: float) -> None:
-        """Hold a voltage until the next `set`, or the end of the lease's period.
+        """Hold a voltage until the next `set`, or until `period_s` has passed without a command.
 
         Parameters
         ----------
@@ -347,12 +349,13 @@ class Rig:
         Parameters
         ----------
         by : str, optional
-            Name that the recording contains; by default the owner given to `arm`, or this user.
+            Name of the person or program that stops the rig, stored in the recording. The default
+            is the owner given to `arm`, or this user.
 
         Raises
         ------
         NoReplyError
-            The daemon does not answer. Without its daemon, a device stops the motor by itself.
+            The daemon does not answer. A device that has lost its daemon stops the motor by itself.
         RigError
             The answer does not confirm the stop: pull the motor's plug.
 
@@ -382,7 +385,7 @@ class Rig:
     def note(self, text: str, owner: str = "") -> bool:
         """Write a note into the current run's recording; no lease is needed.
 
-        A note that is refused temporarily is sent again for up to 2.5 s.
+        If the daemon refuses the note temporarily, the client repeats it for up to 2.5 s.
 
         Parameters
         ----------
@@ -399,7 +402,8 @@ class Rig:
         Raises
         ------
         RefusedError
-            The daemon is too old for notes. After too many notes, the exception is a `BusyError`.
+            The daemon is too old for notes. If there are too many notes, the exception is a
+            `BusyError`.
         NoReplyError
             The daemon does not answer.
         ValueError
@@ -447,8 +451,9 @@ class Rig:
     def calibrate(self, path: str | Path) -> None:
         """Make the daemon use a calibration from a TOML file until the daemon ends.
 
-        The daemon accepts a calibration only if the rig is safe. It applies the calibration from
-        the next sample on. A command that is refused temporarily is sent again for up to 2.5 s.
+        The daemon accepts a calibration only in the phase `safe`, and applies it from the next
+        sample on. If the daemon refuses the command temporarily, the client repeats it for up to
+        2.5 s.
 
         Parameters
         ----------
@@ -483,7 +488,7 @@ class Rig:
         self._ask_again(request, commands.Done)
 
     def disarm(self) -> None:
-        """Give up the lease of the rig, at 0 V.
+        """Release the lease of the rig; the motor is then at 0 V.
 
         Examples
         --------
@@ -568,7 +573,7 @@ class Rig:
         return self._session
 
     def _ask_again(self, request: commands.Request, answer: type[_R]) -> _R:
-        """Send a command, and repeat it for up to `_REPEAT_S` while it is refused temporarily."""
+        """Send a command; if it is refused temporarily, repeat it for up to `_REPEAT_S`."""
         until = time.monotonic() + _REPEAT_S
         while True:
             try:

@@ -43,7 +43,7 @@ DEAD_MAN_S = (0.5, 60.0)
 _FINISH_TIMEOUT_S = 2.0  # until a stopped run is complete on the disk
 _POLL_INTERVAL_S = 0.05
 _MAX_RECEIVED_BYTES = 1 << 16  # a listener sends its subscriptions only
-_MAX_SLEEP_S = 1.0  # a pause is slept in pieces, because a file may ask for one beyond any float
+_MAX_SLEEP_S = 1.0  # a longer pause is slept in pieces: a file may contain times beyond any float
 _LISTENER_INTERVAL_S = 0.05
 Publish = Callable[[str, bytes], None]
 
@@ -53,7 +53,7 @@ class InterruptedRunError(KeyboardInterrupt):
 
 
 class Collected(NamedTuple):
-    """A successful collection."""
+    """Result of a successful collection."""
 
     path: Path
     samples: int
@@ -65,7 +65,7 @@ class Collected(NamedTuple):
     run_id: str
     """Id of the run, which is part of the recording's name."""
     rehearsal: Rehearsal | None
-    """Prediction of the daemon's model of the rig; None from a daemon without a rehearsal."""
+    """Prediction of the daemon's model of the rig; None if the daemon made no rehearsal."""
     synced: int = 0
     """Number of samples on the disk; 0 if the daemon does not report this number."""
 
@@ -77,7 +77,7 @@ class Plan:
     experiment: str
     """Kind of experiment, part of the recording's name."""
     make: Callable[[int, float], NDArray[Any]]
-    """Function of N and Ts in s that returns u in V, (N,); periods or a file may change N."""
+    """Function of N and Ts, in s; it returns u, in V. The length of u may differ from N."""
     details: Mapping[str, Any]
     """Settings from which the input can be computed again."""
     seconds: float | None
@@ -115,7 +115,7 @@ class Plan:
 
 
 def number_of_samples(seconds: float, Ts: float) -> int:
-    """Return the number of samples whose length is nearest to `seconds`.
+    """Return the number of samples whose total duration is nearest to `seconds`.
 
     Raises
     ------
@@ -240,7 +240,7 @@ ARM_OFF = (
     "remove the rotating part (handout, figure 6), set [arm] removed = true in armrigd's "
     "configuration (for an emulated rig also [emulator] arm_removed = true), and restart armrigd"
 )
-"""Preparation of an experiment on the chassis alone."""
+"""Instructions that prepare an experiment with the chassis alone."""
 
 
 def _require_arm_off(status: StatusReport) -> None:
@@ -287,8 +287,8 @@ def reset_command(rig: str, connect: str | None) -> str:
 def _reason(rig: Rig, err: RigError, way_out: str) -> str:
     """Return the reason why a collection failed.
 
-    After a trip, `err` reports only that the lease was lost, so the status of the rig gives the
-    reason.
+    After a safety trip, `err` reports only that the lease was lost. The reason is therefore taken
+    from the status of the rig.
     """
     try:
         status = rig.status()
@@ -330,7 +330,7 @@ def _interrupted_sentence(rig: Rig, before: LastRun | None) -> str:
 
 
 class Stage:
-    """Session that publishes the messages of a recording; `staged` creates it."""
+    """Session that publishes the messages of a recording; `staged` creates this session."""
 
     def __init__(self, session: zenoh.Session, rig: str) -> None:
         self._session = session
@@ -346,7 +346,7 @@ class Stage:
             schema_key(rig, name): protobuf.descriptor_set(name)
             for name in protobuf.OF_STREAM.values()
         }
-        # Other queries are not answered, because a status would pretend to be a rig.
+        # Other queries get no answer: after a status, clients would take this session for a rig.
         session.declare_queryable(schema_key(rig, "**"), self._serve_schema)
         self._alive = session.liveliness().declare_token(alive_key(rig))
 
@@ -372,7 +372,7 @@ class Stage:
 
 @contextmanager
 def staged(where: str, rig: str) -> Iterator[Stage]:
-    """Yield a session that listens at an endpoint; other clients cannot publish or answer in it.
+    """Yield a session that listens at an endpoint; its clients can neither publish nor answer.
 
     Raises
     ------
@@ -400,7 +400,7 @@ def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Publi
     publish : callable
         Called with the stream and the bytes of each message.
     speed : float
-        Speed of the playing divided by the speed of the recording.
+        Speed of the playback relative to the recording: 2 plays the run in half its time.
     """
     began_s, first_t = time.monotonic(), None
     for message in run.messages():
@@ -411,7 +411,7 @@ def play(run: PublishedRun, publish: Publish, *, speed: float) -> Iterator[Publi
 
 
 def rest(run: PublishedRun, *, speed: float) -> None:
-    """Wait for one sampling time, after which the run may be played again."""
+    """Wait for one sampling time, as between two samples, before the run is played again."""
     _sleep_until(time.monotonic() + run.manifest.Ts / speed)
 
 

@@ -14,13 +14,13 @@ from armrig_core.codes import GapCode
 from armrig_core.telemetry import Sample
 
 MOST_TOLD, MOST_TOLD_BYTES = 10_000, 1 << 20
-"""Largest number and size in B of the gaps that are stored until a later sample arrives."""
+"""Largest number of gaps stored until a later sample arrives, and their largest size in B."""
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveGap:
-    """Consecutive samples that a listener does not receive; a stream yields it in their place.
+    """Gap of consecutive samples that a listener did not receive; a stream yields the gap.
 
     Examples
     --------
@@ -126,7 +126,7 @@ class Newest(Generic[_T]):
         return (value for value, _ in self._kept)
 
     def add(self, value: _T, size: int) -> None:
-        """Add a value of `size` B, and drop the oldest values above the limits."""
+        """Add a value of `size` B; if a limit is exceeded, drop the oldest values."""
         with self._lock:
             self._kept.append((value, size))
             self._size += size

@@ -1,4 +1,4 @@
-"""Rigs whose daemons run now: their ids from liveliness tokens, and their status."""
+"""Rigs whose daemons run now: their ids, found by liveliness tokens, and their status."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from armrig.rig.session import (
 )
 
 MOST_RIGS = 500
-"""Largest number of listed rigs; the router of a lab has fewer rigs."""
+"""Largest number of listed rigs; a lab's router serves fewer rigs."""
 _LOOK_TIMEOUT_S = 2.0
 _STATUS_TIMEOUT_S = 2.0
 
@@ -42,13 +42,13 @@ class LiveRig:
 
 
 def live_rigs(connect: str | None) -> tuple[str, list[LiveRig]]:
-    """Return where rigs were searched, and the rigs that were found, sorted by id.
+    """Return the searched endpoint, or "this machine", and the rigs found there, sorted by id.
 
     Parameters
     ----------
     connect : str, optional
-        Endpoint of a router or a daemon; by default the endpoint in `[client]`. If neither is
-        given, all daemons of this machine are queried.
+        Endpoint of a router or a daemon; by default the endpoint in `[client]`. If there is no
+        endpoint, all daemons of this machine are queried.
 
     Raises
     ------

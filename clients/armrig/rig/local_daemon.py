@@ -1,4 +1,4 @@
-"""A daemon of this machine as a child process, which always ends with its `with` block."""
+"""Start a daemon on this machine as a child process, and end it after a `with` block."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _POLL_INTERVAL_S = 0.1
 def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subprocess.Popen[bytes]]:
     """Run `armrigd run` until the block ends; the end of the block sets the motor to 0 V.
 
-    The daemon also sets the motor to 0 V and ends if this process is killed or the calling thread
-    ends. In this case the kernel sends the daemon a signal.
+    If this process is killed or the calling thread ends, the kernel sends a signal to the daemon.
+    After this signal the daemon also sets the motor to 0 V and ends.
 
     Parameters
     ----------
@@ -41,8 +41,8 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
     Raises
     ------
     RigError
-        Another daemon answers for this rig, or the new daemon ended or does not answer. The message
-        contains the last line of the daemon's log.
+        Another daemon answers for this rig; or the new daemon has ended, or does not answer. The
+        message contains the last line of the daemon's log.
     """
     _require_none(rig)
     program = [sys.executable, "-m", "armrig_daemon", "run", "--parent", str(os.getpid())]
@@ -64,7 +64,7 @@ def running(arguments: Sequence[str], *, rig: str, log: Path) -> Iterator[subpro
 
 
 def _require_none(rig: str) -> None:
-    """Raise RigError if another daemon of the rig answers, so that the two are not confused."""
+    """Raise RigError if another daemon of the rig answers, so that they are not confused."""
     try:
         with Rig(rig) as opened:
             opened.status()
@@ -118,7 +118,7 @@ def _wait_until_it_answers(daemon: subprocess.Popen[bytes], rig: str, log: Path)
         except NoReplyError:
             time.sleep(_POLL_INTERVAL_S)  # not yet
         else:
-            require_running(daemon, log)  # another daemon may have answered, so that this one ended
+            require_running(daemon, log)  # if another daemon has answered, the new daemon has ended
             return
     msg = f"the daemon did not answer within {_START_TIMEOUT_S:g} s; last line: {_last_line(log)}; "
     raise RigError(f"{msg}if this host is busy, close other programs and try again ({log})")

@@ -26,7 +26,7 @@ def bar(
 ) -> Iterator[Callback]:
     """Show a progress bar, and yield the function that updates the bar.
 
-    The arguments of the function are two numbers: the work done so far, and the whole work.
+    The function has two arguments: the amount of work done so far, and the total amount of work.
 
     At each update, the text that `note` returns is shown after the bar.
     """
@@ -58,7 +58,7 @@ class TimingNote:
         self._queue = ""
 
     def __call__(self) -> str:
-        """Return a text on lateness in the last second, missing samples, and the queue."""
+        """Return the lateness in the last second, the missing samples and the queue, as text."""
         arrived = [s for s in self._samples() if s.flags & Flag.RUN]
         if arrived and self._k_first is None:
             self._k_first = arrived[0].k

@@ -1,4 +1,4 @@
-"""Recording of a rig over a network; its files have the form of the daemon's recordings."""
+"""Recorder of a rig over a network; its files have the format of the daemon's recordings."""
 
 from __future__ import annotations
 
@@ -35,14 +35,17 @@ from armrig.rig.telemetry_stream import decoded
 
 STARTED_ANEW = "the daemon was restarted, and its counts begin again"
 MOST_ROWS = 1 << 23
-"""Largest number of a file's samples, including missing samples: 2.3 hours at 1 kHz."""
+"""Largest number of samples in a file, with missing samples; it is reached in 2.3 h at 1 kHz."""
 _FINISH_TIMEOUT_S = 60.0
-_MAX_FILES, _MAX_FILES_PERIOD_S = 60, 60.0  # more files in this time are not a daemon's
-_MAX_WAITING_BYTES, _OVERHEAD_BYTES = 16 << 20, 200  # until a state, one a second, contains Ts
-_MAX_PENDING_PIECES, _DISK_INTERVAL_S = 16, 0.01  # that the disk has not written
+_MAX_FILES, _MAX_FILES_PERIOD_S = 60, 60.0  # no daemon causes more files in this time
+_MAX_WAITING_BYTES, _OVERHEAD_BYTES = (
+    16 << 20,
+    200,
+)  # messages that wait for the first state, which has Ts
+_MAX_PENDING_PIECES, _DISK_INTERVAL_S = 16, 0.01  # pieces not yet on the disk
 Tell = Callable[[str], None]
 _LIMIT = 1 << 62
-"""Number above every valid time in ns and every valid index of a sample."""
+"""Limit: every valid time in ns and every valid sample index is smaller."""
 _QUERY_INTERVAL_S = 0.2
 _MAX_SILENCE_S = 2.0
 _MAX_LAST_PIECES = 64
@@ -66,9 +69,9 @@ class RecordedFile:
 class RemoteRecording:
     """Writer of a rig's messages into one or several files.
 
-    A new file begins if the index of the samples begins again, or if their sampling time changes. A
-    new file also begins if the current file would contain too many samples or missing samples to be
-    loaded.
+    A new file begins if the sample index restarts, or if the sampling time changes. A new file also
+    begins if the current file would otherwise become too long, or have too many missing samples, to
+    be loaded.
     """
 
     path: Path
@@ -76,7 +79,7 @@ class RemoteRecording:
     rig: str
     endpoint: str
     tell: Tell
-    """Called with a message for people."""
+    """Function that is called with each message for the user."""
     done: list[RecordedFile] = field(default_factory=list)
     """Complete files."""
     _file: Recording | None = None
@@ -92,7 +95,7 @@ class RemoteRecording:
     _begun: deque[float] = field(default_factory=lambda: deque(maxlen=_MAX_FILES))
 
     def add(self, piece: Piece) -> None:
-        """Record a piece; wait if the disk is slower than the messages.
+        """Record the messages of a piece; wait if the disk is slower than the messages arrive.
 
         Raises
         ------
@@ -111,7 +114,7 @@ class RemoteRecording:
         self._hand_over()
 
     def finish(self, ended: Ending) -> None:
-        """Complete the current file with this outcome."""
+        """Complete the current file, and write its outcome."""
         self._end(ended)
 
     def _hand_over(self) -> None:
@@ -124,7 +127,7 @@ class RemoteRecording:
                 )
             return
         file.add(self._taken())
-        # The daemon keeps later messages; none is dropped, as a full queue would.
+        # The daemon keeps later messages. A full queue would drop messages.
         while file.behind > _MAX_PENDING_PIECES and not file.error:
             time.sleep(_DISK_INTERVAL_S)
         if file.error:
@@ -135,7 +138,7 @@ class RemoteRecording:
         return waiting
 
     def _warn(self, text: str) -> None:
-        """Report a warning to people, and write it into the file."""
+        """Report a warning to the user, and write the warning into the file."""
         self.tell(text)
         now_ns = time.time_ns()
         message = protobuf.message_class(protobuf.LOG)(
@@ -150,7 +153,7 @@ class RemoteRecording:
 
     def _take(self, message: RemoteMessage) -> None:
         if message.stream == "gap":
-            # Written before the sample after it: only then both samples around it are in the file.
+            # The next sample writes the gap: both neighbours of the gap are then in the file.
             self._told.add(message.value, len(message.data))
             return
         if message.stream == "sample":
@@ -195,7 +198,7 @@ class RemoteRecording:
         now_s = time.monotonic()
         if len(self._begun) == _MAX_FILES and now_s - self._begun[0] < _MAX_FILES_PERIOD_S:
             msg = f"rig {self.rig}: {_MAX_FILES} files in a minute, because the index of its "
-            msg += "samples begins again, or their rate changes, again and again; "
+            msg += "samples restarts, or their rate changes, again and again; "
             raise RigError(msg + "the sender is not an armrigd")
         self._begun.append(now_s)
         path = self._free_path()
@@ -228,7 +231,7 @@ class RemoteRecording:
         file.add(waiting)
         file.finish(ended)
         file.join(_FINISH_TIMEOUT_S)
-        if not file.kept.name.endswith(ACTIVE):  # complete, though perhaps ended by the disk
+        if not file.kept.name.endswith(ACTIVE):  # the file is complete, even if the disk ended it
             how = "its recording ended early" if file.error else ended.text
             self.done.append(
                 RecordedFile(path=file.kept, outcome=how, samples=file.synced, missing=file.missing)
@@ -262,8 +265,8 @@ def remote_manifest(rig: str, endpoint: str, state: Any, clock_offset_ns: int) -
     Parameters
     ----------
     state : armrig.v1.State
-        State that the daemon last published. Its facts about the device are included if a manifest
-        can contain them.
+        Latest state that the daemon published. The manifest includes the state's facts about the
+        device if a manifest can contain these facts.
     clock_offset_ns : int
         Real-time clock minus monotonic clock, in ns, on the host of the samples.
     """
@@ -335,7 +338,7 @@ def remote_message(stream: str, data: bytes, clock_offset_ns: int) -> RemoteMess
 
 
 def _check(stream: str, value: Any) -> None:
-    """Raise RigError for values that a recording cannot contain, or that its readers refuse."""
+    """Raise InputError for values that a recording cannot contain, or that `load` refuses."""
     times: list[int] = []
     if stream == "sample":
         times = [value.t_host_ns, value.t_sched_ns, value.k]
@@ -346,7 +349,7 @@ def _check(stream: str, value: Any) -> None:
     for ns in times:
         if not 0 <= ns < _LIMIT:
             raise InputError(f"the time or index {ns} is not possible")
-    # Without a rig there is no sampling time yet.
+    # The sampling time is 0 until a device has answered.
     if stream == "state" and value.Ts_s != 0 and not TS_LEAST_S <= value.Ts_s < TS_LIMIT_S:
         raise InputError(f"the sampling time {value.Ts_s:g} s is not possible")
 
@@ -422,7 +425,7 @@ class RemoteRecorder:
         self._catch_up()
 
     def _catch_up(self) -> None:
-        """Record the messages published before the call, at most as many as a daemon keeps."""
+        """Record the messages published before the call, if the daemon still keeps them."""
         for _ in range(_MAX_LAST_PIECES):
             piece = self._row.next_piece()
             if piece is None:

@@ -1,4 +1,4 @@
-"""Source of all messages of a rig, without repetition, even if its daemon is restarted.
+"""Source of all messages of a rig, each once, even if the daemon is restarted.
 
 The source uses no subscription. The daemon keeps its recent messages in one numbered sequence. The
 source queries the messages after the last received message. A slow connection, a lost connection
@@ -39,7 +39,7 @@ class Piece:
 
 
 class RemoteSource:
-    """Position in the sequence of a daemon's messages."""
+    """Reader of a daemon's messages; it stores its position in their sequence."""
 
     def __init__(self, session: zenoh.Session, rig: str) -> None:
         """Prepare queries, beginning with the oldest message that the daemon keeps."""
@@ -48,7 +48,7 @@ class RemoteSource:
         self._next = 0
 
     def next_piece(self) -> Piece | None:
-        """Return the next messages, which may be none; None if the daemon does not answer.
+        """Return the next messages, an empty piece if there are none; None without an answer.
 
         Raises
         ------
@@ -60,7 +60,7 @@ class RemoteSource:
             return None
         is_new, began = past.life != self._life, bool(self._life)
         if is_new and self._next:
-            # The query had a number of another sequence; the new sequence is read from its
+            # The queried number belongs to the old sequence. The new sequence is read from its
             # beginning.
             past = self._asked(0, past.life)
             if past is None:
@@ -73,7 +73,7 @@ class RemoteSource:
         return Piece(past=past, is_new_life=is_new and began, lost=lost if began else 0)
 
     def _asked(self, first: int, life: bytes) -> Past | None:
-        """Return the answer of the daemon with the id `life`, or of the only answering daemon."""
+        """Return the answer of the daemon `life`, otherwise the answer of the only other daemon."""
         question = msgspec.json.encode(HistoryRequest(first=first))
         others: dict[bytes, Past] = {}
         refused = False

@@ -1,4 +1,4 @@
-"""Replies of a daemon: they are decoded, or refused if they are not of this version."""
+"""Decoding of a daemon's replies; a malformed reply raises an error."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _MAX_ERROR_CHARACTERS = 1000
 _R = TypeVar("_R")
 
 Progress = Callable[[int, int], None]
-"""Callback with two numbers: the samples taken so far, and the samples of the run."""
+"""Callback with two arguments: number of samples taken so far, and number of all samples."""
 
 
 def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
@@ -46,10 +46,12 @@ def reply_of(name: str, payload: bytes, answer: type[_R]) -> _R:
 
 
 def refusal_of(name: str, payload: bytes) -> commands.Refused:
-    """Decode the refusal of the command `name`; raises as `reply_of`, but accepts plain text.
+    """Decode the refusal of the command `name`, which may also be plain text.
+
+    Only a refusal that is too long raises MalformedReplyError.
 
     A daemon of an earlier release sends only a sentence. In this case the code of the refusal is
-    empty, and `version_1` decides if the refusal is temporary.
+    empty, and `version_1` decides whether the refusal is temporary.
     """
     _check_length(name, payload)
     try:
@@ -103,7 +105,7 @@ def this_user() -> str:
     """Return the login name of this user; "" if the name is unknown."""
     try:
         return getpass.getuser()
-    except (OSError, KeyError):  # the latter before Python 3.13
+    except (OSError, KeyError):  # KeyError before Python 3.13
         return ""
 
 
@@ -114,7 +116,7 @@ def refused(refusal: commands.Refused) -> RefusedError:
 
 
 def complete_recording(last: commands.LastRun, asked: int) -> Path:
-    """Return the recording of a complete run; raise RunEndedError if the run ended early."""
+    """Return the path of a complete run's recording; raise RunEndedError if the run ended early."""
     recording = Path(last.recording)
     if not last.is_complete:
         why = f"the run ended after {last.samples} of {asked} samples: {last.outcome}"

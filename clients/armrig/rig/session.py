@@ -1,4 +1,4 @@
-"""Connection to a daemon: the endpoint, the zenoh session, and errors if no reply arrives."""
+"""Connection to a daemon: its endpoint, its zenoh session, and the errors for missing replies."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from armrig_core.recording_directory import installed, of_rig
 from armrig_core.topics import PLAYED, check_rig_id, is_rig_id
 
 UNIT = Path("/etc/systemd/system/armrigd@.service")
-"""systemd unit of this machine's services, if they are installed."""
+"""Path of the systemd unit of the services; the file exists if a service is installed."""
 MOST_RECEIVED = 16 << 20
 """Longest received message, in B; a longer message ends the connection."""
 LONGEST_S = 3.0
@@ -43,7 +43,7 @@ _SILENT = "no answer: check that the host is on, and that no firewall blocks the
 
 
 class RigError(OperationError):
-    """A rig refuses, or the connection to a rig fails; the message contains the remedy.
+    """A rig refuses a command, or the connection fails; the message contains the remedy.
 
     Examples
     --------
@@ -57,7 +57,7 @@ class RigError(OperationError):
     """
 
     def __init__(self, message: str) -> None:
-        """Store the message; unprintable characters, which others may write, are escaped."""
+        """Store the message, and escape unprintable characters: part of it may be foreign text."""
         super().__init__(printable(message))
 
 
@@ -78,7 +78,7 @@ class Connection(NamedTuple):
     session: zenoh.Session
     endpoint: str
     name: str
-    """Name for commands: the name in the certificate, or the user's name; "" for a socket."""
+    """Name in the keys of commands, from the certificate or the password file; "" for a socket."""
 
 
 class _Way(NamedTuple):
@@ -89,16 +89,16 @@ class _Way(NamedTuple):
     proof: tuple[tuple[str, Any], ...] = ()
     """Part of zenoh's configuration that proves the client's identity."""
     fault: Callable[[], str] = str
-    """Function that returns why the connection failed; "" if the reason is unknown."""
+    """Function that returns the reason for a failed connection; "" if the reason is unknown."""
 
 
 def default_endpoint(rig: str) -> str:
-    """Return the endpoint of the daemon of a rig that this user runs."""
+    """Return the endpoint at which this user's own daemon of a rig listens."""
     return endpoint(rig, _socket_directory())
 
 
 def own_endpoint(rig: str) -> str:
-    """Return an endpoint for this process with the id `rig`, in a directory of this user only.
+    """Return an endpoint at which this process can listen, in a directory of this user only.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def own_endpoint(rig: str) -> str:
 
 
 def configured_endpoint(rig: str) -> str:
-    """Return the endpoint in `[client]`; without it, the endpoint of this user's daemon."""
+    """Return the endpoint in `[client]`; if there is none, the endpoint of this user's daemon."""
     return _settings(rig).connect or default_endpoint(rig)
 
 
@@ -128,7 +128,7 @@ def configured_connect() -> str:
 
 
 def local_rigs() -> list[str]:
-    """Return the ids of the rigs with a socket on this machine, of this user or of a service."""
+    """Return the ids of the rigs that have a socket of this user's daemon or of a service."""
     places = [Path(_socket_directory()), *Path(SERVICES).glob("*")]
     names = {path.stem for place in places for path in place.glob("*.sock")}
     return sorted(name for name in names if is_rig_id(name) and not name.startswith(PLAYED))
@@ -155,7 +155,7 @@ def open_endpoint(where: str) -> Connection:
 def open_session(
     connect: str | None, *, rig: str, certificate: str | Path | None = None
 ) -> zenoh.Session:
-    """Return the session of `open_connection`."""
+    """Connect as `open_connection` does, and return only the session."""
     return open_connection(connect, rig=rig, certificate=certificate).session
 
 
@@ -167,9 +167,9 @@ def open_connection(
     Parameters
     ----------
     connect : str, optional
-        Endpoint; by default the endpoint in `[client]`. If neither is given, the sockets of this
-        user's daemon and of this machine's service are tried. The directories of the sockets must
-        be writable for their owners only.
+        Endpoint; by default the endpoint in `[client]`. If there is no endpoint, the sockets of
+        this user's daemon and of this machine's service are tried. The directories of the sockets
+        must be writable for their owners only.
     certificate : str or Path, optional
         Credential of the client, for an endpoint tls/HOST:PORT; by default the credential in
         `[client]`.
@@ -202,8 +202,8 @@ def _config(way: _Way) -> zenoh.Config:
         ("scouting/multicast/enabled", False),
         ("scouting/gossip/enabled", False),
         ("transport/shared_memory/enabled", False),
-        # This limit exceeds all messages of a daemon. It is needed because the listener may be
-        # another program.
+        # All messages of a daemon are shorter. The limit is needed because another program may
+        # listen at the endpoint.
         ("transport/link/rx/max_message_size", MOST_RECEIVED),
         *way.proof,
     ):
@@ -263,7 +263,7 @@ def _way_by_certificate(where: str, certificate: str | Path) -> _Way:
 
 
 def _local_ways(rig: str) -> list[_Way]:
-    """Return connections to this machine's sockets: of this user's daemon, then of the service.
+    """Return connections to the sockets of this user's daemon and of this machine's service.
 
     If no socket exists, return the service's socket if the service is installed, otherwise the
     user's socket.
@@ -298,7 +298,7 @@ def is_served(rig: str) -> bool:
 
 
 def _service_owners() -> set[int]:
-    """Return the allowed owners of a service's folder: root, and the user that runs it."""
+    """Return the allowed owners of a service's folder: root, and the user of the service."""
     from pwd import getpwnam
 
     with suppress(KeyError):  # the user does not exist
@@ -351,9 +351,9 @@ def no_reply(rig: str, where: str, fault: str = "") -> NoReplyError:
 
 
 def service_has_stopped(rig: str, where: str) -> bool:
-    """Return True if an endpoint that does not answer is the socket of this machine's service.
+    """Return True if `where`, which does not answer, is the socket of this machine's service.
 
-    If this user may not enter the service's folder, the answer is False.
+    If the service's folder exists but this user may not enter it, the result is False.
     """
     folder = Path(SERVICES) / rig
     return where == _service_endpoint(rig) and (not folder.exists() or os.access(folder, os.X_OK))

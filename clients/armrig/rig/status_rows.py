@@ -44,7 +44,7 @@ def status_rows(report: StatusReport) -> list[tuple[str, str]]:
 
 
 def scheduling_sentences(host: dict[str, Any]) -> list[str]:
-    """Return the daemon's report on real-time scheduling as text."""
+    """Return the daemon's report on real-time scheduling as a list of sentences."""
     if not host:
         return ["not known yet"]
     fifo = host.get("fifo")

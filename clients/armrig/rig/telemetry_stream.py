@@ -25,11 +25,11 @@ from armrig.rig.session import (
 )
 
 SILENCE_S = 1.0
-"""Time without a message after which the daemon's presence is checked, in s."""
+"""Time in s without a message; after this time the listener checks whether the daemon runs."""
 _LOOK_TIMEOUT_S = 1.0
 _LISTEN_INTERVAL_S = 0.002
-_RING_MESSAGES = 10_000  # that a slow listener may lag before it misses the oldest
-_RING_BYTES = MOST_RECEIVED  # of all; a single message of a stranger may be as long
+_RING_MESSAGES = 10_000  # a slower listener misses the oldest messages
+_RING_BYTES = MOST_RECEIVED  # of all messages; a single message of a stranger may be as long
 
 
 def stream(
@@ -37,7 +37,7 @@ def stream(
 ) -> Iterator[Any]:
     """Iterate over the live messages of a key such as `rig/1/sample`.
 
-    In a stream of samples, a `LiveGap` replaces missing samples. The field `reason` contains the
+    In a stream of samples, a `LiveGap` replaces missing samples. Its field `reason` contains the
     reason that the daemon reports. If the daemon reports no reason, this listener was too slow and
     missed the oldest samples.
 
@@ -53,8 +53,9 @@ def stream(
     Yields
     ------
     Sample, LiveGap or protobuf message
-        Samples as named tuples whose fields contain their unit (`u_applied_v`, `theta_1_rad`), and
-        gaps between them; all other messages as `armrig.v1` messages.
+        A sample is a named tuple; the names of its fields contain the unit (`u_applied_v`,
+        `theta_1_rad`). A `LiveGap` is a gap between two samples. Every other message is an
+        `armrig.v1` message.
 
     Raises
     ------
@@ -110,7 +111,7 @@ def _is_over(k: int, gap: Any) -> bool:
 def _reported_gaps(
     session: zenoh.Session, rig: str, name: str
 ) -> AbstractContextManager[Callable[[], list[Any]]]:
-    """Yield a function that returns newly reported gaps; a stream without samples has no gaps."""
+    """Yield a function that returns newly reported gaps; only the stream of samples has gaps."""
     if name != "sample":
         return nullcontext(list)
     return arrivals(session, topics.stream_key(rig, "gap"))
@@ -119,7 +120,7 @@ def _reported_gaps(
 def _until_gone(
     session: zenoh.Session, rig: str, where: str, messages_since: Callable[[], list[Any]]
 ) -> Iterator[list[Any]]:
-    """Yield lists of messages as they arrive; raise NoReplyError after their daemon has stopped."""
+    """Yield lists of messages as they arrive; raise NoReplyError if the daemon has stopped."""
     with session.liveliness().declare_subscriber(
         topics.alive_key(rig), zenoh.handlers.RingChannel(8)
     ) as alive:

@@ -95,7 +95,7 @@ def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[_Daemon]:
     [
         ((), "\n", True, "Load the calibration into the running daemon now? [Y/n]"),
         ((), "n\n", False, "armrig: not in use"),
-        ((), None, False, "not in use: --use loads it into the running daemon"),
+        ((), None, False, "not in use: --use loads the calibration into the running daemon"),
         (
             ("--use",),
             None,

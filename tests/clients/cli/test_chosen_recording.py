@@ -135,9 +135,12 @@ def test_an_ambiguous_name_is_refused_with_the_list(
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("@tuesday", "@tuesday: no whole recording in {} has that name (1 still being written)"),
-        ("@0000000f", "@0000000f: no whole recording in {} has that name (1 still being written)"),
-        ("@", "@: no whole recording in {} has that name (1 still being written)"),
+        ("@tuesday", "@tuesday: no finished recording in {} has that name (1 still being written)"),
+        (
+            "@0000000f",
+            "@0000000f: no finished recording in {} has that name (1 still being written)",
+        ),
+        ("@", "@: no finished recording in {} has that name (1 still being written)"),
     ],
 )
 def test_a_name_of_no_recording_is_refused(
@@ -166,7 +169,7 @@ def test_without_a_recording_the_way_to_one_is_shown(
     assert main(["ls"]) == 0
 
     told = capsys.readouterr().err
-    assert f"there is no whole recording in {tmp_path / 'none'}; make one with" in told
+    assert f"there is no finished recording in {tmp_path / 'none'}; make one with" in told
     assert f"there are no recordings in {tmp_path / 'none'}; make one with" in told
 
 
@@ -194,7 +197,7 @@ def test_every_command_that_takes_a_recording_takes_a_name(
 ) -> None:
     assert main(arguments) == 1
 
-    assert "@x: no whole recording in" in capsys.readouterr().err
+    assert "@x: no finished recording in" in capsys.readouterr().err
 
 
 def test_a_name_reads_only_what_may_be_meant(

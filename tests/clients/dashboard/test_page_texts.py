@@ -91,12 +91,12 @@ def test_the_timing_is_shown_under_its_names(page: Path) -> None:
     )
 
     assert told["timing"] == (
-        "the host woke late by p50 2.3 µs, p99 40 µs, at most 1.5 ms; "
-        "the device's period was off by p99 7.0 µs; round trip p99 999 µs"
+        "host's lateness: p50 2.3 µs, p99 40 µs, max 1.5 ms; "
+        "error of the device's period: p99 7.0 µs; round trip: p99 999 µs"
     )
     assert told["missing"] == (
-        "missing: 3 samples since this dashboard was started; the last: link silent; "
-        "4 did not reach this page's server; recordings have them"
+        "missing: 3 samples since this dashboard was started; reason of the last gap: link silent; "
+        "4 samples did not reach the dashboard's server, but are in recordings"
     )
     assert len(told["bars"]) == len(LATE_US) + 1
     assert told["bars"][0][:3] == ["5 samples, at most 50 µs late", "5", "0.05"]

@@ -18,7 +18,7 @@ export class ArmDrawing {
     this.arm = shape("g", { class: "arm" }, shape("line", { x1: 0, y1: 0, x2: 92, y2: 0 }), shape("circle", { cx: 92, cy: 0, r: 6 }));
     this.unbent = shape("line", { class: "unbent", x1: 34, y1: 0, x2: 98, y2: 0 });
     const drawing = shape("svg", { viewBox: "-105 -105 210 210", role: "img", "aria-label": "The chassis and its arm from above" }, shape("circle", { class: "rim", r: 100 }), this.unbent, this.arm, this.chassis, shape("circle", { class: "axle", r: 4 }));
-    where.replaceChildren(drawing, make("p", { className: "hint", textContent: "From above; dashed is the arm without deflection. Pale: the angle is in the dead band." }));
+    where.replaceChildren(drawing, make("p", { className: "hint", textContent: "The rig from above. Dashed: the arm without deflection. Pale: the angle is in the dead band." }));
     this.drawing = drawing;
   }
 

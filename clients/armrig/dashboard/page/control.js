@@ -91,7 +91,7 @@ async function asked() {
     if (name === "file") {
       const file = input.files[0];
       if (!file) throw new Error("choose a file first");
-      if (file.size > MOST_FILE) throw new Error(`${file.name} has ${file.size} B; at most ${MOST_FILE} are taken`);
+      if (file.size > MOST_FILE) throw new Error(`${file.name} has ${file.size} B; at most ${MOST_FILE} B are accepted`);
       Object.assign(experiment, { file: file.name.slice(0, 200), text: await file.text() });
     } else if (input.value !== "") {
       experiment[name] = input.type === "number" ? Number(input.value) : input.value;

@@ -185,7 +185,7 @@ export class LivePlots {
             : `${least.toFixed(signal.digits)} … ${largest.toFixed(signal.digits)} ${signal.unit}`;
       if (value.textContent !== text) value.textContent = text;
     });
-    const frozen = this.frozen ? "held; the rig goes on. " : "";
+    const frozen = this.frozen ? "the plots are paused; the rig continues. " : "";
     setText("cursor", `${frozen}${pointed ? `cursor at ${this.cursorAt.toFixed(2)} s` : ""}`);
   }
 

@@ -25,11 +25,11 @@ function useTheme() {
   redrawCharts();
 }
 
-// At once, and beside all else: nothing is asked, and no earlier answer is waited for.
+// Stop at once: ask the user nothing, and wait for no earlier answer.
 async function stop() {
   withdrawRun();
-  // A browser has six connections to a server, for all its tabs. Where they are taken, our stream
-  // gives its own to the stop, and comes back.
+  // A browser has six connections to a server, for all its tabs. If all are in use, our stream
+  // closes its connection for the stop, and connects again later.
   const waits = setTimeout(() => stream.open(), CONNECTION_MS);
   try {
     await ask("stop", { owner: owner() });
@@ -49,7 +49,7 @@ function onKey(event) {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
   const typing = isText(event.target);
   if (event.code === "Space") {
-    // At rest a text takes its blank; while the motor may turn the space bar stops, wherever.
+    // At rest, a text field accepts a space; while the motor may turn, the space bar always stops.
     if (typing && (takesBlank(event) || !["armed", "active"].includes(rigStatus().phase))) return;
     event.preventDefault();
     event.stopPropagation();

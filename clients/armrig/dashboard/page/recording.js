@@ -158,7 +158,7 @@ async function layModel(name, signal, curve) {
 function draw(found, other) {
   const overOf = (key) => (over?.file ? other?.[key] : over?.signal === key ? over.curve : null);
   const [from, to] = seen || [0, seconds];
-  setText("seen", (seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are shown; double-click for the whole length` : "drag across a plot or turn the wheel to zoom, with Shift to move, with Alt to zoom the values") + dashed());
+  setText("seen", (seen ? `${from.toFixed(2)} to ${to.toFixed(2)} s are shown; double-click for the whole length` : "drag across a plot or turn the wheel to zoom in time; turn the wheel with Shift to move, with Alt to zoom the values") + dashed());
   SIGNALS.forEach((signal, i) => {
     charts[i].wanted = [from, to];
     charts[i].setData(aligned(found[signal.key], overOf(signal.key)), true);

@@ -62,7 +62,7 @@ export function showLive(live) {
   setText("age", age === null ? "none yet" : `${seconds(age)} old`);
 }
 
-// How much later than the quickest one a message came, in s: it waited in a slow network.
+// The delay of a message in a slow network, in s, compared with the quickest message.
 function delay(at, since) {
   const late = arrived / 1000 - at;
   leastLate = Math.min(leastLate + CLOCK_DRIFT * since, late);
@@ -77,7 +77,7 @@ export function showLost(silence, why) {
 
 // This browser was too late to show what came.
 export function showBusy(late) {
-  notice(`this browser was too busy to draw for ${seconds(late / 1000)}: close other programs or tabs; the rig goes on`);
+  notice(`this browser was too busy to draw for ${seconds(late / 1000)}: close other programs or tabs; the rig continues`);
 }
 
 const seconds = (s) => (s < 10 ? `${s.toFixed(2)} s` : `${Math.round(s)} s`);
@@ -100,8 +100,8 @@ export function showTiming(timing) {
   const report = timing.report;
   const parts = [];
   if (report.late_p99_us !== undefined) {
-    parts.push(`the host woke late by p50 ${micros(report.late_p50_us)}, p99 ${micros(report.late_p99_us)}, at most ${micros(report.late_max_us)}`);
-    parts.push(`the device's period was off by p99 ${micros(report.device_p99_us)}; round trip p99 ${micros(report.link_p99_us)}`);
+    parts.push(`host's lateness: p50 ${micros(report.late_p50_us)}, p99 ${micros(report.late_p99_us)}, max ${micros(report.late_max_us)}`);
+    parts.push(`error of the device's period: p99 ${micros(report.device_p99_us)}; round trip: p99 ${micros(report.link_p99_us)}`);
   }
   setText("timing-text", parts.join("; ") || "no report yet");
   const most = Math.max(1, ...timing.late);
@@ -116,8 +116,8 @@ export function showTiming(timing) {
     }),
   );
   const missing = [`missing: ${timing.missing} samples since this dashboard was started`];
-  if (timing.last_gap) missing.push(`the last: ${timing.last_gap}`);
-  if (timing.unheard) missing.push(`${timing.unheard} did not reach this page's server; recordings have them`);
+  if (timing.last_gap) missing.push(`reason of the last gap: ${timing.last_gap}`);
+  if (timing.unheard) missing.push(`${timing.unheard} samples did not reach the dashboard's server, but are in recordings`);
   setText("missing", missing.join("; "));
   showModel(timing.model);
   byId("missing").className = timing.missing ? "warn-text" : "";

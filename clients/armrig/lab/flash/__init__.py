@@ -1,1 +1,1 @@
-"""Firmware upload to a board: choice of the board, avrdude, and the board's answer after it."""
+"""Firmware upload: choice of the board, calls of avrdude, and the board's answer afterwards."""

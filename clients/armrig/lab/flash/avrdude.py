@@ -1,4 +1,4 @@
-"""Calls of avrdude, which writes a program through an Uno's boot loader, and their output."""
+"""Calls of avrdude, which writes a program through an Uno's boot loader; avrdude's output."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from armrig_protocol.messages import SCHEMA_HASH, VERSION, Hello, HelloReply
 
 CHIP = "ATmega328P"
 FLASH_BYTES = 32256
-"""Flash memory of 32 KiB without the boot loader of an Uno (Optiboot, 512 B), in B."""
+"""Size of an Uno's flash memory in B: 32 KiB minus the boot loader (Optiboot, 512 B)."""
 LOADER_BAUD = 115_200
 """Baud rate of Optiboot; it does not depend on the baud rate of the firmware."""
 OLD_LOADER_BAUD = 57_600
@@ -33,10 +33,10 @@ OLD_LOADER_BAUD = 57_600
 OPTIBOOT_MAJOR = 4
 """Least major version of an Uno's Optiboot; ATmegaBOOT reports version 1.16."""
 BROWN_OUT = {4: "4.3 V", 5: "2.7 V", 6: "1.8 V", 7: "none"}
-"""Brown-out voltage by the three lowest bits of the extended fuse (data sheet, table 28-5)."""
+"""Brown-out voltage for each value of the extended fuse's last 3 bits (data sheet, table 28-5)."""
 WANTED_FUSE = 0xFC
 """Extended fuse for 4.3 V; a clock of 16 MHz needs at least 3.8 V (data sheet, figure 29-1)."""
-INSTALL = "avrdude writes the firmware, and is not installed: apt install avrdude"
+INSTALL = "avrdude, which writes the firmware, is not installed: apt install avrdude"
 _TIMEOUT_S = 90.0  # three attempts to connect take 17 s, a full Uno 10 s
 _BLOCKS = 50  # of avrdude's full progress bar
 _BAR = re.compile(r"(Reading|Writing|Verifying) +\| (#*)")
@@ -141,7 +141,7 @@ def fuse(program: str, programmer: str, port: str | None) -> int:
 
 
 def command(program: str, *, port: str, image: Path) -> list[str]:
-    """Return the command line that writes `image` and reads it back."""
+    """Return the command line that writes `image` to the board and verifies the written data."""
     return [
         program,
         *("-p", CHIP.lower(), "-c", "arduino", "-P", port, "-b", str(LOADER_BAUD)),
@@ -163,7 +163,7 @@ def write(call: Sequence[str], moved: Moved) -> None:
 
 
 def _run(call: Sequence[str], moved: Moved, after: str) -> tuple[str, str]:
-    """Run avrdude; return its output and messages. `after` describes the board after a failure."""
+    """Run avrdude; return its output and messages. `after` is the end of an error's message."""
     with TemporaryFile() as printed:
         avrdude = subprocess.Popen(
             call, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE
@@ -211,7 +211,7 @@ def _read(avrdude: subprocess.Popen[bytes], moved: Moved) -> str:
 
 
 def progress(said: str) -> tuple[int, int, str]:
-    """Return the blocks done, all blocks, and the step that avrdude's newest bar shows."""
+    """Return the number of blocks done, the number of all blocks, and the current step."""
     bars = _BAR.findall(said)
     if not any(doing == "Writing" for doing, _ in bars):  # the signature is read before
         return 0, _BLOCKS, "asking the boot loader"
@@ -226,7 +226,7 @@ def reason(said: str, after: str = _INCOMPLETE) -> str:
             return meaning
     lines = [line.strip() for line in said.splitlines()]
     lines = [line for line in lines if re.match(r"avrdude(?: error| OS error)?: ", line)]
-    # A port without such lines, such as a pseudo-terminal, reports this at its end in any case.
+    # avrdude always ends with this message on a port without modem lines (a pseudo-terminal).
     lines = [line for line in lines if "ioctl(" not in line]
     last = lines[-1] if lines else "nothing"
     return f"avrdude failed and printed: {last}; {after}"
@@ -263,7 +263,7 @@ def chosen(port: str | None, boards: Sequence[Board]) -> Board:
     Raises
     ------
     OperationError
-        The given port does not exist. If no port is given, the number of Unos is not 1.
+        The given port does not exist; or no port is given, and the number of Unos is not 1.
     """
     if port is not None:
         return _at(port, boards)
@@ -341,8 +341,8 @@ def _list(boards: Sequence[Board]) -> str:
 def greeting(port: str, baud: int, within_s: float = WITHIN_S) -> HelloReply | None:
     """Open the port, which resets an Uno, and return the answer to HELLO; None without an answer.
 
-    HELLO contains no command, so the motor does not move with any program on the board. The caller
-    must hold the port (`held`).
+    HELLO contains no command, so the motor does not move, even if another program is on the board.
+    The caller must hold the port (`held`).
 
     Raises
     ------
