@@ -37,9 +37,10 @@ def plot_compare(
     table: ComparisonTable | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show measured output and models, simulated unless a horizon is given.
+    """Show the measured output and the models, in simulation unless a horizon is given.
 
-    See `armrig.validation.comparison_figure.plot_comparison`; a given table is not computed again.
+    See `armrig.validation.comparison_figure.plot_comparison`. If `table` is given, the comparison
+    is not computed again.
     """
     table = compare(data, *models, horizon=horizon, labels=labels) if table is None else table
     return plot_comparison(data, table.rows, labels=labels, ax=ax)
