@@ -70,7 +70,8 @@ def fit_of(text: str, path: str) -> Fit:
                 f"{path} is a model of several signals; here give a model of one output and one "
                 "input, such as fit['alpha', 'u'] of it (armrig.load_fit and fit.save in Python)"
                 if several
-                else f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
+                else f"{path} is no model file; `armrig identify --save` and fit.save(path) write "
+                "model files"
             )
         if content.get("version") != VERSION:
             raise FileError(

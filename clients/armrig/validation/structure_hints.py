@@ -416,7 +416,8 @@ def _reasons(h: StructureHints) -> Iterator[str]:
     shown = ", ".join(f"{v:.2g}" for v in h.singular_values[:6])
     with_integrator = h.integrator and h.integrator_shown
     yield (
-        f"order: Hankel singular values {shown} …, uncertainty alone makes {h.threshold:.2g}: "
+        f"order: Hankel singular values {shown} …, "
+        f"uncertainty alone causes up to {h.threshold:.2g}: "
         + _standing(h.order - with_integrator)
         + (", and the integrator" if with_integrator else "")
         + _more_poles(h)

@@ -117,7 +117,7 @@ class Delay:
                 f"at t_q = sqrt(2 LSB / (b Δu)) = {1e3 * self.t_q:.2g} ms, "
                 f"{self.t_q / self.Ts:.2g} samples. Here b is the mean acceleration per unit of "
                 "input until t_q, from the impulse response. On one step response t_q looks like "
-                "dead time; over many steps it averages out."
+                "dead time; over many steps this effect averages out."
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 

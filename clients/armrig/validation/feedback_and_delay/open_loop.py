@@ -101,8 +101,8 @@ class OpenLoop:
         F = f"{s.F:.3g}" if s.F < _MAX_SHOWN_F else f"more than {_MAX_SHOWN_F:.0e}"
         return (
             f"Finding: it explains {percent(100 * max(s.explained, 0.0))} of the part of "
-            f"{self.output} that the past leaves; F = {F} with {s.q} and {s.degrees} degrees of "
-            f"freedom, p {p_relation(self.p_value)}."
+            f"{self.output} that the past does not explain; F = {F} with {s.q} and {s.degrees} "
+            f"degrees of freedom, p {p_relation(self.p_value)}."
         )
 
     def _so(self) -> list[str]:
@@ -220,7 +220,7 @@ def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
     """Return a remark if u is computed from y(t), or if u(t), but no later u, depends on y(t)."""
     if exact:
         return (
-            "u(t) is a y(t) + b in every sample, as under a P controller with a constant set "
+            "u(t) = a y(t) + b in every sample, as under a P controller with a constant set "
             "point: such data show the controller, not the rig; change the set point",
         )
     if found.p_value < level <= found.p_later:
