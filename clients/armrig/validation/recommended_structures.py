@@ -46,9 +46,9 @@ class Recommended:
     """Orders of an output-error model, for ``oe(data, **orders)``."""
 
     nb: int
-    """Number of b coefficients."""
+    """Number of coefficients b_k."""
     nf: int
-    """Number of f coefficients, including the coefficient of an integrator."""
+    """Number of coefficients f_k, including the coefficient of an integrator."""
     nk: int
     """Number of samples before u affects y."""
     integrator: bool

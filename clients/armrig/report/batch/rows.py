@@ -1,4 +1,4 @@
-"""Row of a recording: the function that the workers run. The function never raises an exception."""
+"""Row of a recording, computed by a function that the workers run and that never raises."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ OF_THE_FILE: dict[str, Kind] = {
     "bytes": "count",
     "modified_ns": "count",
 }
-"""Columns that are known without opening the file, and that differ after a change of the file."""
+"""Columns that are known without opening the file. Their values change if the file changes."""
 OF_THE_RUN: dict[str, Kind] = {
     "sha256": "text",
     "rig": "text",
@@ -108,7 +108,7 @@ def row_of(task: Task, item: Item) -> Row:
     }
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
-            # An iterative search may overflow on its way; its verdict reports it.
+            # A search may overflow in an intermediate step; its result reports a failure.
             warnings.simplefilter("ignore", RuntimeWarning)
             recording = load(item.path)
             row |= _of_the_run(recording)
