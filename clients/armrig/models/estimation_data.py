@@ -32,7 +32,7 @@ class HasHistory(Protocol):
 def findings_on_own_data(
     models: Iterable[tuple[str, Any]], data: HasHistory
 ) -> Iterator[EstimateFinding]:
-    """Yield warnings about models whose estimation data are these data, or overlap with them.
+    """Yield warnings about models whose estimation data are these data or overlap these data.
 
     Parameters
     ----------

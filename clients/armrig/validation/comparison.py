@@ -185,7 +185,7 @@ def compare(
         if not hasattr(model, "label"):
             raise InputTypeError(
                 f"a {type(model).__name__} is no model: give each model by itself, "
-                "compare(data, fit1, fit2); names are labels=(…)"
+                "compare(data, fit1, fit2); give names as labels=(…)"
             )
     if isinstance(labels, str):
         raise InputTypeError(

@@ -87,5 +87,5 @@ def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
     ax.set_ylabel(f"rms error, {how} [{found.unit or '–'}]")
     finish(ax)
     off = np.count_nonzero(~shown)
-    legend(ax, *([f"{off} more have over {_MOST:g} times the least error"] if off else []))
+    legend(ax, *([f"{off} more models have over {_MOST:g} times the least error"] if off else []))
     return ax

@@ -69,7 +69,7 @@ class ResidualTest:
     cross_correlation: Vector
     """Correlation of e(t) with u(t - lag) at `cross_lags`."""
     cross_band: float
-    """99 % band of each lag for a known model, 2.58 sqrt(P / (N R_e(0) R_u(0)))."""
+    """99 % band of each lag if the parameters are known, 2.58 sqrt(P / (N R_e(0) R_u(0)))."""
     cross_std: Vector
     """Standard deviation at each of `cross_lags`, with the effect of the estimated parameters."""
     missing_dynamics: float
@@ -169,9 +169,9 @@ def residuals(
     estimated parameters make residuals less correlated with the past input than noise is.
 
     The band for a single lag has the variance P/(N R_e(0) R_u(0)), P = sum of R_e(k) R_u(k). The
-    variance is 1/N only if e or u is white. The band holds for a known model. `cross_std` is
-    computed from the diagonal of M. Compared with the band, `cross_std` is smaller at some lags on
-    estimation data, and larger on other data.
+    variance is 1/N only if e or u is white. The band is valid for a model with exactly known
+    parameters. `cross_std` is computed from the diagonal of M. Compared with the band, `cross_std`
+    is smaller at some lags on estimation data, and larger on other data.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ class _InputSums:
     power: float
     """Sum of u(t)²."""
     variance: float
-    """Variance of one sum for a known model, N P."""
+    """Variance N P of one sum, if the parameters of the model are exactly known."""
 
 
 def _input_sums(

@@ -84,8 +84,8 @@ class StructureHints:
     It is 0 if ``|G|`` does not fall, or if there is no such slope.
     """
     resonances: tuple[float, ...]
-    """Frequencies of peaks that the first structure also has, in rad/s. If y integrates, they are
-    peaks of the rate's |G|."""
+    """Frequencies of peaks that the first structure also has, in rad/s. If y integrates, the peaks
+    of the rate's |G| are used."""
     antiresonances: tuple[float, ...]
     """Frequencies of dips that the first structure also has, in rad/s."""
     phase_delay: float | None
@@ -98,8 +98,8 @@ class StructureHints:
     """Singular values of the Hankel matrix of the decaying response, divided by the largest
     singular value."""
     threshold: float
-    """Limit of the largest singular value that the uncertainty alone causes (95 % of draws),
-    divided by the largest singular value."""
+    """95 % quantile of the largest singular value that the uncertainty alone causes. The quantile
+    is divided by the largest singular value of the response."""
     order: int
     """Number of singular values above the threshold, plus 1 for an integrator; at most nf."""
     trusted: float
@@ -426,7 +426,7 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
         yield (
             f"roll-off: {minus(f'{h.high_slope:.0f}')} dB a decade from {h.high_band[0]:.3g} to "
-            f"{h.high_band[-1]:.3g} rad/s: {excess} than zeros up to there"
+            f"{h.high_band[-1]:.3g} rad/s: {excess} than zeros up to these frequencies"
         )
     if h.phase_delay is not None and h.phase_delay > h.spectrum.Ts / 2:
         yield (

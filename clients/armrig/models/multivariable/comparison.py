@@ -55,7 +55,7 @@ class SignalsComparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SignalsComparisonTable:
-    """Models side by side on one set of signals; iterate over it or print it."""
+    """Comparison of models on one set of signals; iterate over the table or print the table."""
 
     rows: tuple[SignalsComparison, ...]
     """A row for each model, in the order of the arguments."""

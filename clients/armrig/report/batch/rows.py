@@ -24,7 +24,7 @@ from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, 
 
 Row = dict[str, Any]
 Kind = str
-"""Type of a column: text, truth, count or number; texts and numbers are types of lists."""
+"""Type of a column: text, truth, count or number, or a list of these: texts or numbers."""
 
 OF_THE_FILE: dict[str, Kind] = {
     "recording": "text",

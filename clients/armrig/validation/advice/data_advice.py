@@ -23,8 +23,7 @@ from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
 
 ORDER = 4
-"""Number of poles of the compared models, and number of their numerator coefficients: the numbers
-of the arm."""
+"""Order of the compared models: number of poles, and of numerator coefficients, as for the arm."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
 _MIN_POLE_SIGMAS = 10.0  # least distance from 1 of a pole that is no integrator; σ may be wrong

@@ -105,7 +105,7 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
 
 
 def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, band: Vector, share: str) -> None:
-    """Show coefficients, and the band that contains the given share of estimates of a true 0."""
+    """Show coefficients, and the band with the probability `share` for a coefficient that is 0."""
     ax.fill_between(
         lags,
         -band,

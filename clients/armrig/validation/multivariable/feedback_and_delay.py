@@ -112,8 +112,8 @@ def delay(data: Signals, *, integrator: bool | None = None) -> ByChannel[Delay]:
 def open_loop(data: Signals, level: float = 0.05) -> ByChannel[OpenLoop]:
     """Test for feedback from each output to each input, one channel at a time.
 
-    The test of a channel is the test of one output and one input. Some tests find feedback by
-    chance: at the level 0.05, one of twenty tests.
+    The test of a channel is the test of one output and one input. In open loop, some tests find
+    feedback by chance: at the level 0.05, one of twenty tests.
 
     Parameters
     ----------

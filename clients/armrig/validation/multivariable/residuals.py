@@ -34,10 +34,10 @@ differences that approximate Psi.
 def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> SignalsResidualTest:
     """Test whether the residuals are white and independent of the inputs, per pair and jointly.
 
-    The tests use the sums s of e_i(t) u_j(t - k), and of e_i(t) e_j(t - k). Each test compares s^T
-    M^-1 s with chi-squared, corrected for the estimated variance of the noise. The residuals are e
-    = (1 - P) v, with the noise v and the projection P on the estimated parameters. Therefore s =
-    Z^T e is H^T v with H = (1 - P)^T Z, and ::
+    The tests use the sums s of e_i(t) u_j(t - k), and of e_i(t) e_j(t - k). Each test compares the
+    statistic s^T M^-1 s with the chi-squared distribution. A correction accounts for the estimated
+    variance of the noise. The residuals are e = (1 - P) v, with the noise v and the projection P on
+    the estimated parameters. Therefore s = Z^T e is H^T v with H = (1 - P)^T Z, and ::
 
         M = H^T R H                                              on estimation data
         M = H^T R H + (H^T Psi) cov(theta) (Psi^T H)             on other data

@@ -42,8 +42,9 @@ def _white(
 
     The test uses the sums over t of w_a(t) w_b(t - k), k = 1 … L. For a known model their variance
     is the number of products. With the projection P on the estimated quantities, cov e is Lambda -
-    B D^T - D B^T. This shifts the means of the sums, and the influence H = (1 - P)^T Z reduces
-    their covariance. For one output the test equals `armrig.numerics.whiteness.portmanteau`.
+    B D^T - D B^T. The last two terms shift the means of the sums, and the influence H = (1 - P)^T Z
+    reduces the covariance of the sums. For one output the test equals
+    `armrig.numerics.whiteness.portmanteau`.
     """
     m = T.shape[0]
     used = np.flatnonzero(T.any(axis=0))
