@@ -35,9 +35,10 @@ SCALARS = (
     "overshoot",
 )
 DRAWS = 400
-"""Number of draws of the parameters for the ranges."""
+"""Number of draws of the parameters from which a range is computed."""
 MAX_INVALID_SHARE = 0.05
-"""A number, such as a resonance, has a range only if at most this share of the draws lacks it."""
+"""Largest share of the draws that may lack a number, such as a resonance. If more draws lack the
+number, its range is not known."""
 _SPREAD_ROUNDING = 1e-9  # relative spread of draws up to which the spread is rounding
 _NEAR_NYQUIST = 1e-6  # relative distance from the last point of the grid
 _DIFFERENCE_SIGMAS = 1e-2  # step of the central differences, in standard deviations
@@ -45,14 +46,14 @@ _FREQUENCY_POINTS = 600
 _MIN_NYQUIST_SHARE = 1 / 3000  # lowest frequency of the grid, as a share of the Nyquist frequency
 _MAX_STEP_SAMPLES = 2000
 CANCELLATION_LEVEL = 0.01
-"""Least p value at which a pole and a zero cannot be distinguished."""
+"""Level of the test for cancellation. A pole and a zero with a smaller p value are distinct."""
 _MAX_PAIR_DISTANCE = 0.3  # largest distance in the z plane at which a pair is tested
 _REAL_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ModelCharacteristics:
-    """Characteristic numbers of the response of y to u, or of the rate of y if y integrates."""
+    """Characteristic numbers of the response from u to y, or to the rate of y if y integrates."""
 
     integrating: bool
     """True if the numbers characterise the rate of y."""
@@ -74,9 +75,10 @@ class ModelCharacteristics:
     `armrig.numerics.step_times` defines the times for models, data and physics.
     """
     equivalent_time: float
-    """Area above the step response divided by the gain, minus the same dead time, in s."""
+    """Area between the step response and the gain, divided by the gain, minus the dead time
+    (nk - 1 samples), in s."""
     slowest_time: float
-    """1/|Re s| of the slowest pole without the integrator, in s; NaN if there is none."""
+    """1/|Re s| of the slowest pole other than the integrator, in s; NaN if there is none."""
     overshoot: float
     """Maximum of the step response divided by the gain, minus 1, in percent."""
     std: dict[str, float]
@@ -93,13 +95,14 @@ class ModelCharacteristics:
 def model_characteristics(model: Model) -> ModelCharacteristics:
     """Return the characteristic numbers of a model, with standard deviations and ranges.
 
-    The frequencies are searched on |G|, first on a grid of 600 points up to the Nyquist frequency,
-    then between the points. The times are computed from the step response. A standard deviation is
-    the square root of g^T P g, with the trusted covariance P and the gradient g in theta. The
-    gradient is computed by central differences with a step of a hundredth of a standard deviation.
-    If the number does not exist at one end of the step, its standard deviation is NaN. A range is
-    value ± 1.96 std. If the linearisation is poor, the range is computed from 400 draws of the
-    parameters (see `armrig.numerics.confidence_regions`).
+    The frequencies are found from |G|: first on a grid of 600 points up to the Nyquist frequency,
+    then more exactly between neighbouring points. The times are computed from the step response.
+    The standard deviation of a number is the square root of g^T P g. P is the trusted covariance,
+    and g is the gradient of the number with respect to theta. The gradient is computed by central
+    differences with a step of a hundredth of a standard deviation. If the number does not exist at
+    one end of the step, its standard deviation is NaN. A range is value ± 1.96 std. If the
+    linearisation is poor, the range is computed from 400 draws of the parameters (see
+    `armrig.numerics.confidence_regions`).
     """
     integrating = integrates(model)
     own = _scalars(model, model.theta, integrating=integrating)
@@ -196,7 +199,7 @@ def _scalars(model: Model, theta: Vector, *, integrating: bool) -> dict[str, flo
     b, f = ((p[::-1].tolist(), (np.arange(p.size) * p)[::-1].tolist()) for p in (B, F))
 
     def slope(w: float) -> float:
-        """Return d|G|²/dw times a positive number."""
+        """Return d|G|²/dw, multiplied by a positive factor."""
         at = exp(-1j * w * model.Ts)
         (B_w, dB), (F_w, dF) = ([_horner(p, at) for p in pair] for pair in (b, f))
         by_B, by_F = B_w.conjugate() * dB, F_w.conjugate() * dF
@@ -254,10 +257,10 @@ def _length(modulus: Vector) -> int:
 def _extreme(
     omega: Vector, of_grid: Vector, slope: Callable[[float], float], *, sign: int
 ) -> float:
-    """Return the frequency of the most prominent peak of at least 1 dB, or NaN.
+    """Return the frequency of the most prominent peak, or NaN if no peak has a prominence of 1 dB.
 
-    If sign is -1, the function searches for a dip instead. The peak is found on the grid. The root
-    of the slope of |G|² between the neighbouring points is the peak itself.
+    If sign is -1, the function searches for a dip instead. A peak is found on the grid first. Its
+    exact frequency is the root of the slope of |G|² between the neighbouring points of the grid.
     """
     from scipy.optimize import brentq
     from scipy.signal import find_peaks
@@ -275,7 +278,7 @@ def _extreme(
 
 
 def _horner(p: list[float], x: complex) -> complex:
-    """Return the value of a polynomial, highest power first, at x, 50 times as fast as numpy."""
+    """Return the value at x of a polynomial, highest power first; numpy is 50 times slower."""
     value = 0j
     for coefficient in p:
         value = value * x + coefficient
@@ -283,7 +286,7 @@ def _horner(p: list[float], x: complex) -> complex:
 
 
 def _first_below(x: Vector, y: Vector, level: float) -> float:
-    """Return the first x at which y is below the level, by linear interpolation, or NaN."""
+    """Return the first x at which y is below the level, interpolated linearly; NaN if none is."""
     beyond = y < level
     if not beyond.any():
         return float("nan")
@@ -297,10 +300,11 @@ def _first_below(x: Vector, y: Vector, level: float) -> float:
 def overlapping(model: Model) -> list[tuple[complex, complex, float]]:
     """Return the pole, zero and p value of each pair that cannot be distinguished at the 1 % level.
 
-    The nearest pair is first. The difference of a pole and its zero has the covariance J P J^T,
-    with the derivatives J of the difference with respect to theta. If the order is too high, the
-    pole and the zero vary together and only their difference is small. A conjugate pair is listed
-    once.
+    The pair with the smallest distance is first. The difference of a pole and its zero has the
+    covariance J P J^T, with the derivatives J of the difference with respect to theta. If the order
+    is too high, a pole and a zero cancel: both are uncertain, but they vary together, and their
+    difference is small. Of a complex pole and its conjugate, only the pole above the real axis is
+    listed.
     """
     poles = [(letter, z) for letter in ("a", "f") for z in _roots(model, letter)]
     found = []

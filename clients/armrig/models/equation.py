@@ -89,7 +89,7 @@ def _with_unit(name: str, unit: str) -> str:
 
 def whiteness_sentence(fit: Estimate, std: str = "std", robust: str = "std_robust") -> str:
     """Return a text with the result of the whiteness test and the standard deviation to trust."""
-    of = "residuals prewhitened as IV4 does" if fit.structure == "iv4" else "residuals"
+    of = "IV4's prewhitened residuals" if fit.structure == "iv4" else "residuals"
     if isnan(fit.whiteness):
         return f"{of} {fit.white}"
     if fit.trusts_robust:

@@ -28,9 +28,9 @@ class Start:
     name: str
     """Method that found the start value."""
     loss: float
-    """Mean squared residual at the minimum reached."""
+    """Mean squared residual at the minimum that the search reached."""
     iterations: int
-    """Number of steps."""
+    """Number of steps of the search."""
     converged: bool
     """True if cost and scaled gradient are within the tolerance."""
 
@@ -59,15 +59,15 @@ class Estimate(Model):
     whiteness_test: str = ""
     """Name of the test of whiteness; "" in files of armrig 0.1."""
     converged: bool = True
-    """True if the search for the minimum is within its tolerance."""
+    """True if the search for the minimum converged within its tolerance."""
     starts: tuple[Start, ...] = ()
-    """Start values with their results, best first; empty for a closed form."""
+    """Start values with their results, best first; empty if no search was necessary."""
     agreed: bool = True
     """True if all starts led to the same minimum."""
     curvature: float = 0.0
-    """Deviation of the loss from the parabola that `std` assumes. The deviation is |ln r|, with r
-    the rise of the loss divided by the rise of the parabola, two standard deviations from the
-    minimum. It is 0 for a linear regression and in older files."""
+    """Deviation of the loss from the parabola that `std` assumes. The deviation is |ln r|. The
+    ratio r is the rise of the loss divided by the rise of the parabola, both at two standard
+    deviations from the minimum. The deviation is 0 for a linear regression and in older files."""
     free: tuple[FreeResponse, ...] = ()
     """Initial state and input offset of each experiment, estimated with theta."""
     findings: tuple[EstimateFinding, ...] = ()
@@ -75,7 +75,7 @@ class Estimate(Model):
     source: str = ""
     """Hash of the recording that the model was identified from, or ""."""
     history: tuple[str, ...] = ()
-    """Treatment of the data."""
+    """Steps of the treatment of the estimation data, in order."""
     digest: str = ""
     """Fingerprint of the estimation data."""
 
@@ -172,9 +172,9 @@ class Estimate(Model):
     def noise_spectrum(self, omega: ArrayLike) -> NoiseSpectrum:
         """Return the power spectrum of C/(A D) e at omega (n,) in rad/s, up to pi/Ts.
 
-        Phi = lambda Ts |C/(A D)|², so that the variance is the integral of Phi/(2 pi) from -pi/Ts
-        to pi/Ts. The standard deviation of Phi includes the uncertainty of lambda, with the
-        variance 2 lambda²/N.
+        Phi is lambda Ts |C/(A D)|². The variance of the noise is the integral of Phi/(2 pi) from
+        -pi/Ts to pi/Ts. The standard deviation of Phi includes the uncertainty of lambda, whose
+        variance is 2 lambda²/N.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Findings about models that are judged on data which they were estimated from."""
+"""Findings about models that are validated on their own estimation data."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class HasHistory(Protocol):
 def findings_on_own_data(
     models: Iterable[tuple[str, Any]], data: HasHistory
 ) -> Iterator[EstimateFinding]:
-    """Yield a warning for models estimated from these data, and for each overlap with them.
+    """Yield warnings about models whose estimation data are these data or overlap these data.
 
     Parameters
     ----------
@@ -57,10 +57,11 @@ def findings_on_own_data(
 
 
 def overlap(model: Any, data: HasHistory) -> tuple[float, float] | None:
-    """Return the part of the data that a model was also estimated from, in s; None if unknown.
+    """Return start and end, in s, of the overlap of a model's estimation data with these data.
 
-    The times are from the first sample of the file. The result is None if the data are from
-    different files, or if one of them contains several merged parts.
+    The times are relative to the first sample of the file. The result is None if there is no
+    overlap. It is also None if the data are from different files, or if one of the data sets
+    contains several merged parts.
     """
     source = getattr(model, "source", "")
     if not source or source != data.source or data.Ts is None:

@@ -67,8 +67,8 @@ def plot_bode(
         do not include the smoothing bias. A dot is hollow if u explains less than half of y's
         power.
     omega : array_like, optional
-        Frequencies in rad/s. The default range ends at the highest Nyquist frequency of the models
-        and begins at 1/600 of it.
+        Frequencies in rad/s. The default range ends at the highest Nyquist frequency of the models,
+        and begins at 1/600 of this frequency.
     """
     highest = max((np.pi / m.Ts for m in models if hasattr(m, "Ts")), default=1e3)
     w = (
@@ -162,7 +162,7 @@ def _curve(
     omega: NDArray[np.float64],
     pen: dict[str, Any],
 ) -> tuple[NDArray[np.float64], Draws | None]:
-    """Draw one model; return its level in dB and the draws of its bands."""
+    """Draw one model; return its magnitude in dB, and the draws of its bands."""
     x, G, bands, draws = _response(model, omega)
     level, phase = decibels(G), _phase(G)
     shade: dict[str, Any] = {"color": pen["color"], "alpha": 0.25, "lw": 0}
@@ -181,15 +181,15 @@ def _curve(
 def _dots(
     ax: Axes, below: Axes, estimate: SpectralEstimate, name: str, omega: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Draw a spectral estimate as dots with bars; return its level in dB."""
+    """Draw a spectral estimate as dots with bars; return its magnitude in dB."""
     w = estimate.omega
     known = np.isfinite(estimate.G) & (w >= omega[0]) & (w <= omega[-1]) & (np.abs(estimate.G) > 0)
     at = _spread(w, np.flatnonzero(known))
     w, G = w[at], estimate.G[at]
     magnitude, level, phase = np.abs(G), decibels(G), _phase(G)
     if below.lines and w.size:
-        # The dots are moved to the turn of the last model's phase, because noise would unwrap the
-        # phase wrongly.
+        # Noise could unwrap the phase of the dots wrongly. Therefore each dot is moved by full
+        # turns to the phase of the last model.
         curve = np.asarray(below.lines[-1].get_xydata(), np.float64)
         near = np.interp(w, *curve[np.isfinite(curve).all(axis=1)].T)
         phase = phase + 360 * np.round((near - phase) / 360)
@@ -209,7 +209,7 @@ def _dots(
 
 
 def _spread(w: NDArray[np.float64], known: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return indices of the frequencies to show, as even as possible on the logarithmic axis."""
+    """Return the indices of the frequencies to show, evenly spaced on the logarithmic axis."""
     if known.size <= _MAX_DOTS:
         return known
     wanted = np.geomspace(max(w[known[0]], w[-1] * 1e-6), w[known[-1]], _MAX_DOTS)
@@ -223,7 +223,7 @@ def _method(estimate: SpectralEstimate) -> str:
 def _response(
     model: Any, omega: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[Any], tuple[Band, Band] | None, Draws | None]:
-    """Return frequencies up to the Nyquist frequency, G, the bands of G and their draws."""
+    """Return the frequencies up to the Nyquist frequency, G, the bands of G, and their draws."""
     if isinstance(model, Model):
         w = omega[omega <= np.pi / model.Ts * (1 + 1e-9)]
         answer = model.frequency_response(w)

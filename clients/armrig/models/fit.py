@@ -39,12 +39,13 @@ class Fit(Estimate):
     """
 
     def predict(self, data: Dataset, horizon: int | None = 1) -> Vector:
-        """Return ŷ(t) (N,) from u up to t and y up to t - horizon; with None, from u alone.
+        """Return ŷ(t) (N,) from u up to t and y up to t - horizon; from u alone if horizon is None.
 
         The initial state is estimated from the data by least squares. With an integrator, or if the
-        model has `offset`, the input offset is estimated too. ŷ is NaN if the past is not yet
-        known. For a model without C, ŷ is NaN at the beginning. For a model with C or D, ŷ is NaN
-        during a gap and for at least the next `horizon` - 1 samples.
+        model has `offset`, the input offset is estimated too. ŷ(t) is NaN if past samples that ŷ(t)
+        needs are not known. For a model with A or D, but without C, ŷ is NaN at the beginning of an
+        experiment. For a model with C or D, ŷ is NaN during a gap and for at least the next
+        `horizon` - 1 samples.
 
         Examples
         --------

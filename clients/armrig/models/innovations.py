@@ -33,7 +33,7 @@ _FIRST_RESPONSE_SAMPLES = 256  # samples
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Experiment:
-    """Signals of one experiment, with missing y interpolated, and the rows that have errors."""
+    """Signals of one experiment, with missing y interpolated, and rows with prediction errors."""
 
     u: Array
     """Input (N,), summed if F integrates."""
@@ -42,7 +42,7 @@ class Experiment:
     rows: Mask
     """Rows (N,) that have a prediction error."""
     stretches: tuple[slice, ...]
-    """Stretches without a gap that have prediction errors, for the noise model."""
+    """Segments without a gap in y that have prediction errors, as slices, for the noise model."""
     whole: bool
     """True if every sample has a prediction error."""
 
@@ -50,9 +50,9 @@ class Experiment:
 def prepared(part: Dataset, structure: Structure) -> Experiment:
     """Return the signals of one experiment for a structure.
 
-    Without C, the first errors of a stretch depend on unknown samples and are not used. With C,
-    these errors are used and the unknown past is estimated. A stretch must be longer than the
-    unknown past.
+    A gap in y divides the experiment into segments. Without C, the first errors of a segment depend
+    on unknown samples and are not used. With C, these errors are used, and the unknown past is
+    estimated. A segment that is not longer than its unknown past is left out.
     """
     u, y, valid = part.u, part.y, part.valid
     if structure.integrator == "f":
@@ -76,29 +76,34 @@ def prepared(part: Dataset, structure: Structure) -> Experiment:
 
 
 def forgotten(structure: Structure, start: int) -> int:
-    """Return the number of pulses that represent the past of a stretch that begins at `start`."""
+    """Return the number of pulses that represent the past of a segment that begins at `start`."""
     if start == 0 and structure.at_rest:
         return 0
     return max(structure.memory, structure.first - start)
 
 
 def summed_input(u: Array, *, centred: bool) -> Array:
-    """Return U with B/F u = B/F̃ U for F = (1 - q^-1) F̃; u is centred if a ramp is estimated."""
+    """Return the sum U of u, so that B/F u = B/F̃ U for F = (1 - q^-1) F̃.
+
+    If a ramp is estimated, the mean of u is subtracted first (`centred`).
+    """
     return np.cumsum(u - np.mean(u)) if centred else np.cumsum(u)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Unknown:
-    """Orthonormal basis of the contribution of the unknown past to the errors."""
+    """Orthonormal basis of the effects of the unknown past on the prediction errors."""
 
     noise: tuple[tuple[slice, Array], ...]
-    """Rows and basis of z for each stretch, until the impulse response of 1/C has decayed to 0."""
+    """Rows and basis of z for each segment. The rows end where the impulse response of 1/C has
+    decayed to 0."""
     state: Basis
-    """Basis of x and the trend, minus their projection on `noise`; it has only the first rows."""
+    """Basis of x and the trend, minus their projection on `noise`. Only the first rows are stored;
+    the other rows are 0."""
     volumes: tuple[Callable[[], tuple[float, Array]], ...]
-    """For each stretch, a function that returns log |Z^T Z| and its gradient with respect to the
-    coefficients c of C. The columns of Z are the pulses z. The function of the first stretch is
-    never called."""
+    """For each segment, a function that returns log |Z^T Z| and its gradient with respect to the
+    coefficients c of C. The columns of Z are the filtered pulses z. The function of the first
+    segment of all data is never called."""
     N: int
     """Number of samples."""
 
@@ -133,7 +138,7 @@ class Unknown:
 
 
 def masked(M: Array, experiment: Experiment) -> Array:
-    """Return M with zeros in the rows without an error."""
+    """Return M with zeros in the rows without a prediction error."""
     if experiment.whole:
         return M
     return np.where(experiment.rows if M.ndim == 1 else experiment.rows[:, None], M, 0.0)
@@ -142,7 +147,7 @@ def masked(M: Array, experiment: Experiment) -> Array:
 def unknown(
     experiment: Experiment, structure: Structure, *, C: Array, D: Array, F: Array
 ) -> Unknown:
-    """Return the basis of the contribution of the unknown past to the errors."""
+    """Return the basis of the effects of the unknown past on the prediction errors."""
     N = experiment.y.size
     noise, volumes = _noise_bases(experiment, structure, C)
     k = structure.count
@@ -165,7 +170,7 @@ _Volumes = tuple[Callable[[], tuple[float, Array]], ...]
 
 
 def _noise_bases(experiment: Experiment, structure: Structure, C: Array) -> tuple[_Bases, _Volumes]:
-    """Return the bases and the volumes of the pulses through 1/C, for each stretch."""
+    """Return the bases and the volumes of the pulses z, filtered by 1/C, for each segment."""
     if structure.nc == 0:
         return (), ()
     longest = max((s.stop - s.start for s in experiment.stretches), default=1)

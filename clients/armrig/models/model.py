@@ -41,7 +41,8 @@ class Model:
     """
 
     A: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients in q^-1, beginning with 1; only 1.0 if the structure has no A."""
+    """Coefficients in q^-1, beginning with 1; the single coefficient 1 if the structure has no
+    A."""
     B: Vector
     """Coefficients in q^-1, beginning with nk zeros."""
     C: Vector = field(default_factory=lambda: np.ones(1))
@@ -49,9 +50,9 @@ class Model:
     D: Vector = field(default_factory=lambda: np.ones(1))
     """Coefficients, as for A."""
     F: Vector = field(default_factory=lambda: np.ones(1))
-    """Coefficients, as for A; with an integrator one root is exactly 1."""
+    """Coefficients, as for A; one root is exactly 1 if F contains the integrator."""
     nk: int
-    """Samples before u reaches y."""
+    """Number of samples before u affects y."""
     integrator: bool = False
     """True if F, or A if there is no F, has the factor 1 - q^-1 by construction."""
     offset: bool = False
@@ -81,7 +82,7 @@ class Model:
 
     @property
     def orders(self) -> dict[str, int]:
-        """Orders by name: nb, nk, and the orders na, nc, nd and nf that are not 0."""
+        """Orders by name: always nb and nk, and na, nc, nd and nf if they are not 0."""
         return {name: n for name, n in self._sizes.items() if n or name in ("nb", "nk")}
 
     @property
@@ -107,7 +108,7 @@ class Model:
 
     @property
     def trusted_covariance(self) -> Matrix:
-        """Covariance of theta (d, d) for the uncertainty of all responses; 0 if there is none."""
+        """Covariance of theta (d, d), for all uncertainties; 0 if nothing was estimated."""
         return np.zeros((self.theta.size, self.theta.size))
 
     @property
@@ -208,7 +209,7 @@ class Model:
         )
 
     def zeros(self) -> Roots:
-        """Return the zeros from u to y, without the zeros at 0 and infinity due to delays.
+        """Return the zeros from u to y, without the zeros at 0 and at infinity that delays cause.
 
         Examples
         --------
@@ -224,7 +225,8 @@ class Model:
     def _roots(self, p: Vector, letter: str, first: int) -> Roots:
         """Return the roots of p, whose coefficients from `first` on were estimated.
 
-        A root z of p(z) = sum p_k z^(n-k) moves by dz = -z^(n-k) / p'(z) dp_k.
+        If p_k changes by dp_k, a root z of p(z) = sum p_k z^(n-k) changes by dz = -z^(n-k) / p'(z)
+        dp_k.
         """
         z = roots(p).astype(np.complex128)
         n = z.size
@@ -369,8 +371,8 @@ class Model:
     def simulate(self, u: ArrayLike) -> Vector:
         """Return the model's output (N,) for the input u (N,), from rest and without noise.
 
-        u must not contain the input offset. If an offset was estimated, subtract `free[i].offset`
-        from a raw input.
+        u must not contain the input offset. If the offset was estimated, subtract `free[i].offset`,
+        the offset of experiment i, from the measured input.
 
         Raises
         ------
@@ -402,7 +404,7 @@ def standard_deviations(J: Matrix, covariance: Matrix) -> Vector:
 
 
 def _factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return L of C = L L', NaN if C is not known.
+    """Return a factor L of the covariance C = L L'; NaN if C is not known.
 
     A variance from J L L' J' is never negative. If roots nearly coincide, a variance from J C J'
     can be negative by rounding.

@@ -30,7 +30,7 @@ _FIGURES = ("noise_variance", "loss", "Ts", "fit_percent", "whiteness")
 
 
 def load_fit(path: str | PathLike[str]) -> Fit:
-    """Return the model from a file that `Fit.save` wrote; no number changes.
+    """Return the model in a file that `Fit.save` wrote, with the exact value of each number.
 
     Raises
     ------
@@ -70,7 +70,8 @@ def fit_of(text: str, path: str) -> Fit:
                 f"{path} is a model of several signals; here give a model of one output and one "
                 "input, such as fit['alpha', 'u'] of it (armrig.load_fit and fit.save in Python)"
                 if several
-                else f"{path} is no model; `armrig identify --save` and fit.save(path) write them"
+                else f"{path} is no model file; `armrig identify --save` and fit.save(path) write "
+                "model files"
             )
         if content.get("version") != VERSION:
             raise FileError(
@@ -139,7 +140,7 @@ def _steps(content: dict[str, Any]) -> Iterator[Step]:
 
 
 def _code_of_sentence(text: str) -> str:
-    """Return the code of a step from its sentence, as armrig 0.1 wrote it, or ""."""
+    """Return the code of a step whose sentence armrig 0.1 wrote, or "" for another sentence."""
     return next((code for sentence, code in _SENTENCES if sentence in text), "")
 
 

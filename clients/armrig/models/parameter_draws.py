@@ -33,7 +33,7 @@ SEED = 1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Draws:
-    """Draws from N(theta, P) without degenerate draws and, for a stable model, unstable draws."""
+    """Draws from N(theta, P), without degenerate draws and, for stable models, unstable draws."""
 
     theta: Matrix
     """Parameters of the accepted draws, (n, d)."""
@@ -58,7 +58,7 @@ def drawn(model: Model, *, n: int = DRAWS, rng: np.random.Generator | None = Non
     -x, scaled so that their covariance is exactly the unit matrix. The standard deviation of a
     response that is linear in theta is then exact. W is computed from the correlation matrix, so
     that the units of the parameters do not matter. If a root is 1 by construction, W is computed
-    for the other factor, so that the root stays 1.
+    for the coefficients of the other factor, so that the root stays 1.
 
     Parameters
     ----------
@@ -149,7 +149,7 @@ def roots_of(
 
 
 def _integrator_maps(model: Model) -> tuple[Matrix, Matrix]:
-    """Return two linear maps: theta to free parameters, and free parameters to theta."""
+    """Return the matrices that map theta to the free parameters, and the reverse."""
     d = model.theta.size
     if not model.integrating:
         return np.eye(d), np.eye(d)

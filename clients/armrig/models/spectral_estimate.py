@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Vector = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 COHERENT = 0.5
-"""Least coherence at which u is said to explain y, that is, at least half of the power of y."""
+"""Least coherence at which u explains y: the share of the power of y that u explains."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
@@ -35,7 +35,8 @@ class SpectralEstimate:
     std_phase: Vector
     """Standard deviation of arg G, (n,), in rad."""
     noise_spectrum: Vector | None = None
-    """Phi_v, (n,), in (unit of y)² s; the integral of Phi_v/(2 pi) over omega is the variance."""
+    """Noise spectrum Phi_v, (n,), in (unit of y)² s. The integral of Phi_v/(2 pi) over omega is the
+    variance of the noise."""
     noise_std: Vector | None = None
     """Standard deviation of Phi_v, (n,)."""
     coherence: Vector | None = None
@@ -148,20 +149,20 @@ def log_slope(omega: Vector, magnitude: Vector) -> tuple[float, float]:
 def low_slope(
     estimate: SpectralEstimate, believed: NDArray[np.int_]
 ) -> tuple[float, float, Vector]:
-    """Return the slope over the lowest half decade, its standard deviation, and the frequencies."""
+    """Return the slope of |G| over the lowest half decade, its deviation, and the frequencies."""
     low = believed[estimate.omega[believed] <= estimate.omega[believed[:1]] * np.sqrt(10)]
     low = low if low.size >= 3 else believed[:3]
     return *log_slope(estimate.omega[low], estimate.magnitude[low]), estimate.omega[low]
 
 
 def high_slope(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> float:
-    """Return the slope over `high_band`, in dB per decade; NaN if `believed` is empty."""
+    """Return the slope of |G| over `high_band`, in dB per decade; NaN if `believed` is empty."""
     high = high_band(estimate, believed)
     return log_slope(estimate.omega[high], estimate.magnitude[high])[0]
 
 
 def high_band(estimate: SpectralEstimate, believed: NDArray[np.int_]) -> NDArray[np.int_]:
-    """Return the indices of the frequencies in the highest third of a decade.
+    """Return the indices of the frequencies in the highest third of a decade of `believed`.
 
     If possible, the frequencies are below 0.6 times the Nyquist frequency. If fewer than three
     frequencies are in this range, the three highest frequencies are returned.
@@ -180,7 +181,7 @@ def phase_delay(
     sign: float,
     shown: float,
 ) -> float:
-    """Return the mean of -(arg sign G - 90° roll_off/20)/omega over `high_band`, in s.
+    """Return the mean of -(arg(sign G) - 90° roll_off/20)/omega over `high_band`, in s.
 
     The phase is known only up to full turns. Therefore only the excess over the delay `shown`, in
     s, is computed from the phase. If the slope of |G| is nearly constant, the phase of a

@@ -18,9 +18,9 @@ class Structure:
     """Orders of A y = (B/F) u + (C/D) e, without the factor 1 - q^-1 of an integrator."""
 
     nb: int
-    """Coefficients of B."""
+    """Number of coefficients of B."""
     nk: int
-    """Samples before u reaches y."""
+    """Number of samples before u affects y."""
     na: int = 0
     """Number of coefficients of A after the leading 1."""
     nc: int = 0
@@ -32,7 +32,8 @@ class Structure:
     integrator: Literal["", "a", "f"] = ""
     """Polynomial with the additional factor 1 - q^-1."""
     offset: bool = False
-    """True if the input offset is free. With an integrator the offset is free unless `at_rest`."""
+    """True if the input offset is estimated. With an integrator the offset is always estimated,
+    unless `at_rest` is True."""
     at_rest: bool = False
     """True if each experiment begins with all signals at zero."""
 
@@ -48,15 +49,15 @@ class Structure:
 
     @property
     def first(self) -> int:
-        """Number of first samples that depend on an unknown u; 0 with pulses or at rest."""
+        """Number of samples at the start that depend on unknown u; 0 with pulses or at rest."""
         return 0 if self.at_rest or self.count else self.nd + self.reach
 
     @property
     def count(self) -> int:
         """Number of pulses that replace the unknown state of B/F at the start of an experiment.
 
-        An equation-error model without F needs no pulses, because the unknown past of u ends with
-        the memory of B. An output-error model has pulses even without F.
+        An equation-error model without F needs no pulses, because its output depends on a finite
+        number of past u. An output-error model has pulses even without F.
         """
         inside = int(self.integrator == "f")
         if self.at_rest or (self.nf + inside == 0 and self.memory > 0):
@@ -88,7 +89,8 @@ class FreeResponse:
     level: float = 0.0
     """Constant part of an integrating output, in the unit of y."""
     offset: float = 0.0
-    """Input u0 at which an integrating output is constant, in the unit of u."""
+    """Input offset u0, in the unit of u: the constant input at which y is 0, or constant if y
+    integrates."""
 
 
 def transient_count(
@@ -113,6 +115,6 @@ def free_columns(F: Array, N: int, *, count: int, drift: bool) -> Array:
 
 
 def offset_from_ramp(B: Array, F: Array, slope: float, mean_input: float) -> float:
-    """Return u0 from the slope of the ramp, for a model driven by cumsum(u - mean_input)."""
+    """Return the offset u0 from the ramp's slope, for a model with input cumsum(u - mean_input)."""
     gain = float(np.sum(B) / np.sum(F))
     return mean_input - slope / gain if gain != 0 else float("nan")

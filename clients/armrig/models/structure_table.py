@@ -35,7 +35,7 @@ COUNTED = {
     "nf": "f's, the integrator's included",
     "order": "states",
 }
-"""Item that each order counts, except nk."""
+"""Name of the items that an order counts, for each order except nk."""
 EVERY = ("nk", "stable")
 """Arguments of every estimator."""
 
@@ -49,7 +49,8 @@ class RegisteredStructure:
     equation: str
     """Equation of y, without delays and levels."""
     orders: Mapping[str, int | None]
-    """Default orders for the arm by name, except nk; None: the order is chosen from the data."""
+    """Default orders of models of the arm by name, without nk; None if the data decide the
+    order."""
     poles: str
     """Name of the order that is the number of poles from u to y."""
     takes: tuple[str, ...] = ()
@@ -165,7 +166,8 @@ CHANNEL = RegisteredStructure(
     orders={"nb": None, "nf": None},
     poles="nf",
 )
-"""One input and output of a model with several, whose noise is not a polynomial of one e."""
+"""One channel of a model with several inputs or outputs; its noise is no polynomial of a single
+e."""
 _SS = RegisteredStructure(
     name="ss",
     equation="a state space of least prediction errors",
@@ -179,9 +181,9 @@ OF_SEVERAL: dict[str, RegisteredStructure] = {
 }
 """Specifications of the structures that have an estimator of several signals."""
 DESCRIBED: dict[str, RegisteredStructure] = STRUCTURES | {CHANNEL.name: CHANNEL}
-"""Specifications of everything that a `Fit` may be, by name."""
+"""Specifications of all structures that a `Fit` may have, by name."""
 OFFERED: dict[OfferedName, RegisteredStructure] = {name: STRUCTURES[name] for name in OFFERED_NAMES}
-"""Specifications of the structures that commands offer."""
+"""Specifications of the structures that the commands offer, by name."""
 
 
 def users(argument: str) -> list[OfferedName]:

@@ -39,7 +39,8 @@ class SubspaceFit(Fit):
     weights: str
     """Weights of the projection: "cva", "moesp" or "n4sid"."""
     horizon: int
-    """Number of past and of future samples of the projection from which the poles were computed."""
+    """Number of past samples, and of future samples, in the projection that determines the
+    poles."""
     singular_values: Vector
     """Singular values of the weighted projection of the future on the past, largest first,
     (horizon,)."""
@@ -47,11 +48,12 @@ class SubspaceFit(Fit):
     """Canonical correlations of future and past, 0 to 1, at the longest horizon tried. With any
     `weights`, they equal the singular values that the weights "cva" would lead to."""
     suggested_order: int
-    """Order of least MDL, at most 10, computed from the one-step errors of the states."""
+    """Order with the least MDL, at most 10. MDL is computed from the one-step errors
+    of the estimated states."""
 
     @property
     def order(self) -> int:
-        """Number of states, without the states of a delay beyond one sample."""
+        """Number of states; the states of a delay beyond one sample are not counted."""
         return int(self.A.size) - 1
 
     def state_space(self) -> tuple[Matrix, Matrix, Matrix, Matrix, Matrix]:

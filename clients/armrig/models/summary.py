@@ -46,9 +46,9 @@ class Summary:
     """Poles, zeros and characteristic numbers of a model with 95 % ranges, as a table to print."""
 
     poles: tuple[Region, ...]
-    """Regions in the z plane, in the order of `Fit.poles()`."""
+    """Regions of the poles in the z plane, in the order of `Fit.poles()`."""
     zeros: tuple[Region, ...]
-    """Regions in the z plane, in the order of `Fit.zeros()`."""
+    """Regions of the zeros in the z plane, in the order of `Fit.zeros()`."""
     figures: ModelCharacteristics
     """Gain, resonances, bandwidth, times, and the poles in 1/s."""
     cancelling: tuple[tuple[complex, complex, float], ...]

@@ -36,7 +36,7 @@ class Answers:
 
     students: tuple[Student, ...] = ()
     reasons: dict[str, str] = field(default_factory=dict)
-    """Reasons by the handout's number of the assignment; empty reasons are left out."""
+    """Reasons by the number of the assignment in the handout; empty reasons are left out."""
 
 
 def read_answers(path: Path) -> Answers:

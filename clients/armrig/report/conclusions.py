@@ -46,7 +46,7 @@ def conclusions(study: Study) -> list[str]:
 
 
 def _of(one: Study, study: Study, word: str) -> str:
-    """Return " of the arm angle" after a blank; "" if the study has one output."""
+    """Return a text such as " of the arm angle"; "" if the study has one output."""
     return f" {word} the {one.angle}" if study.others else ""
 
 

@@ -38,7 +38,7 @@ DETAIL_S = 4.0
 _RESIDUALS_ROW_HEIGHT = 3.4
 _LOW_HEIGHT, _HEIGHT = 1.35, 1.55
 _TWO_PANELS_HEIGHT, _LEGENDS_HEIGHT = 1.95, 1.75
-"""Heights, in inches: for two panels below each other, and for a panel with long legends."""
+"""Heights, in inches, of a figure with two stacked panels, and of a panel with long legends."""
 _STEP_HEIGHT = 2.6
 """Height, in inches, at which the slope at t = 0 (assignment 2.2) is visible below the legend."""
 Draw = Callable[[Axes], object]
@@ -59,7 +59,7 @@ def write_figures(study: Study, directory: Path) -> tuple[Path, ...]:
 
 
 def suffix(one: Study, study: Study) -> str:
-    """Return the end of the names of an output's figures; "" for the first output."""
+    """Return the suffix of the names of an output's figures; "" for the first output."""
     return "" if one is study else f"-{one.output}"
 
 

@@ -40,8 +40,8 @@ def handout_report(
     """Typeset the handout's report at `output`, and return the path.
 
     Each assignment from 2.1 to 4.4 has a section: the result, the method, and the student's reasons
-    or a blank for them. If a recording is missing, its section contains the command that makes the
-    recording. The cover has the fields of the handout.
+    or blank space for the reasons. If a recording is missing, the section contains the command that
+    makes the recording. The cover has the fields of the handout.
 
     Parameters
     ----------

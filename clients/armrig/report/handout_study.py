@@ -1,4 +1,4 @@
-"""Results for the handout's assignments, as far as there are recordings."""
+"""Results for the handout's assignments, as far as the recordings allow."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ class HandoutStudy:
     loop: OpenLoop | None = None
     delay: Delay | None = None
     refused: dict[str, str]
-    """Reason why there are recordings but no result, by the result's name."""
+    """Reason why a result is missing although there are recordings for it, by the name of the
+    result."""
 
 
 def handout_study(

@@ -46,7 +46,7 @@ def identification_sections(study: HandoutStudy) -> list[Section]:
 
 
 def _lacking(study: HandoutStudy, number_: str, name: str, command: str) -> Section:
-    """Return a section without a result: its reason, and the command that makes the recording."""
+    """Return a section without a result: the reason, and the command that makes a recording."""
     refused = study.refused.get(name, "")
     lack = f"No result: {refused}." if refused else "No recording for this assignment yet."
     if command == _GREYBOX:
@@ -300,8 +300,9 @@ def _split(study: HandoutStudy) -> Section:
     return Section(
         number="3.6",
         answer=(
-            f"From the whole to {plural(last.k, 'part')} the variance of J grows by a factor of "
-            f"{found.std_growth**2:.2f}. A variance proportional to 1/N would grow by a factor of "
+            f"If the data are divided into {plural(last.k, 'part')}, the variance of J grows by a "
+            f"factor of {found.std_growth**2:.2f}. "
+            "A variance proportional to 1/N would grow by a factor of "
             f"{first.N.mean() / last.N.mean():.2f}. "
             "Each sample adds to the information Σ ψψᵀ/λ, and the covariance is the inverse of the "
             "information.",

@@ -56,7 +56,7 @@ def model_table(m: AssessedFit, reference: Assessed, symbol: str = "") -> dict[s
     Parameters
     ----------
     symbol : str, optional
-        Symbol of the output, if the model has several.
+        Symbol of the output, if the model has several outputs.
     """
     same = letters(m.fit) == letters(reference.model)
     of = f" of {symbol}" if symbol else ""
@@ -149,12 +149,12 @@ def estimations(study: Study) -> str:
 
 
 def estimation(model: AssessedFit) -> str:
-    """Return a model's losses, and which of its standard deviations are valid."""
+    """Return a text with a model's losses, and with the standard deviations that are valid."""
     return " ".join(_estimation(model, ""))
 
 
 def _estimation(model: AssessedFit, symbol: str) -> Iterator[str]:
-    """Yield the losses, and the findings; the criteria of a model of several outputs are joint."""
+    """Yield the losses and the findings; a model of several outputs has joint criteria."""
     fit = model.fit
     of = f" of {symbol}" if symbol else ""
     criteria = f", FPE {power(fit.fpe)} {fit.unit}², AIC {number(fit.aic)}" if not symbol else ""
@@ -210,7 +210,7 @@ def _deviations(one: Study, study: Study) -> str:
 
 
 def arm_at_rest(study: Study) -> str:
-    """Return a sentence, after a space, on recordings whose arm did not move; "" if all moved."""
+    """Return a space and a sentence on recordings whose arm did not move; "" if there are none."""
     used = {study.estimation.source, study.validation.source}
     names = [run_name(r) for r in study.recordings if r.sha256 in used and not alpha_moves(r)]
     if not names:
@@ -222,7 +222,7 @@ def arm_at_rest(study: Study) -> str:
 
 
 def _deviation(m: AssessedFit, study: Study) -> tuple[str, str, str]:
-    """Return median and greatest deviation from the physics, and the frequency of the latter."""
+    """Return median and maximum of the deviation from the physics, and the maximum's frequency."""
     at = float(study.omega[np.argmax(m.deviation)])
     median, most = float(np.median(m.deviation)), float(np.max(m.deviation))
     return percent(100 * median), percent(100 * most), f"{number(at)} rad/s"
@@ -233,7 +233,8 @@ HYPOTHESES = (
     ("no correlation with past input", "orders or delay"),
     ("no correlation with future input", "feedback in the experiment, or delay too large"),
 )
-"""Hypotheses that the residuals test, each with what to change if its p value is small."""
+"""Hypotheses that the residuals test. For each hypothesis: what to change if its p value is
+small."""
 
 
 def residual_rows(study: Study) -> list[list[str]]:

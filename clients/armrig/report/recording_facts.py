@@ -29,7 +29,7 @@ def role(study: Study, recording: Recording) -> str:
 
 
 def run_name(recording: Recording) -> str:
-    """Return the run's id as `@RUN`, as figures and commands do; without an id, the hash."""
+    """Return the run's id as `@RUN`, the form in figures and commands; without an id, the hash."""
     run = recording.manifest.run_id
     return f"@{run}" if run else recording.short_hash
 

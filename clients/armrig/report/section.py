@@ -17,7 +17,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """Section on one assignment: paragraphs, formula, table and figure, or why they are missing."""
+    """Section on one assignment: text, formula, table and figure, or a reason for no answer."""
 
     number: str
     """Number of the assignment in the handout, such as 3.5."""

@@ -35,11 +35,11 @@ from armrig.validation.multivariable.residual_test import SignalsResidualTest
 from armrig.validation.residuals import ResidualTest, residuals
 
 STEP = "step"
-"""Kind of experiment that a report shows, but from which it estimates no model."""
+"""Kind of experiment that a report shows, but does not use for estimation."""
 STAIRCASE = "staircase"
-"""Another kind of experiment that a report shows, but from which it estimates no model."""
+"""Another kind of experiment that a report shows, but does not use for estimation."""
 OUTPUTS: Final = {THETA_1: "chassis angle", ALPHA: "arm angle"}
-"""Outputs of which a report can be, with their names in its sentences."""
+"""Outputs that a report can have, with the names of the outputs in the sentences of the report."""
 SYMBOLS: Final = {THETA_1: "θ₁", ALPHA: "α"}
 """Symbols of the outputs, in tables and names of models."""
 
@@ -53,20 +53,20 @@ def kind_of(recording: Recording) -> str:
 class Orders:
     """Orders of the models of theta_1; the arm has four poles, one of them an integrator.
 
-    The models of alpha have one pole and one coefficient of B less, because alpha has no
+    The models of alpha have one pole less and one coefficient of B less, because alpha has no
     integrator.
     """
 
     na: int = ARM_POLES
-    """Number of a coefficients of the ARX model."""
+    """Number of coefficients a_k of the ARX model."""
     nb: int = ARM_POLES
-    """Number of b coefficients of both models."""
+    """Number of coefficients b_k of both models."""
     nf: int = ARM_POLES
-    """Number of f coefficients of the OE model, including the coefficient of an integrator."""
+    """Number of coefficients f_k of the OE model, including the coefficient of an integrator."""
     nk: int = 1
-    """Number of samples before u acts on y, in both models."""
+    """Number of samples before u affects y, in both models."""
     integrator: bool = True
-    """Fix an integrator in the OE model; the ARX model estimates all its poles."""
+    """True if the OE model has a fixed integrator; all poles of the ARX model are estimated."""
 
     def of(self, output: str) -> Orders:
         """Return the orders of the models of one output."""
@@ -130,7 +130,7 @@ class Study:
     reference: Assessed
     """The physical model, of which nothing was estimated."""
     note: str
-    """Quantities that the comparisons estimated from the validation data."""
+    """Text with the quantities that the comparisons estimated from the validation data."""
     timing: tuple[SamplingStatistics, ...]
     """Statistics of each recording, times in µs."""
     disturbances: tuple[Disturbances, ...]
@@ -218,8 +218,8 @@ def study(
     Returns
     -------
     Study
-        Models, their comparison and their residual tests. `Study.others` has those of the second
-        output.
+        Models, their comparison and their residual tests. `Study.others` contains the results for
+        the second output.
 
     Raises
     ------
@@ -331,7 +331,7 @@ def assessed(
     fits : mapping of str to Fit
         Models by their names in the report.
     together : mapping of str to SignalsResidualTest, optional
-        Tests of all outputs of the models that have several.
+        Joint tests of all outputs, for the models that have several outputs.
     """
     # The comparison is first: it refuses a model of another sampling time.
     table = compare(validation, *fits.values(), physics, labels=(*fits, physics.label))

@@ -26,7 +26,7 @@ _UNKNOWN_DATE = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def recorded(recordings: Iterable[Recording]) -> datetime:
-    """Return the time at which the newest recording started; 1970 if no recording contains it.
+    """Return the start time of the newest recording; 1970 if no recording contains a start time.
 
     This time is the date of a report, so that a report of the same recordings has the same bytes.
     """

@@ -57,16 +57,16 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class ComparisonTable:
-    """Models side by side on one data set; iterate over it or print it."""
+    """Comparison of models on one data set; iterate over the table or print the table."""
 
     rows: tuple[Comparison, ...]
     """A row for each model, in the order of the arguments."""
     horizon: int | None
-    """Prediction horizon in samples; None is simulation."""
+    """Prediction horizon in samples; None for simulation."""
     unit: str
     """Unit of the rms error."""
     note: str
-    """Quantities that were estimated from the compared data."""
+    """Text with the quantities that were estimated from the compared data."""
     data: Dataset
     """Data that the models were compared with."""
 
@@ -87,7 +87,8 @@ class ComparisonTable:
     def table(self, *, brief: bool = False) -> str:
         """Return a table of gain, resonances, bandwidth, step response and poles of the models.
 
-        A brief table contains no poles. If a value has a range from draws, the range replaces it.
+        A brief table contains no poles. If a range is computed from draws, a brief table contains
+        the range instead of the value.
         """
         return "\n".join(table(self.rows, brief=brief))
 
@@ -95,12 +96,12 @@ class ComparisonTable:
         """Return the closest model and the significant differences from the reference, as text.
 
         The reference is the physics, `armrig.physical_model(p, data)` (handout, assignment 3.4);
-        without a physical model it is the last model.
+        without a physical model, the reference is the last model.
         """
         return "\n".join(explanation(self.rows))
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of data and models, and their errors: see `armrig.plots.plot_compare`."""
+        """Return a figure of data, models and errors: see `armrig.plots.plot_compare`."""
         from armrig.plots.layout import figure_of
         from armrig.validation.comparison_figure import plot_comparison
 
@@ -184,7 +185,7 @@ def compare(
         if not hasattr(model, "label"):
             raise InputTypeError(
                 f"a {type(model).__name__} is no model: give each model by itself, "
-                "compare(data, fit1, fit2); names are labels=(…)"
+                "compare(data, fit1, fit2); give names as labels=(…)"
             )
     if isinstance(labels, str):
         raise InputTypeError(

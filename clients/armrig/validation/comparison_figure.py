@@ -1,4 +1,4 @@
-"""The figure of a comparison: data, models, and the differences of the models."""
+"""Figure of a comparison: data, models, and the differences from the best model."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ def plot_comparison(
     labels: Labels = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show measured output and models, and the differences of the models.
+    """Plot the measured output and the models, and the differences from the best model.
 
-    The lower panel shows the differences of the data and the other models from the best model,
-    which has the least rms error. The data are dots, so that small differences are visible in their
-    noise. If another model is far worse, the scale is linear up to about three times the least
-    error. Beyond this limit, which dotted lines mark, the scale is logarithmic. A ramp is removed:
-    see `armrig.data.figures.without_ramp`.
+    The lower panel shows the data and the other models, minus the best model, which has the least
+    rms error. The data are dots, so that a difference smaller than the noise is visible. If another
+    model is far worse, the scale is linear up to about three times the least error. Dotted lines
+    mark this limit. Beyond the limit the scale is logarithmic. A ramp of the output is removed: see
+    `armrig.data.figures.without_ramp`.
     """
     ax, below = panels(ax, 0.5)
     names = labels or [row.name for row in compared]
@@ -77,7 +77,7 @@ def plot_comparison(
 
 
 def _limit_errors(ax: Axes, data: Dataset, rows: Sequence[Comparison], best: int) -> float:
-    """Make the scale logarithmic beyond the least error if other errors are far larger.
+    """Make the scale logarithmic beyond three times the least error, if errors differ widely.
 
     Return the limit of the linear part; 0 if the whole scale is linear.
     """

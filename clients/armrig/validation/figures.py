@@ -37,9 +37,10 @@ def plot_compare(
     table: ComparisonTable | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Show measured output and models, simulated unless a horizon is given.
+    """Show the measured output and the models, in simulation unless a horizon is given.
 
-    See `armrig.validation.comparison_figure.plot_comparison`; a given table is not computed again.
+    See `armrig.validation.comparison_figure.plot_comparison`. If `table` is given, the comparison
+    is not computed again.
     """
     table = compare(data, *models, horizon=horizon, labels=labels) if table is None else table
     return plot_comparison(data, table.rows, labels=labels, ax=ax)
@@ -86,5 +87,5 @@ def plot_search(found: SearchResult, *, ax: Axes | None = None) -> Axes:
     ax.set_ylabel(f"rms error, {how} [{found.unit or '–'}]")
     finish(ax)
     off = np.count_nonzero(~shown)
-    legend(ax, *([f"{off} more have over {_MOST:g} times the least error"] if off else []))
+    legend(ax, *([f"{off} more models have over {_MOST:g} times the least error"] if off else []))
     return ax

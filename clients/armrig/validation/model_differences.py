@@ -1,4 +1,4 @@
-"""Differences of models, as a table and in words that name their causes."""
+"""Differences of models, as a table, and in sentences that name the causes."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def table(rows: Sequence[Row], *, brief: bool) -> list[str]:
 
 
 def _notes(figures: Mapping[str, ModelCharacteristics]) -> list[str]:
-    """Return the meaning of the star, if the table has one, and the number of draws left out."""
+    """Return the meaning of a star in the table, and the number of rejected draws."""
     marked = {name: t for name, t in figures.items() if t.draws is not None and _poor(t)}
     if not marked:
         return []
@@ -116,9 +116,10 @@ def _cell(t: ModelCharacteristics, name: str, *, brief: bool) -> str:
 
 
 def explanation(rows: Sequence[Row]) -> list[str]:
-    """Return in words which model is best, and how each differs from the reference.
+    """Return sentences: the best model, and the differences of each model from the reference.
 
-    The reference is the physics, in which nothing was estimated, or else the last model.
+    The reference is the physical model, of which nothing was estimated. Without a physical model,
+    the reference is the last model.
     """
     lines = [_best(rows)]
     reference = next((row for row in rows if not isinstance(row.model, Estimate)), rows[-1])

@@ -1,4 +1,4 @@
-"""Search over model structures: the best on other data, and the simplest that is as good."""
+"""Search over model structures for the simplest model that is as good as the best on other data."""
 
 from __future__ import annotations
 
@@ -50,21 +50,23 @@ def search(
     executor: Executor | None = None,
     progress: Callable[[int, int, str], object] | None = None,
 ) -> SearchResult:
-    """Estimate many structures, rank them on other data, choose the simplest as good as the best.
+    """Estimate many models, rank them on other data, and choose the simplest of the good models.
 
     A candidate of order n has n poles and n numerator coefficients. A Box-Jenkins candidate also
     has a noise model; nc = nd = 1 and nc = nd = 2 are tried. The best candidate has the least mean
     squared error on the validation data. A candidate is as good as the best if its mean of e² -
     e²_best is at most the standard error of this mean. The errors of a simulation are correlated,
-    so the standard error is computed from 30 batch means. The simplest candidate has the fewest
-    parameters.
+    so the standard error is computed from 30 batch means. Of the candidates that are as good as the
+    best, the candidate with the fewest parameters is chosen.
 
-    An output-error system of order 3 was simulated in 200 runs, with N = 1000 to estimate, N = 1000
-    to validate and orders 1 to 5. The chosen model had the true order in 82 % of the runs. The best
-    candidate had the true order in 48 % of the runs. In all other runs the order was too high.
+    An output-error system of order 3 was simulated in 200 runs. Each run had N = 1000 samples to
+    estimate, N = 1000 samples to validate, and candidates of orders 1 to 5. The chosen model had
+    the true order in 82 % of the runs. The best candidate had the true order in 48 % of the runs.
+    In all other runs the order was too high.
 
     No candidate has a pole on or outside the unit circle, except a known integrator. The estimators
-    are called with `stable=True`; the chosen model reports a pole that was moved.
+    are called with `stable=True`. If a pole was moved into the unit circle, the findings of the
+    chosen model report this.
 
     Parameters
     ----------
@@ -79,33 +81,33 @@ def search(
     orders : iterable of int
         Numbers of poles to try, >= 1, including the pole of an integrator.
     nk : int or iterable of int, optional
-        Numbers of samples before u reaches y; each number is tried. By default it is the result of
-        `delay`, at least 1, and also 0 if a direct term is not ruled out. In closed loop a direct
-        term is not tried, because a controller would cause it. If the data do not distinguish
-        feedback from a direct term, 0 is tried, and `doubts` contains this finding.
+        Numbers of samples before u affects y; each number is tried. By default the result of
+        `delay`, but at least 1, is tried. If a direct term is not ruled out, 0 is tried, too. In
+        closed loop a direct term is not tried, because a controller would cause it. If the data do
+        not distinguish feedback from a direct term, 0 is tried, and `doubts` contains this finding.
     integrator : bool, optional
         If True, structures with this option have a pole at exactly 1. The default is True if the
         output is an angle, or if a test finds that the output integrates.
     offset : bool, optional
         If True, the offset of the input is estimated in structures with this option. The default is
-        True if y has a level that u does not cause (2 standard deviations), in one of the data
-        sets.
+        True if, in one of the data sets, y has a level that u does not cause and that exceeds 2
+        standard deviations.
     horizon : int, optional
         Samples to predict ahead, >= 1. By default the models are simulated, and "n4sid" is
         estimated with `focus="simulation"`. In closed loop the default is 1, because a biased model
         would have the best simulation.
     executor : concurrent.futures.Executor, optional
-        Executor for the estimates, such as a ``ProcessPoolExecutor``; by default the thread of the
-        caller estimates.
+        Executor for the estimates, such as a ``ProcessPoolExecutor``; by default the estimates run
+        in the thread of the caller.
     progress : callable, optional
-        Called with the number of finished candidates, the number of all, and the name of the next
-        candidate; "" after the last.
+        Called with the number of finished candidates, the number of all candidates, and the name of
+        the next candidate. After the last candidate the name is "".
 
     Returns
     -------
     SearchResult
         `fit` is the chosen model, and `ranked` contains the usable models. `explain()` returns the
-        reasons, and `doubts` contains the findings against the data.
+        reasons, and `doubts` contains the findings about problems of the data.
 
     Raises
     ------
@@ -185,7 +187,7 @@ def _offset(
     families: Sequence[OfferedName],
     against: list[Finding],
 ) -> tuple[bool, list[Finding], list[str]]:
-    """Decide whether the input's offset is estimated; return the decision, other doubts, notes."""
+    """Decide whether the input offset is estimated; return the decision, doubts and notes."""
     level = [f for f in against if f.about == "level"]
     of_validation = None
     if offset is None and not known.integration.integrates:
@@ -249,7 +251,7 @@ def _candidates(
 
 
 def _likely_delays(known: Tested) -> list[int]:
-    """Return the least nk that is not ruled out, and 1 if it is 0 or not determined."""
+    """Return the nk to try: the found nk, at least 1, and 0 if a direct term is not ruled out."""
     if not isinstance(known.late, Delay):
         return [1]
     nk = max(known.late.nk, 1)

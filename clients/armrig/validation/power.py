@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 MOST_ALLOWED = 10.0
-"""A test has no power if the deviations of the parameters widen its bands by more than this."""
+"""Factor by which uncertain parameters may widen the bands; beyond this factor a test has no
+power."""
 
 
 def lack_of_power(allowance: float, *, on_estimation_data: bool) -> str:
-    """Return why the tests have no power, with a remedy; "" if they have power.
+    """Return the reason why the tests have no power, with a remedy; "" if they have power.
 
-    The tests on validation data allow for the deviations of the parameters. If the deviations
-    are huge, for example of a pole that is 1 within rounding, all residuals pass the tests.
+    The tests on validation data allow for the uncertainty of the parameters. If this uncertainty is
+    huge, for example of a pole that is 1 within rounding, all residuals pass the tests.
     """
     if on_estimation_data or not allowance > MOST_ALLOWED:
         return ""

@@ -46,11 +46,11 @@ class Recommended:
     """Orders of an output-error model, for ``oe(data, **orders)``."""
 
     nb: int
-    """Number of b's."""
+    """Number of coefficients b_k."""
     nf: int
-    """Number of f's, including the f of an integrator."""
+    """Number of coefficients f_k, including the coefficient of an integrator."""
     nk: int
-    """Samples before u reaches y."""
+    """Number of samples before u affects y."""
     integrator: bool
     """True if one root of F is exactly 1."""
 
@@ -67,7 +67,7 @@ class Recommended:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tried:
-    """A structure, its description length, and the model that it was taken from."""
+    """A structure, its description length, and the model that the structure was derived from."""
 
     structure: Recommended
     bits: float
@@ -86,7 +86,7 @@ class _Fitted:
     cost: float
     """Sum of the squared residuals."""
     past: int
-    """Number of dimensions of the unknown past, which took part in the fit."""
+    """Dimension of the unknown past, which was estimated in the fit."""
     N: int
     """Number of residuals."""
 
@@ -111,9 +111,10 @@ class _Fitted:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Record:
-    """Experiments that all structures describe at the same samples of y.
+    """Experiments, of which all structures describe the same samples of y.
 
-    Description lengths of other samples cannot be compared: they change with the unit of y.
+    Description lengths of different samples cannot be compared, because they depend on the unit of
+    y.
     """
 
     parts: tuple[Dataset, ...]
@@ -121,7 +122,7 @@ class _Record:
     """Largest nk of a structure."""
 
     def require_samples(self, past: int = 0) -> None:
-        """Refuse experiments that are too short for a model of the lowest first order."""
+        """Refuse data whose experiments are too short for the lowest order of `_FIRST_ORDERS`."""
         needed = past + self.latest + 3 * (2 * _FIRST_ORDERS[0] + _EXTRA_COEFFICIENTS)
         longest = max(part.N for part in self.parts)
         require_samples("an experiment for structure hints", needed=needed, got=longest)
@@ -136,7 +137,7 @@ class _Record:
         return replace(self, parts=tuple(found))
 
     def problem(self, s: Recommended) -> PredictionErrorProblem:
-        """Return the problem with u shifted by its delay; an unknown past of u would cost time."""
+        """Return the problem with u shifted by its delay: pulses for an unknown u cost time."""
         d, cut = max(s.nk - 1, 0), self.latest - 1
         letter: Literal["f", ""] = "f" if s.integrator else ""
         n = Structure(nb=s.nb, nf=s.nf - s.integrator, nk=s.nk - d, integrator=letter, offset=True)
@@ -148,7 +149,7 @@ class _Record:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recommendation:
-    """The structures of least description length, and the model of the first."""
+    """The recommended structures, and the model of the first structure."""
 
     structures: tuple[Recommended, ...]
     """Structures, best first."""
@@ -159,7 +160,7 @@ class Recommendation:
     F: Vector
     """Denominator of the model of the first structure."""
     whitening: Vector
-    """D of the noise e/D, the filter of the signals."""
+    """D of the noise model e/D; the signals are filtered by D."""
 
     def G(self, omega: Vector, Ts: float) -> NDArray[np.complex128]:
         """Return the model's frequency response."""
@@ -170,22 +171,24 @@ class Recommendation:
 def recommended(
     data: Dataset, lags: Iterable[int], *, integrates: bool, decide: bool
 ) -> Recommendation:
-    """Return at most three structures of the signals filtered by the noise's colour.
+    """Return at most three structures, from signals that are filtered to whiten the noise.
 
-    An autoregression 1/D describes the noise that a first model leaves; D u and D y then have white
-    noise. For white noise output error is the maximum of the likelihood, and the description length
-    (MDL) separates orders. Each order is fitted at the given lags and at the lags that ARX models
-    prefer. The joint covariance of the b's then decides which b's are kept.
+    An autoregression 1/D describes the residuals of a first model. The noise of the filtered
+    signals D u and D y is then white. If the noise is white, the output-error estimate maximises
+    the likelihood, and the description length (MDL) distinguishes the orders. Each order is fitted
+    at the given lags and at the lags that ARX models prefer. The joint covariance of the b's then
+    decides which b's are kept.
 
     Parameters
     ----------
     lags : iterable of int
         Values of nk to try, the likeliest first.
     integrates : bool
-        True if y is the sum of its rate.
+        True if y is taken as integrating.
     decide : bool
-        True if the description length may decide against `integrates`. If it does not decide, a
-        structure with an integrator and a structure without are recommended.
+        True if the description length may decide against `integrates`. If the description length
+        does not decide, a structure with an integrator and a structure without an integrator are
+        recommended.
     """
     data = _busiest(data)
     nks = [*dict.fromkeys([*lags, *_arx_lags(data)])][:_MAX_LAGS]
@@ -213,7 +216,7 @@ def recommended(
         structures=tuple(
             sorted(
                 (t.structure for t in _chosen(scans, shown=shown)),
-                key=lambda s: not shown and s.integrator != integrates,  # the step's answer first
+                key=lambda s: not shown and s.integrator != integrates,  # `integrates` is first
             )
         ),
         shown=shown,
@@ -226,8 +229,9 @@ def recommended(
 def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
     """Return at most three structures, of least description length.
 
-    If the decision on the integrator is `shown`, they include a structure with nb = nf, as a plant
-    under a hold has. Otherwise they include a structure with and one without an integrator.
+    If the decision on the integrator is `shown`, one structure has nb = nf, like a plant under a
+    zero-order hold. Otherwise the structures include a structure with an integrator and a structure
+    without.
     """
     ranked = min(scans, key=lambda s: s[0].bits) if shown else _joined(scans)
     two = ranked[:2] if shown else _joined([s[:1] for s in scans])
@@ -236,12 +240,12 @@ def _chosen(scans: list[list[Tried]], *, shown: bool) -> list[Tried]:
 
 
 def _joined(scans: Iterable[list[Tried]]) -> list[Tried]:
-    """Return the structures of all, least description length first."""
+    """Return the structures of all scans, least description length first."""
     return sorted(chain.from_iterable(scans), key=lambda t: t.bits)
 
 
 def _busiest(data: Dataset) -> Dataset:
-    """Return the part of long data in which u moves most."""
+    """Return the part of long data in which u changes most."""
     if data.N <= _MAX_SAMPLES:
         return data
     moves = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(data.u, prepend=data.u[0])))])
@@ -286,7 +290,7 @@ def _scanned(record: _Record, nks: list[int], *, integrates: bool) -> list[Tried
 
 
 def _refined(record: _Record, ranked: list[Tried]) -> list[Tried]:
-    """Return structures with their own fits, until all neighbours of the best three are fitted."""
+    """Fit structures one by one, until all neighbours of the best three are fitted."""
     shortest = {t.structure.nf: t for t in reversed(ranked)}
     known = {nf: t.fitted.f for nf, t in shortest.items()}
     found: dict[Recommended, Tried | None] = {}
@@ -305,7 +309,7 @@ def _refined(record: _Record, ranked: list[Tried]) -> list[Tried]:
 
 
 def _neighbours(s: Recommended) -> Iterator[Recommended]:
-    """Yield structures whose nf, nb and ends of B differ by at most 1 from the structure."""
+    """Yield structures whose nf, nb, and first and last lags of B differ by at most 1."""
     for poles, first, last in product((-1, 0, 1), repeat=3):
         nb, nf, nk = s.nb + first + last, s.nf + poles, s.nk - first
         if abs(first + last) <= 1 and nb >= 1 and 1 <= nf <= HIGHEST and nk >= min(s.nk, 1):
@@ -313,7 +317,7 @@ def _neighbours(s: Recommended) -> Iterator[Recommended]:
 
 
 def _exact(record: _Record, s: Recommended, known: dict[int, Vector]) -> _Fitted | None:
-    """Return the model of a structure, from its own starts and from models of other orders."""
+    """Return the best model of a structure, from several starts and from models of other orders."""
     if s.nk > record.latest:
         return None
     problem = record.problem(s)
@@ -328,7 +332,7 @@ def _exact(record: _Record, s: Recommended, known: dict[int, Vector]) -> _Fitted
 
 
 def _of_order(F: Vector, nf: int) -> Iterator[Vector]:
-    """Yield F with roots added or taken out, so that nf are left."""
+    """Yield variants of F with nf roots; roots are added or removed."""
     if F.size - 1 <= nf:
         for root in _ADDED_ROOTS if F.size - 1 < nf else (0.0,):
             yield np.convolve(F, np.real(np.poly([root] * (nf + 1 - F.size))))
@@ -347,7 +351,7 @@ def _fits(
 ) -> Iterator[_Fitted]:
     """Yield models of an order at the likeliest lags, with more b's than expected.
 
-    Their covariance then decides which b's are kept.
+    The covariance of the b's then decides which b's are kept.
     """
     if nf < integrates:
         return
@@ -363,7 +367,7 @@ def _fits(
 
 
 def _fitted(problem: PredictionErrorProblem, s: Recommended, f: Vector) -> _Fitted | None:
-    """Return the model that the search from f leads to; None for too few residuals."""
+    """Return the model at which the search from f ends; None if there are too few residuals."""
     N = sum(int(np.count_nonzero(x.rows)) for x in problem.experiments)
     if 3 * (s.nb + s.nf) >= N:
         return None
@@ -375,7 +379,7 @@ def _fitted(problem: PredictionErrorProblem, s: Recommended, f: Vector) -> _Fitt
 
 
 def _starts(problem: PredictionErrorProblem) -> list[Vector]:
-    """Return stable F of equation error and of Steiglitz and McBride's iterations."""
+    """Return stable F, estimated by equation error and by Steiglitz-McBride iterations."""
     n = problem.structure
     signals = [(x.u, x.y) for x in problem.experiments]
     try:
@@ -388,7 +392,7 @@ def _starts(problem: PredictionErrorProblem) -> list[Vector]:
 def _begun(
     record: _Record, nf: int, nk: int, integrates: bool, near: Vector
 ) -> tuple[float, int, Vector] | None:
-    """Return the cost at a start, nk and the start."""
+    """Return the cost at the best start value, nk, and the start value."""
     problem = record.problem(Recommended(nb=nf, nf=nf, nk=nk, integrator=integrates))
     starts = _starts(problem)
     if starts and near.size == problem.structure.nf:
@@ -397,11 +401,11 @@ def _begun(
 
 
 def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
-    """Return the description length with `more` cost and `fewer` coefficients than in the model.
+    """Return the description length, with `more` cost and `fewer` coefficients than the model.
 
-    Each dimension of one experiment's initial state costs log N, as a coefficient does. Through
-    that state, a pair of poles on the unit circle fits a sine of the noise, at the best of N/2
-    frequencies.
+    Each dimension of one experiment's initial state costs log N, as a coefficient does. Without
+    this cost, a model could fit a sine in the noise by a pair of poles on the unit circle and the
+    initial state. The frequency of the sine would be the best of N/2 frequencies.
     """
     s = model.structure
     loss = max((model.cost + more) / (model.N - model.past), np.finfo(np.float64).tiny)
@@ -410,7 +414,7 @@ def _bits(model: _Fitted, more: float = 0.0, fewer: int = 0) -> float:
 
 
 def _trimmed(model: _Fitted) -> Iterator[Tried]:
-    """Yield the structure without some first and last b's, with the predicted rise of its cost."""
+    """Yield structures without some first and last b's, with the predicted rise of the cost."""
     solution = model.problem.solve(model.f)
     R: Matrix = qr(solution.Psi, mode="r", check_finite=False)[0][: solution.Psi.shape[1]]
     scale = np.sqrt(np.sum(R**2, axis=0))

@@ -1,4 +1,4 @@
-"""The figure of a test of residuals: both correlations, with their bands."""
+"""Figure of a test of residuals: autocorrelation, and correlation with the input, with bands."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ _JOINT = f"joint test, level {100 * WHITE_LEVEL:g}{NBSP}%"
 
 
 def plot_residual_test(test: ResidualTest, *, ax: Axes | None = None) -> Axes:
-    """Show the residuals' autocorrelation and, below, their correlation with the input.
+    """Show the autocorrelation of the residuals; below, their correlation with the input.
 
-    If the residuals are white, the upper band contains 99 % of the values of each lag. If they are
-    independent of the input, the lower band contains 99 % of the values. On average one lag of 100
-    is outside its band, so a test of all lags together decides. A correlation at negative lags
-    indicates feedback. A correlation at positive lags indicates missing dynamics.
+    If the residuals are white, the upper band contains 99 % of the values of each lag. If the
+    residuals are independent of the input, the lower band contains 99 % of the values of each lag.
+    On average one lag of 100 is outside its band, so a test of all lags together decides. A
+    correlation at negative lags indicates feedback. A correlation at positive lags indicates
+    missing dynamics.
     """
     ax, below = panels(ax, 0.5, sharex=False)
     shade: dict[str, Any] = {"color": GREY, "alpha": 0.25, "lw": 0, "label": BAND}

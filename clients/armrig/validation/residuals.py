@@ -55,7 +55,7 @@ class ResidualTest:
     lags: NDArray[np.int_]
     """Lags 0 … L."""
     autocorrelation: Vector
-    """r_e at `lags`, 1 at lag 0."""
+    """Autocorrelation of the residuals at `lags`; 1 at lag 0."""
     autocorrelation_band: float
     """99 % band of each lag except 0 for white residuals, 2.58/sqrt(N)."""
     whiteness: float
@@ -69,7 +69,7 @@ class ResidualTest:
     cross_correlation: Vector
     """Correlation of e(t) with u(t - lag) at `cross_lags`."""
     cross_band: float
-    """99 % band of each lag for a known model, 2.58 sqrt(P / (N R_e(0) R_u(0)))."""
+    """99 % band of each lag if the parameters are known, 2.58 sqrt(P / (N R_e(0) R_u(0)))."""
     cross_std: Vector
     """Standard deviation at each of `cross_lags`, with the effect of the estimated parameters."""
     missing_dynamics: float
@@ -86,12 +86,12 @@ class ResidualTest:
 
     @property
     def white(self) -> Whiteness:
-        """Test of white residuals; its str is the result in words."""
+        """Result of the whiteness test; str() returns it as text."""
         return Whiteness(p_value=self.whiteness, test=self.whiteness_test)
 
     @property
     def allowance(self) -> float:
-        """Factor by which the parameters' deviations widen the band of the cross-correlation."""
+        """Factor by which the parameters' uncertainty widens the band of the cross-correlation."""
         known = self.cross_band / BAND_99_PERCENT
         return float(np.median(self.cross_std)) / known if known > 0 else float("nan")
 
@@ -164,14 +164,14 @@ def residuals(
         M = Z_p^T R_e Z_p                                        on estimation data
         M = Z^T R_e Z + (Z^T Psi) cov(theta) (Psi^T Z)           on other data
 
-    Z contains the lagged inputs, R_e is the residuals' covariance (autoregressive estimate) and Psi
-    the sensitivity of the prediction. Z_p is Z minus its projection on Psi, because estimated
-    parameters make residuals less correlated with the past input than noise is.
+    Z contains the lagged inputs. R_e is the covariance of the residuals (autoregressive estimate),
+    and Psi is the sensitivity of the prediction. Z_p is Z minus its projection on Psi, because
+    estimated parameters make residuals less correlated with the past input than noise is.
 
     The band for a single lag has the variance P/(N R_e(0) R_u(0)), P = sum of R_e(k) R_u(k). The
-    variance is 1/N only if e or u is white. The band holds for a known model. `cross_std` is
-    computed from the diagonal of M. Relative to the band, it is smaller at some lags on estimation
-    data, and larger on other data.
+    variance is 1/N only if e or u is white. The band is valid for a model with exactly known
+    parameters. `cross_std` is computed from the diagonal of M. Compared with the band, `cross_std`
+    is smaller at some lags on estimation data, and larger on other data.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def residuals(
     data : Dataset or Signals
         N samples, or a recording.
     lags : int, optional
-        L, from 1 to half the number of residuals; 25 by default, fewer for short data.
+        Largest lag L, from 1 to half the number of residuals; 25 by default, fewer for short data.
 
     Returns
     -------
@@ -190,7 +190,7 @@ def residuals(
     Raises
     ------
     ValueError
-        The model has another output, unit or sampling time, or L is not possible.
+        The model and the data differ in output, unit or sampling time, or L is out of range.
 
     References
     ----------
@@ -283,7 +283,7 @@ class _InputSums:
     power: float
     """Sum of u(t)²."""
     variance: float
-    """Variance of one sum for a known model, N P."""
+    """Variance N P of one sum, if the parameters of the model are exactly known."""
 
 
 def _input_sums(
@@ -307,7 +307,7 @@ def _input_sums(
 def _lagged_both_ways(u: Vector, L: int, known: Residuals) -> Array:
     """Return u(t - k), k = -L … L, (N, 2 L + 1), zero in the rows without a residual.
 
-    The free response is projected out, because it is estimated from the tested data themselves.
+    The free response is projected out, because this response is estimated from the tested data.
     """
     Z = np.zeros((u.size, 2 * L + 1), order="F")
     there = np.isfinite(known.e)

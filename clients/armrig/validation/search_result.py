@@ -44,7 +44,7 @@ class Candidate:
 
     @property
     def name(self) -> str:
-        """Structure and orders as text, such as the name of a model in a comparison."""
+        """Structure and orders as text; comparisons of models show the same text."""
         return STRUCTURES[self.family].short(dict(self.orders))
 
     @property
@@ -115,7 +115,7 @@ class SearchResult:
     ranked: tuple[Scored, ...]
     """Candidates with a usable model, best first."""
     rms: Vector
-    """Root mean square of the error of each of `ranked`, in y's unit."""
+    """Root mean square error of each candidate in `ranked`, in y's unit."""
     excess: Vector
     """Mean squared error minus the mean squared error of the best candidate, (n,)."""
     excess_std: Vector
@@ -125,10 +125,10 @@ class SearchResult:
     failed: tuple[Scored, ...]
     """Candidates without a usable model."""
     doubts: tuple[Finding, ...]
-    """Findings against the data, before any model: poor excitation, wrong samples, a level that u
-    does not cause, feedback."""
+    """Findings about problems of the data: poor excitation, wrong samples, a level that u does not
+    cause, feedback."""
     notes: tuple[str, ...]
-    """Decisions from the data: an integrator, an offset."""
+    """Decisions that are based on the data: an integrator, an offset."""
     halved: bool
     """True if the first half of the data was used for estimation, the second for the ranking."""
     tests: ResidualTest
@@ -150,7 +150,7 @@ class SearchResult:
 
     @property
     def within(self) -> NDArray[np.bool_]:
-        """True for each of `ranked` within one standard error of the best, (n,)."""
+        """Mask of the candidates in `ranked` within one standard error of the best, (n,)."""
         return np.asarray(self.excess <= self.excess_std)
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
@@ -169,7 +169,7 @@ class SearchResult:
         return figure_of(plot_search(self, ax=ax))
 
     def explain(self) -> str:
-        """Return the findings against the data, the choice and its reasons, in words.
+        """Return the problems of the data, the choice and its reasons, as text.
 
         Examples
         --------
@@ -185,7 +185,7 @@ class SearchResult:
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Choice and reasons, a sentence each."""
+        """Sentences about the choice and its reasons."""
         return tuple(_reasons(self))
 
     def table(self, most: int = 10) -> str:

@@ -51,9 +51,9 @@ class StructureHints:
     structures: tuple[Recommended, ...]
     """At most three structures, best first.
 
-    If the integrator is shown, they are the two structures of least description length, and the
-    structure with nb = nf of least description length. Otherwise they include a structure with and
-    a structure without an integrator.
+    If the integrator is shown, two structures have the least description lengths, and the third
+    structure has the least description length of all structures with nb = nf. Otherwise the
+    structures include a structure with an integrator and a structure without an integrator.
     """
     integrator: bool
     """True if the first structure has a pole at 1: y is the sum of its rate."""
@@ -68,8 +68,8 @@ class StructureHints:
     low_slope_std: float
     """Standard deviation of the slope of a line through the points.
 
-    The points of neighbouring frequencies are correlated by the smoothing, so noise moves the slope
-    by more.
+    Smoothing correlates the points of neighbouring frequencies, so the true standard deviation is
+    larger.
     """
     low_band: Vector
     """Frequencies at which the slope was estimated, in rad/s."""
@@ -84,25 +84,27 @@ class StructureHints:
     It is 0 if ``|G|`` does not fall, or if there is no such slope.
     """
     resonances: tuple[float, ...]
-    """Frequencies of peaks that the first structure also has, in rad/s. If y integrates, they are
-    peaks of the rate's |G|."""
+    """Frequencies of peaks that the first structure also has, in rad/s. If y integrates, the peaks
+    of the rate's |G| are used."""
     antiresonances: tuple[float, ...]
     """Frequencies of dips that the first structure also has, in rad/s."""
     phase_delay: float | None
-    """Phase at the highest frequencies in addition to the phase of the slope there, as a time in s.
-
-    None if this time differs from (nk - 1/2) Ts by more than Ts/2.
+    """Delay in s that explains the phase at the highest frequencies, in addition to the phase that
+    belongs to the slope of |G|. None if this delay differs from (nk - 1/2) Ts by more than Ts/2.
     """
     nk_interval: tuple[int, int] | None
     """Least and greatest nk of `delay`; None if `delay` refused, or if it excludes nk."""
     singular_values: Vector
-    """Singular values of the Hankel matrix of the decaying response, divided by the largest."""
+    """Singular values of the Hankel matrix of the decaying response, divided by the largest
+    singular value."""
     threshold: float
-    """Largest singular value that the uncertainty alone causes (95 %), divided by the largest."""
+    """95 % quantile of the largest singular value that the uncertainty alone causes. The quantile
+    is divided by the largest singular value of the response."""
     order: int
     """Number of singular values above the threshold, plus 1 for an integrator; at most nf."""
     trusted: float
-    """Highest frequency at which u explains y, in rad/s; 0 if it does so at fewer than three."""
+    """Highest frequency at which u explains y, in rad/s; 0 if u explains y at fewer than three
+    frequencies."""
     spectrum: SpectralEstimate
     """Frequency response of y."""
     response: ImpulseResponse
@@ -120,7 +122,7 @@ class StructureHints:
 
     @property
     def nk(self) -> int:
-        """Samples before u reaches y in the first structure."""
+        """Number of samples before u affects y in the first structure."""
         return self.structures[0].nk
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
@@ -131,7 +133,7 @@ class StructureHints:
         return figure_of(plot_structure(self, ax=ax))
 
     def explain(self) -> str:
-        """Return the reasons, a line each."""
+        """Return the reasons as text, one line for each reason."""
         return "\n".join(f"- {line}" for line in _reasons(self))
 
     def __repr__(self) -> str:
@@ -150,22 +152,22 @@ def structure_hints(
 ) -> StructureHints:
     """Recommend at most three structures, with the reasons for them.
 
-    The structures are those of output-error models of least description length (`recommended`). The
-    signals are filtered before, so that the noise is white. If the integrator is shown, the
-    structures include one with nb = nf, as a plant under a hold has. Estimates without a structure
-    give the following reasons, if the first structure agrees:
+    The structures are the output-error structures of least description length (`recommended`).
+    Before the search, a filter whitens the noise. If the integrator is shown, one structure has nb
+    = nf, like a plant under a zero-order hold. Nonparametric estimates give the following reasons,
+    if the first structure agrees:
 
     - Integrator: the rate's step response does not return to 0, and the description is shorter with
-      a pole at 1. If only one of these holds, or if the description lengths hardly differ, a
-      structure with an integrator and a structure without an integrator are recommended. theta_1 is
-      taken as integrating, unless its rate's step response surely returns to 0. In that case the
-      data are of another rig that uses the name theta_1. With an integrator the slope of the gain
-      at low frequency is -20 dB a decade.
+      a pole at 1. If only one of the two statements is true, or if the description lengths hardly
+      differ, a structure with an integrator and a structure without an integrator are recommended.
+      theta_1 is taken as integrating, unless its rate's step response surely returns to 0. In that
+      case the data are from another rig that uses the name theta_1. With an integrator the slope of
+      the gain at low frequency is -20 dB a decade.
     - Order: the number of singular values of a Hankel matrix that are larger than the values that
       the uncertainty alone causes. The matrix is computed from the regularised impulse response.
     - Number of poles minus number of zeros: the slope at the highest frequencies at which u
-      explains y (coherence above one half). Each pole in excess makes 20 dB a decade. Sampling
-      hides the slope near the Nyquist frequency.
+      explains y (coherence above one half). Each pole in excess of the zeros changes the slope by
+      -20 dB a decade. Sampling hides the slope near the Nyquist frequency.
     - Delay: the result of `delay`, and the phase in addition to the phase of the roll-off.
 
     Parameters
@@ -185,7 +187,8 @@ def structure_hints(
     Raises
     ------
     ValueError
-        There are too few samples, or u explains y at too few frequencies and `delay` refuses.
+        There are too few samples; or u explains y at too few frequencies, and `delay` raises an
+        error.
 
     References
     ----------
@@ -252,7 +255,7 @@ def structure_hints(
 
 
 def _delay(data: Dataset, *, integrates: bool) -> Delay | None:
-    """Return the result of `delay`; None if it refuses."""
+    """Return the result of `delay`; None if `delay` raises an error."""
     try:
         return delay(data, integrator=integrates)
     except ValueError:
@@ -273,7 +276,7 @@ def _believed(estimate: SpectralEstimate, *, needed: bool) -> NDArray[np.int_]:
 
 
 def _agreed(slope: float, best: Recommendation, omega: Vector, Ts: float) -> float | None:
-    """Return the slope if the first structure also has it at these frequencies."""
+    """Return the slope if the first structure has nearly the same slope at these frequencies."""
     other, _ = log_slope(omega, np.abs(best.G(omega, Ts)))
     return slope if abs(slope - other) <= AGREED_SLOPE else None
 
@@ -308,7 +311,7 @@ def _returns(of_rate: ImpulseResponse) -> bool:
 
 
 def _end_of_step(of_rate: ImpulseResponse) -> tuple[float, float]:
-    """Return end and deviation of the rate's step response, divided by its largest value."""
+    """Return last value and deviation of the rate's step response, divided by its largest value."""
     g, _ = of_rate.decaying
     steps = np.abs(np.cumsum(g))
     largest = float(np.max(steps))
@@ -323,12 +326,13 @@ def _sign(response: ImpulseResponse) -> float:
 def _extremes(
     response: ImpulseResponse, believed: Vector
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the frequencies of peaks and dips that surely stand out from both sides.
+    """Return the frequencies of significant peaks and dips.
 
-    The frequencies come from the transform of the impulse response. A spectrum with a lag window
-    would have flatter extremes, and a longer delay would make them even flatter. |G| at the extreme
-    and at its foot on either side differ by `SURE` standard deviations of the difference. The feet
-    are further apart than the resolution of the n lags, 2 pi/(n Ts).
+    The frequencies are computed from the transform of the impulse response. A spectrum with a lag
+    window would have flatter extremes, and a longer delay would make the extremes even flatter. An
+    extreme has a foot on each side. An extreme is significant if |G| at the extreme differs from
+    |G| at both feet by more than `SURE` standard deviations of the difference. The distance between
+    the feet must also be larger than 2 pi/(n Ts), the resolution of n lags.
     """
     from scipy.signal import find_peaks
 
@@ -369,7 +373,7 @@ def _covariance(response: ImpulseResponse) -> Matrix:
 
 
 def _hankel(response: ImpulseResponse, nk: int, rng: np.random.Generator) -> tuple[Vector, float]:
-    """Return singular values from lag nk on and the threshold, divided by the largest value."""
+    """Return singular values from lag nk on, and the threshold, divided by the largest value."""
     g, _ = response.decaying
     # The rate's backward difference is itself a state, a pole at 0 that acts on g(nk) alone.
     h = g[nk + 1 :] if response.integrator else g[nk:]
@@ -412,7 +416,8 @@ def _reasons(h: StructureHints) -> Iterator[str]:
     shown = ", ".join(f"{v:.2g}" for v in h.singular_values[:6])
     with_integrator = h.integrator and h.integrator_shown
     yield (
-        f"order: Hankel singular values {shown} …, uncertainty alone makes {h.threshold:.2g}: "
+        f"order: Hankel singular values {shown} …, "
+        f"uncertainty alone causes up to {h.threshold:.2g}: "
         + _standing(h.order - with_integrator)
         + (", and the integrator" if with_integrator else "")
         + _more_poles(h)
@@ -421,7 +426,7 @@ def _reasons(h: StructureHints) -> Iterator[str]:
         excess = plural(h.relative_degree, "more pole") if h.relative_degree else "no more poles"
         yield (
             f"roll-off: {minus(f'{h.high_slope:.0f}')} dB a decade from {h.high_band[0]:.3g} to "
-            f"{h.high_band[-1]:.3g} rad/s: {excess} than zeros up to there"
+            f"{h.high_band[-1]:.3g} rad/s: {excess} than zeros up to these frequencies"
         )
     if h.phase_delay is not None and h.phase_delay > h.spectrum.Ts / 2:
         yield (

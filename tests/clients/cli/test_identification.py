@@ -173,7 +173,8 @@ def test_a_file_that_is_no_model_is_reported_in_one_line(
     assert main(["validate", str(three_recordings[1]), "--model", str(path)]) == 1
 
     assert capsys.readouterr().err == (
-        f"armrig: {path} is no model; `armrig identify --save` and fit.save(path) write them\n"
+        f"armrig: {path} is no model file; `armrig identify --save` and fit.save(path) write "
+        "model files\n"
     )
 
 

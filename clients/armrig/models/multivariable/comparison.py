@@ -1,4 +1,4 @@
-"""Comparison of models with several outputs with measured signals."""
+"""Comparison of models of several outputs with measured signals."""
 
 from __future__ import annotations
 
@@ -55,12 +55,12 @@ class SignalsComparison:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class SignalsComparisonTable:
-    """Models side by side on one set of signals; iterate over it or print it."""
+    """Comparison of models on one set of signals; iterate over the table or print the table."""
 
     rows: tuple[SignalsComparison, ...]
     """A row for each model, in the order of the arguments."""
     horizon: int | None
-    """Prediction horizon in samples; None is simulation."""
+    """Prediction horizon in samples; None for simulation."""
     data: Signals
     """Signals that the models were compared with."""
 
@@ -83,7 +83,7 @@ class SignalsComparisonTable:
         return tuple(findings_on_own_data(named, self.data))
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure with a panel for each output: measured, and each model."""
+        """Return a figure with a panel for each output, which shows the data and each model."""
         from armrig.models.multivariable.figures import plot_signals_comparison
         from armrig.plots.layout import figure_of
 
@@ -96,7 +96,7 @@ class SignalsComparisonTable:
         return html(self)
 
     def __repr__(self) -> str:
-        """Return a line for each model and output."""
+        """Return the table as text, a line for each model and output."""
         what = "simulation" if self.horizon is None else f"{plural(self.horizon, 'sample')} ahead"
         lines = [f"{what}; initial state estimated from these data by least squares"]
         width = max(len(name) for name in self.data.outputs)
@@ -118,7 +118,7 @@ def compare(
     horizon: int | None = None,
     labels: Sequence[str] | None = None,
 ) -> SignalsComparisonTable:
-    """Compare models with several outputs with signals, by simulation unless a horizon is given.
+    """Compare models of several outputs with signals, in simulation unless a horizon is given.
 
     The initial state of each experiment, and a ramp of each integrating output, are estimated from
     these data by least squares. Missing samples are not compared.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class Form(Protocol):
-    """Parameters of a model, and the functions that follow from them."""
+    """Parameters of a model, with the polynomials and matrices that they define."""
 
     @property
     def theta(self) -> Vector:
@@ -49,7 +49,7 @@ class Form(Protocol):
 
     @property
     def coupled(self) -> bool:
-        """True if a channel has no noise polynomials of its own."""
+        """True if the model has no separate noise polynomials for each channel."""
 
     @property
     def integrators(self) -> tuple[bool, ...]:
@@ -109,7 +109,8 @@ class MultivariableFit:
     shared: bool = False
     """True if all outputs share one denominator."""
     output_weights: tuple[float, ...] = ()
-    """Weights w_i of the minimised sum of w_i e_i²; empty if the noise covariance weights e."""
+    """Weights w_i, if the sum of w_i e_i² was minimised; empty if the noise covariance set the
+    weights."""
     covariance: Matrix
     """Covariance of theta (d, d), valid if the residuals are white."""
     covariance_robust: Matrix
@@ -119,15 +120,15 @@ class MultivariableFit:
     quality: tuple[OutputQuality, ...]
     """Loss, fit and whiteness of each output."""
     converged: bool = True
-    """True if the search for the minimum is within its tolerance."""
+    """True if the search for the minimum converged within its tolerance."""
     starts: tuple[Start, ...] = ()
-    """Start values with their results, best first; empty for a closed form."""
+    """Start values with their results, best first; empty if no search was necessary."""
     findings: tuple[EstimateFinding, ...] = ()
     """Findings about the reliability of the numbers."""
     source: str = ""
     """Hash of the recording or data file, or ""."""
     history: tuple[str, ...] = ()
-    """Treatment of the data."""
+    """Steps of the treatment of the estimation data, in order."""
     digest: str = ""
     """Fingerprint of the estimation data."""
 
@@ -173,7 +174,7 @@ class MultivariableFit:
     def __getitem__(self, channel: tuple[str, str] | str) -> Fit:
         """Return the model from one input to one output: fit["alpha", "u"].
 
-        The input may be left out if there is one input.
+        The input may be left out if there is only one input.
 
         Raises
         ------
@@ -214,7 +215,7 @@ class MultivariableFit:
         )
 
     def channels(self) -> Iterator[tuple[int, int, Fit]]:
-        """Iterate over output, input and model of each channel that has a model.
+        """Iterate over the channels that have a model: indices of output and input, and the model.
 
         Examples
         --------
@@ -232,7 +233,7 @@ class MultivariableFit:
                     yield i, j, self[output, input]
 
     def poles(self) -> Roots:
-        """Return the poles: each denominator once, output after output.
+        """Return the poles of all denominators, output after output; equal denominators count once.
 
         Examples
         --------
@@ -332,8 +333,9 @@ class MultivariableFit:
         """Return ŷ(t) (N, ny) from u up to t and y up to t - horizon; with None, from u alone.
 
         The initial state of each experiment is estimated from the data by least squares. For an
-        integrating output the input offset is estimated too, as a ramp. After a missing output the
-        prediction continues without it. ŷ is NaN before the first measured sample of an output.
+        integrating output the input offset is estimated too, as a ramp. If a sample of an output is
+        missing, the prediction continues without the sample. The prediction of an output is NaN
+        before the first measured sample of this output.
 
         Raises
         ------

@@ -9,7 +9,8 @@ import numpy as np
 from armrig.models.model import Complex
 
 _RADIUS = 1.05
-"""Radius of the circle in q, relative to the largest pole or to 1."""
+"""Radius of the circle in q, divided by the modulus of the largest pole, or by 1 if that is
+larger."""
 
 
 def circle(n: int, poles: Any) -> Complex:

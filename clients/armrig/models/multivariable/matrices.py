@@ -27,7 +27,8 @@ class Matrices:
     K: Matrix
     """Gain of the innovations (n, ny)."""
     nk: tuple[int, ...]
-    """Samples before each input reaches the outputs: 0 with a direct term, at least 1 without."""
+    """Number of samples before each input affects the outputs: 0 with a direct term, otherwise at
+    least 1."""
 
     @property
     def theta(self) -> Vector:
@@ -36,7 +37,7 @@ class Matrices:
 
     @property
     def names(self) -> tuple[tuple[str, int, int, int], ...]:
-        """Letter, row and column of each entry; the last number is 0."""
+        """Letter, row, column and lag of each entry; the lag is always 0."""
         matrices = {"A": self.A, "B": self.B, "C": self.C, "D": self.D, "K": self.K}
         return tuple(
             (name, i, k, 0)
@@ -54,7 +55,7 @@ class Matrices:
 
     @property
     def coupled(self) -> bool:
-        """True: a channel has no noise polynomials of its own."""
+        """True: the model has no separate noise polynomials for each channel."""
         return True
 
     @property
@@ -67,7 +68,7 @@ class Matrices:
         return True
 
     def channel(self, i: int, j: int) -> Channel:
-        """Return B/F from input j to output i: F(x) = det(1 - x A), with x = q^-1.
+        """Return B and F from input j to output i: F(x) = det(1 - x A), with x = q^-1.
 
         With W = inv(1 - x A), B = F (D + x C W B). The derivatives are d F = -x F tr(W dA) and
         d W = x W dA W.

@@ -1,4 +1,4 @@
-"""Reading of a model from its JSON file, also of a model with several inputs and outputs."""
+"""Reading of a model, with one or several inputs and outputs, from its JSON file."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _TEXTS = ("inputs", "outputs", "input_units", "units")
 
 
 def load_fit(path: str | PathLike[str]) -> Fit | MultivariableFit:
-    """Return the model from a file that `save` of a fit wrote; no number changes.
+    """Return the model in a file that `fit.save` wrote, with the exact value of each number.
 
     Returns
     -------

@@ -23,7 +23,7 @@ FORMS: dict[str, type[Matrices] | type[Polynomials]] = {
     "matrices": Matrices,
     "polynomials": Polynomials,
 }
-"""Kinds of parameters by their names in a file."""
+"""Classes of the parameters, by the names of the classes in a file."""
 OWN_FIELDS = ("form", "quality", "findings")
 """Fields of a fit that are not plain values."""
 

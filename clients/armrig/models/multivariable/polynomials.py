@@ -33,9 +33,9 @@ class Channel:
     J: Matrix
     """Derivatives of the channel's theta with respect to the theta of the whole model."""
     nk: int
-    """Samples before the input reaches the output."""
+    """Number of samples before the input affects the output."""
     integrator: bool
-    """True if F, or A without F, has the factor 1 - q^-1 by construction."""
+    """True if F, or A if there is no F, has the factor 1 - q^-1 by construction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ class Polynomials:
     F: tuple[Row, ...]
     """F_ij for each row i and input j."""
     nk: tuple[tuple[int, ...], ...]
-    """Samples before input j reaches output i."""
+    """Number of samples before input j affects output i."""
     integrators: tuple[bool, ...]
     """True for each output whose row has the factor 1 - q^-1 by construction."""
 
@@ -83,7 +83,7 @@ class Polynomials:
 
     @property
     def names(self) -> tuple[tuple[str, int, int, int], ...]:
-        """Letter, row, column and lag of each parameter; the column of C and D is the row."""
+        """Letter, row, column and lag of each parameter; the column of C and D equals the row."""
         return tuple(
             (letter, i, k, first + n)
             for letter, i, k, first, p in self._parts()
@@ -142,8 +142,8 @@ class Polynomials:
     def _coupled_channel(self, i: int, j: int) -> Channel:
         """Return B/F with F = det A and B = row i of adj A times column j of B.
 
-        Both are interpolated from their values on a circle in q^-1. With X = inv(A) the derivatives
-        are ::
+        F and B are interpolated from their values at points on a circle in q^-1. With X = inv(A)
+        the derivatives are ::
 
             d det A = det A tr(X dA)
             d (adj A B) = (d det A) X B + det A (X dB - X dA X B)
@@ -190,7 +190,7 @@ class Polynomials:
         )
 
     def realised(self) -> StateSpace:
-        """Return the innovations form, with the noise states of OE and BJ models last."""
+        """Return the innovations form; the last states are the noise states of OE and BJ models."""
         rows = [self._row(i) for i in range(len(self.A))]
         ny = len(rows)
         driven = [r[0] for r in rows]
@@ -217,7 +217,7 @@ class Polynomials:
         )
 
     def _row(self, i: int) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the matrices of row i: the part that inputs drive, and the part of noise alone."""
+        """Return the matrices of row i, of the states that u drives and of the noise states."""
         ny, nu = len(self.A), len(self.B[i])
         D = np.array([b[0] if b.size else 0.0 for b in self.B[i]])
         if all(f.size == 1 for f in self.F[i]) and self.D[i].size == 1:
@@ -251,7 +251,7 @@ class Polynomials:
 
 
 def _observer(n: int, nu: int, ny: int) -> dict[str, Any]:
-    """Return the matrices of n shifts whose first state is the output."""
+    """Return the matrices of a chain of n delays, whose first state is the output."""
     return {
         "A": np.eye(n, k=1),
         "B": np.zeros((n, nu)),
@@ -263,10 +263,11 @@ def _observer(n: int, nu: int, ny: int) -> dict[str, Any]:
 
 
 def _with_sum(block: dict[str, Any]) -> dict[str, Any]:
-    """Return the matrices with the sum of the states as first state, if F has the root 1.
+    """Return a block, whose F has the root 1, with the sum of all states as first state.
 
-    The sum only adds up inputs. In the other coordinates each rounding error would move the root,
-    and the error of the integral would grow with time.
+    The new first state only accumulates the inputs, so its root is exactly 1. In the original
+    coordinates each rounding error would move the root, and the error of the integral would grow
+    with time.
     """
     n = block["C"].size
     T, inverse = np.eye(n), np.eye(n)
@@ -277,5 +278,5 @@ def _with_sum(block: dict[str, Any]) -> dict[str, Any]:
 
 
 def _tail(p: Vector, n: int) -> Vector:
-    """Return the coefficients after the first, padded to n."""
+    """Return the coefficients after the first coefficient, padded with zeros to length n."""
     return np.pad(p[1:], (0, n + 1 - p.size))

@@ -17,8 +17,8 @@ from armrig.numerics.least_squares import column_norms
 from armrig.numerics.polynomial import Array
 from armrig.numerics.recursion import recursion
 
-_MIN_SINGULAR_VALUE = 1e-4  # of the scaled responses to states, relative to the largest
-_MIN_SHOWN_VALUE = 1e-10  # the same of a direction that the errors show
+_MIN_SINGULAR_VALUE = 1e-4  # of the scaled responses to states, divided by the largest
+_MIN_SHOWN_VALUE = 1e-10  # the least value of a direction with a significant error
 _SHOWN_SIGMAS = 5.0
 
 
@@ -81,12 +81,12 @@ def predicted(
     integrating: tuple[bool, ...],
     noise_std: Vector,
 ) -> Array:
-    """Return ŷ (N, ny) of one experiment from y up to t - horizon, or from u alone with None.
+    """Return ŷ (N, ny) of one experiment from y up to t - horizon; from u alone if horizon is None.
 
-    The initial state and a ramp of each integrating output, which represents the offset of the
-    input, are estimated by least squares. The innovation of a missing output is taken as 0. If the
-    model is unstable, ŷ may be infinite. Predictions of an output before its first measured sample
-    are NaN.
+    The initial state, and a ramp of each integrating output, are estimated by least squares. The
+    ramp represents the offset of the input. The innovation of a missing output is taken as 0. If
+    the model is unstable, ŷ may be infinite. The predictions of an output are NaN before its first
+    measured sample.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def predicted(
 def error_responses(
     system: StateSpace, part: Signals, *, integrating: tuple[bool, ...]
 ) -> ErrorResponses:
-    """Return the responses of e = y - ŷ, one step ahead, to the data and to what is estimated.
+    """Return the responses of the one-step error e = y - ŷ to the data and estimated quantities.
 
     The estimated quantities are the initial state and the ramps of `predicted`.
     """
@@ -133,10 +133,10 @@ class ErrorResponses:
     x: Array
     """States (N, m, n)."""
     errors: Array
-    """Errors of the prediction one step ahead (N, m, ny)."""
+    """Errors of the one-step predictions (N, m, ny)."""
 
     def combination(self, part: Signals, noise_std: Vector) -> Array:
-        """Return the coefficients (m,) of least squared errors; the first one is 1."""
+        """Return the coefficients (m,) that minimise the squared errors; the first is always 1."""
         weighted = (self.errors / noise_std).transpose(0, 2, 1)[part.valid]
         return np.append(1.0, -_initial(weighted[:, 1:], weighted[:, 0]))
 
@@ -144,7 +144,7 @@ class ErrorResponses:
 def _responses(
     system: StateSpace, part: Signals, *, integrating: tuple[bool, ...], used: Array
 ) -> ErrorResponses:
-    """Return the responses, with the innovations of the outputs marked in `used`."""
+    """Return the responses; only the outputs marked in `used` have innovations."""
     at = [i for i, integrates in enumerate(integrating) if integrates]
     n = system.order
     inputs, outputs = np.zeros((2, part.N, 1 + n + len(at), max(part.nu, part.ny)))
@@ -162,9 +162,10 @@ def _responses(
 def _initial(responses: Array, errors: Array) -> Array:
     """Return the least-squares coefficients of the responses, without superfluous directions.
 
-    Channels with nearly the same poles have states with nearly the same responses. Their difference
-    would be large, and would spoil predictions of missing samples. Such a direction is used only if
-    the errors, in standard deviations of the noise, show it.
+    Channels with nearly the same poles have states with nearly the same responses. Estimates of
+    such states would be large, with opposite signs, and would spoil the predictions of missing
+    samples. A direction of this kind is used only if its share of the errors exceeds five standard
+    deviations of the noise.
     """
     scale = np.maximum(column_norms(responses), 1e-100)
     U, s, V = np.linalg.svd(responses / scale, full_matrices=False)
@@ -179,7 +180,7 @@ def _outputs(system: StateSpace, x: Array, u: Array) -> Array:
 
 
 def _states(system: StateSpace, u: Array, y: Array, x0: Array, used: Array) -> Array:
-    """Return x(0) … x(N-1) of several columns, (N, m, n), from the outputs marked in `used`."""
+    """Return the states x(0) … x(N-1), (N, m, n), computed from the outputs marked in `used`."""
     A, B, C, D, K = system.A, system.B, system.C, system.D, system.K
     if not used.any() or not K.any():
         return recursion(A, u @ B.T, x0)[:-1]

@@ -38,7 +38,7 @@ Its arguments are the number of items done since the start, the number of all it
 the last item done.
 """
 MOST_DEATHS = 2
-"""An item that runs alone is abandoned after this number of its workers died."""
+"""Number of workers that may die while an item runs alone; the item is then abandoned."""
 
 T = TypeVar("T", bound=Hashable)
 R = TypeVar("R")
@@ -114,7 +114,7 @@ def batch(
     before = [] if anew else read_rows(table, header)
     with Progress(table, header, anew=anew) as progress:
         rows = still_right([*before, *progress.rows], items, columns_of(task))
-        if isinstance(task, Report):  # a row without its PDF is none
+        if isinstance(task, Report):  # if its PDF is missing, a row counts as missing
             rows = {
                 name: r for name, r in rows.items() if Path(task.folder, str(r["report"])).exists()
             }
@@ -142,7 +142,7 @@ def results(
     """Yield each item with its result, in the order in which the results arrive.
 
     If a worker dies, a new executor is opened. The executor does not report which item killed the
-    worker. All items that ran then are therefore repeated one at a time.
+    worker. Therefore all items that ran when the worker died are repeated, one at a time.
 
     Parameters
     ----------
@@ -213,7 +213,7 @@ def _is_broken(future: Future[R]) -> bool:
 def header_of(
     task: Task, folder: Path, rigs: Collection[str], kinds: Collection[str]
 ) -> dict[str, str]:
-    """Return the metadata of a table; it is the same for every start with the same options.
+    """Return the metadata of a table; all starts with the same options have the same metadata.
 
     Parameters
     ----------

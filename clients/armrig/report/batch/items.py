@@ -12,11 +12,11 @@ from armrig.recordings.catalogue import Catalogue, catalogue, found_files
 from armrig.recordings.recording_summary import shown_path
 
 _LATEST_NS = (1 << 63) - 1
-"""Latest time that a table can contain, in the year 2262."""
+"""Latest time that a table can contain, in ns since 1970; this time is in the year 2262."""
 
 
 class Item(NamedTuple):
-    """A run: a single file, or all its parts."""
+    """A run, which was recorded in a single file or in several parts."""
 
     name: str
     """Name of the file in its folder, or the common name of a run's parts.
@@ -76,7 +76,7 @@ def _run(name: str) -> str:
 
 
 def _validations(known: Catalogue) -> dict[str, str]:
-    """Return the paths of validation recordings, by the files of the validated recordings."""
+    """Return the paths of validation recordings, by the names of the files that they validate."""
     of_run = {s.run_id: s.file for s in known.recordings if not s.is_validation}
     return {
         of_run[s.validation_of]: str(s.path.with_name(_run(s.file)))

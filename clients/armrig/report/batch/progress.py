@@ -1,4 +1,4 @@
-"""Storage of each row as soon as it is computed; a start after a failure continues from it."""
+"""Storage of each row as soon as the row is computed, so that a later start can continue."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class Progress:
         traceback: TracebackType | None,
     ) -> None:
         """Close the file without removing it."""
-        with suppress(OSError):  # of a row without room on the disk, which was reported
+        with suppress(OSError):  # the error of a full disk was reported before
             self._file.close()
 
     def _write(self, value: object) -> None:

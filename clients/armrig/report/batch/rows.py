@@ -1,4 +1,4 @@
-"""Row of a recording: the function that the workers run. The function never raises an exception."""
+"""Row of a recording, computed by a function that the workers run and that never raises."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from armrig.report.batch.tasks import Identify, Report, Task, Validate, Verify, 
 
 Row = dict[str, Any]
 Kind = str
-"""Type of a column: text, truth, count or number; texts and numbers are types of lists."""
+"""Type of a column: text, truth, count or number, or a list of these: texts or numbers."""
 
 OF_THE_FILE: dict[str, Kind] = {
     "recording": "text",
     "bytes": "count",
     "modified_ns": "count",
 }
-"""Columns that are known without opening the file, and that differ after a change of the file."""
+"""Columns that are known without opening the file. Their values change if the file changes."""
 OF_THE_RUN: dict[str, Kind] = {
     "sha256": "text",
     "rig": "text",
@@ -108,7 +108,7 @@ def row_of(task: Task, item: Item) -> Row:
     }
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
-            # An iterative search may overflow on its way; its verdict reports it.
+            # A search may overflow in an intermediate step; its result reports a failure.
             warnings.simplefilter("ignore", RuntimeWarning)
             recording = load(item.path)
             row |= _of_the_run(recording)

@@ -27,7 +27,7 @@ class Advice:
         return tuple(f.text for f in self.findings if f.level != "good")
 
     def explain(self) -> str:
-        """Return a line for each finding, those that need action first."""
+        """Return a line for each finding; the findings that need action are first."""
         ranked = sorted(self.findings, key=lambda f: f.level == "good")
         width = max((len(f.about) for f in ranked), default=0)
         return "\n".join(
@@ -46,9 +46,9 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
 
     For data, the advice covers excitation, integrator, missing samples, outliers, drift, feedback,
     and the agreement of ARX with OE. For a model, it covers the search, the residuals, and an
-    integrator that is not fixed. It also covers poles and zeros that cancel (an order too high),
-    poles that no sampled rig has (negative real, unstable), and a first coefficient that may be 0
-    (a delay).
+    integrator that is not fixed. It also covers poles and zeros that cancel (the order is too
+    high), and poles that no sampled rig has (negative real, unstable). Finally, the advice covers a
+    first coefficient that may be 0 (a delay).
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def advice(data_or_fit: Dataset | HasDataset | Fit) -> Advice:
     Returns
     -------
     Advice
-        Its fields are .findings and .warnings; its repr prints them.
+        Its fields are .findings and .warnings; its repr prints the findings.
 
     Raises
     ------

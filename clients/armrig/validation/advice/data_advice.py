@@ -23,7 +23,7 @@ from armrig.validation.feedback_and_delay.delay_result import Delay
 from armrig.validation.feedback_and_delay.open_loop import OpenLoop, open_loop
 
 ORDER = 4
-"""Number of poles of the compared models, and number of numerator coefficients, as of the arm."""
+"""Order of the compared models: number of poles, and of numerator coefficients, as for the arm."""
 _MAX_DIFFERENCE = 0.1  # median of |G_ARX - G_OE| / |G_OE|
 _MAX_MISSING_SHARE = 0.2
 _MIN_POLE_SIGMAS = 10.0  # least distance from 1 of a pole that is no integrator; σ may be wrong
@@ -37,18 +37,18 @@ class Tested:
     integration: Integration
     """Decision whether y is taken as integrating."""
     loop: OpenLoop | None
-    """Test for feedback; None if there are too few samples."""
+    """Result of the test for feedback; None if there are too few samples."""
     late: Delay | str
-    """Test for a delay, or the reason why the test is not possible."""
+    """Result of the test for a delay, or the reason why the test is not possible."""
 
     @property
     def closed(self) -> bool:
-        """True if feedback is found with a p below 0.1 % and cannot be a direct term of the rig."""
+        """True if feedback is found with p < 0.1 %, and a direct term cannot be the cause."""
         return self.together and not (self.loop is not None and self.loop.may_be_direct_term)
 
     @property
     def together(self) -> bool:
-        """True if feedback or a direct term is found with a p below 0.1 %."""
+        """True if feedback or a direct term is found with p < 0.1 %."""
         return self.loop is not None and self.loop.p_value < _MIN_CHANCE_P
 
 
@@ -75,7 +75,7 @@ def _late(data: Dataset, *, integrates: bool) -> Delay | str:
 
 
 def examine_data(data: Dataset) -> Iterator[Finding]:
-    """Yield the findings of the data, the causes before their effects."""
+    """Yield the findings about the data; a finding precedes the findings that it may cause."""
     known = tested(data, None)
     findings = [*examine_experiment(data, known)]
     yield from findings
@@ -84,7 +84,7 @@ def examine_data(data: Dataset) -> Iterator[Finding]:
 
 
 def doubts(data: Dataset, known: Tested) -> list[Finding]:
-    """Return the findings that are not good; feedback only if its p is below 0.1 %."""
+    """Return the findings that need action; feedback is included only if p < 0.1 %."""
     found = [f for f in examine_experiment(data, known) if f.level != "good"]
     return [f for f in found if f.about != "feedback" or known.together]
 
@@ -268,5 +268,5 @@ def _about_structures(data: Dataset, known: Tested) -> Iterator[Finding]:
 
 
 def finding(about: str, text: str, *, good: bool) -> Finding:
-    """Return a finding; a warning if it is not good."""
+    """Return a finding, which is a warning if `good` is False."""
     return Finding(level="good" if good else "warning", about=about, text=text)

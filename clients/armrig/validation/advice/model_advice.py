@@ -82,7 +82,7 @@ def _about_overlap(fit: Fit, pairs: list[_Pair]) -> Finding:
 
 
 def _about_pair_at_one(fit: Fit, pairs: list[_Pair]) -> Iterator[Finding]:
-    """Yield the finding of a pole and a zero near 1: a constant, or an order too high."""
+    """Yield the finding about a pole and a zero near 1: a constant level, or too high an order."""
     if not pairs:
         return
     pole, zero, _ = pairs[0]

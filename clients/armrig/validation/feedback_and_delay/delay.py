@@ -33,7 +33,7 @@ from armrig.validation.feedback_and_delay.smooth_onset import SURPRISING, possib
 Vector = NDArray[np.float64]
 
 SECOND_ORDER = frozenset({THETA_1, ALPHA})
-"""Outputs of which a step of the voltage changes the second derivative, but not the first."""
+"""Outputs whose second derivative jumps at a step of the voltage, but not the first derivative."""
 _MIN_SAMPLES = 50  # samples
 _LOSS_LAGS = 3  # lags past nk to which losses are kept
 _MAX_FEW_CHANGES = 10  # of u; with more changes the error of quantisation averages out
@@ -55,18 +55,19 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         H_k: b_0 = … = b_k = 0,      F test, level 0.1 %
 
     The first k for which H_k is rejected is the latest lag at which u can act first. At an earlier
-    lag, a coefficient that is not significant may only be too small to see. Such a lag is ruled out
-    if the data exclude a coefficient as large as a bound (0.1 %, one-sided). The bound is 1/(1 + 3
-    n) of the coefficient n samples later. The slowest onset of a mechanical rig, t²/2 under a hold,
-    has the ratio 1/(1 + 2 n). If the response begins more slowly, the bound is the ratio of an
-    onset (t/Ts)^d, and d is estimated from the first lags. The first two coefficients of a plant of
-    relative degree d have the ratio 1 : 2^d - 1. If several lags remain for an angle or for an
-    integrating y, the shape of the onset decides (`smooth_onsets`).
+    lag, the true coefficient may be too small to be significant. A one-sided test (level 0.1 %)
+    therefore compares the coefficient with a bound. The lag is ruled out if the coefficient is
+    significantly smaller than the bound. The bound is 1/(1 + 3 n) of the coefficient n samples
+    later. The slowest onset of a mechanical rig, t²/2 under a hold, has the ratio 1/(1 + 2 n). If
+    the response begins more slowly, the bound is computed from an onset (t/Ts)^d, and d is
+    estimated from the first lags. The first two coefficients of a plant of relative degree d have
+    the ratio 1 : 2^d - 1. If several lags remain for an angle or for an integrating y, the shape of
+    the onset decides (`smooth_onsets`).
 
     nk is the least lag that is not ruled out, so an unproven delay is never claimed. A direct term,
     nk = 0, is claimed only if lag 0 itself is significant. If `open_loop` finds feedback, the
-    coefficient at lag 0 would be due to the controller. The model then begins at lag 1. If a direct
-    term would look the same as the feedback, the interval begins at 0.
+    coefficient at lag 0 would be due to the controller. The model then begins at lag 1. If the data
+    do not distinguish feedback from a direct term, the interval begins at 0.
 
     Parameters
     ----------
@@ -75,8 +76,8 @@ def delay(data: Dataset, *, integrator: bool | None = None) -> Delay:
         several experiments. If `data` is a Signals, each pair of an output and an
         input is tested alone.
     integrator : bool, optional
-        True if y integrates. The default is True for theta_1, and for any y that a test finds to
-        integrate; `remarks` contains the result of this test.
+        True if y integrates. The default is True for theta_1. For any other y a test decides, and
+        `remarks` contains the result of this test.
 
     Returns
     -------
@@ -208,7 +209,7 @@ class _Onset:
     last: int
     """Greatest lag that is not ruled out."""
     misfit: dict[int, float]
-    """Chi-squared by first lag of a smooth onset; empty if the shape was not tested."""
+    """Chi-squared of a smooth onset by its first lag; empty if the shape was not tested."""
 
 
 def _onset(data: Dataset, tests: LagTests, *, integrates: bool) -> _Onset:
@@ -225,18 +226,19 @@ def _onset(data: Dataset, tests: LagTests, *, integrates: bool) -> _Onset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Readings:
-    """Quantisation of y, and the time for which a step hides the response to u."""
+    """Quantisation of y, and the time for which quantisation hides the response to u."""
 
     quantum: float
     """LSB, in y's unit; 0 if none is found."""
     largest_step: float
-    """|Δu|, in u's unit."""
+    """Largest change |Δu| between two samples, in u's unit."""
     changes: int
     """Number of changes of u."""
     acceleration: float
     """b, the second derivative of y just after a unit step of u."""
     t_q: float | None
-    """sqrt(2 LSB / (b |Δu|)) in s; None if y is not quantised."""
+    """Time for which quantisation hides the response, sqrt(2 LSB / (b |Δu|)), in s; None if y is
+    not quantised."""
 
 
 def _readings(data: Dataset, response: ImpulseResponse, first: int) -> _Readings:
@@ -261,7 +263,7 @@ def _readings(data: Dataset, response: ImpulseResponse, first: int) -> _Readings
 
 
 def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, list[str]]:
-    """Return the least nk that is not ruled out, and a remark if quantisation lowers it."""
+    """Return the least nk that is not ruled out, and a remark if quantisation lowers this nk."""
     if read.t_q is None or read.changes >= _MAX_FEW_CHANGES or onset.last <= 1:
         return onset.first, []
     hidden = ceil(read.t_q / Ts)
@@ -274,14 +276,15 @@ def _hidden_by_steps(onset: _Onset, read: _Readings, Ts: float) -> tuple[int, li
 def determined_lags(data: Dataset, most: int) -> int:
     """Return the number of successive lags of u whose coefficients u determines, at most `most`.
 
-    A lag is determined if sqrt(1 - R²) of its regression on the lags before it is large enough.
+    A lag is determined if its regression on the earlier lags has a sqrt(1 - R²) that is large
+    enough.
 
     Raises
     ------
     ValueError
-        u determines too few lags. Such a u has power only in a narrow band, and its own past
-        determines it. The effect of a coefficient beyond the last lag of the model would then
-        appear near lag 0.
+        u determines too few lags. Such a u has power only in a narrow band, so that u follows from
+        its own past. The effect of coefficients after the last lag of the model would then appear
+        near lag 0.
     """
     R = triangle(_windows_of_u(data, most), most)
     own = np.abs(np.diag(R)) > _MIN_OWN_SHARE * column_norms(R)
@@ -295,7 +298,7 @@ def determined_lags(data: Dataset, most: int) -> int:
 
 
 def _windows_of_u(data: Dataset, length: int) -> Iterator[Matrix]:
-    """Yield u(t), u(t - 1) … about its mean in each experiment, in blocks of rows."""
+    """Yield rows u(t), u(t - 1) … of each experiment, minus the mean of u, in blocks."""
     for part in data.experiments():
         if length <= part.N:
             windows = np.lib.stride_tricks.sliding_window_view(part.u - part.u.mean(), length)

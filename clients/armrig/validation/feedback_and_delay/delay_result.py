@@ -20,36 +20,40 @@ class Delay:
     """The first lag at which u acts."""
 
     nk: int
-    """First lag at which u acts: the least lag that is not ruled out. For a rig without delay under
-    a zero-order hold nk is 1; nk is 0 only if lag 0 itself is significant."""
+    """First lag at which u acts: the least lag that is not ruled out. If a rig without delay has a
+    zero-order hold, nk is 1. nk is 0 only if lag 0 itself is significant."""
     interval: tuple[int, int]
-    """Least and greatest nk that the data do not rule out, each test at 0.1 %."""
+    """Least and greatest nk that the data do not rule out; each test has the level 0.1 %."""
     may_be_feedback: bool
-    """True if lag 0 may be feedback: a u(t) that depends on y(t) looks like a direct term."""
+    """True if feedback may cause the coefficient at lag 0: a u(t) that depends on y(t) looks like a
+    direct term."""
     p_values: dict[int, float]
     """p value by lag k, up to the first significant lag. The hypothesis is that u does not act at
     lag k or at an earlier lag."""
     before: Before | None
-    """Test whether u may act, unseen, just before the first significant lag. None at lag 0."""
+    """Test whether u may act one lag before the first significant lag, with an effect too small to
+    see. None if the first significant lag is 0."""
     misfit: dict[int, float]
-    """Chi-squared of a smooth onset by its first lag, two degrees of freedom. It is empty if the
-    tests of the first coefficients determine nk, or if the output does not begin smoothly."""
+    """Chi-squared of a smooth onset by its first lag, with two degrees of freedom. The mapping is
+    empty if the tests of the first coefficients determine nk, or if the onset of the output is not
+    smooth."""
     arx_loss: dict[int, float]
-    """Loss of the model by its nk, in y's unit squared; the last lag of u is the same for all."""
+    """Loss of the ARX model by its nk, in y's unit squared; all models have the same last lag of
+    u."""
     response: ImpulseResponse
     """Plain impulse response, with bands."""
     integrator: bool
     """True if y was taken as integrating; `remarks` contains the reason if the data decided."""
     na: int
-    """Order of A in the ARX model, by AIC. It is 0 if too many samples are missing; then the plain
-    impulse response was tested."""
+    """Order of A in the ARX model, by AIC. If too many samples are missing, the order is 0, and the
+    plain impulse response was tested instead."""
     t_q: float | None
     """Time in s for which quantisation hides the response to the largest change of u, sqrt(2 LSB /
     (b |Δu|)); None if y is not quantised."""
     quantum: float
     """LSB, the quantisation step of y; 0 if none is found."""
     largest_step: float
-    """|Δu|, in u's unit."""
+    """Largest change |Δu| between two samples, in u's unit."""
     remarks: tuple[str, ...]
     """Limits of the answer."""
     acceleration: float
@@ -77,9 +81,9 @@ class Delay:
 
     @property
     def delay(self) -> int:
-        """Samples of delay in addition to the sample of the hold, nk - 1; -1 is a direct term.
+        """Delay in samples, in addition to the sample of the hold: nk - 1; -1 for a direct term.
 
-        If several delays are possible, this value is the least of them.
+        If several delays are possible, this value is the least possible delay.
         """
         return self.nk - 1
 
@@ -113,7 +117,7 @@ class Delay:
                 f"at t_q = sqrt(2 LSB / (b Δu)) = {1e3 * self.t_q:.2g} ms, "
                 f"{self.t_q / self.Ts:.2g} samples. Here b is the mean acceleration per unit of "
                 "input until t_q, from the impulse response. On one step response t_q looks like "
-                "dead time; over many steps it averages out."
+                "dead time; over many steps this effect averages out."
             )
         return "\n".join([*lines, *(f"Note: {r}." for r in self.remarks)])
 

@@ -62,9 +62,9 @@ def plot_open_loop(result: OpenLoop, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
-    """Show the first coefficients with their band and, below, the losses by nk.
+    """Show the first coefficients with their band; the lower panel shows the losses by nk.
 
-    Band and dotted line are at the level of the tests, 0.1 %.
+    The band and the dotted line correspond to the level of the tests, 0.1 %.
     """
     ax, below = panels(ax, 0.5, sharex=False)
     last = result.nk + _BEYOND
@@ -93,7 +93,7 @@ def plot_delay(result: Delay, *, ax: Axes | None = None) -> Axes:
 
 
 def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> None:
-    """Show the decaying coefficients `first` … `last` with their 99.9 % band about zero."""
+    """Show coefficients `first` … `last` of the decaying response, with a 99.9 % band."""
     g, std = response.decaying
     shown = (response.lags >= first) & (response.lags <= last)
     _stems(ax, response.lags[shown], g[shown], _BAND_99_9_PERCENT * std[shown], "99.9 %")
@@ -105,7 +105,7 @@ def _response(ax: Axes, response: ImpulseResponse, first: int, last: int) -> Non
 
 
 def _stems(ax: Axes, lags: NDArray[np.int_], g: Vector, band: Vector, share: str) -> None:
-    """Show coefficients, and the band that contains the given share of coefficients that are 0."""
+    """Show coefficients, and the band with the probability `share` for a coefficient that is 0."""
     ax.fill_between(
         lags,
         -band,

@@ -33,14 +33,15 @@ _COEFFICIENTS_AFTER_FIRST = 40
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Before:
-    """Test of the lag before the first significant lag, at which u may act unseen."""
+    """Test whether u may act, too weakly to be seen, one lag before the first significant lag."""
 
     k: int
     """The lag."""
     found: float
     """Size of the lag's coefficient, in σ."""
     predicted: float
-    """Least size of the coefficient if u acted first at this lag, in σ, from later coefficients."""
+    """Least size, in σ, that the coefficient would have if u acted first at this lag. The size is
+    computed from later coefficients."""
     p_value: float
     """One-sided p value of the hypothesis that u acts first at this lag."""
 
@@ -64,7 +65,7 @@ class LagTests:
     na: int
     """Order of A; 0 if the model is an impulse response."""
     N: int
-    """Rows used."""
+    """Number of rows used."""
 
     @property
     def shown(self) -> int:
@@ -81,7 +82,8 @@ class LagTests:
 
         A first coefficient is at least 1/(1 + 3 n) of any coefficient n samples later. The slowest
         onset of a mechanical rig, t²/2 under a hold, has the ratio 1/(1 + 2 n). If the response
-        begins more slowly, the bound is the ratio of its own onset, (t/Ts)^d under a hold.
+        begins more slowly, the bound is computed from the onset of the response itself, (t/Ts)^d
+        under a hold.
         """
         from scipy.special import ndtr
 
@@ -98,7 +100,7 @@ class LagTests:
         )
 
     def _as_smooth(self, k: int) -> float:
-        """Return the coefficient at lag k of an onset s(j) = c (j - k + 1)^d through the response.
+        """Return the coefficient at lag k if the response begins like s(j) = c (j - k + 1)^d.
 
         s is the step response, and d is the steepest slope of log s over the first significant
         lags.
@@ -154,7 +156,7 @@ def lag_tests(
 
 
 def _rows(data: Dataset, na: int, lags: range) -> list[Matrix]:
-    """Return the complete rows [y lagged, u lagged, y] of each experiment, about their means."""
+    """Return the complete rows [y lagged, u lagged, y] of each experiment, minus their means."""
     blocks = []
     for part in data.experiments():
         rows = arx_rows(part.u, part.y, na=na, lags=lags)
@@ -228,7 +230,7 @@ def _orders(R: Matrix, most: int, lags: int, N: int) -> tuple[int, int]:
 def _in_response(response: ImpulseResponse, first: int) -> LagTests:
     """Return Wald tests of the plain impulse response's first coefficients.
 
-    With the covariance L L^T the components of L^-1 g are independent, and component k times L_kk
+    If g has the covariance L L^T, the components of L^-1 g are independent. Component k times L_kk
     is g(k) of the response that begins at lag k.
     """
     g, _ = response.decaying

@@ -34,11 +34,12 @@ class OpenLoop:
     """p value of Sims' test; H0: u(t), u(t + 1), … do not depend on y(t). NaN if the data do not
     decide."""
     level: float
-    """Level of the test: share of open-loop experiments in which it finds feedback."""
+    """Level of the test: share of open-loop experiments in which the test finds feedback by
+    chance."""
     sims: Sims | None
     """Numbers of the test; None if the data do not decide."""
     exact: bool
-    """True if u(t) is a y(t) + b in every sample, as under a P controller with a constant set
+    """True if u(t) = a y(t) + b in every sample, as under a P controller with a constant set
     point."""
     remarks: tuple[str, ...]
     """Limits of the answer, or the reason why there is no answer."""
@@ -64,7 +65,7 @@ class OpenLoop:
 
     @property
     def may_be_direct_term(self) -> bool:
-        """True if u(t) depends on y(t), but no later u does: a direct term looks the same."""
+        """True if u(t) depends on y(t), but later u do not: a direct term looks the same."""
         s = self.sims
         return s is not None and not self.exact and s.p_value < self.level <= s.p_later
 
@@ -100,8 +101,8 @@ class OpenLoop:
         F = f"{s.F:.3g}" if s.F < _MAX_SHOWN_F else f"more than {_MAX_SHOWN_F:.0e}"
         return (
             f"Finding: it explains {percent(100 * max(s.explained, 0.0))} of the part of "
-            f"{self.output} that the past leaves; F = {F} with {s.q} and {s.degrees} degrees of "
-            f"freedom, p {p_relation(self.p_value)}."
+            f"{self.output} that the past does not explain; F = {F} with {s.q} and {s.degrees} "
+            f"degrees of freedom, p {p_relation(self.p_value)}."
         )
 
     def _so(self) -> list[str]:
@@ -206,7 +207,7 @@ def open_loop(data: Dataset, level: float = 0.05) -> OpenLoop:
 
 
 def _is_exact(data: Dataset) -> bool:
-    """Return whether u(t) is a y(t) + b in every sample."""
+    """Return whether u(t) = a y(t) + b in every sample."""
     u, y = data.u[data.valid], data.y[data.valid]
     if u.size < 2 or np.ptp(u) == 0 or np.ptp(y) == 0:
         return False
@@ -216,10 +217,10 @@ def _is_exact(data: Dataset) -> bool:
 
 
 def _remarks(found: Sims, level: float, *, exact: bool) -> tuple[str, ...]:
-    """Return a remark if u is computed from y(t), or if only u(t) depends on y(t)."""
+    """Return a remark if u is computed from y(t), or if u(t), but no later u, depends on y(t)."""
     if exact:
         return (
-            "u(t) is a y(t) + b in every sample, as under a P controller with a constant set "
+            "u(t) = a y(t) + b in every sample, as under a P controller with a constant set "
             "point: such data show the controller, not the rig; change the set point",
         )
     if found.p_value < level <= found.p_later:

@@ -20,7 +20,7 @@ Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 FUTURE = 5
-"""Samples of u that are tested: u(t) … u(t + 4)."""
+"""Number of samples of u that are tested: u(t) … u(t + 4)."""
 _LAGS_PER_DECADE = 15  # of N
 _MOST_LAGS = 60
 _LEAST_LAGS = 4
@@ -50,9 +50,9 @@ class Sims:
     degrees: int
     """Degrees of freedom of the denominator."""
     p: int
-    """Past samples of y and of u in the regression."""
+    """Number of past samples of y, and of u, in the regression."""
     explained: float
-    """Share, 0 to 1, that future u explains of the part of y that the past leaves."""
+    """Share (0 to 1) of y's variance, given the past, that future u explains."""
     lags: NDArray[np.int_]
     """Lags -(q - 1) … p of the coefficients; at 0 and below, u is applied after y is read."""
     coefficients: Vector
@@ -60,7 +60,7 @@ class Sims:
     std: Vector
     """Standard deviations of the coefficients."""
     N: int
-    """Rows used."""
+    """Number of rows used."""
 
 
 def sims(data: Dataset) -> Sims:
@@ -79,16 +79,16 @@ def sims(data: Dataset) -> Sims:
     past; to that test, a PRBS, a held input and a low-pass input look like feedback.) In closed
     loop u(t) contains the noise of y(t).
 
-    p = 15 lg N, at most 60. The sums w represent the input more than p samples ago; without them,
-    future u could replace the missing past in open loop. y's past has more lags than the plant has
-    poles, so the F distribution also holds if y integrates: see [2] and [3].
+    p = 15 lg N, at most 60. The sums w represent the input more than p samples ago. Without these
+    sums, future u could replace the missing past in open loop. y's past has more lags than the
+    plant has poles, so the F distribution also holds if y integrates: see [2] and [3].
 
-    A missing y(t) removes its own row. In later rows the missing y is interpolated on a line
-    between its neighbours. The later neighbour is y(t) or earlier, so the interpolation contains no
-    effect of future u. No row extends over the end of an experiment or over a gap longer than p/2.
+    A missing y(t) removes its own row. In later rows the missing y is interpolated linearly between
+    its neighbours. The later neighbour is y(t) or earlier, so the interpolation contains no effect
+    of future u. No row extends over the end of an experiment or over a gap longer than p/2.
 
-    Time is linear in N. The memory in addition to u and y is constant, because the QR factorisation
-    computes R block by block.
+    The computing time is proportional to N. The memory in addition to u and y is constant, because
+    the QR factorisation computes R block by block.
 
     Raises
     ------
@@ -163,7 +163,7 @@ class _Piece:
     p: int
 
     def rows(self, constants: int) -> Iterator[Array]:
-        """Yield [1 of each experiment, past y, past u, sums, future u, y(t)] in blocks of rows."""
+        """Yield rows [constants, past y, past u, sums, future u, y(t)], in blocks."""
         past_y, u = (
             sliding_window_view(self.y, self.p + 1),
             sliding_window_view(self.u, self.p + FUTURE),
@@ -195,13 +195,13 @@ def _pieces(data: Dataset, p: int) -> Iterator[_Piece]:
 
 
 def _sums(u: Vector, p: int) -> Array:
-    """Return w_1(t - p) … (N, 3): sums of the input more than p samples ago, slowly forgotten."""
+    """Return w_1(t - p) … w_3(t - p), (N, 3): sums of the input more than p samples ago."""
     before = np.append(np.zeros(p + 1), u - u.mean())[: u.size]
     return np.column_stack([filtered([1.0], [1.0, slow / p - 1.0], before) for slow in _FORGETTING])
 
 
 def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
-    """Return R of the QR factorisation of all rows, and their number."""
+    """Return R of the QR factorisation of all rows, and the number of rows."""
     D = constants + 2 * p + len(_FORGETTING) + FUTURE + 1
     R, N = np.zeros((D, D)), 0
     for piece in _pieces(data, p):
@@ -212,7 +212,7 @@ def _factor(data: Dataset, constants: int, p: int) -> tuple[Array, int]:
 
 
 def _require_information(R: Array, constants: int, d: int, degrees: int) -> None:
-    """Refuse data that leave nothing to test."""
+    """Refuse data with too few samples, and data whose u or y follows from the past."""
     if degrees < d:
         raise InputError(
             f"the test for feedback needs {2 * d + FUTURE} samples with a complete past, got "

@@ -1,4 +1,4 @@
-"""The onset of an angle, t²/2, whose shape shows the first lag if the first sample does not."""
+"""Test of the first lag by the shape of the onset of an angle, t²/2."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ _MAX_EXTRA_LAGS = 4  # tested at either end of the range
 def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> dict[int, float]:
     """Return chi-squared of a smooth onset for each first lag.
 
-    OE models with different first lags are compared. Their numerator is 1 + q^-1 times a polynomial
-    of three coefficients, so the first coefficient is not free ::
+    OE models with different first lags k are compared. Their numerator is 1 + q^-1 times a
+    polynomial of three coefficients, so that the onset is smooth ::
 
         chi² = (N - d)(V_k - V_0)/V_0,      two degrees of freedom
 
-    V_0 is the least loss, including the loss of a model with a free numerator. The zero of a
-    second-order onset tends to -1 as the sampling time tends to 0 [1]_. If the first coefficient is
-    too small to see, the zero is therefore near -1. The range first … last is extended at each end,
-    by at most four lags, until chi² at that end exceeds its 1 % point.
+    V_k is the loss of the model with the first lag k. V_0 is the least loss of all these models and
+    of a model with a free numerator. The zero of a second-order onset tends to -1 as the sampling
+    time tends to 0 [1]_. If the first coefficient is too small to see, the zero is therefore near
+    -1. The range first … last is extended at each end, by at most four lags, until chi² at that end
+    exceeds its 1 % point.
 
     References
     ----------
@@ -56,12 +57,12 @@ def smooth_onsets(data: Dataset, first: int, last: int, *, integrator: bool) -> 
 
 
 def possible(misfit: dict[int, float]) -> tuple[int, int]:
-    """Return the least and the greatest lag that the onset may begin at.
+    """Return the least and the greatest lag at which the onset may begin.
 
     The square root of the misfit grows with the distance from the true onset. The best lag and the
-    lags with a misfit below its 1 % point are possible. Lags less than three times as far from the
-    true onset as the best lag are also possible. If the best lag is within a quarter sample of the
-    true onset, no other lag is possible.
+    lags with a misfit below its 1 % point are possible. A lag is also possible if its distance from
+    the true onset is less than three times the distance of the best lag. If the best lag is within
+    a quarter sample of the true onset, no other lag is possible.
     """
     least = min(misfit.values())
     bound = max(SURPRISING, least)
@@ -72,7 +73,7 @@ def possible(misfit: dict[int, float]) -> tuple[int, int]:
 
 
 def _averaged(data: Dataset) -> Dataset:
-    """Return the data with (u(t) + u(t - 1))/2 for u: the factor 1 + q^-1 of a smooth onset."""
+    """Return the data with input (u(t) + u(t - 1))/2: the factor 1 + q^-1 of a smooth onset."""
     before = np.concatenate([data.u[:1], data.u[:-1]])
     starts = list(data.starts)
     before[starts] = data.u[starts]

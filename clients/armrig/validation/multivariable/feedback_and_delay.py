@@ -1,7 +1,7 @@
 """Tests of feedback and of the delay, channel by channel.
 
-Each channel is tested alone. All delays at once would be a number of combinations that grows with
-the power of the number of channels.
+Each channel is tested alone. The number of combinations of delays, which a joint test would have to
+try, grows exponentially with the number of channels.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ByChannel(Generic[Result]):
     results: Mapping[Name, Result]
     """Result for each output and input."""
     refused: Mapping[Name, str]
-    """Reason for each channel without a result."""
+    """Reason why there is no result, for each channel without a result."""
 
     def __post_init__(self) -> None:
         """Make the mappings read-only."""
@@ -87,7 +87,7 @@ def delay(data: Signals, *, integrator: bool | None = None) -> ByChannel[Delay]:
 
         w = A y - sum of B_k u_k over k other than j = B_j u_j + e
 
-    B_j begins at the same lag as the channel.
+    The first lag of B_j is the first lag of the channel.
 
     Parameters
     ----------
@@ -99,7 +99,8 @@ def delay(data: Signals, *, integrator: bool | None = None) -> ByChannel[Delay]:
     Returns
     -------
     ByChannel
-        `Delay` of each output and input; a channel without a visible response has a reason.
+        `Delay` of each output and input. For a channel without a visible response, `refused`
+        contains the reason.
     """
 
     def of(channel: Dataset) -> Delay:
@@ -111,8 +112,8 @@ def delay(data: Signals, *, integrator: bool | None = None) -> ByChannel[Delay]:
 def open_loop(data: Signals, level: float = 0.05) -> ByChannel[OpenLoop]:
     """Test for feedback from each output to each input, one channel at a time.
 
-    The test is that of one output and input. With several channels, some reject by chance: at the
-    level 0.05, one of twenty.
+    The test of a channel is the test of one output and one input. In open loop, some tests find
+    feedback by chance: at the level 0.05, one of twenty tests.
 
     Parameters
     ----------
@@ -160,7 +161,7 @@ def _alone(data: Signals, output: str, input: str) -> Dataset:
 
 
 def _best_blocks(parts: list[Signals], output: str) -> list[Array]:
-    """Return [-y lags, u_1 lags, …, y] (N, n + nu (n + 1) + 1) of the order of least MDL."""
+    """Return [-y lags, u_1 lags, …, y] (N, n + nu (n + 1) + 1), for the order n of least MDL."""
     best: tuple[float, list[Array]] | None = None
     for n in _ORDERS:
         blocks = [_block(part, n) for part in parts]

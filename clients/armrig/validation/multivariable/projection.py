@@ -29,7 +29,8 @@ class Part:
     S: Array
     """Responses of e to the initial state and the ramps (N, ny, r)."""
     Psi: Array
-    """Derivatives of e by independent parameters of standard deviation 1, (N, ny, p)."""
+    """Derivatives of e with respect to independent parameters with standard deviation 1, (N, ny,
+    p)."""
     G: Array
     """Weights (N, ny, ny) of the estimator: it minimises the sum of |G(t) e(t)|²."""
 
@@ -90,7 +91,8 @@ def parts_of(fit: MultivariableFit, data: Signals) -> list[Part]:
 def _directions(fit: MultivariableFit) -> Array:
     """Return independent directions of theta, (d, p), each with standard deviation 1.
 
-    The covariance is singular for matrices of a state space, and for a root that is 1.
+    The covariance of theta is singular for the matrices of a state space, and if a root is fixed at
+    1.
     """
     scale = np.sqrt(np.maximum(np.diag(fit.covariance_robust), 1e-300))
     values, axes = np.linalg.eigh(fit.covariance_robust / np.outer(scale, scale))
@@ -123,8 +125,9 @@ class Projection:
     def applied(self, parts: Sequence[Part]) -> list[Part]:
         """Return the experiments with the residuals (1 - P) e.
 
-        They are (1 - P) v even if e was projected with other weights, or if the search ended
-        shortly before its minimum: P leaves any combination of B as it is.
+        These residuals are (1 - P) v even if e was projected with other weights, or if the search
+        ended shortly before its minimum. The reason is that P does not change any combination of
+        the columns of B.
         """
         e = [np.nan_to_num(part.e)[:, :, None] for part in parts]
         c = sum_of_products(self.WB, e)
@@ -144,7 +147,7 @@ class Projection:
 
 
 def projection(parts: Sequence[Part], *, own: bool) -> Projection:
-    """Return the projection on the initial states and ramps and, on own data, the parameters."""
+    """Return the projection on initial states, ramps and, on estimation data, the parameters."""
     bases = [orthonormal(_weighted(part, part.S)) for part in parts]
     ranks = np.cumsum([0, *(basis.rank for basis in bases)])
     B = []
@@ -165,7 +168,7 @@ def projection(parts: Sequence[Part], *, own: bool) -> Projection:
 
 
 def _weighted(part: Part, X: Array) -> Array:
-    """Return G X with the rows of all outputs below each other, (N ny, k)."""
+    """Return G X with the rows of all outputs in one matrix, (N ny, k)."""
     return (part.G @ X).reshape(-1, X.shape[2])
 
 

@@ -39,9 +39,9 @@ class PairTest:
     std: Array
     """Standard deviations of `correlation`, with the effect of the estimated parameters."""
     missing_dynamics: float
-    """p value of no correlation with past and present input."""
+    """p value of the hypothesis of no correlation with past and present input."""
     feedback: float
-    """p value of no correlation with future input."""
+    """p value of the hypothesis of no correlation with future input."""
 
     def __repr__(self) -> str:
         """Return the results of both tests."""
@@ -79,15 +79,18 @@ class SignalsResidualTest:
     cross_std: Array
     """Standard deviations of `cross_correlation`, with the effect of the estimated parameters."""
     missing_dynamics_by_pair: Array
-    """p value of no correlation with past and present input, for each pair, (ny, nu)."""
+    """p value of the hypothesis of no correlation with past and present input, for each pair, (ny,
+    nu)."""
     feedback_by_pair: Array
-    """p value of no correlation with future input, for each pair, (ny, nu)."""
+    """p value of the hypothesis of no correlation with future input, for each pair, (ny, nu)."""
     missing_dynamics: float
-    """p value of no correlation with past and present inputs, for all pairs together."""
+    """p value of the hypothesis of no correlation with past and present inputs, for all pairs
+    together."""
     feedback: float
-    """p value of no correlation with future inputs, for all pairs together."""
+    """p value of the hypothesis of no correlation with future inputs, for all pairs together."""
     allowance: float
-    """Factor by which the parameters' deviations widen the band of a typical cross-correlation."""
+    """Factor by which the parameters' uncertainty widens the band of a typical
+    cross-correlation."""
     on_estimation_data: bool
     """True if the parameters were estimated from these data; the tests account for this."""
     source: str
@@ -140,7 +143,7 @@ class SignalsResidualTest:
         )
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure with a row for each output: its residuals, and each input."""
+        """Return a figure with a row for each output: autocorrelation, cross-correlations."""
         from armrig.plots.layout import figure_of
         from armrig.validation.multivariable.figures import plot_signals_residuals
 
@@ -153,7 +156,7 @@ class SignalsResidualTest:
         return html(self)
 
     def __repr__(self) -> str:
-        """Return the joint tests first, then a line for each output and for each rejected pair."""
+        """Return a text: the joint tests, then a line for each output and each rejected pair."""
         where = "estimation" if self.on_estimation_data else "validation"
         counts = np.isfinite(self.e).sum(axis=0).tolist()
         missing = self.missing_dynamics < WHITE_LEVEL

@@ -24,24 +24,25 @@ from armrig.validation.multivariable.residual_test import SignalsResidualTest
 from armrig.validation.multivariable.whiteness import jointly_white, white_by_output
 
 _MIN_SUM_VARIANCE = 1e-4
-"""Share of the largest variance, of a direction of the sums that the parameters leave free.
+"""Least variance of a tested direction of the sums, as a share of the largest variance.
 
-The differences that approximate Psi leave sums in the other directions.
+In the other directions the estimated parameters make the sums 0, except for the error of the
+differences that approximate Psi.
 """
 
 
 def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> SignalsResidualTest:
     """Test whether the residuals are white and independent of the inputs, per pair and jointly.
 
-    With the sums s of e_i(t) u_j(t - k), and of e_i(t) e_j(t - k), each test is s^T M^-1 s against
-    chi-squared, corrected for the estimated variance of the noise. The residuals are e = (1 - P) v,
-    with the noise v and the projection P on the estimated parameters. Therefore s = Z^T e is H^T v
-    with H = (1 - P)^T Z, and ::
+    The tests use the sums s of e_i(t) u_j(t - k), and of e_i(t) e_j(t - k). Each test compares the
+    statistic s^T M^-1 s with the chi-squared distribution. A correction accounts for the estimated
+    variance of the noise. The residuals are e = (1 - P) v, with the noise v and the projection P on
+    the estimated parameters. Therefore s = Z^T e is H^T v with H = (1 - P)^T Z, and ::
 
         M = H^T R H                                              on estimation data
         M = H^T R H + (H^T Psi) cov(theta) (Psi^T H)             on other data
 
-    P contains the parameters only on estimation data. P has the weights of the estimator: Lambda^-1
+    P includes the parameters only on estimation data. P has the weights of the estimator: Lambda^-1
     if all outputs are estimated together. Psi is computed by central differences.
 
     Parameters
@@ -51,7 +52,7 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     data : Signals
         N samples.
     lags : int, optional
-        L, from 1 to half the number of residuals; 25 by default, fewer for short data.
+        Largest lag L, from 1 to half the number of residuals; 25 by default, fewer for short data.
 
     Returns
     -------
@@ -61,7 +62,7 @@ def residuals(fit: MultivariableFit, data: Signals, lags: int | None = None) -> 
     Raises
     ------
     ValueError
-        The model has other channels or another sampling time, or L is not possible.
+        The model and the data differ in channels or sampling time, or L is out of range.
 
     References
     ----------

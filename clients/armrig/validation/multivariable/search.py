@@ -1,4 +1,4 @@
-"""Search over models of several signals: the best on other data, and the simplest as good."""
+"""Search over models of several signals: a simple model that is as good as the best."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class SignalsSearch:
     failed: tuple[SignalsCandidate, ...]
     """Candidates without a usable model."""
     excess: Array
-    """Mean error of each candidate minus that of the best, (n,)."""
+    """Mean error of each candidate minus the mean error of the best candidate, (n,)."""
     excess_std: Array
     """Standard error of `excess`, (n,)."""
     chosen_index: int
@@ -67,9 +67,9 @@ class SignalsSearch:
     halved: bool
     """True if the second half of the data was used for validation."""
     horizon: int | None
-    """Samples predicted ahead; None is simulation."""
+    """Number of samples predicted ahead; None for simulation."""
     nk: int
-    """Samples before each input reaches the outputs."""
+    """Number of samples before each input affects the outputs."""
 
     @property
     def chosen(self) -> SignalsCandidate:
@@ -85,7 +85,7 @@ class SignalsSearch:
         return found
 
     def explain(self) -> str:
-        """Return the reasons for the choice, a sentence for each line."""
+        """Return the reasons for the choice, one sentence a line."""
         best, chosen = self.ranked[0], self.chosen
         where = "the second half of the data" if self.halved else "the validation data"
         how = "simulated" if self.horizon is None else f"predicted {self.horizon} ahead"
@@ -123,10 +123,11 @@ def search(
     horizon: int | None = None,
     progress: Callable[[int, int, str], object] | None = None,
 ) -> SignalsSearch:
-    """Estimate models of several orders, rank them on other data, choose the simplest as good.
+    """Estimate models of several orders, rank them on other data, and choose a simple good model.
 
     The error of a model is the sum over the outputs of the mean of (y - ŷ)² / var y. A model is as
-    good as the best if its excess is at most the standard error of the excess, from 30 batch means.
+    good as the best if its excess is at most the standard error of the excess. The standard error
+    is computed from 30 batch means. The simplest of the good models is chosen.
 
     Parameters
     ----------
@@ -135,23 +136,23 @@ def search(
     validation : Signals, optional
         Data to rank the models on; by default the second half of `data`.
     families : sequence of {"ss", "n4sid", "oe"}
-        Structures to try; "oe" has a shared denominator, and "ss" no K if
-        samples are missing.
+        Structures to try. "oe" has a shared denominator. If samples are missing, "ss" has no K.
     orders : iterable of int
         Numbers of poles, >= 1, without the poles of integrators.
     nk : int, default 1
-        Samples before each input reaches the outputs.
+        Number of samples before each input affects the outputs.
     integrator : bool, str or sequence of str, default False
-        Outputs with a pole at 1. Then only "oe" is tried, because a state space has none.
+        Outputs with a pole at 1. Then only "oe" is tried, because a state space has no fixed pole.
     horizon : int, optional
         Samples to predict ahead, >= 1; by default the models are simulated.
     progress : callable, optional
-        Called with the number of finished candidates, of all, and the name of the next one.
+        Called with the number of finished candidates, the number of all candidates, and the name of
+        the next candidate.
 
     Returns
     -------
     SignalsSearch
-        `fit` is the chosen model, `ranked` contains the usable ones.
+        `fit` is the chosen model, and `ranked` contains the usable models.
 
     Raises
     ------
@@ -256,7 +257,7 @@ def _mean(error: Array) -> float:
 
 
 def _free(fit: MultivariableFit) -> int:
-    """Return the number of free parameters; those of a state space without its coordinates."""
+    """Return the number of free parameters; the coordinates of a state space are not counted."""
     if fit.structure not in ("ss", "n4sid"):
         return int(fit.theta.size)
     A, B, C, D, _ = fit.state_space()

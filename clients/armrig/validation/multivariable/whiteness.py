@@ -22,7 +22,7 @@ def white_by_output(
 
 
 def jointly_white(parts: Sequence[Part], projected: Projection, L: int, *, own: bool) -> Whiteness:
-    """Test the residuals of all outputs together, at lags between the outputs, too.
+    """Test the residuals of all outputs together, with the correlations between outputs.
 
     The residuals are whitened across the outputs. Instants with a missing output are left out.
     """
@@ -40,10 +40,11 @@ def _white(
 ) -> Whiteness:
     """Test whether w = T e (m outputs of covariance 1) is white.
 
-    The sums are those of w_a(t) w_b(t - k), k = 1 … L. For a known model their variance is the
-    number of products. With the projection P on the estimated quantities, cov e is Lambda - B D^T -
-    D B^T. This shifts the means of the sums, and the influence H = (1 - P)^T Z reduces their
-    covariance. For one output this is `armrig.numerics.whiteness.portmanteau`.
+    The test uses the sums over t of w_a(t) w_b(t - k), k = 1 … L. For a known model their variance
+    is the number of products. With the projection P on the estimated quantities, cov e is Lambda -
+    B D^T - D B^T. The last two terms shift the means of the sums, and the influence H = (1 - P)^T Z
+    reduces the covariance of the sums. For one output the test equals
+    `armrig.numerics.whiteness.portmanteau`.
     """
     m = T.shape[0]
     used = np.flatnonzero(T.any(axis=0))
