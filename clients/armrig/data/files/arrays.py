@@ -28,7 +28,7 @@ def most_unpacked(packed: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArrayTable:
-    """Columns that already are numbers."""
+    """Columns whose values are already numbers."""
 
     columns: tuple[Column, ...]
     """Names of the columns; the columns of a matrix X are named `X:1`, `X:2` …"""

@@ -81,7 +81,7 @@ def chosen(table: Table, wanted: str, what: str) -> int:
     ----------
     wanted : str
         Name of the column, with or without its unit. Lower and upper case are distinguished only if
-        both exist. A number is an index unless a column has it as its name.
+        both exist. A number is an index unless it is the name of a column.
     what : str
         Purpose of the column for the message: input, signal or time.
 

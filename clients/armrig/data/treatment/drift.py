@@ -1,4 +1,4 @@
-"""Estimation of the output's drift, the part that the input does not explain."""
+"""Estimation of the output's drift: a linear change that the input does not explain."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def drift(
     Raises
     ------
     ValueError
-        The output integrates, so that its line is the response to the input, or there are too few
+        The output integrates (its line is then the response to the input), or there are too few
         samples.
 
     Examples
