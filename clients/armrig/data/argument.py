@@ -1,4 +1,4 @@
-"""Arguments of functions of data: a Dataset, or an object with `dataset()`, such as a Recording."""
+"""Arguments of functions that take data: a Dataset, or an object with a method `dataset`."""
 
 from __future__ import annotations
 

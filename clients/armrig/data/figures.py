@@ -119,7 +119,7 @@ def plot_data(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = N
 def plot_spectrum(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
     """Plot the power density of the output and, below it, of the input, on logarithmic axes.
 
-    The density is averaged over the stretches without a gap: see `armrig.numerics.power_spectrum`.
+    The density is averaged over the parts without a gap: see `armrig.numerics.power_spectrum`.
     A density that rises towards the right edge, the Nyquist frequency, shows noise or a sampling
     rate that is too low.
     """

@@ -142,8 +142,8 @@ class Signals:
         outputs_ = _names("outputs", outputs, "y", y_.shape[1])
         if both := sorted(set(inputs_) & set(outputs_)):
             raise InputError(
-                f"{', '.join(both)}: the name of an input and of an output; each channel needs a "
-                "name of its own"
+                f"{', '.join(both)}: the name of both an input and an output; each channel needs "
+                "its own name"
             )
         valid_ = np.isfinite(y_) & _validity(valid, y_.shape)
         for j, name in enumerate(inputs_):

@@ -142,7 +142,7 @@ def plot_sensitivities(
     seconds: float = 1.0,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot the changes of the chassis' speed after a step of u volts for 1 % larger parameters.
+    """Plot the change of the chassis' speed after a step of u volts if a parameter is 1 % larger.
 
     Parameters with equal effects share a curve.
     """

@@ -29,8 +29,8 @@ _FIELDS = frozenset(field.name for field in fields(Recording))
 HALF_TURN_S = 0.25
 """Shortest time, in s, in which the chassis can make half a turn.
 
-At 5 V the chassis turns at 5 V / (N K_m) = 9.3 rad/s and makes half a turn in 0.34 s. The margin is
-for the springs.
+At 5 V the chassis turns at 5 V / (N K_m) = 9.3 rad/s and makes half a turn in 0.34 s. The smaller
+value leaves a margin for the effect of the springs.
 """
 
 
@@ -41,7 +41,7 @@ def channels_of(
     Ts: float,
     before: NDArray[np.void],
 ) -> dict[str, Any]:
-    """Return the channels, their masks, and the rows where the number of turns gets uncertain."""
+    """Return the channels, their masks, and the rows at which the turns become uncertain."""
     found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
     for channel in telemetry.CHANNELS:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)

@@ -75,7 +75,7 @@ class Content:
     damage: str = ""
     """Left-out attachments, and the reason why reading ended early; "" for a complete file."""
     cut_off: bool = False
-    """True if reading ended because the file is truncated, without another error."""
+    """True if reading ended because the file is truncated, not because of another error."""
     read: int = 0
     """Number of bytes up to the end of the last complete record."""
     samples: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, SAMPLE_DTYPE))
@@ -318,7 +318,7 @@ def _check_opcode(opcode: int) -> None:
 
 
 def _text(body: bytes, at: int) -> str:
-    """Return the text at `at`; "" if the text is longer than any known name."""
+    """Return the text at byte `at` of a record; "" if the text is longer than any known name."""
     (n,) = struct.unpack_from("<I", body, at)
     struct.unpack_from(f"{n}x", body, at + 4)  # raises if the text exceeds the body
     return body[at + 4 : at + 4 + n].decode() if n <= _NAME_LIMIT else ""

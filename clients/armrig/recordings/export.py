@@ -128,7 +128,7 @@ def to_pandas(recording: Recording) -> DataFrame:
 
 
 def to_xarray(recording: Recording) -> XarrayDataset:
-    """Return the columns as an xarray.Dataset over t, each with its unit."""
+    """Return the columns as an xarray.Dataset over t, with the unit of each column."""
     xarray = imported("xarray", "xarray")
     found = columns(recording)
     about = {name: {"units": unit} for name, unit in _units().items()}

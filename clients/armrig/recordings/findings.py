@@ -28,7 +28,7 @@ Below the first ratio, a recording of 30 s determines the inertias only to some 
 second ratio, the recording does not determine the inertias.
 """
 MOST_HIDDEN = 0.15
-"""Largest share of samples without theta_1 that a dead band of an eighth of a turn causes."""
+"""Largest share of samples without theta_1 that a dead band of an eighth of a turn explains."""
 MOST_MISSING = 0.01
 TOO_FEW = 20
 """Least number of samples for an estimate of a model of this rig."""
@@ -224,7 +224,7 @@ class HiddenStep:
     NaN if the chassis rests before the step: the time then has no effect.
     """
     seconds: float
-    """Recommended length of the next run in s; the time after the step is as in this run."""
+    """Recommended length of the next run in s; the time after the step stays the same."""
 
 
 def hidden_step(r: Recording) -> HiddenStep | None:

@@ -120,7 +120,7 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
 
 
 def angle_of_jitter(timing: SamplingStatistics, data: Dataset) -> float:
-    """Return the error of an angle that results from jitter of the times of its readings.
+    """Return the error of an angle due to jitter of its sampling times.
 
     The error, in the unit of the data, is the product of the standard deviation of the interval and
     `fastest_rate`.

@@ -332,7 +332,7 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
 
 
 def _span(t: Vector, Ts: float) -> tuple[float, float]:
-    """Return the start of `t`, and the end one sampling time after its last time, rounded to ns."""
+    """Return start and end of `t`, rounded to ns; the end is one sampling time after the last."""
     return round(float(t[0]), 9), round(float(t[-1]) + Ts, 9)
 
 

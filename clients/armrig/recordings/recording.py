@@ -81,9 +81,9 @@ class Recording:
     u: Vector
     """Voltage in V at the motor's terminals from `t` on, (N,).
 
-    The device held this voltage until the next sample; the calibration converts it to the
-    terminals. For a missing sample, `u` is the voltage in the gap record, or NaN without a gap
-    record.
+    The device held the voltage until the next sample. The calibration converts the voltage of the
+    code to the voltage at the terminals. For a missing sample, `u` is the voltage in the gap
+    record, or NaN without a gap record.
     """
     theta_1: Vector
     """Unwrapped angle of the chassis in rad, (N,); NaN where `valid` is False."""
@@ -96,7 +96,7 @@ class Recording:
     sample.
     """
     valid_alpha: Mask
-    """Mask (N,) of alpha: False at a rail (an end of the converter's range) or if missing.
+    """Mask (N,) of alpha: False for a missing sample, and at a rail (end of the reading's range).
 
     The dead band of theta_1 has no effect on alpha. The sample after a rail is valid, because alpha
     does not make whole turns.
@@ -106,8 +106,7 @@ class Recording:
     present: Mask
     """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]
-    """Rows at which theta_1 may begin to be wrong by whole turns: many samples before are missing.
-    """
+    """Rows at which the turns of theta_1 become uncertain, because many samples are missing."""
     samples: NDArray[np.void]
     """Structured array of the samples that arrived, with raw counts and all times."""
     gaps: tuple[Gap, ...]
@@ -123,7 +122,7 @@ class Recording:
     truncated: bool
     """True if the file is incomplete or damaged: see `damage`."""
     cut_off: bool
-    """True if the file is truncated, without another error."""
+    """True if reading ended because the file is truncated, not because of another error."""
     damage: str
     """Damage of the file, and the amount of data that could be read; "" for a complete file."""
     part: tuple[float, float] | None = None

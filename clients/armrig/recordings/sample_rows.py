@@ -153,7 +153,7 @@ class SampleRows:
         if good < k.size:
             raise DamageError(
                 f"sample {k[good]} comes after sample {self.last_k}: each k must be larger than "
-                "the one before, and less than 2^62"
+                "the previous k, and less than 2^62"
             )
 
 

@@ -38,7 +38,7 @@ _START_S = (
 _MIN_LINE_SAMPLES = 4
 _NOISE_ORDER = 10
 FEW = 300
-"""With fewer samples, the standard deviations of a model of the rig are inaccurate."""
+"""Least number of samples for accurate standard deviations of a model of the rig."""
 _NORMAL_ENDS = (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED)
 _MIN_TURN_RAD = 0.5  # before the direction of the chassis is judged
 NO_MODEL = ("step", "staircase")
@@ -210,7 +210,7 @@ def doubts(recording: Recording) -> list[str]:
 
 
 def emulation(recordings: Sequence[Recording]) -> list[str]:
-    """Return a list with a sentence that names the emulated recordings; empty if none is."""
+    """Return a list with a sentence that names the emulated recordings; empty if there are none."""
     names = [r.path.name for r in recordings if r.manifest.emulated]
     if not names:
         return []
@@ -264,7 +264,7 @@ def doubts_of_estimation(recording: Recording) -> list[str]:
 
 
 def doubts_of_pair(first: Recording, other: Recording, *, one_plant: bool = True) -> list[str]:
-    """Return a sentence for each doubt about the validation of models of `first` with `other`.
+    """Return a sentence for each doubt about validating the models of `first` with `other`.
 
     Without `one_plant`, one recording may be of the chassis alone and the other of the whole rig.
     """

@@ -34,7 +34,7 @@ from armrig.recordings.recording_summary import REMOTE
 Vector = NDArray[np.float64]
 
 _CODE_V = U_MAX_V / CODE_FULL_SCALE
-"""Step in V of the codes that the device receives; requested voltages are rounded to it."""
+"""Step of the codes for voltages, in V; a requested voltage is rounded to a multiple of it."""
 MAX_DRIFT_PPM = 6_000.0
 """Largest drift, in ppm. A ceramic resonator is accurate to 5 000 ppm, a crystal to 100 ppm."""
 _MAX_JUMP_SIGMAS = 6.0

@@ -115,7 +115,7 @@ def read_mat(data: bytes) -> ArrayTable:
     Raises
     ------
     FileError
-        The file is damaged, or too large once unpacked.
+        The file is damaged, or its unpacked size is too large.
     """
     arrays: dict[str, Any] = {}
     refused: dict[str, str] = {}
@@ -157,7 +157,7 @@ def read_npz(data: bytes) -> ArrayTable:
     Raises
     ------
     FileError
-        The file is a ZIP archive without arrays, is damaged, or is too large once unpacked.
+        The file is a ZIP archive without arrays, it is damaged, or its unpacked size is too large.
     """
     arrays: dict[str, Any] = {}
     refused: dict[str, str] = {}

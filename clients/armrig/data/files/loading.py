@@ -97,7 +97,7 @@ def load_signals(
 ) -> Signals:
     r"""Load several inputs and outputs of a file: CSV, another text table, .mat or .npz.
 
-    The file is read as by `load_data`. The name of a matrix, such as u of a saved iddata structure,
+    The file is read as in `load_data`. The name of a matrix, such as u of a saved iddata structure,
     chooses all its columns. If an input is missing at an instant, the instant is left out, and a
     new experiment begins after it. If an output is missing, the other outputs are kept.
 

@@ -142,5 +142,5 @@ def _same_but_for_case(column: Column, wanted: str) -> bool:
 
 
 def _same_last_part(column: Column, wanted: str) -> bool:
-    """Return whether the column is the named field of a structure: `u` of `data.u`."""
+    """Return whether the column is the named field of a structure, such as `u` for `data.u`."""
     return "." in column.name and column.name.rpartition(".")[2] == wanted

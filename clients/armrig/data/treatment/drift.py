@@ -97,14 +97,14 @@ def _drift_of(part: Dataset, n: int) -> Drift:
     needed = 4 * n + 10
     if part.N - part.missing < needed:
         raise InputError(
-            f"an experiment has {part.N - part.missing} samples; a drift by a model of order {n} "
+            f"an experiment has {part.N - part.missing} samples; a drift estimate of order {n} "
             f"needs {needed}: lower the order"
         )
     model = whitening([(part.u, part.y)], n, slope=True)
     if model.rows < needed - n:
         raise InputError(
             f"{model.rows} samples of an experiment follow {n} samples without a gap; a drift "
-            f"by a model of order {n} needs {needed - n}: lower the order"
+            f"estimate of order {n} needs {needed - n}: lower the order"
         )
     gain = float(np.sum(model.A))
     rate = model.d / gain / part.Ts

@@ -134,7 +134,7 @@ class Integration:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the decision that a result shows; () if the caller or the name decides."""
+        """Notes on the decision, shown with a result; () if the caller or the name decides."""
         if not self.reason:
             return ()
         what = "taken as integrating (in Python integrator=False prevents this)"
@@ -144,8 +144,8 @@ class Integration:
 def integration(data: Dataset, integrator: bool | None) -> Integration:
     """Decide whether the output is taken as integrating.
 
-    If `integrator` is not None, it is the decision. Otherwise an output integrates if its name is
-    theta_1, or if the unit root test of `integrating` finds an integrator. The notes report the
+    If `integrator` is given, its value is the decision. Otherwise an output integrates if its name
+    is theta_1, or if the unit root test of `integrating` finds an integrator. The notes report the
     result of the test.
     """
     if integrator is not None:

@@ -109,7 +109,7 @@ def _searched(
     wrong: list[Mask],
     most: int,
 ) -> list[_Found]:
-    """Mark outliers in addition to `wrong`; return the masks, and y with the model's values.
+    """Mark outliers in addition to `wrong`; return the masks, and y with model values at outliers.
 
     If there are far more than `most` outliers, the search ends early. Otherwise it would take too
     long.
@@ -296,7 +296,7 @@ def hampel(
     Returns
     -------
     Dataset or Signals
-        N samples. `valid` is False at outliers, and `history` lists the first of their numbers.
+        N samples. `valid` is False at outliers; `history` contains the numbers of the first ten.
 
     Raises
     ------

@@ -96,14 +96,14 @@ def greybox(
     output : str, default "theta_1"
         Label of the model's measured output.
     fixed_std : mapping of str to float, optional
-        Standard deviations of fixed parameters. The variances that they cause are added to the
-        variances of the estimates.
+        Standard deviations of fixed parameters. The variances that result from these standard
+        deviations are added to the variances of the estimates.
     friction : {"viscous", "coulomb", "both"}, optional
         Estimate the friction of the chassis too: b_1 in Nms/rad, T_c in Nm, or both. The default,
-        as in the handout, neglects friction. If viscous friction is neglected, it biases J_1. If
-        Coulomb friction is neglected, it biases J_1 if the chassis stops; otherwise u0 contains the
-        Coulomb friction. If T_c is estimated, u0 is estimated only with a bipolar input. With an
-        input of one sign, T_c and u0 cannot be distinguished, and u0 is 0.
+        as in the handout, neglects friction. Neglected viscous friction biases J_1. Neglected
+        Coulomb friction biases J_1 if the chassis stops. If the chassis does not stop, u0 contains
+        the Coulomb friction. If T_c is estimated, u0 is estimated only with a bipolar input. With
+        an input of one sign, T_c and u0 cannot be distinguished, and u0 is 0.
 
     Returns
     -------

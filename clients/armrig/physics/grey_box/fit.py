@@ -330,7 +330,7 @@ def by_experiment(
 
 
 def _spread(rows: Matrix, valid: NDArray[np.bool_]) -> Matrix:
-    """Return a matrix for all samples: the rows at the valid samples, zeros elsewhere."""
+    """Return a matrix for all samples, with `rows` at the valid samples and zeros elsewhere."""
     whole = np.zeros((valid.size, rows.shape[1]))
     whole[valid] = rows
     return whole

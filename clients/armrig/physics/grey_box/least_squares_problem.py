@@ -25,7 +25,7 @@ _MIN_REVERSED_SHARE = 0.05  # least share of samples of either sign in a bipolar
 
 
 def bipolar(u: Vector) -> bool:
-    """Return whether an input has both signs, so that friction differs from an offset."""
+    """Return True if an input has both signs; friction then differs from an offset."""
     return bool(min(np.mean(u > 0), np.mean(u < 0)) >= _MIN_REVERSED_SHARE)
 
 
@@ -168,7 +168,7 @@ class GreyBoxWithFriction:
         return [slice(a, b) for a, b in pairwise(edges)]
 
     def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix, list[tuple[int, int]]]:
-        """Return e (M,), derivatives in (`by`, T_c, x0, u0, …), and the rows of each experiment."""
+        """Return e (M,), derivatives by (`by`, T_c, x0, u0, …), and the rows of each experiment."""
         plain = self.plain
         own, first = len(plain.names) + 1, len(by) + 1
         values = plain.values(z[: own - 1])

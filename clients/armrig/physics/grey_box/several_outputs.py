@@ -272,7 +272,7 @@ def _both(found: Inference) -> tuple[Array, Array]:
 
 
 def _inference(problem: _Problem, at: _Linearised, basis: Basis) -> Inference:
-    """Return the covariance of the coordinates in both forms, and the quality for each output."""
+    """Return both covariances of the coordinates, and the quality for each output."""
     H = basis.Q @ basis.W.T
     begin, experiments = 0, []
     for data, e in zip(problem.experiments, at.e, strict=True):

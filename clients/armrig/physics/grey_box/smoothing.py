@@ -62,7 +62,7 @@ def reach(s: float, Ts: float) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Smoothed:
-    """Smoothed signals of one experiment; NaN where the kernel meets a missing sample or an end."""
+    """Smoothed signals of one experiment; NaN where the kernel needs samples that are missing."""
 
     velocity: Vector
     """Velocity (N,), in y's unit per s."""

@@ -96,7 +96,7 @@ def sinusoid(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Convergence:
-    """Error of one method against the step."""
+    """Error of one method as a function of the step."""
 
     method: str
     """Name of the method, as for `integrate`."""

@@ -47,7 +47,7 @@ _MAX_REST_STEPS = 10.0  # spread of readings at rest, in steps of the converter
 CLEAR = 8.0
 """Threshold of the arm's deflection, in standard deviations of noise; one step is added to it."""
 HAND_RAD = 0.02
-"""Smallest deflection by hand that determines alpha's sign, in rad; a touch causes less."""
+"""Smallest deflection by hand that determines alpha's sign, in rad; a light touch causes less."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,8 +129,8 @@ class Estimate:
         Parameters
         ----------
         base : Calibration
-            Calibration with the other values, such as the current calibration. The magnitude of
-            alpha's rad per count is always taken from `base`.
+            Calibration that contains the values that were not measured, such as the current
+            calibration. The magnitude of alpha's rad per count is always taken from `base`.
         made : Made
             Origin of the recordings, to which the measured values are added.
         """
@@ -285,7 +285,7 @@ def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
     """Return the sign of alpha's rad per count; 0 if no deflection of the arm was seen.
 
     When the motor accelerates the chassis from rest towards positive angles, the arm lags. alpha is
-    therefore negative first.
+    therefore negative at first.
 
     Parameters
     ----------

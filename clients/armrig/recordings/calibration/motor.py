@@ -36,7 +36,7 @@ class TerminalVoltage:
 
     @property
     def gain(self) -> Figure:
-        """Volts at the terminals per volt of u."""
+        """Gain of the line: volts at the terminals per volt of u."""
         return Figure(value=float(self.line[1]), std=sqrt(float(self.covariance[1, 1])))
 
 

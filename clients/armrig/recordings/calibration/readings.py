@@ -148,7 +148,8 @@ def rounding_variance(step: float, noise: float) -> float:
 
         step² / (2 pi²) · sum over k >= 1 of exp(-(2 pi k sigma / step)²) / k²
 
-    Without noise, this variance is step² / 12. With a noise of half a step or more, it is almost 0.
+    Without noise, this variance is step² / 12. With a noise of half a step or more, this variance
+    is almost 0.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ from armrig_core.calibration import Calibration
 from armrig_core.manifest import Manifest
 
 STALE_DAYS = 30
-"""Age of a calibration at the time of a recording above which the calibration is stale, in days."""
+"""Largest age of a calibration at the time of a recording, in days, before it counts as stale."""
 
 
 def remarks(calibration: Calibration | None, manifest: Manifest) -> list[str]:
