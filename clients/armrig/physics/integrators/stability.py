@@ -1,9 +1,9 @@
 """The largest step at which a method is absolutely stable on a given system.
 
 For each eigenvalue lambda the roots of the stability polynomial pi(zeta; h lambda) must be inside
-the unit circle. The reduction of Schur and Cohn converts this condition into the signs of a few
-polynomials in h. A finite limit other than 0 is a root of one of these polynomials, so that no scan
-over h is necessary.
+the unit circle. The reduction of Schur and Cohn converts this condition into conditions on the
+signs of a few polynomials in h. A finite limit other than 0 is a root of one of these polynomials,
+so that no scan over h is necessary.
 
 References
 ----------

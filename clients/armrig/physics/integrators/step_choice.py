@@ -84,8 +84,9 @@ def recommend_step(
 ) -> Recommendation:
     """Return for each method the largest stable step with an error within the tolerance.
 
-    The step is computed from the order p of the method, because the error falls as h^p. The step is
-    verified: its error is measured against the exact solution for u = amplitude sin(omega t).
+    The step is computed from the order p of the method, because the error falls as h^p. If a
+    solution with the step is short enough, its error is then measured against the exact solution
+    for u = amplitude sin(omega t).
 
     Parameters
     ----------
