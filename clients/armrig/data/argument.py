@@ -1,4 +1,4 @@
-"""Arguments of functions of data: a Dataset, or an object with `dataset()`, such as a Recording."""
+"""Arguments of functions that take data: a Dataset, or an object with a method `dataset`."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _MAX_SHOWN_CHARACTERS = 20
-"""Number of characters up to which a message quotes the value of an argument."""
+"""Largest number of characters of an argument's value that a message quotes."""
 
 
 class HasDataset(Protocol):
-    """An object from which `dataset()` returns a Dataset; the output of a recording is theta_1."""
+    """An object with a method `dataset`; for a recording, the output of the Dataset is theta_1."""
 
     def dataset(self) -> Dataset:
         """Return u and y."""

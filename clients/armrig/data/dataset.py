@@ -51,16 +51,16 @@ class Dataset:
     Parameters
     ----------
     u, y : array_like, shape (N,)
-        Input, held from each instant to the next (zero-order hold), and output. If y is a masked
-        array, its masked samples are missing; u must not be masked.
+        Input and output. The input is held from each instant to the next (zero-order hold). If y is
+        a masked array, its masked samples are missing; u must not be masked.
     Ts : float
         Sampling time in s.
     valid : array_like of bool, shape (N,), optional
         False where y is missing. At these samples `y` is NaN, and every result computed from them
         is NaN. A missing value of a pandas column is also missing in the Dataset.
     starts : sequence of int, default (0,)
-        Index of the first sample of each experiment; no equation contains samples of two
-        experiments.
+        Index of the first sample of each experiment. Estimators never combine samples of two
+        experiments in an equation.
     output, unit, input_unit : str
         Name of y, its unit, and the unit of u.
     source : str
@@ -106,7 +106,7 @@ class Dataset:
     history: tuple[str, ...]
     """Steps of the treatment, first to last, one sentence for each."""
     trends: tuple[Trend, ...]
-    """Trend removed from each experiment; () if there is none, or if it cannot be restored."""
+    """Trend removed from each experiment; () without a trend, or if no trend can be restored."""
 
     @checked_call
     def __init__(
@@ -192,7 +192,7 @@ class Dataset:
         return hashlib.blake2b(b"".join(x.tobytes() for x in arrays), digest_size=8).hexdigest()
 
     def origin(self) -> dict[str, Any]:
-        """Return the fields of a `Fit` that describe its data, such as units and history.
+        """Return the facts about the data that a `Fit` stores, such as units and history.
 
         Examples
         --------
@@ -212,8 +212,8 @@ class Dataset:
         Parameters
         ----------
         kind : {"time", "spectrum", "values"}
-            Plot against time, the power spectra, or a histogram of the values: see `plot_data`,
-            `plot_spectrum` and `plot_values` of `armrig.plots`.
+            Plot the signals against time, their power spectra, or histograms of their values: see
+            `plot_data`, `plot_spectrum` and `plot_values` of `armrig.plots`.
 
         Examples
         --------
@@ -310,7 +310,7 @@ class Dataset:
             yield self[a:b]
 
     def select(self, *which: int) -> Dataset:
-        """Return some of the experiments, by their numbers from 0, in the order given.
+        """Return the experiments with the given numbers, counted from 0, in the given order.
 
         Raises
         ------
@@ -422,7 +422,7 @@ def merged_datasets(parts: Sequence[Dataset]) -> Dataset:
 
 
 def joined_history(parts: Sequence[HasHistory]) -> tuple[str, ...]:
-    """Return the history of merged parts: the common steps, the other steps of each, the merge."""
+    """Return the history of merged parts: common steps, other steps of each part, and merge."""
     if len(parts) == 1:
         return parts[0].history
     common: list[str] = []
@@ -456,7 +456,7 @@ def _require_one_number(Ts: Any) -> None:
 
 
 def _mask(valid: ArrayLike) -> Mask:
-    """Return a copy of a validity mask; an entry that numpy masks becomes False."""
+    """Return a copy of a validity mask; a masked entry becomes False."""
     return np.array(np.ma.filled(np.ma.asanyarray(valid), False), dtype=np.bool_)
 
 

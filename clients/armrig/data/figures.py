@@ -75,7 +75,7 @@ class HasInputAndOutput(Protocol):
 def without_ramp(data: InputAndOutput) -> tuple[Vector, str, tuple[str, ...]]:
     """Return the ramp (N,) that dominates an output, the label of the axis, and legend lines.
 
-    The lines explain the label in the legend; there are none if the ramp is 0.
+    The legend lines explain the label. If the ramp is 0, there are no legend lines.
 
     In a plot of an angle that turns by 140 rad, only the mean rotation is visible. If a straight
     line explains nearly all of y, the slope of the line is removed and the label names the slope.
@@ -96,10 +96,10 @@ def without_ramp(data: InputAndOutput) -> tuple[Vector, str, tuple[str, ...]]:
 
 
 def plot_data(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
-    """Plot output and, below it, input against time; times without an output are shaded.
+    """Plot the output and, below, the input against time; times without an output are shaded.
 
-    A recording's output is theta_1. An output that is nearly a ramp is drawn without the ramp: see
-    `without_ramp`.
+    For a recording, the output is theta_1. An output that is nearly a ramp is drawn without the
+    ramp: see `without_ramp`.
     """
     data = _data_of(source)
     ax, below = panels(ax, 0.28)
@@ -119,7 +119,7 @@ def plot_data(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = N
 def plot_spectrum(source: InputAndOutput | HasInputAndOutput, *, ax: Axes | None = None) -> Axes:
     """Plot the power density of the output and, below it, of the input, on logarithmic axes.
 
-    The density is averaged over the stretches without a gap: see `armrig.numerics.power_spectrum`.
+    The density is averaged over the parts without a gap: see `armrig.numerics.power_spectrum`.
     A density that rises towards the right edge, the Nyquist frequency, shows noise or a sampling
     rate that is too low.
     """

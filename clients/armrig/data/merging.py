@@ -1,4 +1,4 @@
-"""Several experiments as one value."""
+"""Merge of several experiments into one Dataset, or into one Signals object."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def merge(parts: Sequence[Dataset]) -> Dataset: ...
 def merge(parts: Sequence[Signals]) -> Signals: ...
 @checked_call
 def merge(parts: Sequence[Any]) -> Dataset | Signals:
-    """Return several experiments as one value, with boundaries between them.
+    """Return several experiments as one Dataset or Signals object that keeps them separate.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ def is_pandas(values: Any) -> bool:
 
 
 def present(y: Any, valid: Any) -> Any:
-    """Return `valid`, set to False where y is missing if y is a pandas column."""
+    """Return `valid`; if y is a pandas column, `valid` is False at the missing values of y."""
     if is_pandas(valid):
         valid = valid.to_numpy(dtype=np.bool_, na_value=False)
     if not is_pandas(y):

@@ -1,4 +1,4 @@
-"""Choice between the functions of one input and output and those of several."""
+"""Choice between a function for one input and output, and its variant for several signals."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _NOTE = """\
-    `Signals` with several inputs or outputs are accepted, too. Their parameters and result are
-    those of `{home}.{name}`."""
+    `Signals` with several inputs or outputs are accepted, too. For these Signals, the parameters
+    and the result are described in `{home}.{name}`."""
 
 
 def accepts_signals(home: str) -> Callable[[Callable[P, R]], Callable[P, R]]:

@@ -30,7 +30,7 @@ Intersample = Literal["zoh", "foh"]
 Names = str | Sequence[str]
 
 _MAX_INTERVAL_DEVIATION = 1e-3
-"""Largest deviation of an interval from the mean interval, as a share, for equidistant times."""
+"""Largest relative deviation of an interval from the mean interval, for equidistant times."""
 _MAX_SHOWN = 12  # names in a message
 
 
@@ -38,20 +38,21 @@ _MAX_SHOWN = 12  # names in a message
 class Signals:
     """N samples of nu inputs and ny outputs, from one or several experiments.
 
-    A `Dataset` has one input and one output; `signals.dataset("alpha", "u")` returns the one of an
-    output and an input. Estimators of a Dataset also accept Signals of one input and one output.
+    A `Dataset` has one input and one output: `signals.dataset("alpha", "u")` returns the Dataset of
+    the output alpha and the input u. Estimators of a Dataset also accept Signals of one input and
+    one output.
 
     Parameters
     ----------
     u : array_like, shape (N, nu) or (N,)
-        Inputs, a column for each. A DataFrame also names them.
+        Inputs, one column for each input. The column names of a DataFrame name the inputs.
     y : array_like, shape (N, ny) or (N,)
-        Outputs, a column for each. NaN and masked values are missing.
+        Outputs, one column for each output. NaN and masked values are missing.
     Ts : float, optional
         Sampling time in s.
     t : array_like, shape (N,), optional
-        Sample times in s instead of Ts. They rise within each experiment. If they are equidistant,
-        Ts is their interval.
+        Sample times in s, instead of Ts. The times increase within each experiment. If the times
+        are equidistant, Ts is their interval.
     valid : array_like of bool, shape (N, ny) or (N,), optional
         False where an output is missing.
     starts : sequence of int, default (0,)
@@ -62,7 +63,7 @@ class Signals:
         Units of the inputs and of the outputs.
     intersample : {"zoh", "foh"} or sequence of these, default "zoh"
         Course of each input between samples: held, or a straight line. Models in discrete time do
-        not use it.
+        not use this setting.
     source : str
         Hash of the recording or data file; "" for data without a file.
     history : sequence of str
@@ -86,11 +87,11 @@ class Signals:
     u: Matrix
     """Inputs (N, nu)."""
     y: Matrix
-    """Outputs (N, ny); NaN where one is missing."""
+    """Outputs (N, ny); NaN where an output is missing."""
     Ts: float | None
     """Sampling time in s; None if the times are not equidistant."""
     times: Vector | None
-    """Sample times (N,) in s if they are not equidistant, else None."""
+    """Sample times (N,) in s; None if the times are equidistant."""
     valid: Mask
     """Mask (N, ny), False where an output is missing."""
     starts: tuple[int, ...]
@@ -141,8 +142,8 @@ class Signals:
         outputs_ = _names("outputs", outputs, "y", y_.shape[1])
         if both := sorted(set(inputs_) & set(outputs_)):
             raise InputError(
-                f"{', '.join(both)}: the name of an input and of an output; each channel needs a "
-                "name of its own"
+                f"{', '.join(both)}: the name of both an input and an output; each channel needs "
+                "its own name"
             )
         valid_ = np.isfinite(y_) & _validity(valid, y_.shape)
         for j, name in enumerate(inputs_):
@@ -178,7 +179,7 @@ class Signals:
 
     @property
     def N(self) -> int:
-        """Number of instants, including those with missing outputs."""
+        """Number of instants, including instants with missing outputs."""
         return int(self.u.shape[0])
 
     @property
@@ -193,7 +194,7 @@ class Signals:
 
     @property
     def t(self) -> Vector:
-        """Time (N,) in s: the sample times, or the time from the first sample."""
+        """Sample times (N,) in s; equidistant times begin at 0."""
         if self.times is not None:
             return self.times
         return self.equidistant() * np.arange(self.N, dtype=np.float64)
@@ -252,7 +253,7 @@ class Signals:
     def dataset(self, output: str | None = None, input: str | None = None) -> Dataset:
         """Return the Dataset of one output and one input.
 
-        A name may be left out if there is one such channel.
+        `output` may be left out if there is one output, and `input` if there is one input.
 
         Raises
         ------
@@ -383,7 +384,7 @@ class Signals:
     def treated(
         self, treatment: Callable[[Dataset], Dataset], channels: Names | None = None
     ) -> Signals:
-        """Return the signals after a treatment of a Dataset, applied channel by channel.
+        """Return the signals after a treatment, which is applied channel by channel.
 
         Parameters
         ----------
@@ -458,7 +459,7 @@ class Signals:
         )
 
     def replaced(self, *, step: str | None, **fields: Any) -> Signals:
-        """Return a copy with the given fields replaced and `step`, unless None, in its history.
+        """Return a copy with the given fields replaced; its history ends with `step` if given.
 
         Examples
         --------
@@ -514,7 +515,7 @@ class Signals:
 
 
 def merged_signals(parts: Sequence[Signals]) -> Signals:
-    """Return several experiments as one, with boundaries between them.
+    """Return several experiments as one Signals object that keeps them separate.
 
     Raises
     ------
@@ -552,7 +553,7 @@ def _sequence(all_names: tuple[str, ...], chosen: Names | None) -> tuple[str, ..
 
 
 def _listed(names: Sequence[str], units: Sequence[str] = ()) -> str:
-    """Return names, each with its unit, as text; of many names the first ones."""
+    """Return names with their units as text; a long list is cut off."""
     pairs = zip(names, units or [""] * len(names), strict=True)
     texts = [f"{name} [{unit}]" if unit else name for name, unit in pairs]
     return ", ".join(texts[:_MAX_SHOWN]) + (", …" if len(texts) > _MAX_SHOWN else "")
@@ -576,7 +577,7 @@ def _given_names(values: Any, names: Names | None) -> Names | None:
 
 
 def _columns(name: str, values: Any) -> Matrix:
-    """Return a copy (N, n) of the values, NaN for masked values, column by column in memory."""
+    """Return a column-major copy (N, n) of the values, with NaN for masked values."""
     if getattr(values, "ndim", 1) == 2 and is_pandas(values):
         values = np.column_stack([plain(name, values.iloc[:, j]) for j in range(values.shape[1])])
     given = np.ma.asanyarray(plain(name, values))
@@ -649,7 +650,7 @@ def _validity(valid: Any, shape: tuple[int, ...]) -> Mask:
 def _sampling(
     Ts: Any, t: ArrayLike | None, starts: tuple[int, ...], N: int
 ) -> tuple[float | None, Vector | None]:
-    """Return Ts, or None and the times if they are not equidistant."""
+    """Return (Ts, None) for equidistant samples, and (None, times) for other samples."""
     if (Ts is None) == (t is None):
         raise InputError("give either Ts, the sampling time in s, or t, the time of each sample")
     if t is None:

@@ -12,9 +12,9 @@ LINE = "line"
 """Code of a step that removed a straight line."""
 
 _PART = "part"
-"""First word of the code of a step that took a part; start and end, in s, follow."""
+"""First word of the code of a step that cut out a part; start and end of the part in s follow."""
 _SEVERAL_PARTS = "parts"
-"""Code of such a step of one of several merged parts."""
+"""Code of a step that cut out a part, if the part was then merged with others."""
 
 
 class Step(str):
@@ -36,19 +36,19 @@ def codes_of(history: Iterable[str]) -> list[str]:
 
 
 def took(text: str, start: float, stop: float) -> Step:
-    """Return the step that took the part from `start` to `stop`, in s from the first sample."""
+    """Return the step of a cut from `start` to `stop`, in s from the first sample."""
     return Step(text, f"{_PART} {start:.9g} {stop:.9g}")
 
 
 def in_merged(code: str) -> str:
-    """Return the code of a step of one of several merged parts."""
+    """Return the code that replaces the code of a step when its data are merged with others."""
     return _SEVERAL_PARTS if code.startswith(f"{_PART} ") else code
 
 
 def span_of(history: Iterable[str]) -> tuple[float, float] | None:
-    """Return the part of the source that data contain, in s; None if several parts are merged.
+    """Return start and end, in s, of the part of the source that the data contain.
 
-    The end is infinite if the data contain the whole source.
+    The end is infinite if nothing was cut off. The result is None if several parts are merged.
     """
     start, stop = 0.0, inf
     for code in codes_of(history):

@@ -1,4 +1,4 @@
-"""Trend that `detrend` removed from an experiment: a straight line of u and a line of y."""
+"""Trend that `detrend` removed from an experiment: one straight line for u and one for y."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Trend:
     """Slope of y, in y's unit per s."""
 
     def u(self, t: Vector) -> Vector:
-        """Return the line of u at times t, (n,); t is 0 at the experiment's first sample, in s."""
+        """Return the line of u at times t (n,), in s from the experiment's first sample."""
         return np.asarray(self.u_level + self.u_slope * t)
 
     def y(self, t: Vector) -> Vector:
-        """Return the line of y at times t, (n,); t is 0 at the experiment's first sample, in s."""
+        """Return the line of y at times t (n,), in s from the experiment's first sample."""
         return np.asarray(self.y_level + self.y_slope * t)
 
     def later(self, seconds: float) -> Trend:

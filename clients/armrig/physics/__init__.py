@@ -1,1 +1,1 @@
-"""The equations of the rig: as systems, sampled, integrated numerically, and fitted to data."""
+"""Equations of the rig: systems, sampled models, numerical integration, and fits to data."""

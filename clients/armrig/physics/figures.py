@@ -96,7 +96,7 @@ def plot_physical_step(
     Parameters
     ----------
     cases : mapping of str to ArmParameters, optional
-        Parameters of each label; the default is a single case with the parameters of the handout.
+        Sets of parameters by label; the default is a single set, the parameters of the handout.
         `beside_the_handout` of `armrig.physics.systems` returns a mapping of this form.
     u : float, default 1
         Height of the step in V.
@@ -142,7 +142,7 @@ def plot_sensitivities(
     seconds: float = 1.0,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot the effect of 1 % more of each parameter on the chassis' speed after a step of u volts.
+    """Plot the change of the chassis' speed after a step of u volts if a parameter is 1 % larger.
 
     Parameters with equal effects share a curve.
     """

@@ -1,4 +1,4 @@
-"""The physics of the whole arm as a model from voltage to angle, without an estimate."""
+"""Physical model of the whole arm, from voltage to angle, with given parameters."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Matrix = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class PhysicalModel(Model):
-    """The rig's equations, sampled; the model has no uncertainty, as nothing is estimated."""
+    """Sampled equations of the rig; the parameters are given, so the model has no uncertainty."""
 
     @property
     def label(self) -> str:
@@ -33,13 +33,13 @@ class PhysicalModel(Model):
         return "physics"
 
     def predict(self, data: Dataset, horizon: int | None = None) -> Vector:
-        """Return ŷ(t) (N,), as `armrig.Fit.predict` does; the default is simulation."""
+        """Return ŷ(t) (N,), as `armrig.Fit.predict` does; by default, the output is simulated."""
         from armrig.models.prediction import predicted
 
         return predicted(self, data, horizon)
 
     def summary(self) -> Summary:
-        """Return poles, zeros, gain, bandwidth and times; print it."""
+        """Return a summary of poles, zeros, gain, bandwidth and times, which can be printed."""
         from armrig.models.summary import summary
 
         return summary(self)
@@ -59,11 +59,11 @@ class PhysicalModel(Model):
 
 @checked_call
 def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
-    """Return the physics of the whole arm from u to the output of the data as a model.
+    """Return the physical model of the whole arm from u to the output of the data.
 
-    If the output of the data is alpha, the model is from u to alpha, which has no integrator. For
-    all other data the model is from u to theta_1. The model is sampled exactly for an input held
-    over Ts, see `transfer`. Its standard deviations are 0, because nothing is estimated.
+    If the output of the data is alpha, the model is from u to alpha and has no integrator. For all
+    other data the model is from u to theta_1. The model is sampled exactly for an input held over
+    Ts, see `transfer`. Its standard deviations are 0, because nothing is estimated.
 
     Examples
     --------
@@ -94,7 +94,7 @@ def physical_model(p: ArmParameters, data: Dataset) -> PhysicalModel:
 
 
 def transfer(A: Matrix, B: Matrix, c: Vector, Ts: float) -> tuple[Vector, Vector]:
-    """Return B(q) and F(q) from u, held over Ts, to y = c x, exactly sampled.
+    """Return B(q) and F(q) of the exactly sampled model from a held input u to y = c x.
 
     F is the characteristic polynomial of Phi = exp(A Ts). B consists of the first n + 1
     coefficients of F times the pulse response 0, c Gamma, c Phi Gamma, ….

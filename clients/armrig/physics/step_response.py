@@ -1,4 +1,4 @@
-"""Response of the physics to a step of the voltage, and the effect of each parameter."""
+"""Step response of the physical model, and the effect of each parameter on the response."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class Characteristics:
     initial_slope: float
     """Slope of the chassis' speed just after a step of one volt, in rad/(s² V)."""
     rigid_slope: float
-    """Slope if the arm were rigidly attached to the chassis, in rad/(s² V)."""
+    """Initial slope if the arm were rigidly attached to the chassis, in rad/(s² V)."""
     poles: NDArray[np.complex128]
     """Poles from u to theta_1, in 1/s, slowest first."""
     zeros: NDArray[np.complex128]
     """Zeros from u to theta_1, in 1/s."""
     rise_time: float
-    """The 63 % time of the speed, in s; the times are defined in `armrig.numerics.step_times`."""
+    """63 % time of the speed, in s, as defined in `armrig.numerics.step_times`."""
     equivalent_time: float
     """Time by which the angle lags the ramp of the steady speed, in s."""
     slowest_time: float
@@ -86,8 +86,8 @@ def characteristics(p: ArmParameters | None = None) -> Characteristics:
     Parameters
     ----------
     p : ArmParameters, optional
-        By default the values of the handout: steady speed 1.8623 rad/s per V, initial slope 98.40
-        rad/s² per V.
+        By default the values of the handout, which give a steady speed of 1.8623 rad/s per V and an
+        initial slope of 98.40 rad/s² per V.
 
     Examples
     --------
@@ -135,7 +135,7 @@ def _rise_time(p: ArmParameters, poles: NDArray[np.complex128], steady_speed: fl
 def step_response(
     p: ArmParameters, t: ArrayLike, *, u: float = 1.0, model: Model = arm, state: str = SPEED
 ) -> Vector:
-    """Return the exact response (len(t),) of a state to a step of u volts at t = 0 from rest.
+    """Return the exact response from rest, (len(t),), of a state to a step of u volts at t = 0.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def step_sensitivities(
     Raises
     ------
     ValueError
-        A name is unknown, or t is not equidistant from 0.
+        A name is unknown, or t is not equidistant or does not begin at 0.
 
     Examples
     --------
@@ -214,7 +214,7 @@ def step_sensitivities(
 def _stepped(
     p: ArmParameters, t: ArrayLike, by: Sequence[str], u: float, model: Model, state: str
 ) -> tuple[Sampled, Vector, int]:
-    """Return the sampled model with derivatives, the voltage at each time, the state's index."""
+    """Return the sampled model with derivatives, the voltages at times t, and a state's index."""
     times = np.asarray(t, dtype=np.float64)
     if times.ndim != 1 or times.size < 2 or times[0] != 0 or not _even(times):
         raise InputError(

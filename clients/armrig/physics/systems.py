@@ -22,8 +22,8 @@ HANDOUT = "handout"
 def beside_the_handout(p: ArmParameters) -> dict[str, ArmParameters]:
     """Return the cases that assignment 2.3 compares, by name.
 
-    The cases are the handout's parameters, each change in `p` alone, and all changes together if
-    there are several.
+    The first case contains the handout's parameters. Each further case changes one parameter to its
+    value in `p`. If `p` changes several parameters, the last case is `p`.
     """
     own = ArmParameters()
     changed = {f.name: getattr(p, f.name) for f in fields(p)}

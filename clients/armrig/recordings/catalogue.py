@@ -1,8 +1,8 @@
 """Catalogue of a folder: a table of its recordings, read without their samples.
 
 An index stores the facts about the recordings for later calls. The index is in the user's cache and
-not in the folder, because the folder may be read-only. An index that another user wrote is not
-trusted either. A damaged or outdated index is built again.
+not in the folder. The folder may be read-only, and an index that another user wrote there cannot be
+trusted. A damaged or outdated index is built again.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 
 WORTH_KEEPING = 100
-"""Least number of newly read files for which an index is written; 20 ms suffice for fewer files."""
+"""Least number of newly read files for which an index is written; fewer files take only 20 ms."""
 COLUMNS: dict[str, Any] = {
     "recording": np.object_,
     "run_id": np.object_,
@@ -64,7 +64,7 @@ COLUMNS: dict[str, Any] = {
 SIZE_LIMIT = 128 << 20
 """Largest index that is read or written, in B; 10 000 recordings take about 4 MB."""
 SETTLED_NS = 2_000_000_000
-"""Age in ns from which a file is settled.
+"""Least age in ns at which the times of a file show every later change.
 
 The times of a file system have a resolution of up to 2 s. A younger file may therefore change
 without a change of its times.
@@ -98,18 +98,18 @@ class Catalogue:
     folder: Path
     """Folder of the recordings."""
     recordings: tuple[RecordingSummary, ...]
-    """Summary of each whole recording; a long run has a summary for each part."""
+    """Summary of each complete recording; a long run has a summary for each part."""
     left_out: tuple[LeftOut, ...]
     """Files that are incomplete, unreadable or not recordings of armrig, with the reasons."""
     unfinished: tuple[Path, ...]
-    """Recordings in progress, or left by a daemon that died (`*.mcap.active`)."""
+    """Files `*.mcap.active`: recordings in progress, or recordings of a daemon that died."""
 
     def __len__(self) -> int:
         """Return the number of recordings."""
         return len(self.recordings)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the table by columns, each (N,), with the names of `armrig ls --json`.
+        """Return the columns of the table, each (N,), by the names that `armrig ls --json` uses.
 
         `started` is in UTC, to the millisecond; NaT if a recording contains no valid time of its
         start.
@@ -297,7 +297,7 @@ class Known(msgspec.Struct, frozen=True, array_like=True):
     """Facts about a file that the index stores."""
 
     state: str
-    """Size, times and number of the file, which change if the file changes."""
+    """Size, times and inode number of the file: a text that changes if the file changes."""
     found: RecordingSummary | str
     """Summary of the recording, or the reason why the file cannot be listed."""
 
@@ -341,7 +341,7 @@ def read_index(folder: Path) -> dict[str, Known]:
 def write_index(folder: Path, files: Mapping[str, Known]) -> None:
     """Store the facts about a folder's files, if the cache can be written.
 
-    If two processes write at the same time, the index is complete and from one of them.
+    If two processes write at the same time, the complete index of one process remains.
     """
     known = {name: file for name, file in files.items() if _is_text(name)}
     index = _Index(armrig=version("armrig"), folder=str(folder.absolute()), files=known)
@@ -384,14 +384,14 @@ class FoundFile(NamedTuple):
 
     name: str  # not a Path: creating 10 000 Paths takes longer than finding the files
     state: os.stat_result
-    """Size, times and number of the file; if the name is a link, of the file it points to."""
+    """Size, times and inode number of the file; a link is followed to its file."""
 
 
 def found_files(folder: Path) -> list[FoundFile]:
     """Return the finished recordings of a folder, newest first.
 
-    If the daemon named the file, the time in the name is its age. Otherwise the time of the file
-    counts. A recording in progress has another name, `*.mcap.active`.
+    A file is sorted by the time in its name if the daemon named it, and by its modification time
+    otherwise. A recording in progress is left out: its name is `*.mcap.active`.
 
     Raises
     ------
@@ -419,7 +419,7 @@ def newest_first(folder: Path) -> list[Path]:
 
 
 def summaries(paths: list[Path]) -> Iterator[RecordingSummary]:
-    """Yield the summaries of the complete files, in the order of `paths`; others are left out."""
+    """Yield the summaries of the complete files, in the order of `paths`; leave out other files."""
     for path in paths:
         try:
             yield summary_of(path)
@@ -434,7 +434,7 @@ def may_answer_to(path: Path, name: str, *, validation: bool) -> bool:
 
 
 def _age(file: FoundFile) -> tuple[str, float, str]:
-    """Return the sort key by age: the time in the daemon's name, or the file's own time."""
+    """Return the sort key by age: the time in the daemon's file name, or the modification time."""
     changed = file.state.st_mtime
     found = _FILE_NAME.fullmatch(file.name)
     return found[1] if found else _local_stamp(changed), changed, file.name

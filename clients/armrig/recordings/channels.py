@@ -29,8 +29,8 @@ _FIELDS = frozenset(field.name for field in fields(Recording))
 HALF_TURN_S = 0.25
 """Shortest time, in s, in which the chassis can make half a turn.
 
-At 5 V the chassis turns at 5 V / (N K_m) = 9.3 rad/s and makes half a turn in 0.34 s. The margin is
-for the springs.
+At 5 V the chassis turns at 5 V / (N K_m) = 9.3 rad/s and makes half a turn in 0.34 s. The smaller
+value leaves a margin for the effect of the springs.
 """
 
 
@@ -41,7 +41,7 @@ def channels_of(
     Ts: float,
     before: NDArray[np.void],
 ) -> dict[str, Any]:
-    """Return the channels, their masks, and the rows from which on the turns are unknown."""
+    """Return the channels, their masks, and the rows at which the turns become uncertain."""
     found: dict[str, Any] = {"others": {}, "turns_unknown": ()}
     for channel in telemetry.CHANNELS:
         pot: Potentiometer | None = getattr(calibration, channel.name, None)
@@ -101,8 +101,8 @@ def _on_grid(values: Vector, present: Mask) -> Vector:
 def outside_dead_band(rail: Mask) -> Mask:
     """Return a mask (n,): False for a sample at a rail, and for the sample after it.
 
-    A single sample between two samples at a rail is therefore False: at the edges of the dead band
-    the converter reads any value.
+    The mask is therefore False for a single sample between two samples at a rail. At the edges of
+    the dead band, the converter can read any value.
     """
     after = np.zeros_like(rail)
     after[1:] = rail[:-1]
@@ -110,7 +110,7 @@ def outside_dead_band(rail: Mask) -> Mask:
 
 
 def unwrap(angle: Vector, valid: Mask) -> Vector:
-    """Return the angle (N,) with its turns counted, NaN where `valid` is False.
+    """Return the unwrapped angle (N,), NaN where `valid` is False.
 
     Each valid sample is assumed to be within half a turn of the previous valid sample. The first
     valid sample keeps its value.
@@ -131,7 +131,7 @@ def unwrap(angle: Vector, valid: Mask) -> Vector:
 
 
 def turns_unknown(valid: Mask, present: Mask, Ts: float) -> Indices:
-    """Return the indices of the samples from which on the number of turns is uncertain.
+    """Return the indices of the samples at which the number of turns becomes uncertain.
 
     Before each of these samples, so many samples are missing that the shaft can have made half a
     turn. A sample in the dead band is not missing: it is at a rail. If the sampling time exceeds

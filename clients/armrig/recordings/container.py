@@ -61,7 +61,7 @@ _RUN_WORK, _SAMPLE_WORK, _RECORD_WORK = 8, 10, 10  # measured, rounded
 # Bytes that a parsed message takes in addition to its payload; measured.
 _OVERHEADS = {"event": 900, "gap": 850, "timing": 2_700, "clock": 850, "state": 700, "trace": 200}
 READ = STREAMS
-"""Streams that most readers need; only a replay of a run needs the stream of the core's steps."""
+"""Streams that are read by default; only a replay of a run also needs `trace`, the core's steps."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -73,9 +73,9 @@ class Content:
     size: int = 0
     """Size of the file, in B."""
     damage: str = ""
-    """Contents that were left out, and the reason why reading ended early; "" if complete."""
+    """Left-out attachments, and the reason why reading ended early; "" for a complete file."""
     cut_off: bool = False
-    """True if reading ended because the file is truncated, without another error."""
+    """True if reading ended because the file is truncated, not because of another error."""
     read: int = 0
     """Number of bytes up to the end of the last complete record."""
     samples: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, SAMPLE_DTYPE))
@@ -85,7 +85,10 @@ class Content:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     """Metadata records by name."""
     attachments: dict[str, bytes] = field(default_factory=dict)
-    """Attachments that a reader needs, by name; the input is not among them, as it may be long."""
+    """Calibration, its readings and configuration, by the name of the attachment.
+
+    The input is left out, because it may be long.
+    """
     input: Place | None = None
     """Place of the input's attachment in the file."""
 
@@ -99,7 +102,10 @@ class Part:
     to_ns: int
     """Log time of the last message in the part."""
     k_end: int
-    """Index of the first sample after the part; an earlier sample may have arrived late."""
+    """Index of the first sample after the part.
+
+    Reading continues up to this index, because a sample of the part may have arrived late.
+    """
 
 
 def read(
@@ -227,7 +233,7 @@ class _Reader:
             self.rows.settle()
 
     def add_record(self, opcode: int, body: bytes) -> None:
-        """Add one record, of the file or of a chunk."""
+        """Add one record that was found in the file or in a chunk."""
         self.budget.spend(WORK, 1 if opcode == Opcode.MESSAGE else _RECORD_WORK)
         match opcode:
             case Opcode.CHUNK:
@@ -312,7 +318,7 @@ def _check_opcode(opcode: int) -> None:
 
 
 def _text(body: bytes, at: int) -> str:
-    """Return the text at `at`; "" if the text is longer than any known name."""
+    """Return the text at byte `at` of a record; "" if the text is longer than any known name."""
     (n,) = struct.unpack_from("<I", body, at)
     struct.unpack_from(f"{n}x", body, at + 4)  # raises if the text exceeds the body
     return body[at + 4 : at + 4 + n].decode() if n <= _NAME_LIMIT else ""

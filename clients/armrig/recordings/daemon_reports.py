@@ -45,7 +45,7 @@ class Event:
     message: str
     """Text of the message."""
     emulator_stall_ns: int
-    """Time for which the clock of an emulated rig stopped, in ns; 0 for any other event."""
+    """Time for which the clock of an emulated rig stopped, in ns; 0 if it did not stop."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,11 +53,11 @@ class Note:
     """A line that a person wrote during the run."""
 
     t: float
-    """Time of its arrival, in s from the recording's first sample."""
+    """Time at which the note arrived, in s from the recording's first sample."""
     text: str
     """Text of the note."""
     owner: str
-    """Author."""
+    """Author of the note."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +109,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DeviceClock:
-    """Comparison of the clocks of device and host at `t`; no recorded time depends on it."""
+    """Comparison of the clocks of device and host at `t`; recorded times do not depend on it."""
 
     t: float
     """Time, in s from the recording's first sample."""

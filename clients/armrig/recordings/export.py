@@ -1,4 +1,4 @@
-"""Export of a recording: CSV, MATLAB, Parquet, pandas and xarray, with the same columns.
+"""Export of a recording to CSV, MATLAB, Parquet, pandas and xarray, always with the same columns.
 
 Each sample that was due has a row. If the sample is missing, or shows no angle, the angle is NaN.
 """
@@ -63,7 +63,7 @@ def columns(recording: Recording, *, raw: bool = False) -> dict[str, NDArray[Any
 def write_csv(recording: Recording, path: Path, *, raw: bool = False) -> None:
     """Write the columns as CSV, with their names in the first line; a missing value is nan.
 
-    A number that is read back is equal to the last bit. `armrig identify` reads the file.
+    Numbers are written with all their digits. `armrig identify` reads the file.
     """
     found = columns(recording, raw=raw)
     with path.open("w", encoding="utf-8", newline="\n") as file:
@@ -85,7 +85,7 @@ def write_mat(
     output: ChannelName = THETA_1,
     raw: bool = False,
 ) -> None:
-    """Write a MAT-file of version 5: u, y and Ts for iddata, and all columns.
+    """Write a MAT-file of version 5 that contains u, y and Ts for iddata, and all columns.
 
     Use it in MATLAB with `load run.mat; z = iddata(y, u, Ts);`. Each column is (N, 1). y is the
     output, NaN where it is unknown. `sha256` is the hash of the recording.
@@ -128,7 +128,7 @@ def to_pandas(recording: Recording) -> DataFrame:
 
 
 def to_xarray(recording: Recording) -> XarrayDataset:
-    """Return the columns as an xarray.Dataset over t, each with its unit."""
+    """Return the columns as an xarray.Dataset over t, with the unit of each column."""
     xarray = imported("xarray", "xarray")
     found = columns(recording)
     about = {name: {"units": unit} for name, unit in _units().items()}
@@ -157,7 +157,7 @@ def _about(recording: Recording) -> dict[str, str]:
 
 
 def imported(module: str, extra: str) -> Any:
-    """Import and return a module of an optional extra; raise MissingPackageError without it."""
+    """Return the imported module of an optional extra, or raise MissingPackageError."""
     try:
         return import_module(module)
     except ImportError as err:
@@ -188,9 +188,10 @@ def transforms_channel(rig: str, context: Any) -> Any:
 
 
 def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
-    """Return the frames of a sample: `chassis` is turned by θ₁ in `rig`, `arm` by α in `chassis`.
+    """Return the frames of a sample: `chassis` turns by θ₁ in `rig`, `arm` turns in `chassis`.
 
-    Both rotations are about z, so that the arm's angle in `rig` is θ₁ + α. A frame is left out if
+    `arm` turns by α. Both axes are z, so that the arm's angle in `rig` is θ₁ + α. A frame is left
+    out if
     its angle is not finite. `t_ns` is the time on the wall clock.
     """
     messages = imported("foxglove.messages", "foxglove")
@@ -214,7 +215,7 @@ def transforms(theta_1: float, alpha: float, t_ns: int) -> Any:
 def write_transforms(recording: Recording, path: Path) -> None:
     """Write the frames of each sample as an MCAP file, at the times of the recording.
 
-    The file does not repeat the recording; open both files in the viewer.
+    The file does not contain the signals of the recording: open both files in the viewer.
 
     Raises
     ------

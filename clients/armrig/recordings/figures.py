@@ -83,10 +83,10 @@ def _write_the_same(ax: Axes, recording: Recording, x: Vector, label: str) -> Ax
 
 
 def plot_overview(found: Overview, *, ax: Axes | None = None) -> Axes:
-    """Plot u, theta_1, its rate and alpha against time.
+    """Plot u, theta_1, the rate of theta_1 and alpha against time.
 
-    In each panel of an angle, times without a valid value are shaded. In the panel of u, times
-    without a valid value of either angle are shaded. Rings mark outliers.
+    In the panels of the angles and of the rate, times without a valid value are shaded. In the
+    panel of u, times are shaded where theta_1 or alpha has no valid value. Rings mark outliers.
     """
     rec = found.recording
     if not rec.N:

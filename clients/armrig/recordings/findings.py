@@ -25,15 +25,15 @@ LEAST_RATIO, NO_RATIO = 3.0, 0.3
 """Signal-to-noise ratios.
 
 Below the first ratio, a recording of 30 s determines the inertias only to some per cent. Below the
-second ratio, it does not determine the inertias.
+second ratio, the recording does not determine the inertias.
 """
 MOST_HIDDEN = 0.15
-"""Largest share of samples without theta_1 that a dead band of an eighth of a turn causes."""
+"""Largest share of samples without theta_1 that a dead band of an eighth of a turn explains."""
 MOST_MISSING = 0.01
 TOO_FEW = 20
 """Least number of samples for an estimate of a model of this rig."""
 LONGEST_UNSEEN_S = 1.0
-"""Longest time in s that a turning chassis is in its dead band, at any voltage."""
+"""Longest time that a turning chassis spends in its dead band at any voltage, in s."""
 _MAX_REST_STEPS = 6  # range of readings of a resting joint, in steps of the converter
 _MARGIN_RAD = 1.5  # from the dead band to the beginning of the next step
 _EARLIEST_STEP_S = 0.5
@@ -76,7 +76,7 @@ def check_input(r: Recording) -> Iterator[Finding]:
 
 
 def check_angle(r: Recording) -> Iterator[Finding]:
-    """Check the share of samples without theta_1, and their longest consecutive stretch."""
+    """Check the share of samples without theta_1, and the longest time without theta_1."""
     came = r.samples.size
     if not r.valid.any():
         text = f"no sample of {came} shows theta_1: a wire is broken, or the wiper is in the "
@@ -122,7 +122,7 @@ def check_arm(r: Recording) -> Iterator[Finding]:
 
 
 def alpha_moves(r: Recording) -> bool:
-    """Return whether alpha moved by more than its noise, so that the arm was attached."""
+    """Return True if alpha moved by more than its noise, which shows that the arm was attached."""
     counts = r.samples["alpha_counts"][(r.samples["flags"] & Flag.ADC1_RAIL) == 0]
     return counts.size > 0 and int(np.ptp(counts)) > _MAX_REST_STEPS * converter_step(r)
 
@@ -145,10 +145,10 @@ def _check_removed_arm(r: Recording) -> Iterator[Finding]:
 
 
 def check_signal(signal: float, noise: float, step: float) -> Iterator[Finding]:
-    """Check the signal in theta_1, in rad, against its noise and the step of the converter."""
+    """Compare the signal in theta_1 with the noise and the step of the converter, all in rad."""
     ratio = signal / noise
     text = f"signal to noise {ratio:.2g} to 1: theta_1 deviates from a steady rotation by "
-    text += f"{error(signal, 'rad')} rms, and the noise that its past and u do not explain is "
+    text += f"{error(signal, 'rad')} rms, and the noise, which an ARX model does not explain, is "
     text += f"{error(noise, 'rad')} ({noise / step:.2g} steps of the converter)"
     if ratio < NO_RATIO:
         yield _unusable(
@@ -175,7 +175,7 @@ def check_samples(r: Recording) -> Iterator[Finding]:
 
 
 def check_timing(r: Recording, data: Dataset, noise: float) -> Iterator[Finding]:
-    """Check the effect of jitter on theta_1, in rad, against its noise."""
+    """Compare the effect of jitter on theta_1 with the noise of theta_1, both in rad."""
     timing = sampling_statistics(r)
     if not np.isfinite(timing.std_us):
         return
@@ -205,7 +205,7 @@ def _is_greybox(r: Recording) -> bool:
 
 
 def converter_step(r: Recording) -> int:
-    """Return the step of the converter, in counts of 65536."""
+    """Return the step of the converter in counts; the full range has 65536 counts."""
     bits = r.manifest.device.get("adc_bits")
     return 1 << (16 - bits) if isinstance(bits, int) and 0 < bits <= 16 else 1
 
@@ -219,20 +219,20 @@ class HiddenStep:
     ends_s: float
     """Time of the first sample after the interval, in s from the step."""
     at_s: float
-    """Time of the step in the next run, in s, if nobody turns the chassis before the next run.
+    """Recommended time of the step in the next run, in s, if nobody turns the chassis until then.
 
     NaN if the chassis rests before the step: the time then has no effect.
     """
     seconds: float
-    """Length of the next run in s, with as much time after the step as in this run."""
+    """Recommended length of the next run in s; the time after the step stays the same."""
 
 
 def hidden_step(r: Recording) -> HiddenStep | None:
     """Return the hidden interval of the rise; None if the rise is visible or u is no step.
 
     The duration of the rise is taken as the equivalent time (`armrig.numerics.step_times`). This
-    time is the lag of the angle relative to its final straight line. It can be computed without
-    samples of the rise.
+    time is the lag of the angle relative to its final straight line. The lag can be computed
+    without samples of the rise.
     """
     edges = np.flatnonzero(np.diff(r.u) != 0)
     if edges.size != 1:

@@ -1,4 +1,4 @@
-"""Complete grid of a run's samples: a row for each sample that was due, also if it is missing."""
+"""Complete grid of a run's samples, with a row for each sample that was due, even if missing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ TS_LEAST_S, TS_LIMIT_S = 1e-6, 86_400.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grid:
-    """Positions of the samples that arrived among those that were due."""
+    """Positions of the arrived samples in the sequence of all samples that were due."""
 
     k_first: int
     """Index of the first row."""
@@ -36,7 +36,7 @@ class Grid:
     """Slice of the samples `k` that are in the grid."""
 
     def filled(self, gaps: Iterable[tuple[int, int, float]]) -> NDArray[np.float64]:
-        """Return (N,): for each row the value of the gap that contains it, NaN outside all gaps.
+        """Return the value of the gap that contains each row, (N,); NaN outside all gaps.
 
         Parts of gaps outside the grid are ignored. If gaps overlap, the last gap in `gaps` counts.
         Each row is written once, even if several gaps contain it.
@@ -89,8 +89,7 @@ def grid(
     gaps : iterable of (int, int)
         First index and number of missing samples of each gap record.
     between : (int, int)
-        Limits of the grid: the least index of its first row, and the largest index after its last
-        row.
+        Range of indices to which the grid is limited: first index, and index after the last.
 
     Raises
     ------
@@ -128,7 +127,7 @@ def grid(
 
 
 def first_of(manifest: Manifest) -> int:
-    """Return the index of the first sample that was due in a file; -1 if it is not recorded."""
+    """Return the index of the first sample that was due in a file; -1 if no index is recorded."""
     return manifest.part_k_first if manifest.part > 1 else manifest.k_first
 
 

@@ -50,7 +50,7 @@ class SamplingStatistics:
     greatest_us: float
     """Longest interval between consecutive samples, in µs."""
     jitter: Spread
-    """|interval - Ts| on the device's clock, in µs."""
+    """Percentiles of |interval - Ts| on the device's clock, in µs."""
     lateness: Spread
     """Lateness of the host's request (exchange) or of the sample's arrival (scheduled), in µs."""
     samples: int
@@ -74,7 +74,11 @@ def jitter_us(recording: Recording) -> Vector:
 
 
 def lateness_us(recording: Recording) -> Vector:
-    """Return the lateness in µs of each sample's request, or of its arrival if the device paces."""
+    """Return the lateness of each sample, in µs.
+
+    If the host paces the samples, the value is the lateness of the host's request. If the device
+    paces the samples, the value is the lateness of the sample's arrival.
+    """
     samples = recording.samples
     return np.asarray((samples["t_host_ns"] - samples["t_sched_ns"]) / 1e3)
 
@@ -85,7 +89,7 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
     Parameters
     ----------
     recording : Recording
-        Recording; an interval is used if neither of its two samples is missing.
+        Recording to examine; an interval is used if both of its samples arrived.
 
     Returns
     -------
@@ -116,7 +120,7 @@ def sampling_statistics(recording: Recording) -> SamplingStatistics:
 
 
 def angle_of_jitter(timing: SamplingStatistics, data: Dataset) -> float:
-    """Return the error of an angle because jitter moves its reading away from the time k Ts.
+    """Return the error of an angle due to jitter of its sampling times.
 
     The error, in the unit of the data, is the product of the standard deviation of the interval and
     `fastest_rate`.
@@ -125,7 +129,7 @@ def angle_of_jitter(timing: SamplingStatistics, data: Dataset) -> float:
 
 
 def fastest_rate(data: Dataset) -> float:
-    """Return the rate of y that 99 % of its differences do not exceed, in y's unit per s."""
+    """Return the 99th percentile of the absolute rate of y, in y's unit per s."""
     return float(np.nanpercentile(np.abs(np.diff(data.y)) / data.Ts, 99))
 
 
@@ -141,7 +145,7 @@ class Disturbances:
     """Load of the host, and drift of the device's clock, during a recording."""
 
     seconds: int
-    """Number of reports in the recording, one a second."""
+    """Number of reports in the recording, one per second."""
     collections: int
     """Number of garbage collections between the first report and the last; -1: unknown."""
     cpu_pressure_percent: float
@@ -151,7 +155,7 @@ class Disturbances:
     round_trip_us: float
     """Longest round trip to the device, in µs; NaN without a report."""
     drift_ppm: float
-    """Drift at the end, in parts per million; positive if the device's clock is slow."""
+    """Drift at the end of the recording, in ppm; positive if the device's clock is slow."""
     drift_std_ppm: float
     """Standard deviation of the drift, in parts per million."""
     offset_std_us: float

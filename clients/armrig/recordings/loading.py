@@ -153,7 +153,7 @@ class RunContent(NamedTuple):
     outcome: Outcome | None
     calibration: Calibration | None
     between: tuple[int, int]
-    """First index, and the index after the last.
+    """Range of the samples: first index, and index after the last sample.
 
     `content` may contain samples outside this range.
     """
@@ -231,7 +231,7 @@ def _read(path: Path, part: Part | None, *, digest: bool) -> _File:
 
 
 def beginning(path: Path) -> tuple[Path, Content]:
-    """Return the first file of the run at a path, and its content before the samples."""
+    """Return the first file of the run at a path, and its content up to the first samples."""
     first = part_paths(path)[0]
     return first, _read(first, _BEGINNING, digest=False)[0]
 
@@ -332,12 +332,12 @@ def _assembled(path: Path, found: RunContent, calibration: Calibration | None) -
 
 
 def _span(t: Vector, Ts: float) -> tuple[float, float]:
-    """Return the first time, and one sampling time after the last, without rounding errors."""
+    """Return start and end of `t`, rounded to ns; the end is one sampling time after the last."""
     return round(float(t[0]), 9), round(float(t[-1]) + Ts, 9)
 
 
 def _within(found: tuple[Any, ...], t: Vector, Ts: float) -> tuple[Any, ...]:
-    """Return the reports from the first time in `t` to one sampling time after the last."""
+    """Return the reports from the first time in `t` to one sampling time after the last time."""
     if not t.size:
         return ()
     begin, end = float(t[0]), float(t[-1]) + Ts

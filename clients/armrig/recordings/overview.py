@@ -86,7 +86,7 @@ class Overview:
         }
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
-        """Return a figure of u, theta_1, its rate and alpha against time, with the outliers."""
+        """Return a figure of u, both angles and the rate of theta_1, with the outliers marked."""
         from armrig.plots.layout import figure_of
         from armrig.recordings.figures import plot_overview
 
@@ -94,7 +94,7 @@ class Overview:
 
 
 def overview(recording: Recording) -> Overview:
-    """Search both angles for outliers, and the rate of theta_1 and alpha for a drift.
+    """Search both angles for outliers, and search alpha and the rate of theta_1 for a drift.
 
     The angle theta_1 is not searched for a drift: its slope is the response to the mean of u.
     """

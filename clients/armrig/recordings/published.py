@@ -43,9 +43,9 @@ class PublishedRun:
     samples: NDArray[np.void]
     """Samples, as recorded."""
     others: tuple[Published, ...]
-    """All other messages, in their order."""
+    """All other messages, in the order of their times."""
     clock: Clock
-    """Clock of the host, on which `t` is."""
+    """Conversion of the host's times to `t`."""
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -61,7 +61,7 @@ class PublishedRun:
         return max(ends) - min(ends) if ends else 0.0
 
     def messages(self) -> Iterator[Published]:
-        """Yield all messages by time; a gap is before the sample that follows the gap."""
+        """Yield all messages by time; a gap's message precedes the sample after the gap."""
         return heapq.merge(self.others, self._samples(), key=lambda message: message.t)
 
     def _samples(self) -> Iterator[Published]:

@@ -42,10 +42,10 @@ class Channel(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False, repr=False)
 class Recording:
-    """Recording of one run; row i of every array is the sample `k_first` + i.
+    """Recording of one run; element i of an array (N,) belongs to sample `k_first` + i.
 
     The grid is complete, from the first sample that was due to the last. In the row of a missing
-    sample, `theta_1` and `alpha` are NaN. Every formula that uses them then returns NaN.
+    sample, `theta_1` and `alpha` are NaN. Computations with these angles then return NaN, too.
 
     Examples
     --------
@@ -64,37 +64,39 @@ class Recording:
     manifest: Manifest
     """Manifest of the run."""
     outcome: Outcome | None
-    """Outcome of the run, also if the rest of the file is damaged; None if it is missing."""
+    """Outcome of the run; None if the file contains no outcome."""
     recovered: Recovered | None
     """Record of the file's recovery after its daemon died; None if no recovery was needed."""
     calibration: Calibration | None
     """Conversion of counts to angles and of codes to volts; None if missing.
 
     The angles and voltages are computed with this calibration from counts and codes. Without a
-    calibration, they are the daemon's values. The field `made` contains the origin of the
-    calibration.
+    calibration, the angles and voltages are the daemon's values. The field `made` contains the
+    origin of the calibration.
     """
     k_first: int
-    """Index of the first row; in older files the first sample that arrived."""
+    """Index of the first row; in older files, the index of the first sample that arrived."""
     t: Vector
     """Time in s from the first sample that was due, (N,)."""
     u: Vector
     """Voltage in V at the motor's terminals from `t` on, (N,).
 
-    It is the voltage that the device held, converted by the calibration. For a missing sample, it
-    is the voltage in the gap record, or NaN without a record.
+    The device held the voltage until the next sample. The calibration converts the voltage of the
+    code to the voltage at the terminals. For a missing sample, `u` is the voltage in the gap
+    record, or NaN without a gap record.
     """
     theta_1: Vector
-    """Angle of the chassis in rad with its turns counted, (N,); NaN where it is not `valid`."""
+    """Unwrapped angle of the chassis in rad, (N,); NaN where `valid` is False."""
     alpha: Vector
-    """Angle of the arm against the chassis in rad, (N,); NaN where it is not `valid_alpha`."""
+    """Angle of the arm relative to the chassis in rad, (N,); NaN where `valid_alpha` is False."""
     valid: Mask
     """Mask (N,) of theta_1.
 
-    It is False in the dead band, at the first sample after the dead band, and for a missing sample.
+    The mask is False in the dead band, at the first sample after the dead band, and for a missing
+    sample.
     """
     valid_alpha: Mask
-    """Mask (N,) of alpha: False at a rail, and if the sample is missing.
+    """Mask (N,) of alpha: False for a missing sample, and at a rail (end of the reading's range).
 
     The dead band of theta_1 has no effect on alpha. The sample after a rail is valid, because alpha
     does not make whole turns.
@@ -104,7 +106,7 @@ class Recording:
     present: Mask
     """Mask (N,), True if the sample arrived."""
     turns_unknown: tuple[int, ...]
-    """Rows from which on theta_1 may be wrong by whole turns, because many samples are missing."""
+    """Rows at which the turns of theta_1 become uncertain, because many samples are missing."""
     samples: NDArray[np.void]
     """Structured array of the samples that arrived, with raw counts and all times."""
     gaps: tuple[Gap, ...]
@@ -116,15 +118,15 @@ class Recording:
     timing: tuple[Timing, ...]
     """Reports of the timing, one per second."""
     clock: tuple[DeviceClock, ...]
-    """Comparisons of the device's clock with the host's, one per second."""
+    """Comparisons of the device's clock with the host's clock, one per second."""
     truncated: bool
     """True if the file is incomplete or damaged: see `damage`."""
     cut_off: bool
-    """True if the file is truncated, without another error."""
+    """True if reading ended because the file is truncated, not because of another error."""
     damage: str
-    """Damage of the file, and the amount of saved data; "" for a complete file."""
+    """Damage of the file, and the amount of data that could be read; "" for a complete file."""
     part: tuple[float, float] | None = None
-    """Start and end of the samples that were read, in s as in `t`; None for all samples."""
+    """Start and end, in s as in `t`, of the range that was read; None if all samples were read."""
 
     @property
     def N(self) -> int:
@@ -143,12 +145,12 @@ class Recording:
 
     @property
     def missing(self) -> int:
-        """Number of samples that were due, up to the end of the file, and did not arrive."""
+        """Number of samples that were due before the end of the file but did not arrive."""
         return self.N - int(self.samples.size)
 
     @property
     def hidden(self) -> int:
-        """Number of arrived samples without a valid theta_1: in the dead band, or just after it."""
+        """Number of arrived samples without a valid theta_1, in the dead band or just after it."""
         return int(np.count_nonzero(self.present & ~self.valid))
 
     @property
@@ -231,7 +233,7 @@ class Recording:
     def signals(self, outputs: Sequence[OutputName] = (THETA_1, "alpha")) -> Signals:
         """Return u and several outputs for identification, with missing samples marked.
 
-        A new experiment begins where it begins in the dataset of one of the outputs.
+        A new experiment begins at each sample at which an output's dataset begins an experiment.
 
         Parameters
         ----------

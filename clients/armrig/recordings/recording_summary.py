@@ -33,7 +33,7 @@ from mcap.records import Metadata, MetadataIndex
 from armrig.recordings.grid import check_sampling_time
 
 VALIDATION_OF = "validation_of"
-"""Key in a run's details: its value is the id of the run that this run validates."""
+"""Key in a run's details; the value is the id of the run that this run validates."""
 KINDS = ("blackbox", "greybox", "step", "staircase", "bla")
 """Kinds of experiments of `armrig collect`; a name that a person chose may follow the kind."""
 REMOTE = "remote"
@@ -76,7 +76,7 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     part: int
     """Number of the file in a long run, from 1; 0 if one file contains the whole run."""
     pacing: str
-    """Source of the sampling: `scheduled`, the device's timer, or `exchange`, the host."""
+    """Clock that paces the samples: `scheduled` means the device's timer, `exchange` the host."""
     device: str
     """Unique id of the device; "" if it has none."""
     calibration_sha256: str
@@ -98,7 +98,7 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
 
     @property
     def kind(self) -> str:
-        """Kind of experiment, such as blackbox, without a person's name for it."""
+        """Kind of experiment, such as blackbox, without the name that a person chose."""
         return _parts(self.experiment)[0]
 
     @property
@@ -119,9 +119,9 @@ class RecordingSummary(msgspec.Struct, frozen=True, kw_only=True, array_like=Tru
     def names(self, *, validation: bool) -> set[str]:
         """Return all names that select the recording: its name, run id, experiment and file name.
 
-        The name of a validation is the name of the validated recording, so it does not select the
-        validation. With `validation`, the result is the names of the validated recording; it is
-        empty if this recording is no validation.
+        A validation has the name of the recording that it validates. The name therefore does not
+        select the validation. With `validation`, return the names of the validated recording, or an
+        empty set if this recording is no validation.
         """
         if not validation:
             own = {self.name} if self.name and not self.is_validation else set()
@@ -233,7 +233,7 @@ def _records(stream: IO[bytes], size: int) -> dict[str, dict[str, str]]:
 
 
 def _indexes(stream: IO[bytes], size: int) -> Iterator[MetadataIndex]:
-    """Yield the indexes of the metadata records; the summary between data and footer has them."""
+    """Yield the indexes of the metadata records, from the summary between data and footer."""
     end = size - _FOOTER.size - len(MAGIC)
     if end < len(MAGIC):
         raise CutOffError("it ends without its footer")

@@ -1,4 +1,7 @@
-"""Samples of a file: rows of constant layout are read together, other rows one by one."""
+"""Samples of a file: rows of constant layout are read together, other rows one by one.
+
+A row has the constant layout if it contains all fields of a sample, in the usual order and sizes.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ class SampleRows:
     """Collector of a file's samples; k must increase from sample to sample."""
 
     def __init__(self, spend: Callable[[], None] = lambda: None) -> None:
-        """Call `spend` for each sample that is read individually; it may raise DamageError."""
+        """Call `spend` for each sample that is read individually; `spend` may raise DamageError."""
         self.size = 0
         self.last_k = -1
         self._spend = spend
@@ -43,11 +46,11 @@ class SampleRows:
         self._pending_size = 0
 
     def add_run(self, chunk: memoryview, at: int) -> int:
-        """Add the consecutive records with the length of a sample, from `at` on; return their size.
+        """Add a run of records that begins at `at`, and return the size of the run in B.
 
-        All these records are messages of the channel of the first record; their size is in B. Their
-        layout is checked later, for many records together. Call `settle` before adding the run of
-        another chunk.
+        A run consists of consecutive messages of one channel with the length of a sample. The
+        layout of the records is checked later, for many records together. Call `settle` before
+        adding a run of another chunk.
         """
         found = _RUN.match(chunk, at)
         end = found.end() if found else at
@@ -72,7 +75,7 @@ class SampleRows:
         return samples
 
     def settle(self, share: float = 1.0) -> None:
-        """Release the chunk; convert its rows to samples if there are many. Raises as `pack` does.
+        """Release the chunk; if many rows are collected, convert them as `pack` does.
 
         Parameters
         ----------
@@ -98,7 +101,7 @@ class SampleRows:
         Raises
         ------
         DamageError, DecodeError
-            A row cannot be read, or k does not increase; the samples before it are kept.
+            A row cannot be read, or k does not increase; the samples before this row are kept.
         """
         self._copy()
         if not self._pending:
@@ -123,7 +126,7 @@ class SampleRows:
             raise DamageError(f"more than {SAMPLES_LIMIT} samples")
 
     def _room(self, n: int) -> NDArray[np.void]:
-        """Return memory for n samples, directly after the samples that are kept."""
+        """Return memory for n samples, directly after the kept samples."""
         needed = self.size + n
         if needed > self._samples.size:
             # Unused memory that is reserved costs nothing. A copy of the samples costs memory and
@@ -135,7 +138,7 @@ class SampleRows:
         return self._samples[self.size : self.size + n]
 
     def _keep(self, samples: NDArray[np.void]) -> None:
-        """Count the samples, which are already in place, as kept; raise if k does not increase."""
+        """Keep samples that are already in the memory; raise DamageError if k does not increase."""
         if not samples.size:
             return
         k = samples["k"]
@@ -150,7 +153,7 @@ class SampleRows:
         if good < k.size:
             raise DamageError(
                 f"sample {k[good]} comes after sample {self.last_k}: each k must be larger than "
-                "the one before, and less than 2^62"
+                "the previous k, and less than 2^62"
             )
 
 
@@ -183,7 +186,7 @@ def _layout() -> tuple[list[tuple[int, int, int, int]], list[int], NDArray[np.ui
         Blocks of consecutive fields of one size. Each tuple contains the number of fields, their
         size, and the place of the first field in the row and in a sample.
     places, tags : list of int, array of uint8
-        Places of the tag bytes before the fields, and their values.
+        Places of the tag bytes before the fields, and values of these bytes.
     """
     at, place = len(_HEAD), 0
     blocks: list[tuple[int, int, int, int]] = []

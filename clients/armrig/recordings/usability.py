@@ -38,7 +38,7 @@ _START_S = (
 _MIN_LINE_SAMPLES = 4
 _NOISE_ORDER = 10
 FEW = 300
-"""With fewer samples, the standard deviations of a model of the rig are inaccurate."""
+"""Least number of samples for accurate standard deviations of a model of the rig."""
 _NORMAL_ENDS = (OutcomeCode.COMPLETE, OutcomeCode.CONTINUED)
 _MIN_TURN_RAD = 0.5  # before the direction of the chassis is judged
 NO_MODEL = ("step", "staircase")
@@ -54,24 +54,24 @@ class DataVerdict:
     findings: tuple[Finding, ...]
     """Findings of the checks, in the order of the checks."""
     signal_rad: float
-    """Rms deviation of theta_1 from a line fitted to each second, without the noise, in rad."""
+    """Rms deviation of theta_1 from a line fitted to each second, less the noise power, in rad."""
     noise_rad: float
-    """Standard deviation of the part of theta_1 that its past and u do not explain, in rad."""
+    """Standard deviation of the part of theta_1 that an ARX model does not explain, in rad."""
     step_rad: float
-    """One step of the converter, in rad of theta_1."""
+    """Step of the converter, converted to rad of theta_1."""
     hidden_share: float
-    """Share of the arrived samples without theta_1: in the dead band, or just after it."""
+    """Share of the arrived samples that show no theta_1, in the dead band or just after it."""
     missing_share: float
     """Share of the samples that did not arrive."""
 
     @property
     def usable(self) -> bool:
-        """Models can be identified from the data."""
+        """True if models can be identified from the data."""
         return all(f.level != "unusable" for f in self.findings)
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Findings with a level other than good; unusable findings first."""
+        """Texts of the findings whose level is not good; unusable findings first."""
         ranked = [f for level in ("unusable", "warning") for f in self.findings if f.level == level]
         return tuple(f.text for f in ranked)
 
@@ -100,13 +100,13 @@ class DataVerdict:
 
 
 def data_verdict(recording: Recording) -> DataVerdict:
-    """Judge the data of a recording: run, rails, signal against noise, samples, timing, turns.
+    """Judge the data of a recording: run, samples, input, angles, signal, timing and turns.
 
-    The signal is the rms deviation of theta_1 from a straight line, which is fitted to each second.
-    The power of the noise is subtracted. The first second, in which the chassis starts, is left
-    out. The noise is the standard deviation of the residuals of an ARX model of order 10 or less.
-    For white noise on the angle, this value is close to the noise's standard deviation. Its least
-    value is a step of the converter divided by sqrt(12).
+    The signal is the rms deviation of theta_1 from straight lines, one for each second. The power
+    of the noise is subtracted. In runs longer than 3 s, the first second is left out, because the
+    chassis starts. The noise is the standard deviation of the residuals of an ARX model of order 10
+    or less. If the noise on the angle is white, this value is close to its standard deviation. The
+    noise is at least the step of the converter divided by sqrt(12).
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def data_verdict(recording: Recording) -> DataVerdict:
     Returns
     -------
     DataVerdict
-        Findings, with `usable` and `warnings`, and the numbers from which they follow.
+        `findings`, their summaries `usable` and `warnings`, and the numbers that were judged.
 
     Examples
     --------
@@ -166,7 +166,7 @@ def _step(r: Recording) -> float:
 
 
 def _signal(data: Dataset, noise: float) -> float:
-    """Return the rms deviation of y from a line fitted to each second, without the noise."""
+    """Return the rms deviation of y from a line fitted to each second, less the noise power."""
     n = max(8, round(_STRETCH_S / data.Ts))
     moving = data[n:] if data.N * data.Ts > _START_S else data
     squares, known = 0.0, 0
@@ -210,7 +210,7 @@ def doubts(recording: Recording) -> list[str]:
 
 
 def emulation(recordings: Sequence[Recording]) -> list[str]:
-    """Return a sentence that names the recordings of an emulated rig; an empty list without any."""
+    """Return a list with a sentence that names the emulated recordings; empty if there are none."""
     names = [r.path.name for r in recordings if r.manifest.emulated]
     if not names:
         return []
@@ -238,7 +238,7 @@ def early_ends(recordings: Sequence[Recording]) -> list[str]:
 
 
 def different_calibrations(recordings: Sequence[Recording]) -> list[str]:
-    """Return a sentence that groups the recordings by calibration; an empty list for only one."""
+    """Return a list with a warning about different calibrations; empty for one calibration."""
     of: dict[tuple[object, ...] | None, list[str]] = {}
     for r in recordings:
         of.setdefault(_values(r), []).append(r.path.name)
@@ -253,7 +253,7 @@ def different_calibrations(recordings: Sequence[Recording]) -> list[str]:
 
 
 def doubts_of_estimation(recording: Recording) -> list[str]:
-    """Return the doubts about estimating a model of any order from a recording."""
+    """Return a list with a warning if a recording excites too few frequencies for any model."""
     kind = recording.manifest.experiment.partition("-")[0]
     if kind not in NO_MODEL:
         return []
@@ -264,7 +264,7 @@ def doubts_of_estimation(recording: Recording) -> list[str]:
 
 
 def doubts_of_pair(first: Recording, other: Recording, *, one_plant: bool = True) -> list[str]:
-    """Return a sentence for each doubt about the validation of models of `first` with `other`.
+    """Return a sentence for each doubt about validating the models of `first` with `other`.
 
     Without `one_plant`, one recording may be of the chassis alone and the other of the whole rig.
     """
@@ -296,9 +296,10 @@ def doubts_of_pair(first: Recording, other: Recording, *, one_plant: bool = True
 
 
 def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> list[str]:
-    """Return the doubts about each recording.
+    """Return the doubts about each recording, and about pairs of recordings.
 
-    Return also the doubts about each pair that contains the first exciting recording.
+    Recordings of steps and staircases are in no pair. Each pair consists of the first remaining
+    recording and a later recording.
     """
     found = [text for r in recordings for text in doubts(r)]
     excited = [r for r in recordings if r.manifest.experiment.partition("-")[0] not in NO_MODEL]
@@ -310,7 +311,7 @@ def all_doubts(recordings: Sequence[Recording], *, one_plant: bool = True) -> li
 
 
 def _reversed(r: Recording) -> bool:
-    """Return True if the angle decreases; the voltage is never negative, so it should increase."""
+    """Return True if the angle decreases, although the voltage is never negative."""
     angle = r.theta_1[np.isfinite(r.theta_1)]
     return angle.size > 1 and float(angle[-1] - angle[0]) < -_MIN_TURN_RAD
 

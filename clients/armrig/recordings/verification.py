@@ -1,4 +1,4 @@
-"""Verification of a recording: no unreported gap, and no voltage that was not requested.
+"""Verification of a recording: all gaps are reported, and all voltages were requested.
 
 A recording that fails the verification can still be loaded and exported.
 """
@@ -34,7 +34,7 @@ from armrig.recordings.recording_summary import REMOTE
 Vector = NDArray[np.float64]
 
 _CODE_V = U_MAX_V / CODE_FULL_SCALE
-"""Step of the code on the wire, in V, to which a requested voltage is rounded."""
+"""Step of the codes for voltages, in V; a requested voltage is rounded to a multiple of it."""
 MAX_DRIFT_PPM = 6_000.0
 """Largest drift, in ppm. A ceramic resonator is accurate to 5 000 ppm, a crystal to 100 ppm."""
 _MAX_JUMP_SIGMAS = 6.0
@@ -80,7 +80,7 @@ class Verification:
 
 
 def verify(path: str | Path) -> Verification:
-    """Check a recording against its own reports about the run.
+    """Check that the samples of a recording agree with its reports about the run.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def verify_recording(recording: Recording) -> Verification:
 
 
 def check_file(r: Recording) -> Check:
-    """Check that the file is complete, with the right checksums and number of samples."""
+    """Check that the file is complete, and that checksums and number of samples are right."""
     if r.truncated:
         return _failed("file", r.damage)
     if r.outcome is None:
@@ -125,7 +125,7 @@ def check_file(r: Recording) -> Check:
     whole_run = r.manifest.part > 0 and not part_number(r.path)
     if whole_run and r.outcome.code == OutcomeCode.CONTINUED:
         return _failed(
-            "file", "its last part is missing: the outcome of the previous part is continued"
+            "file", "its last part is missing: the previous part says that the run is continued"
         )
     came, missing = r.samples.size, r.missing
     if r.manifest.part == 0 and (r.outcome.samples, r.outcome.missing) != (came, missing):
@@ -189,7 +189,7 @@ def check_envelope(r: Recording) -> Check:
 
 
 def check_input(r: Recording, u: Vector) -> Check:
-    """Check that each sample has its voltage of the input `u` (N,), in V."""
+    """Check that the voltage of each sample is its value of the input `u`, (N,) in V."""
     at = r.samples["k"].astype(np.int64) - max(r.manifest.k_first, 0)
     if u.size != r.manifest.samples:
         text = f"{u.size} voltages are attached, but the run has {r.manifest.samples} samples"
@@ -211,7 +211,7 @@ def check_input(r: Recording, u: Vector) -> Check:
         if wrong.any():
             i = int(wrong.argmax())
             text = f"{plural(int(np.count_nonzero(wrong)), 'sample')} with another voltage {name}, "
-            text += f"the first at k={r.samples['k'][i]}: {r.samples[field][i]:.6g} V for "
+            text += f"the first at k={r.samples['k'][i]}: {r.samples[field][i]:.6g} V instead of "
             return _failed("input", f"{text}{u[at[i]]:.6g} V")
     text = (
         f"u is the experiment's input at each sample, applied in steps of {step * 1e3:.3g}{NBSP}mV"
@@ -344,7 +344,7 @@ def rows(found: Verification) -> Iterator[tuple[str, str]]:
 
 
 def recorded_input(path: Path, place: Place, most: int) -> NDArray[np.float64]:
-    """Return the voltages, (n,) in V, of the attachment at `place`, read block by block.
+    """Read the attachment at `place` block by block, and return its voltages, (n,) in V.
 
     Parameters
     ----------

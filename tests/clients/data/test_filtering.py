@@ -88,7 +88,7 @@ def test_a_short_numerator_forgets_exactly() -> None:
 def test_a_trend_cannot_be_put_back_on_filtered_data() -> None:
     treated = prefilter(detrend(noise_free(300)), [1.0, 1.0])
 
-    with pytest.raises(ValueError, match="filtered after it"):
+    with pytest.raises(ValueError, match="filtered after detrend"):
         retrend(treated)
 
 

@@ -243,7 +243,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
     "complex": ({"u": U * 1j}, "u is an array of complex128; give real numbers"),
     "names": ({"inputs": ["a"]}, r"inputs=\['a'\]: 2 names are needed, one for each column of u"),
     "repeated": ({"outputs": ["a", "a"]}, "outputs: a repeats; each channel needs its own name"),
-    "both": ({"inputs": ["a", "y1"]}, "y1: the name of an input and of an output"),
+    "both": ({"inputs": ["a", "y1"]}, "y1: the name of both an input and an output"),
     "units": ({"units": ["m"]}, r"units=\['m'\]: 2 units are needed"),
     "hold": ({"intersample": "linear"}, 'intersample=\'linear\' must be "zoh" or "foh"'),
     "valid": ({"valid": np.ones(3, bool)}, r"valid has shape \(3, 1\), y has \(20, 2\)"),

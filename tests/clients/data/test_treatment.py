@@ -248,5 +248,5 @@ def test_an_angle_has_no_drift_but_an_offset_of_its_input() -> None:
         drift(angle)
     with pytest.raises(ValueError, match="integrates, as integrator=True says"):
         drift(drifting(0, 0.0), integrator=True)
-    with pytest.raises(ValueError, match="has 12 samples; a drift by a model of order 10 needs 50"):
+    with pytest.raises(ValueError, match="has 12 samples; a drift estimate of order 10 needs 50"):
         drift(drifting(0, 0.0)[:12])

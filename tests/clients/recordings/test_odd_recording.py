@@ -317,8 +317,8 @@ def test_each_failure_is_reported_with_its_figures(odd: Recording) -> None:
         "0 to 3.301 V applied, inside 0 to 5 V",
         f"5.25 V was requested, outside 0 to 5 V, at k={k}",
         f"-0.125 V was applied, outside 0 to 5 V, at k={k}",
-        f"1 sample with another voltage requested, the first at k={k}: {u[300] + 0.25:.6g} V for "
-        f"{u[300]:.6g} V",
+        f"1 sample with another voltage requested, the first at k={k}: {u[300] + 0.25:.6g} V "
+        f"instead of {u[300]:.6g} V",
         "passed",
         "failed",
         "599 voltages are attached, but the run has 600 samples",

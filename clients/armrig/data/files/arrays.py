@@ -28,7 +28,7 @@ def most_unpacked(packed: int) -> int:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ArrayTable:
-    """Columns that already are numbers."""
+    """Columns whose values are already numbers."""
 
     columns: tuple[Column, ...]
     """Names of the columns; the columns of a matrix X are named `X:1`, `X:2` …"""
@@ -115,7 +115,7 @@ def read_mat(data: bytes) -> ArrayTable:
     Raises
     ------
     FileError
-        The file is damaged, or too large once unpacked.
+        The file is damaged, or its unpacked size is too large.
     """
     arrays: dict[str, Any] = {}
     refused: dict[str, str] = {}
@@ -157,7 +157,7 @@ def read_npz(data: bytes) -> ArrayTable:
     Raises
     ------
     FileError
-        The file is a ZIP archive without arrays, is damaged, or is too large once unpacked.
+        The file is a ZIP archive without arrays, it is damaged, or its unpacked size is too large.
     """
     arrays: dict[str, Any] = {}
     refused: dict[str, str] = {}

@@ -58,8 +58,8 @@ def load_data(
         Column of the times, in s unless its header names another unit; by default the column named
         t or time. The times must be equidistant.
     Ts : float, optional
-        Sampling time in s; it has priority over the times. By default, the interval of the times.
-        If `time` is not given, a number named Ts in a MAT-file or .npz is used before the times.
+        Sampling time in s, used instead of the times. The default is the interval of the times. If
+        `time` is not given, a number named Ts in a MAT-file or .npz has priority over the times.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def load_signals(
 ) -> Signals:
     r"""Load several inputs and outputs of a file: CSV, another text table, .mat or .npz.
 
-    The file is read as by `load_data`. The name of a matrix, such as u of a saved iddata structure,
+    The file is read as in `load_data`. The name of a matrix, such as u of a saved iddata structure,
     chooses all its columns. If an input is missing at an instant, the instant is left out, and a
     new experiment begins after it. If an output is missing, the other outputs are kept.
 
@@ -137,7 +137,7 @@ def load_signals(
 
 
 def _loaded(path: str | PathLike[str], made: Callable[[Table, str], Data]) -> Data:
-    """Return what `made` makes of the table in a file and of the file's hash."""
+    """Return the result of `made`, called with the table in a file and the hash of the file."""
     path = Path(path)
     try:
         data = read_bounded(path, MOST_BYTES)
@@ -224,7 +224,7 @@ def _names(columns: Sequence[Column], letter: str) -> list[str]:
 
 
 def _between_gaps(known: Mask) -> tuple[list[int], list[str]]:
-    """Return where experiments begin among the known rows, and a step about the unknown rows."""
+    """Return the indices at which experiments begin in the known rows, and a step for the gaps."""
     begins = known & ~np.append(False, known[:-1])
     left_out = int(known.size - np.count_nonzero(known))
     count = "1 sample" if left_out == 1 else f"{left_out} samples"
@@ -278,7 +278,7 @@ def _dataset(
 
 
 def _chosen(table: Table, columns: dict[str, str], *, has_times: bool) -> dict[str, int]:
-    """Return the index of each requested column, or refuse with all options that are missing."""
+    """Return the index of each requested column; an error names all options that are missing."""
     at: dict[str, int] = {}
     missing: dict[str, NoColumnError] = {}
     for what, wanted in columns.items():

@@ -1,8 +1,8 @@
 """Variables of a MAT-file of version 4 to 7, read from its bytes.
 
 scipy.io is not used, because a damaged or hostile file can crash its compiled reader and the whole
-program. No memory is allocated for a size that the file claims, because an array is a view of the
-bytes that contain it. The format is MathWorks' "MAT-File Format", R2019b.
+program. Each array is a view of the file's bytes, so that a false size in the file allocates no
+memory. The format is MathWorks' "MAT-File Format", R2019b.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ def _matrices(parts: Iterator[tuple[int, memoryview]]) -> Iterator[memoryview]:
 
 
 def _numbers(parts: Iterator[tuple[int, memoryview]], order: str) -> Any:
-    """Return the next element as a vector of the numeric type that it states."""
+    """Return the next element as a vector; the element states its numeric type."""
     kind, body = next(parts, (0, memoryview(b"")))
     if kind not in _NUMBERS or len(body) % int(_NUMBERS[kind][1]):
         raise DamageError(f"an element of kind {kind} instead of numbers")

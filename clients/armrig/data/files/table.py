@@ -81,7 +81,7 @@ def chosen(table: Table, wanted: str, what: str) -> int:
     ----------
     wanted : str
         Name of the column, with or without its unit. Lower and upper case are distinguished only if
-        both exist. A number is an index unless a column has it as its name.
+        both exist. A number is an index unless it is the name of a column.
     what : str
         Purpose of the column for the message: input, signal or time.
 
@@ -142,5 +142,5 @@ def _same_but_for_case(column: Column, wanted: str) -> bool:
 
 
 def _same_last_part(column: Column, wanted: str) -> bool:
-    """Return whether the column is the named field of a structure: `u` of `data.u`."""
+    """Return whether the column is the named field of a structure, such as `u` for `data.u`."""
     return "." in column.name and column.name.rpartition(".")[2] == wanted

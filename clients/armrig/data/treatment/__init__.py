@@ -1,7 +1,7 @@
 """Treatment of data before identification; the data's history contains each step.
 
-No step fills a gap: a missing sample stays missing, and a result that depends on it is missing,
-too. Each experiment is treated separately.
+No step fills a gap: a missing sample stays missing. A result that depends on a missing sample is
+missing, too. Each experiment is treated separately.
 """
 
 from armrig.data.treatment.detrending import detrend, retrend

@@ -1,4 +1,4 @@
-"""Treatments of a Dataset, for all channels of Signals."""
+"""Application of a Dataset's treatments to all channels of Signals."""
 
 from __future__ import annotations
 

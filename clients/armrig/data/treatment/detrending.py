@@ -33,7 +33,7 @@ def detrend(data: Dataset, order: int = 0) -> Dataset:
     data : Dataset
         N samples.
     order : {0, 1}
-        Remove the mean, or the straight line.
+        0 removes the mean, 1 removes a straight line.
 
     Returns
     -------
@@ -119,8 +119,8 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
     Raises
     ------
     ValueError
-        No trend was removed from these data, or a later step made it impossible to restore the
-        trend; or y is not (N,).
+        No trend was removed from these data, a later step made the trend impossible to restore, or
+        y is not (N,).
 
     Examples
     --------
@@ -134,7 +134,7 @@ def retrend(data: Dataset, y: ArrayLike | None = None) -> Dataset | Vector:
         done = "; ".join(data.history) or "no step"
         raise InputError(
             "there is no trend to restore: detrend was not applied to these data, or they were "
-            f"filtered after it (history: {done}); keep the data from before that step"
+            f"filtered after detrend (history: {done}); keep the data from before the filter"
         )
     u_trend, y_trend = np.zeros(data.N), np.zeros(data.N)
     for trend, part, start in zip(data.trends, data.experiments(), data.starts, strict=True):

@@ -1,4 +1,4 @@
-"""Estimation of the output's drift, the part that the input does not explain."""
+"""Estimation of the output's drift: a linear change that the input does not explain."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def drift(
     Raises
     ------
     ValueError
-        The output integrates, so that its line is the response to the input, or there are too few
+        The output integrates (its line is then the response to the input), or there are too few
         samples.
 
     Examples
@@ -97,14 +97,14 @@ def _drift_of(part: Dataset, n: int) -> Drift:
     needed = 4 * n + 10
     if part.N - part.missing < needed:
         raise InputError(
-            f"an experiment has {part.N - part.missing} samples; a drift by a model of order {n} "
+            f"an experiment has {part.N - part.missing} samples; a drift estimate of order {n} "
             f"needs {needed}: lower the order"
         )
     model = whitening([(part.u, part.y)], n, slope=True)
     if model.rows < needed - n:
         raise InputError(
             f"{model.rows} samples of an experiment follow {n} samples without a gap; a drift "
-            f"by a model of order {n} needs {needed - n}: lower the order"
+            f"estimate of order {n} needs {needed - n}: lower the order"
         )
     gain = float(np.sum(model.A))
     rate = model.d / gain / part.Ts

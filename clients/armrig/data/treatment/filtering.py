@@ -1,4 +1,4 @@
-"""Filters of both u and y: a frequency band for identification, and a lower sampling rate."""
+"""Filters for u and y: selection of a frequency band, and reduction of the sampling rate."""
 
 from __future__ import annotations
 
@@ -39,7 +39,8 @@ def prefilter(
     An output-error fit is weighted by ``|L|²``, and its residuals are white if L v is white.
 
     After the start of an experiment and after a gap, y is missing for the memory of the filter. The
-    memory contains all but 1e-4 of the absolute sum of the impulse response.
+    memory is the number of samples after which the impulse response has decayed: the rest of its
+    absolute sum is at most 1e-4.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ def prefilter(
     Returns
     -------
     Dataset
-        N samples in the same units, without `trends`, so `retrend` cannot restore them.
+        N samples in the same units. `trends` is empty: `retrend` cannot restore a trend.
 
     Raises
     ------
@@ -255,7 +256,7 @@ def _butterworth(band: tuple[float, float], order: int, Ts: float) -> _Filter:
 
 
 def _memory(L: _Filter) -> int:
-    """Return the number of samples with all but 1e-4 of the impulse response's absolute sum."""
+    """Return the number of samples until 1e-4 of the impulse response's absolute sum is left."""
     length = 256
     while True:
         pulse = np.zeros(length)
@@ -274,7 +275,7 @@ def _memory(L: _Filter) -> int:
 
 
 def _from_steady(L: _Filter, x: Vector) -> Vector:
-    """Return x filtered from the steady state for its first value."""
+    """Return the filtered x; the filter starts in the steady state for the first value of x."""
     return np.asarray(L.apply(x - x[0]) + L.gain * x[0])
 
 

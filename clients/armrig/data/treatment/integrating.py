@@ -31,8 +31,8 @@ class IntegratingOutputWarning(UserWarning):
 def integrating(data: Dataset) -> Finding | None:
     """Return the evidence that the output integrates, None without evidence.
 
-    An output with the name of an integrating channel integrates. Another output is tested with the
-    Dickey-Fuller regression with a trend, lags and the input as covariate ::
+    An output whose name is in `INTEGRATING_OUTPUTS` integrates. Any other output is tested with a
+    Dickey-Fuller regression, which contains a trend, lags, and the input as covariate ::
 
         y(t) - y(t-1) = c + d t + g y(t-1) + lags of the difference and of u + e(t)
 
@@ -125,7 +125,7 @@ def difference(data: Dataset) -> Dataset:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Integration:
-    """Decision whether an output is taken as integrating, with its reason."""
+    """Decision whether an output is taken as integrating, with the reason for the decision."""
 
     integrates: bool
     """True if y is treated as the sum of its rate."""
@@ -134,7 +134,7 @@ class Integration:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes on the decision for a result; none if the caller or the output's name decides."""
+        """Notes on the decision, shown with a result; () if the caller or the name decides."""
         if not self.reason:
             return ()
         what = "taken as integrating (in Python integrator=False prevents this)"
@@ -144,8 +144,8 @@ class Integration:
 def integration(data: Dataset, integrator: bool | None) -> Integration:
     """Decide whether the output is taken as integrating.
 
-    If `integrator` is not None, it is the decision. Otherwise an output integrates if its name is
-    theta_1, or if the unit root test of `integrating` finds an integrator. The notes report the
+    If `integrator` is given, its value is the decision. Otherwise an output integrates if its name
+    is theta_1, or if the unit root test of `integrating` finds an integrator. The notes report the
     result of the test.
     """
     if integrator is not None:

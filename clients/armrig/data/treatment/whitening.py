@@ -33,7 +33,7 @@ class Whitening:
     covariance: Array
     """Covariance of (a1 … an, b0 … bn of each input, c, d)."""
     rows: int
-    """Number of samples with a complete past, from which the model was estimated."""
+    """Number of equations without a missing sample, from which the model was estimated."""
 
     def residuals(self, u: Array, y: Vector) -> Vector:
         """Return e (N,), NaN where y(t) or one of the n outputs before it is missing."""
@@ -47,12 +47,12 @@ class Whitening:
 
 
 def whitening(parts: Sequence[tuple[Array, Vector]], n: int, *, slope: bool = False) -> Whitening:
-    """Estimate a model of order n from (u, y) of each experiment, y NaN where it is missing.
+    """Estimate a model of order n from (u, y) of each experiment; a missing y is NaN.
 
-    One input is an array (N,), several inputs are an array (N, nu).
+    A single input is an array (N,). Several inputs are an array (N, nu).
 
     From data with more than 200 000 rows, only evenly spaced blocks of rows are used. The normal
-    equations are solved; if they lose too many digits, QR is used.
+    equations are solved. If the normal equations lose too many digits, QR is used.
     """
     several = parts[0][0].ndim > 1
     m = (n + 1) * (parts[0][0].shape[1] if several else 1)
@@ -80,7 +80,7 @@ def whitening(parts: Sequence[tuple[Array, Vector]], n: int, *, slope: bool = Fa
 
 
 def _all_blocks(parts: Sequence[tuple[Array, Vector]], n: int, slope: bool) -> Iterator[Array]:
-    """Yield [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 (t) y(t)] of the complete rows."""
+    """Yield blocks of the complete rows [-y(t-1) … -y(t-n) u(t) … u(t-n) 1 (t) y(t)]."""
     for u, y in parts:
         if y.size <= n:
             continue

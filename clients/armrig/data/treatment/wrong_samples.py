@@ -1,4 +1,4 @@
-"""Search for single wrong samples, by the pattern of each in a model's residuals."""
+"""Search for single wrong samples by the pattern that they leave in a model's residuals."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ MIN_VISIBLE_SHARE = 1e-3  # of a sample's pattern, to be left unexplained by mar
 ENOUGH_NOISE = 0.32
 """Least standard deviation of the noise, in steps, for which the quantisation error is white.
 
-The variance of the error is then step²/12. The theory requires a third of a step; the limit is
-lower by the error of the estimated noise. B. Widrow, I. Kollár, *Quantization Noise*, 2008, chapter
-5: with this Gaussian noise the first moments of the error agree with the moments of uniform white
-noise to a few percent.
+The variance of the error is then step²/12. The theory requires a third of a step. The limit is a
+little lower, because the noise is estimated with an error. B. Widrow, I. Kollár, *Quantization
+Noise*, 2008, chapter 5: with this Gaussian noise the first moments of the error agree with the
+moments of uniform white noise to a few percent.
 """
 
 
 def wrong_samples(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list[Mask]:
     """Return a mask of the wrong samples of each experiment (u, y); a missing y is NaN.
 
-    `n` is the order of the model, and `limit` the least size of an outlier in robust standard
-    deviations. After a gap the first n samples have no complete past. A model of the reversed data,
-    which predicts y(t) from later samples, therefore searches these samples first. The limit for
-    this model is twice as large, because with a poorly exciting input this model does not predict
-    the first samples well.
+    `n` is the order of the model. `limit` is the least size of an outlier, in robust standard
+    deviations. After a gap, the model cannot predict the first n samples. A model of the reversed
+    data, which predicts y(t) from later samples, therefore searches these samples first. The limit
+    for this model is twice as large: if the input excites poorly, this model does not predict the
+    first samples well.
     """
     backwards = _marked([(u[::-1], y[::-1]) for u, y in parts], n, _EARLY_FACTOR * limit)
     corrected, early = [], []
@@ -66,11 +66,11 @@ def _lacks_past(y: Vector, n: int) -> Mask:
 
 
 def _marked(parts: Sequence[tuple[Array, Vector]], n: int, limit: float) -> list[_Found]:
-    """Return, for each experiment, a mask of the outliers and y with the model's values for them.
+    """Return a mask of the outliers of each experiment, and y with model values at the outliers.
 
-    Samples of another order of magnitude would dominate the first model, so they are marked before
-    its estimation. The search is repeated without these marks, and the result with fewer outliers
-    is used.
+    Samples of another order of magnitude would dominate the first model. They are therefore marked
+    before its estimation. The search is then repeated without these initial marks, and the result
+    with fewer outliers is used.
     """
     gross = [_gross(y) for _, y in parts]
     none = [np.zeros(y.size, dtype=np.bool_) for _, y in parts]
@@ -109,9 +109,10 @@ def _searched(
     wrong: list[Mask],
     most: int,
 ) -> list[_Found]:
-    """Mark outliers in addition to `wrong`; return the masks, and y with the model's values.
+    """Mark outliers in addition to `wrong`; return the masks, and y with model values at outliers.
 
-    The search ends early at far more than `most` outliers, because it would take too long.
+    If there are far more than `most` outliers, the search ends early. Otherwise it would take too
+    long.
     """
     expected = [(u, _bridged(y, marked)) for (u, y), marked in zip(parts, wrong, strict=True)]
     seen = set()
@@ -159,9 +160,10 @@ def _robust_std(x: Vector, parts: Sequence[tuple[Array, Vector]]) -> float:
 
 
 def _sizes(model: Whitening, e: Vector, marked: Mask) -> Vector:
-    """Return x (N,), the size of an outlier at each sample in the unit of e; NaN if not visible.
+    """Return x (N,), the size of an outlier at each sample, in the unit of e.
 
-    Near marked samples, only the part of a pattern that the marked samples do not explain is used.
+    x is NaN at samples where an outlier would not be visible. Near marked samples, only the part of
+    a pattern that the marked samples do not explain is used.
     """
     n = model.A.size - 1
     there = np.isfinite(e)
@@ -269,23 +271,24 @@ def hampel(
 
     An ARX model of high order removes the dynamics, so a step of the input is not an outlier,
     however far y moves. A wrong y(t) appears in the residuals e(t) … e(t+n) with the pattern 1, a1
-    … an, and its size in robust standard deviations is ::
+    … an. The size of the pattern in robust standard deviations is ::
 
         z(t) = x(t) / s,    x(t) = sum a_k e(t+k) / sqrt(sum a_k²),    s = 1.4826 median |x|
 
-    The samples with the largest ``|z|`` are marked. For the rest of the search they are set to the
-    model's values. The sizes of marked samples near each other are then estimated together. A
-    sample whose size is small in this estimate is unmarked. The returned data contain no
-    interpolated value. The first n samples after the start or a gap are searched in the reversed
-    data, with twice the threshold. No outlier can be found in a stretch of n samples or fewer.
+    The samples with the largest ``|z|`` are marked. For the rest of the search, these samples are
+    set to the model's values. The sizes of marked samples near each other are then estimated
+    together. A sample whose size is small in this estimate is unmarked. The returned data contain
+    no interpolated value. The first n samples after the start or a gap are searched in the reversed
+    data, with twice the threshold. If n or fewer consecutive samples are between two gaps, no
+    outlier can be found in these samples.
 
     Parameters
     ----------
     data : Dataset or Signals
-        N samples. Each experiment is searched separately, with one model and one s for all. Of
-        Signals, each output is searched, with a model of all inputs.
+        N samples. The experiments are searched separately, but with the same model and the same s.
+        Each output of Signals is searched with a model that contains all inputs.
     threshold : float, optional
-        Least size of z of an outlier; by default the value that N normal residuals do not exceed
+        Least ``|z|`` of an outlier. By default, all of N normal residuals are below the threshold
         with a probability of 99 % (4.6 for N = 3000).
     order : int, optional
         Order n; by default 20, or N/10 if there are fewer than 200 samples.
@@ -293,12 +296,12 @@ def hampel(
     Returns
     -------
     Dataset or Signals
-        N samples, outliers with `valid` False; `history` contains their numbers.
+        N samples. `valid` is False at outliers; `history` contains the numbers of the first ten.
 
     Raises
     ------
     ValueError
-        There are too few samples, or more than a tenth of them would be outliers.
+        There are too few samples, or more than a tenth of the samples would be outliers.
 
     References
     ----------

@@ -54,7 +54,7 @@ SPEED_STATE = "theta_1_rate"
 ROUNDING_SHARE = 1e-18  # of |y|², below which |e|² is rounding
 _MIN_SEEN_SHARE = 1e-7  # least share of a derivative that the free responses must leave
 MAX_LOG_FACTOR = 12.0
-"""Logarithm of the largest factor by which a parameter moves from its start; e^12 is 160 000."""
+"""Logarithm of the largest ratio of a parameter to its start value; e^12 is 160 000."""
 _BOUND_SHARE = 0.98  # of the bound; a search halves its steps, so it ends just below the bound
 _MIN_LOG_RATIO = 10.0  # N ln of the ratio of two costs, above which the difference is significant
 _MIN_COST = 1e-300
@@ -83,8 +83,8 @@ def greybox(
     Parameters
     ----------
     data : Dataset or Signals
-        u in V and the output that `output` names. From Signals with theta_1 and alpha, the
-        parameters are estimated from both outputs together; the default model is then `armrig.arm`.
+        u in V and the output that `output` names. If Signals contain theta_1 and alpha, both
+        outputs are used together, and the default model is `armrig.arm`.
     model : callable, default `armrig.chassis`
         Function `ArmParameters` -> control.StateSpace, continuous with one input: `armrig.chassis`
         if the rotating part was removed, `armrig.arm` for the complete rig, or your own function.
@@ -96,14 +96,14 @@ def greybox(
     output : str, default "theta_1"
         Label of the model's measured output.
     fixed_std : mapping of str to float, optional
-        Standard deviations of fixed parameters. The variances that they cause are added to the
-        variances of the estimates.
+        Standard deviations of fixed parameters. The variances that result from these standard
+        deviations are added to the variances of the estimates.
     friction : {"viscous", "coulomb", "both"}, optional
         Estimate the friction of the chassis too: b_1 in Nms/rad, T_c in Nm, or both. The default,
-        as in the handout, neglects friction. Viscous friction then biases J_1, and Coulomb friction
-        biases J_1 if the chassis stops. If the chassis does not stop, u0 contains the Coulomb
-        friction. If T_c is estimated, u0 is estimated only with a bipolar input. With an input of
-        one sign T_c and u0 cannot be distinguished, and u0 is 0.
+        as in the handout, neglects friction. Neglected viscous friction biases J_1. Neglected
+        Coulomb friction biases J_1 if the chassis stops. If the chassis does not stop, u0 contains
+        the Coulomb friction. If T_c is estimated, u0 is estimated only with a bipolar input. With
+        an input of one sign, T_c and u0 cannot be distinguished, and u0 is 0.
 
     Returns
     -------
@@ -184,7 +184,7 @@ class Problem(Protocol):
 
 
 def searched(problem: GreyBox | Problem, start: Vector, around: Vector | None = None) -> Optimum:
-    """Return the minimum found from a start.
+    """Return the minimum that a search from `start` finds.
 
     The logarithms of the parameters differ from `around`, by default the start, by less than
     `MAX_LOG_FACTOR`.
@@ -314,7 +314,7 @@ def at_bound(names: Sequence[str], moved: NDArray[np.float64]) -> Iterator[str]:
     names : sequence of str
         The free parameters.
     moved : ndarray (d,)
-        Change of each coordinate in the search; elements after the names are ignored.
+        Change of each coordinate in the search; elements without a name are ignored.
     """
     for name, by in zip(names, moved, strict=False):
         if name not in SIGNED and abs(float(by)) > _BOUND_SHARE * MAX_LOG_FACTOR:

@@ -35,9 +35,10 @@ Vector = NDArray[np.float64]
 
 
 def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes:
-    """Plot measured and simulated output, with refitted initial state and offset, and the error.
+    """Plot the measured and the simulated output; below, plot the error of the simulation.
 
-    The simulation contains no Coulomb friction, so the error contains its effect.
+    Initial state and offset of the simulation are fitted to the data. The simulation contains no
+    Coulomb friction, so that the error contains the effect of Coulomb friction.
     """
     ax, below = panels(ax, 0.38)
     names = tuple(n for n in fit.names if n != COULOMB)
@@ -62,11 +63,11 @@ def plot_greybox(fit: GreyFit, data: Dataset, *, ax: Axes | None = None) -> Axes
 
 
 def plot_split(study: SplitStudy, *, ax: Axes | None = None) -> Axes:
-    """Plot each part's estimate with ±2 standard deviations; below, the deviations against N.
+    """Plot the estimates with ±2 standard deviations; below, plot these deviations against N.
 
-    A cross marks the scatter of the parts. For four parts it has three degrees of freedom, so its
-    95 % interval is wide. For two parts no cross is drawn, because its interval would exceed the
-    figure.
+    A cross marks the scatter of the parts. The scatter of four parts has three degrees of freedom,
+    and its 95 % interval is wide. For two parts no cross is drawn, because the interval would
+    exceed the figure.
     """
     ax, below = panels(axes(ax), 0.5, sharex=False)
     unit = UNITS.get(study.parameter, "")
@@ -136,7 +137,7 @@ def _with_ticks(low: float, high: float) -> tuple[float, float]:
 
 
 def _of(size: float, unit: str) -> str:
-    """Return a power of ten and a unit, or "–" without both: 10⁻³ kg m²."""
+    """Return a power of ten and a unit as text, such as 10⁻³ kg m², or "–" if both are empty."""
     exponent = round(float(np.log10(size)))
     power = f"10{raised(exponent)}" if exponent else ""
     return f"{power} {unit}".strip() or "–"

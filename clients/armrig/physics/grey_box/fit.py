@@ -63,7 +63,7 @@ class GreyFit:
     std: dict[str, float]
     """Standard deviations by name, due to the noise and the uncertainty of fixed parameters."""
     std_noise: dict[str, float]
-    """Standard deviations due to the noise only, which decrease with more data."""
+    """Standard deviations by name, due to the noise only; more data decrease them."""
     std_robust: dict[str, float]
     """Standard deviations by name, valid also if the residuals are coloured."""
     covariance: Matrix
@@ -89,14 +89,14 @@ class GreyFit:
     loss: float
     """Mean squared residual."""
     fit_percent: float
-    """100 (1 - |y - ŷ| / |y - mean y|), simulated, on the estimation data."""
+    """Fit of the simulated output to the estimation data, 100 (1 - |y - ŷ| / |y - mean y|)."""
     whiteness: float
     """p value of the hypothesis that the residuals are white. For inverse dynamics, the hypothesis
     is that the residuals are smoothed white noise."""
     whiteness_test: str
     """Name of the test of `whiteness`."""
     quantum: float
-    """Quantisation step of the output, 0 if none is visible."""
+    """Quantisation step of the output, 0 if no step is visible."""
     N: int
     """Number of samples used."""
     Ts: float
@@ -104,13 +104,15 @@ class GreyFit:
     converged: bool = True
     """True if the search met its tolerance."""
     physics: Physics
-    """The model."""
+    """Physical model with its fixed parameters."""
     width: float = np.nan
     """Standard deviation of the smoothing kernel in s; NaN without smoothing."""
     bias: dict[str, float] = field(default_factory=dict)
-    """Bias due to the noise of the smoothed velocity, by name; it is not subtracted."""
+    """Bias due to the noise of the smoothed velocity, by name; estimates still contain it."""
     by_output: Mapping[str, OutputQuality] = field(default_factory=dict)
-    """Quality for each output, if several outputs were used; loss, fit and tests are of `output`.
+    """Quality for each output, if several outputs were used.
+
+    `loss`, `fit_percent` and `whiteness` are the values for `output`.
     """
     warnings: tuple[str, ...] = ()
     """Warnings on the reliability of the numbers."""
@@ -207,7 +209,7 @@ class GreyFit:
         return self.physics.model(self.fixed)
 
     def simulate(self, u: ArrayLike) -> Vector:
-        """Return the output (N,) for u held over Ts, from rest; without Coulomb friction.
+        """Return the simulated output (N,) for a held u, from rest and without Coulomb friction.
 
         Examples
         --------
@@ -328,7 +330,7 @@ def by_experiment(
 
 
 def _spread(rows: Matrix, valid: NDArray[np.bool_]) -> Matrix:
-    """Return a matrix for all samples: the rows at the valid samples, zeros elsewhere."""
+    """Return a matrix for all samples, with `rows` at the valid samples and zeros elsewhere."""
     whole = np.zeros((valid.size, rows.shape[1]))
     whole[valid] = rows
     return whole
@@ -348,7 +350,7 @@ def named_std(names: tuple[str, ...], covariance: Matrix) -> dict[str, float]:
 def named_influence(
     names: tuple[str, ...], held: tuple[str, ...], influence: Matrix
 ) -> dict[str, dict[str, float]]:
-    """Return d ln estimate / d ln fixed by the names of both, for positive parameters."""
+    """Return d ln estimate / d ln fixed of positive parameters, by estimated and fixed name."""
     return {
         name: {
             k: float(v) for k, v in zip(held, row, strict=True) if k not in SIGNED and abs(v) > 1e-9

@@ -86,12 +86,13 @@ def inverse_dynamics(
         Values of N, R_m, K_m and, if b_1 is not estimated, b_1; by default the values of the
         handout.
     friction : {"viscous", "coulomb", "both"}, optional
-        As for `greybox`. The rule of `greybox` also decides whether the offset of the input is
-        estimated. If T_c is estimated, stretches nearly at rest are not used.
+        As for `greybox`. The offset of the input is estimated in the same cases as in `greybox`. If
+        T_c is estimated, samples near standstill are not used.
     width : float, optional
-        Standard deviation s of the smoothing kernel in s. By default, several widths with the ratio
-        sqrt(2) are tried, and the width with the least std² + bias² is used. A narrow kernel passes
-        more noise of the velocity, which biases J_1. A wide kernel loses excitation and data.
+        Standard deviation of the smoothing kernel in s. By default, several widths are tried, each
+        sqrt(2) times as wide as the previous width. The width with the least std² + bias² is used.
+        A narrow kernel passes more noise of the velocity, which biases J_1. A wide kernel loses
+        excitation and data.
     fixed_std : mapping of str to float, optional
         As for `greybox`.
 
@@ -100,8 +101,8 @@ def inverse_dynamics(
     GreyFit
         Both standard deviations come from the sandwich form, because smoothed noise is never white.
         `whiteness` is the p value of the hypothesis that the residuals are smoothed white noise of
-        the angle. `width` is s. `bias` is the first-order bias due to the noise of the velocity; it
-        is not subtracted.
+        the angle. `width` is the width that was used. `bias` is the first-order bias due to the
+        noise of the velocity; the bias is not subtracted.
 
     Raises
     ------
@@ -274,7 +275,7 @@ def _at(
 
 
 def _meat(blocks: Sequence[Matrix], h: Vector, m: int) -> Matrix:
-    """Return sum over i, j of x(i) x(j)^T r(j - i), r the autocovariance of h in steps of m."""
+    """Return the sum of x(i) x(j)^T r(j - i); r is the autocovariance of h at lags of m samples."""
     r = np.correlate(h, h, "full")[h.size - 1 :: m]
     total = np.zeros((blocks[0].shape[1],) * 2)
     for X in blocks:
@@ -308,7 +309,7 @@ class _TorqueBalance:
     """Equations of the torque balance for decimated signals of all experiments."""
 
     target: Vector
-    """Acceleration (M,), NaN if it is not known."""
+    """Acceleration (M,), NaN where it is not known."""
     X: Matrix
     """Regressors (M, columns): torque; then velocity, sign and offset if they are estimated."""
     moved: Matrix
@@ -338,9 +339,9 @@ class _Solution:
     inference: Inference
     """Covariance of beta, and loss."""
     residuals: list[Vector]
-    """Residuals of each experiment, NaN if they are not known."""
+    """Residuals of each experiment, NaN where a residual is not known."""
     blocks: list[Matrix]
-    """Columns of each experiment, 0 in rows that are not known."""
+    """Columns of each experiment, 0 in rows where the residual is not known."""
 
 
 def _solved(balance: _TorqueBalance, s: float) -> _Solution:
@@ -457,7 +458,7 @@ def _by_experiment(
 
 
 def _parameters(beta: Vector, names: tuple[str, ...]) -> tuple[dict[str, float], Matrix]:
-    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, and their derivatives in beta."""
+    """Return J_1 = 1/beta_1 and the frictions beta_i/beta_1, and their derivatives by beta."""
     values = {"J_1": float(1 / beta[0])}
     slope = np.zeros((len(names), beta.size))
     slope[0, 0] = -1 / beta[0] ** 2

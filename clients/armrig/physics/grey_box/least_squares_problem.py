@@ -25,7 +25,7 @@ _MIN_REVERSED_SHARE = 0.05  # least share of samples of either sign in a bipolar
 
 
 def bipolar(u: Vector) -> bool:
-    """Return whether an input has both signs, so that friction differs from an offset."""
+    """Return True if an input has both signs; friction then differs from an offset."""
     return bool(min(np.mean(u > 0), np.mean(u < 0)) >= _MIN_REVERSED_SHARE)
 
 
@@ -48,7 +48,7 @@ class Linearised:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GreyBox:
-    """Problem min |y - model(parameters) - free responses| without the free responses.
+    """Problem min |y - model(parameters) - free responses|, solved for the parameters only.
 
     The free responses are projected out.
     """
@@ -68,7 +68,7 @@ class GreyBox:
         }
 
     def coordinates(self, values: dict[str, float]) -> Vector:
-        """Return the coordinates of parameters."""
+        """Return the coordinates of the given parameters."""
         return np.array([v if k in SIGNED else np.log(v) for k, v in values.items()])
 
     def linearise(self, eta: Vector) -> tuple[Vector, Matrix]:
@@ -108,8 +108,8 @@ class GreyBoxWithFriction:
 
     The vector of coordinates contains the coordinates of the parameters, then T_c, then x0 of each
     experiment. If the input is bipolar, u0 follows x0. With an input of one sign, as on the rig,
-    the chassis hardly ever turns back. A friction of constant sign cannot be distinguished from an
-    offset, so u0 is then 0.
+    the chassis hardly ever turns back, and the friction keeps its sign. Such a friction cannot be
+    distinguished from an offset. The offset u0 is then 0.
     """
 
     plain: GreyBox
@@ -157,7 +157,7 @@ class GreyBoxWithFriction:
         )
 
     def _offsets(self) -> list[bool]:
-        """Return for each experiment whether u0 is free."""
+        """Return a list with True for each experiment in which u0 is free."""
         return [bipolar(data.u) for data in self.plain.experiments]
 
     def _parts(self, z: Vector) -> list[slice]:
@@ -168,7 +168,7 @@ class GreyBoxWithFriction:
         return [slice(a, b) for a, b in pairwise(edges)]
 
     def _all(self, z: Vector, by: Sequence[str]) -> tuple[Vector, Matrix, list[tuple[int, int]]]:
-        """Return e (M,), derivatives in (`by`, T_c, x0, u0, …), and the rows of each experiment."""
+        """Return e (M,), derivatives by (`by`, T_c, x0, u0, …), and the rows of each experiment."""
         plain = self.plain
         own, first = len(plain.names) + 1, len(by) + 1
         values = plain.values(z[: own - 1])

@@ -60,7 +60,7 @@ def linear_parts(model: Sampled, u: Vector) -> tuple[Vector, Matrix]:
 
 
 def sensitivity(model: Sampled, u: Vector, x0: Vector, u0: float) -> Matrix:
-    """Return the derivatives (N, d) of the output in the coordinates, without friction.
+    """Return the derivatives (N, d) of the output with respect to coordinates, without friction.
 
     With v = u - u0 the derivatives are outputs of the same model, driven by dPhi x + dGamma v.
     """
@@ -79,9 +79,10 @@ def sensitivity(model: Sampled, u: Vector, x0: Vector, u0: float) -> Matrix:
 def with_friction(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> Response:
     """Return the response with Coulomb friction of V volts, and all derivatives.
 
-    Slip and stick alternate, and each stretch is linear. The stretches are found step by step and
-    then differentiated as a whole. Steps with a reversal are separate stretches. During stick
-    P Gamma = 0, so that an input offset has no effect.
+    Slip and stick alternate. In an interval of slip or stick, the model is linear. The intervals
+    are found step by step, and each interval is then differentiated as a whole. A step with a
+    reversal is an interval by itself. During stick P Gamma = 0, so that an input offset has no
+    effect.
     """
     walk = _walk(model, u, x0, V, speed)
     x, n, d = walk.x, x0.size, len(model.by)
@@ -164,17 +165,17 @@ class _Walk:
     frictions: Vector
     """Friction in volts of each step, (N - 1,)."""
     stretches: list[tuple[int, int, int]]
-    """For each stretch: first step, last step + 1, and the motion. The motion is the sign of the
-    speed (0 during stick), or REVERSAL."""
+    """First step, last step + 1, and motion of each interval of slip, stick or reversal. The motion
+    is the sign of the speed (0 during stick), or REVERSAL."""
 
 
 def _walk(model: Sampled, u: Vector, x0: Vector, V: float, speed: int) -> _Walk:
-    """Return the states and the stretches of slip and stick.
+    """Return the states and the intervals of slip and stick.
 
-    At standstill a driving voltage acts on the chassis. If its magnitude is at most V, the chassis
-    sticks, and the friction of this step is such that the speed at its end is 0. Otherwise the
-    chassis turns back within the step, and the friction is the mean for both directions. If V is
-    below 0, which a search may try, the chassis never sticks.
+    At standstill a driving voltage acts on the chassis. If the magnitude of this voltage is at most
+    V, the chassis sticks. The friction of the step then makes the speed at the end of the step 0.
+    Otherwise the chassis turns back within the step, and the friction is the mean for both
+    directions. If a search tries a V below 0, the chassis never sticks.
     """
     alone = not np.delete(model.Phi[speed], speed).any()
     frictions, steps = (_braked_alone if alone else _braked)(model, u, x0, V, speed)

@@ -1,4 +1,4 @@
-"""An exactly sampled physical model, with its derivatives by the physical parameters."""
+"""Exactly sampled physical model, and its derivatives with respect to physical parameters."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Derivative:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Physics:
-    """A model with fixed and free parameters, which can be sampled for given values."""
+    """Model with fixed and free parameters; `sampled` takes values of the free parameters."""
 
     model: Model
     """Function: parameters -> control.StateSpace, in continuous time."""
@@ -94,7 +94,7 @@ class Physics:
         )
 
     def sampled(self, values: dict[str, float], by: Sequence[str], Ts: float) -> Sampled:
-        """Return the exact model under zero-order hold, with its derivatives.
+        """Return the model, sampled exactly for a zero-order hold, with its derivatives.
 
         Phi and Gamma are blocks of exp([A B; 0 0] Ts). Their derivatives are blocks of the Fréchet
         derivative in the direction of [dA dB; 0 0] Ts. The coordinates are logarithms of the

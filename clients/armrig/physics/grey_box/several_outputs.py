@@ -57,7 +57,7 @@ class _Linearised:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Problem:
-    """Problem min sum over the outputs of |e_i|²/std_i², the free responses projected out.
+    """Problem min sum of |e_i|²/std_i² over the outputs i; the free responses are projected out.
 
     The outputs of an experiment have the same initial state and the same input offset.
     """
@@ -68,7 +68,7 @@ class _Problem:
     """Model of each output."""
     experiments: tuple[Signals, ...]
     std: Array
-    """Deviations of the noise (ny,)."""
+    """Standard deviations of the noise of each output, (ny,)."""
 
     def linearise(self, eta: Array) -> tuple[Array, Array]:
         """Return weighted residuals and derivatives at the coordinates eta."""
@@ -124,20 +124,20 @@ def greybox(
 ) -> GreyFit:
     """Estimate physical parameters from several outputs together.
 
-    The estimate minimises the sum over the outputs of ``|e_i|²/std_i²``. The deviations std_i of
-    the noise are estimated again after each search. All outputs of an experiment have one initial
-    state and one input offset.
+    The estimate minimises the sum of ``|e_i|²/std_i²`` over the outputs i. The standard deviations
+    std_i of the noise are estimated again after each search. All outputs of an experiment share one
+    initial state and one input offset.
 
     Parameters
     ----------
     data : Signals
         One input in V and the outputs, named as in the model: theta_1 and alpha.
     model, free, fixed, fixed_std
-        As for one output; the default model is `armrig.arm`.
+        As in `armrig.greybox` for one output; the default model is `armrig.arm`.
     output : str, default "theta_1"
         Output that `plot`, `simulate` and the tests of the result describe.
     friction : {"viscous"}, optional
-        Coulomb friction is estimated from theta_1 alone.
+        Estimate b_1, too. Coulomb friction can only be estimated from theta_1 alone.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def greybox(
 
 
 def _require(data: Signals, names: Sequence[str], output: str) -> None:
-    """Refuse data that are not of the rig, and parameters of one output only."""
+    """Refuse signals that do not fit the rig, and Coulomb friction, which needs a single output."""
     if data.nu != 1:
         raise InputError(
             f"the inputs are {', '.join(data.inputs)}; the rig has one, u: choose it with "
@@ -190,7 +190,7 @@ def _require(data: Signals, names: Sequence[str], output: str) -> None:
 
 
 def _minimised(problem: _Problem, start: Array) -> tuple[_Problem, Optimum]:
-    """Return the problem with the deviations of the noise, and its minimum."""
+    """Return the problem with the estimated deviations of the noise, and its minimum."""
     best = searched(problem, start)
     for _ in range(_MAX_ROUNDS):
         e = np.vstack(problem.at(best.theta).e)
@@ -272,7 +272,7 @@ def _both(found: Inference) -> tuple[Array, Array]:
 
 
 def _inference(problem: _Problem, at: _Linearised, basis: Basis) -> Inference:
-    """Return covariances in coordinates, and the quality for each output."""
+    """Return both covariances of the coordinates, and the quality for each output."""
     H = basis.Q @ basis.W.T
     begin, experiments = 0, []
     for data, e in zip(problem.experiments, at.e, strict=True):

@@ -56,13 +56,13 @@ SMOOTHED_NOISE = "test of smoothed noise"
 
 
 def reach(s: float, Ts: float) -> int:
-    """Return the number of samples to either side that a kernel of standard deviation s uses."""
+    """Return the number of samples that a kernel of standard deviation s uses on each side."""
     return int(np.ceil(_REACH * s / Ts))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Smoothed:
-    """Smoothed signals of one experiment; NaN where a window is not full of valid samples."""
+    """Smoothed signals of one experiment; NaN where the kernel needs samples that are missing."""
 
     velocity: Vector
     """Velocity (N,), in y's unit per s."""
@@ -71,7 +71,7 @@ class Smoothed:
     u: Vector
     """Input (N,), in u's unit."""
     reach: int
-    """Number of samples to either side that the kernel uses."""
+    """Number of samples that the kernel uses on each side."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,7 +85,7 @@ class Kernels:
     held: Vector
     """Kernel of a held input."""
     reach: int
-    """Number of samples to either side."""
+    """Number of samples on each side of the centre."""
 
 
 def kernels(s: float, Ts: float) -> Kernels:
@@ -157,7 +157,7 @@ def smoothed_noise_p_value(residuals: Sequence[Vector], h: Vector, m: int) -> fl
     Parameters
     ----------
     residuals : sequence of ndarray (N_i,)
-        Residuals of each experiment, NaN if they are not known.
+        Residuals of each experiment, NaN where a residual is not known.
     h : ndarray (n,)
         Kernel of the noise.
     m : int

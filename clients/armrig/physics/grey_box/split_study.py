@@ -1,4 +1,4 @@
-"""The same estimate from all data, from halves and from quarters (handout 3.6)."""
+"""Estimates of one parameter from all data, from halves and from quarters (handout 3.6)."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class Split:
     k: int
     """Number of parts."""
     N: Vector
-    """Samples with an output in each part, (k,)."""
+    """Number of samples with an output in each part, (k,)."""
     values: Vector
     """Estimates, (k,)."""
     std: Vector
-    """Reported standard deviations, from the noise alone, (k,)."""
+    """Reported standard deviations of the estimates, due to the noise alone, (k,)."""
 
     @property
     def scaled_std(self) -> float:
@@ -49,7 +49,7 @@ class Split:
 
     @property
     def pooled(self) -> tuple[float, float]:
-        """Mean with weights 1/std², and its standard deviation."""
+        """Mean of the estimates with weights 1/std², and standard deviation of this mean."""
         weights = self.std**-2
         return float(weights @ self.values / weights.sum()), float(weights.sum() ** -0.5)
 
@@ -60,7 +60,7 @@ class Split:
 
     @property
     def scatter_interval(self) -> tuple[float, float]:
-        """95 % interval of the standard deviation that `scatter` estimates, NaN for one part.
+        """95 % confidence interval of the true standard deviation, from `scatter`; NaN for k = 1.
 
         scatter² (k - 1) divided by the true variance is chi-squared with k - 1 degrees of freedom.
         """
@@ -117,7 +117,7 @@ class SplitStudy:
 
     @property
     def verdict(self) -> str:
-        """Text on the standard deviation against the length, and on the agreement of the parts."""
+        """Text on the trend of the standard deviation, and on the agreement of the parts."""
         return "\n".join([*self._trend(), *self._agreement()])
 
     def explain(self) -> str:
@@ -125,9 +125,9 @@ class SplitStudy:
         lines = self._trend()
         if lines:
             lines.append(
-                "Each sample adds its share to the information, sum of psi(t)²/lambda, and the "
-                "covariance is its inverse: half the data have half the information and twice the "
-                "variance. Deviations have two reasons: the input does not excite all parts "
+                "Each sample adds its share psi(t)²/lambda to the information. The covariance is "
+                "the inverse of the information: half the data have half the information and twice "
+                "the variance. Deviations have two reasons: the input does not excite all parts "
                 "equally, and each part must estimate an initial state."
             )
         return "\n".join([*lines, *self._agreement(scatter=True), *self._pooled()])
@@ -141,8 +141,8 @@ class SplitStudy:
         expected = sqrt(float(np.mean(first.N) / np.mean(last.N)))
         return [
             f"From {first.k} to {last.k} parts the standard deviation of {self.parameter} "
-            f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}. With 1/N for "
-            f"the variance the factors would be {expected:.2f} and {expected**2:.2f}."
+            f"changes by a factor of {ratio:.2f}, its variance by {ratio**2:.2f}. If the variance "
+            f"were proportional to 1/N, the factors would be {expected:.2f} and {expected**2:.2f}."
         ]
 
     def _agreement(self, *, scatter: bool = False) -> list[str]:
@@ -180,7 +180,7 @@ class SplitStudy:
         return [
             f"Pooled with weights 1/std², the estimate of the {last.k} parts is {value:.6g} ± "
             f"{std:.2g}; the estimate from all data is {whole.values[0]:.6g} ± "
-            f"{whole.std[0]:.2g}: cutting loses only the information for the initial states."
+            f"{whole.std[0]:.2g}. Cutting the data loses only the information for initial states."
         ]
 
     def plot(self, *, ax: Axes | None = None) -> Figure:
@@ -229,8 +229,8 @@ def split_study(
     parameter : str, optional
         Name of the parameter to study; by default the first parameter of the fit.
     progress : callable, optional
-        Function of the number of finished estimates, the number of all estimates, and the name of
-        the next estimate, "" after the last.
+        Function of three arguments: the number of finished estimates, the number of all estimates,
+        and the name of the next estimate ("" after the last estimate).
 
     Raises
     ------
@@ -339,8 +339,8 @@ def agreement(efficient: GreyFit, other: GreyFit) -> tuple[Agreement, ...]:
 
     Both estimates are from the same data. An efficient estimate is not correlated with its
     difference from another consistent estimate. The variance of the difference is therefore the
-    difference of the variances. Their sum would be too large, so that two inconsistent estimates
-    would seem to agree.
+    difference of the variances. The sum of the variances would be too large: inconsistent estimates
+    would then seem to agree.
 
     Parameters
     ----------

@@ -69,7 +69,7 @@ def sinusoid(
     x0: ArrayLike | None = None,
     span: float | None = None,
 ) -> Sinusoid:
-    """Return a problem with checked values; by default x0 = 0 and three periods of the input.
+    """Return a problem with checked values; by default, x0 is 0 and span is three input periods.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def sinusoid(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Convergence:
-    """Error of one method against the step."""
+    """Error of one method as a function of the step."""
 
     method: str
     """Name of the method, as for `integrate`."""
@@ -149,8 +149,8 @@ def growth(A: ArrayLike, method: str, h: float, *, n: int = 20_000) -> float:
     """Return the growth of the free motion over the second half of n steps; > 1 is unstable.
 
     The initial state excites all modes equally. The growth is the ratio of the largest |x(k+1) -
-    x(k)| in the last tenth of the steps to the largest in the middle tenth. Differences do not
-    contain constant modes (eigenvalues at 0).
+    x(k)| in the last tenth of the steps to the largest |x(k+1) - x(k)| in the tenth before the
+    middle. Differences do not contain constant modes (eigenvalues at 0).
     """
     A_, *_ = system(A, np.zeros(np.shape(A)[0]))
     size = A_.shape[0]

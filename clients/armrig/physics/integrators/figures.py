@@ -136,7 +136,7 @@ def plot_solution(
     label: str = "x",
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot a state by each method, the exact state, and the errors below.
+    """Plot a state as computed by each method, and the exact state; below, plot the errors.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """The largest step at which a method is absolutely stable on a given system.
 
 For each eigenvalue lambda the roots of the stability polynomial pi(zeta; h lambda) must be inside
-the unit circle. The reduction of Schur and Cohn converts this condition into the signs of a few
-polynomials in h. A finite limit other than 0 is a root of one of these polynomials, so that no scan
-over h is necessary.
+the unit circle. The reduction of Schur and Cohn converts this condition into conditions on the
+signs of a few polynomials in h. A finite limit other than 0 is a root of one of these polynomials,
+so that no scan over h is necessary.
 
 References
 ----------
@@ -33,7 +33,7 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
     The limit is a *largest* step. (The handout, assignment 4.1, asks for the "minimum step size
     that preserve the absolute stability", but every smaller step is stable as well.)
 
-    Each eigenvalue has a limit, and the smallest is returned:
+    Each eigenvalue has a limit, and the smallest limit is returned:
 
     - Re < 0: the limit of the method for this eigenvalue.
     - 0, with as many eigenvectors as its multiplicity: no limit, because every method keeps a
@@ -75,7 +75,7 @@ def stability_limit(A: ArrayLike, method: str = "forward_euler") -> float:
 
 
 def counting_eigenvalues(A: Array) -> Array:
-    """Return the eigenvalues that limit a step; real parts within rounding errors are 0.
+    """Return the eigenvalues that limit a step; real parts within rounding errors are set to 0.
 
     An eigenvalue at 0 is not returned if it has as many independent eigenvectors as its
     multiplicity. If a marginal eigenvalue has fewer eigenvectors, the function returns 1 (an

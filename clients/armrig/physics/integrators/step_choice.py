@@ -37,7 +37,7 @@ class Advice:
     steps: int
     """Number of steps in the span."""
     work: int
-    """Number of products with A, or of solutions with factors, over the span."""
+    """Number of products with A, or of solutions of factored equations, over the span."""
     reason: str
     """Text with the reason for this step."""
 
@@ -84,8 +84,9 @@ def recommend_step(
 ) -> Recommendation:
     """Return for each method the largest stable step with an error within the tolerance.
 
-    The step follows from the order (the error falls as h^p). It is verified against the exact
-    solution for u = amplitude sin(omega t).
+    The step is computed from the order p of the method, because the error falls as h^p. If a
+    solution with the step is short enough, its error is then measured against the exact solution
+    for u = amplitude sin(omega t).
 
     Parameters
     ----------
@@ -153,7 +154,7 @@ def _advice(problem: Sinusoid, method: str, tolerance: float) -> Advice:
 def _step_for(
     problem: Sinusoid, method: str, tolerance: float, largest: float
 ) -> tuple[float, float, bool]:
-    """Return the largest step found within the tolerance, its error, and whether it is measured."""
+    """Return the largest step within the tolerance, its error, and True for a measured error."""
     order = METHODS[method].order
     best, best_error = 0.0, inf
     h = _START_SHARE * largest

@@ -1,4 +1,4 @@
-"""Calibration of a rig's counts and codes, estimated from recordings made for it."""
+"""Calibration of a rig's counts and codes, estimated from recordings for this purpose."""
 
 from __future__ import annotations
 

@@ -45,9 +45,9 @@ MAX_STEADY_RATIO = 1.5  # ratio of the residuals at constant speed to noise and 
 _METER_TOLERANCE = 1.005  # relative uncertainty of a common meter's reading
 _MAX_REST_STEPS = 10.0  # spread of readings at rest, in steps of the converter
 CLEAR = 8.0
-"""Threshold of the arm's deflection: this number of standard deviations of noise, plus one step."""
+"""Threshold of the arm's deflection, in standard deviations of noise; one step is added to it."""
 HAND_RAD = 0.02
-"""Smallest deflection by hand that determines alpha's sign, in rad; a touch deflects less."""
+"""Smallest deflection by hand that determines alpha's sign, in rad; a light touch causes less."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,8 +129,8 @@ class Estimate:
         Parameters
         ----------
         base : Calibration
-            Calibration that is changed, such as the current calibration. The magnitude of alpha's
-            rad per count is always taken from `base`.
+            Calibration that contains the values that were not measured, such as the current
+            calibration. The magnitude of alpha's rad per count is always taken from `base`.
         made : Made
             Origin of the recordings, to which the measured values are added.
         """
@@ -181,7 +181,8 @@ def estimate(
     meter_std_v : float, default 0.01
         Standard deviation of a reading of the meter, in V.
     base : Calibration, optional
-        Calibration with the approximate rad per count of alpha, to convert the deflection by hand.
+        Calibration with the approximate rad per count of alpha, which converts the deflection in
+        `deflected` to rad.
 
     Raises
     ------
@@ -225,7 +226,7 @@ def estimate(
 
 
 def _at_rest(rest: Recording | Readings) -> Readings:
-    """Return the readings at rest; refuse driven readings and readings at a rail."""
+    """Return the readings at rest; refuse readings of a driven motor and readings at a rail."""
     still = readings_of(rest)
     if (still.u != 0).any():
         raise InputError("the motor was driven in the recording at rest: all voltages must be 0 V")
@@ -284,7 +285,7 @@ def sign_of_lag(readings: Readings, noise: float, step: float) -> int:
     """Return the sign of alpha's rad per count; 0 if no deflection of the arm was seen.
 
     When the motor accelerates the chassis from rest towards positive angles, the arm lags. alpha is
-    therefore negative first.
+    therefore negative at first.
 
     Parameters
     ----------

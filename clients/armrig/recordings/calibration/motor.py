@@ -31,19 +31,19 @@ class TerminalVoltage:
 
     @property
     def offset(self) -> Figure:
-        """Terminal voltage at u = 0 of the line, in V."""
+        """Terminal voltage of the line at u = 0, in V."""
         return Figure(value=float(self.line[0]), std=sqrt(float(self.covariance[0, 0])))
 
     @property
     def gain(self) -> Figure:
-        """Volts at the terminals per volt of u."""
+        """Gain of the line: volts at the terminals per volt of u."""
         return Figure(value=float(self.line[1]), std=sqrt(float(self.covariance[1, 1])))
 
 
 STANDSTILL_RAD_S = 0.1
-"""Measured speeds below this, in rad/s, are not used, because friction holds the chassis."""
+"""Least measured speed that is used, in rad/s; at a lower speed, friction holds the chassis."""
 IDEAL_DRIVER = TerminalVoltage(line=np.array([0.0, 1.0]), covariance=np.zeros((2, 2)))
-"""Line of an ideal driver, without a measurement: the terminal voltage is u."""
+"""Line of an ideal driver, used without a measurement: the terminal voltage is u."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

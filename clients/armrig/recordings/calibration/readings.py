@@ -26,7 +26,7 @@ MOST_ROWS = 50_000
 _HEADING = "recording,t_device_us,u_v,theta_1_counts,alpha_counts"
 _MAX_UNPACKED_BYTES = 8 << 20
 RAIL_COUNTS = 64
-"""The lowest and the highest 1/1024 of 65536 are rails (PROTOCOL.md, section 7)."""
+"""Width of a rail: the lowest and the highest 1/1024 of all counts (PROTOCOL.md, section 7)."""
 FULL_COUNTS = 65536
 _HARMONICS = np.arange(1.0, 101.0)
 
@@ -75,7 +75,7 @@ def readings_of(source: Recording | Readings) -> Readings:
 
 
 def compressed(sources: Mapping[str, Recording | Readings]) -> bytes:
-    """Return the readings as a gzipped CSV; equal readings have equal bytes.
+    """Return the readings as a gzipped CSV; equal readings give equal bytes.
 
     Raises
     ------
@@ -148,7 +148,8 @@ def rounding_variance(step: float, noise: float) -> float:
 
         step² / (2 pi²) · sum over k >= 1 of exp(-(2 pi k sigma / step)²) / k²
 
-    Without noise, this variance is step² / 12. With a noise of half a step or more, it is almost 0.
+    Without noise, this variance is step² / 12. With a noise of half a step or more, this variance
+    is almost 0.
 
     Parameters
     ----------
@@ -192,5 +193,5 @@ def noise_before_rounding(variance: float, step: float) -> float:
 
 
 def at_rail(counts: Vector) -> NDArray[np.bool_]:
-    """Return which readings are at an end of the converter's range."""
+    """Return a mask of the readings that are at an end of the converter's range."""
     return np.asarray((counts < RAIL_COUNTS) | (counts >= FULL_COUNTS - RAIL_COUNTS))

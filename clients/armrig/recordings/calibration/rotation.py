@@ -56,7 +56,7 @@ class Turning:
     slopes: Vector
     """Slopes b_j, in counts/s, (m,)."""
     covariance: Matrix
-    """Covariance matrix of the m slopes, followed by the counts of a turn, (m + 1, m + 1)."""
+    """Covariance matrix of the m slopes and, last, the counts of a turn, (m + 1, m + 1)."""
     residual_variance: float
     """Variance of the readings about the straight lines, in counts²."""
 
@@ -242,7 +242,8 @@ def _least(values: Vector, otherwise: float) -> float:
 def _bracketed(bracket: tuple[float, float], variance: float) -> Figure:
     """Return the middle of an interval with its standard deviation.
 
-    The variance is the variance of a uniform distribution plus `variance`.
+    The squared standard deviation is the variance of a uniform distribution over the interval plus
+    `variance`.
     """
     low, high = bracket
     return Figure(value=(low + high) / 2, std=sqrt((high - low) ** 2 / 12 + variance))

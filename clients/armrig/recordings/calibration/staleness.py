@@ -8,11 +8,11 @@ from armrig_core.calibration import Calibration
 from armrig_core.manifest import Manifest
 
 STALE_DAYS = 30
-"""Age of a calibration, in days at the time of a recording, above which it is stale."""
+"""Largest age of a calibration at the time of a recording, in days, before it counts as stale."""
 
 
 def remarks(calibration: Calibration | None, manifest: Manifest) -> list[str]:
-    """Return a sentence for each doubt about a recording's calibration; an empty list for none.
+    """Return a list with a sentence for each doubt about a recording's calibration.
 
     A calibration that was made after the recording is never stale.
 
