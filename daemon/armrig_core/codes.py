@@ -87,7 +87,7 @@ class OutcomeCode(StrEnum):
     """Outcome of a run or of its recording."""
 
     COMPLETE = "complete"
-    """The run ended with the last sample of its input, or the recording with its last sample."""
+    """The run or the recording ended with its last sample."""
     CONTINUED = "continued"
     """The file is one part of a run, and another part follows."""
     STOPPED = "stopped"
