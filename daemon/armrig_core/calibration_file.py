@@ -81,7 +81,7 @@ def read_calibration(path: Path) -> Calibration:
 
 
 def check_measured(calibration: Calibration, raw: bytes) -> Made:
-    """Return the origin of a calibration; refuse any other than from `armrig calibrate`.
+    """Return the origin of a calibration; refuse a calibration that was not measured.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ class RefusalCode(StrEnum):
     BUSY = "busy"
     """Another request to the device, `want`, is in progress."""
     STALE = "stale"
-    """The last answer (`age_ms` old) or sample (older than `limit_ms`) of the device is too old."""
+    """The device's last answer (`age_ms` old) or last sample (older than `limit_ms`) is too old."""
     NOT_AT_REST = "not_at_rest"
     """The device is not at rest yet."""
     LATE = "late"

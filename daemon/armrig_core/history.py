@@ -19,7 +19,7 @@ from armrig_core.errors import MalformedReplyError
 from armrig_core.topics import STREAMS
 
 REPLY_LIMIT = 64 << 10
-"""Length at which an answer ends, in B; its last message reaches or exceeds this length."""
+"""Length at which an answer ends, in B; the last message may exceed this length."""
 ANSWER_LIMIT = 1 << 20
 """Longest answer that a client reads, in B; the answers of a daemon are much shorter."""
 NUMBER_LIMIT = 1 << 62

@@ -100,7 +100,7 @@ def file_records(
     source : ByteSource
         Reader of the file, positioned after the magic.
     spend : callable
-        Function that is called for each record with the work for it, in units of the budget.
+        Function that is called for each record with the record's work, in units of the budget.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Handling of the device's samples: the number k of a sample, its values, and its input.
+"""Handling of the device's samples: number k, values, and the check of the input.
 
 In exchange mode a sample answers an EXCHANGE of the daemon. In a scheduled run the device samples
 by its own timer. Each mode determines in its own way which sample was due; the other code is
@@ -171,7 +171,7 @@ def _publish(
     due: _Due,
     queued: int = -1,
 ) -> Step:
-    """Publish the gaps before a sample, then the sample itself, with `link` and `run` after it."""
+    """Publish the gaps before a sample, then the sample; store `link` and `run` in the state."""
     state, done = gaps.report_missing(state, due.k, now_ns, m.u_km1)
     t_us = extended(state.t_us, m.t_us)
     calibration = state.rules.calibration

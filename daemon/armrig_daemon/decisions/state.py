@@ -60,7 +60,7 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
     turns: int
     """Largest rotation of theta_1 in a run, in turns/100; 0 is no limit."""
     rail_ticks: int
-    """Number of consecutive samples at a rail that cause FAULT(ADC_RAIL); 0 is no limit."""
+    """Consecutive samples at a rail after which a run ends with FAULT(ADC_RAIL); 0 is no limit."""
     oversampling: int = 1
     """Number of conversions averaged in one reading; 1 in a trace without this field."""
     calibration: Calibration
@@ -91,7 +91,7 @@ class Rules(msgspec.Struct, frozen=True, kw_only=True):
         return inside and (self.slew == 0 or abs(code - before) <= self.slew)
 
     def lease_ns(self, ts_us: int) -> int:
-        """Return the time, in ns, for which a voltage is held by hand without another command."""
+        """Return the time, in ns, for which a voltage set by hand is held without a new command."""
         return max(100_000_000, 5_000 * ts_us)
 
 

@@ -32,7 +32,7 @@ T = TypeVar("T")
 VERSION = 2
 """Version of the names in a trace; `trace_v1` reads version 1."""
 CHUNK_BYTES = 3000
-"""Largest size of the steps in a chunk, in bytes; a chunk with its state has at most 4096."""
+"""Largest size of a chunk's steps, in bytes; with the state, a chunk has at most 4096 bytes."""
 _HELD = "held"  # replaces the lease in force
 _STEP_BYTES, _EVENT_BYTES = 12, 24  # largest overhead of a step and of an event
 _KINDS: tuple[type[Event], ...] = (

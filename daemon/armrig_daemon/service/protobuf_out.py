@@ -17,8 +17,8 @@ def outgoing(record: Gap | Log | Timing | Clock | State | Trace, clock_offset_ns
     Parameters
     ----------
     clock_offset_ns : int
-        Real-time clock minus monotonic clock, in ns. Only the message of a log record, which has a
-        wall-clock time, depends on it.
+        Real-time clock minus monotonic clock, in ns, for the wall-clock time in the message of a
+        log record.
     """
     match record:
         case Gap():

@@ -73,9 +73,9 @@ def objection(
     Parameters
     ----------
     turns_per_volt_s : float
-        Turns of the turning chassis per Vs, from the model.
+        Turns of the chassis per Vs of input, which the model predicts for a moving chassis.
     alpha_is_read : bool
-        True if the arm is mounted, and its potentiometer does not turn beyond its ends.
+        True if the arm is mounted, and the shaft of its potentiometer stops at the ends.
     """
     newest = readings.newest
     if newest is None:
