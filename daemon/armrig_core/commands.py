@@ -141,7 +141,7 @@ class Status(Request, frozen=True, kw_only=True):
 MOST_REMOTE_BYTES = (8 << 20) - (64 << 10)
 """Longest command over a network, in B: 8 MiB minus zenoh's own part of the message."""
 MOST_DETAILS_BYTES = 1 << 20
-"""Longest `details` of a run, as JSON in B."""
+"""Longest JSON text of a run's `details`, in B."""
 Requests = Arm | Disarm | Run | Renew | Set | Stop | Note | Reset | Calibrate | Status
 """Any command."""
 REQUESTS: dict[str, type[Requests]] = {r.name: r for r in get_args(Requests)}

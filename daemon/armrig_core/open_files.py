@@ -1,4 +1,4 @@
-"""Number of open files of this process, and its limit."""
+"""Number of files that this process has open, and the limit of this number."""
 
 from __future__ import annotations
 

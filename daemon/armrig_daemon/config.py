@@ -80,7 +80,7 @@ class Device(Table, frozen=True, kw_only=True):
     `run --emulate` has the largest allowed value as its default.
     """
     oversampling: int = 1
-    """Number of conversions averaged in one reading of a channel, 1 to 255; all must fit into Ts."""
+    """Number of conversions averaged in a reading of a channel, 1 to 255; all must fit into Ts."""
     rail_ticks: int = 0
     """Number of consecutive samples at a rail that stop a run, 0 to 65535; 0 is no guard."""
 

@@ -82,7 +82,7 @@ class VirtualPorts:
         return self.now
 
     def wait(self, until_ns: int) -> list[Event]:
-        """Advance until the device sends bytes, an order is due, or `until_ns`; return events."""
+        """Advance to the next bytes of the device, due order, or `until_ns`; return the events."""
         while True:
             ready = self._ready()
             if ready or self.now >= until_ns:

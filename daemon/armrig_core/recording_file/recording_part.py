@@ -269,7 +269,7 @@ class Part:
         self.size = self._pending.written()
 
     def _cut(self) -> None:
-        """Cut the file at its last flush, so that it contains no incomplete record."""
+        """Cut the file at the end of its last flush, so that the file has no incomplete record."""
         os.ftruncate(self._file.fileno(), self.size)
 
 

@@ -20,7 +20,7 @@ class Phase(StrEnum):
     """Phase of the daemon; see ARCHITECTURE.md."""
 
     INIT = "init"
-    """No device has answered and accepted its configuration."""
+    """The daemon waits for a device to answer and to accept its configuration."""
     SAFE = "safe"
     """Sampling at 0 V; no owner holds the rig."""
     ARMED = "armed"

@@ -142,7 +142,7 @@ class Link:
 class SocketLink(Link):
     """Open socket of an emulated rig; a read does not wait for a kernel worker.
 
-    As with a port, only one program at a time can open the socket, and opening it resets the
+    As with a serial port, only one program at a time can open the socket, and opening it resets the
     device.
     """
 

@@ -39,7 +39,7 @@ class LoopChild:
         self._pending = bytearray()
 
     def order(self, order: Orders) -> None:
-        """Send the loop an order; `records` reports the end of the loop."""
+        """Send an order to the loop; if the loop has ended, `records` reports it."""
         self._unsent += record_bytes(order)
         self.flush()
 

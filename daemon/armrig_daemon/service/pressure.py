@@ -46,7 +46,7 @@ class Pressure:
         return share, _runnable()
 
     def _stalled_us(self) -> int | None:
-        """Return the total of the line `some … total=N`."""
+        """Return the waiting time so far in µs, N of the line `some … total=N`; None without it."""
         with contextlib.suppress(OSError, ValueError, IndexError):
             some = self._path.read_text(encoding="ascii").splitlines()[0]
             return int(some.rsplit("total=", 1)[1])

@@ -102,7 +102,7 @@ class Session:
             self.uplink = Uplink(router.endpoint, way)
 
     def __enter__(self) -> Self:
-        """Open the listeners and return this object."""
+        """Return this session, whose listeners are already open."""
         return self
 
     def __exit__(self, *_: object) -> None:

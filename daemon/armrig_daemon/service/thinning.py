@@ -22,9 +22,9 @@ class _Repeated(NamedTuple):
     ns: int
     """Time of the last logged line of this kind."""
     held: int = 0
-    """Number of lines held back since the last logged line."""
+    """Number of lines that were held back since the last logged line."""
     newest: Log | None = None
-    """Last line held back."""
+    """Last line that was held back."""
 
 
 class Thinning:
