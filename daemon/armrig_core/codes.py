@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import NamedTuple, Self
 
 TRY_AGAIN = ": try again"
-"""Last words of the sentence of a temporary refusal."""
+"""Ending of the sentence in a temporary refusal."""
 
 
 class RefusalCode(StrEnum):

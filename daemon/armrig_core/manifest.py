@@ -15,7 +15,7 @@ from armrig_core.rehearsal import Rehearsal
 RUN = "armrig.run"
 """Name of the metadata record written before the first sample."""
 OUTCOME = "armrig.outcome"
-"""Name of the metadata record after the last sample; a recording without this record was cut off."""
+"""Name of the metadata record after the last sample; without this record, the file was cut off."""
 RECOVERED = "armrig.recovered"
 """Name of the metadata record of a recovered file, which its daemon had left unfinished."""
 CONFIG, CALIBRATION, INPUT = "config.json", "calibration.json", "input.csv"

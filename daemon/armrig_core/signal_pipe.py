@@ -116,7 +116,7 @@ def until_signal() -> Iterator[SignalPipe]:
 
 @contextmanager
 def held_back() -> Iterator[None]:
-    """Block the ending signals in a `with` block; a process started in it inherits the mask.
+    """Block the ending signals in a `with` block; a process started in the block inherits the mask.
 
     Such a process unblocks the signals when it creates its `SignalPipe`. A Ctrl-C reaches all
     processes of a terminal. Without the mask, it could be lost in a new process that still imports

@@ -3,7 +3,7 @@
 `select` and `poll` query each terminal at every call. A terminal without input answers only after a
 kernel worker of ordinary priority has run (docs/timing.md), so a loop at real-time priority would
 wait for this worker. Here a terminal is watched edge-triggered: the kernel queries the terminal
-only after it has woken the process.
+only after new bytes have woken the process.
 
 References
 ----------

@@ -207,7 +207,7 @@ def _configuration(
 def emulate(
     port: Annotated[
         Path,
-        typer.Option(help="Port to create: a path, linked to a pseudo-terminal, or unix:PATH."),
+        typer.Option(help="Port to create: a path (a link to a pseudo-terminal), or unix:PATH."),
     ],
     config: Annotated[
         Path | None, typer.Option(help="File (TOML) with a table [emulator]; default: no file.")

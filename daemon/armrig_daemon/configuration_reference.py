@@ -99,7 +99,7 @@ def page_tables() -> str:
 
 
 def _meanings() -> Iterator[tuple[str, str]]:
-    """Yield name and purpose of each table; its class has the docstring "`[name]`: purpose"."""
+    """Yield name and purpose of each table; the docstring of its class is "`[name]`: purpose"."""
     descriptions = _descriptions(Config)
     for field in msgspec.structs.fields(Config):
         text = descriptions.get(field.name) or " ".join((field.type.__doc__ or "").split())

@@ -60,8 +60,9 @@ class ClockMap(NamedTuple):
     """Estimate of the device's clock from the exchanges so far.
 
     The estimate is a weighted regression of y = host - 1000 · device (ns) on d = device (µs), and
-    of the round trip r on d. It is stored as weighted means and centred moments. y and d count from
-    the last exchange, in integers, so that no digits cancel in a long run.
+    of the round trip r on d. It is stored as weighted means and centred moments. The origins of y
+    and d are times of the last exchange, stored as integers, so that no digits cancel in a long
+    run.
     """
 
     link: Link = Link()
@@ -259,7 +260,7 @@ def _fading(link: Link, past_ns: int) -> float:
 
 
 def _window(clock: ClockMap, r: int) -> ClockMap:
-    """Add a round trip to the window, and estimate the excess of the window's minimum.
+    """Add a round trip; estimate how far the window's minimum exceeds the shortest round trip.
 
     The sum of two exponential waiting times with means m and m' is below x with a probability of
     x²/(2 m m'). The smallest of N sums, which is the excess of the minimum over the shortest

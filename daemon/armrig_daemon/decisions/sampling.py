@@ -51,7 +51,7 @@ def handle(state: State, now_ns: int, m: DeviceSample) -> Step:
 
 
 def _handle_answer(state: State, now_ns: int, m: DeviceSample) -> Step:
-    """Handle the answer to an EXCHANGE of the daemon; ignore any other sample, with its state."""
+    """Handle the answer to an EXCHANGE of the daemon; ignore any other sample and its state."""
     link, device = state.link, state.device
     at = None if link is None else _find_exchange(link.sent, m.k)
     if link is None or at is None or device is None or is_ahead(link, m.echo):

@@ -111,7 +111,7 @@ class PendingRequest(NamedTuple):
 
 
 class Traffic(NamedTuple):
-    """Bytes and frames that have arrived since the first HELLO without an answer."""
+    """Numbers of bytes and frames that have arrived since the first unanswered HELLO."""
 
     bytes: int = 0
     frames: int = 0

@@ -109,7 +109,7 @@ class Starter(threading.Thread):
 
     @property
     def process(self) -> subprocess.Popen[bytes]:
-        """The process, after its start."""
+        """Process of the loop; the property is available after the start of the process."""
         return self._process.result()
 
     @property

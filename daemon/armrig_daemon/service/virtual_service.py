@@ -81,7 +81,7 @@ class VirtualService:
         self._has_ended = False
 
     def record(self, request: Run) -> Path:
-        """Arm, play and record a run; return its recording, complete on the disk.
+        """Arm, play and record a run; return the path of the complete recording.
 
         Parameters
         ----------
