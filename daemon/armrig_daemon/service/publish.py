@@ -136,7 +136,7 @@ class Session:
         del self._listeners[1:]
 
     def put(self, stream: str, data: bytes) -> None:
-        """Publish a message, which zenoh drops for a slow subscriber, and keep it in the history."""
+        """Publish a message, which zenoh drops for a slow subscriber; keep it in the history."""
         for listener in self._listeners:
             listener.put(stream, data)
         if self.uplink is not None:
